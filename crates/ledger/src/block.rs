@@ -1,0 +1,155 @@
+//! Blocks: what a committed log entry means to the ledger.
+//!
+//! A block is a committed entry of the ordering log and its height is the entry's index. The leader decides
+//! the [`Payload`]; the [`Header`] is computed by every node alike when it applies the entry.
+
+use crate::rejection::Rejection;
+use crate::{Hash, code::Code};
+use bytes::Bytes;
+use prost::Message;
+use ring::digest::{Context as Sha256, SHA256};
+
+/// Most transactions in one block. Bounds the work of one step of the executor.
+pub const TRANSACTIONS_MAX: usize = 4096;
+/// Most bytes of transactions in one block, so that a block fits one record, one message and one write.
+pub const PAYLOAD_BYTES_MAX: usize = 8 * 1024 * 1024;
+
+/// The data of an ordinary log entry: what the leader put into the block.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Payload {
+    /// The leader's clock when it made the block, microseconds since the UNIX epoch. Block time is the
+    /// largest of these so far, so it never goes back.
+    #[prost(uint64, tag = "1")]
+    pub time: u64,
+    /// The transactions exactly as they were signed.
+    #[prost(bytes = "bytes", repeated, tag = "2")]
+    pub transactions: Vec<Bytes>,
+}
+
+impl Payload {
+    /// The bytes of a log entry.
+    pub fn to_bytes(&self) -> Bytes {
+        self.encode_to_vec().into()
+    }
+
+    /// Reads the data of an entry. The empty entry that a new leader appends is an empty block.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if the bytes are no payload, [`Code::TooLarge`] beyond the limits.
+    pub fn from_bytes(data: Bytes) -> Result<Self, Rejection> {
+        if data.len() > PAYLOAD_BYTES_MAX + TRANSACTIONS_MAX * 8 {
+            return Err(Rejection::new(Code::TooLarge, "block payload is too large")
+                .found(format!("{} bytes", data.len()))
+                .wanted(format!("at most {PAYLOAD_BYTES_MAX} bytes")));
+        }
+        let payload = Self::decode(data)
+            .map_err(|error| Rejection::new(Code::Malformed, format!("block payload cannot be read: {error}")))?;
+        if payload.transactions.len() > TRANSACTIONS_MAX {
+            return Err(Rejection::new(Code::TooLarge, "block has too many transactions")
+                .found(payload.transactions.len().to_string())
+                .wanted(format!("at most {TRANSACTIONS_MAX}")));
+        }
+        Ok(payload)
+    }
+}
+
+/// The link of the chain: computed identically by every node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Header {
+    /// Index of the log entry; the genesis block has height 0.
+    pub height: u64,
+    /// Raft term in which the entry was proposed.
+    pub term: u64,
+    /// Block time, microseconds since the UNIX epoch; never decreases.
+    pub time: u64,
+    /// Hash of the previous header.
+    pub previous: Hash,
+    /// Merkle root over the content (RFC 6962 §2.1 over the signed transactions).
+    pub root: Hash,
+}
+
+impl Header {
+    /// SHA-256 over the domain tag and the fields in order, integers big-endian.
+    pub fn hash(&self) -> Hash {
+        let mut sha = Sha256::new(&SHA256);
+        sha.update(b"ledgerd block v1\0");
+        for number in [self.height, self.term, self.time] {
+            sha.update(&number.to_be_bytes());
+        }
+        sha.update(&self.previous.0);
+        sha.update(&self.root.0);
+        Hash::finish(sha)
+    }
+}
+
+/// The leaf of a transaction in the Merkle tree; also the key under which a node remembers that it has
+/// already verified exactly these bytes.
+pub fn leaf(transaction: &[u8]) -> Hash {
+    Hash::of(&[&[0x00], transaction])
+}
+
+/// The root of an entry that is no list of transactions (a membership change).
+pub fn opaque_root(data: &[u8]) -> Hash {
+    Hash::of(&[&[0x02], data])
+}
+
+/// Merkle root over the leaves (RFC 6962 §2.1): the hash of nothing for no leaves; an odd node is promoted.
+pub fn merkle_root(mut level: Vec<Hash>) -> Hash {
+    if level.is_empty() {
+        return Hash::of(&[]);
+    }
+    while level.len() > 1 {
+        level = level
+            .chunks(2)
+            .map(|pair| match pair {
+                [left, right] => Hash::of(&[&[0x01], &left.0, &right.0]),
+                [single] => *single,
+                _ => Hash::ZERO,
+            })
+            .collect();
+    }
+    level.first().copied().unwrap_or(Hash::ZERO)
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn merkle_root_depends_on_every_leaf_and_on_their_order() {
+        let leaves: Vec<_> = (0u8..5).map(|i| leaf(&[i])).collect();
+        let root = merkle_root(leaves.clone());
+        let mut swapped = leaves.clone();
+        swapped.swap(0, 4);
+        assert_ne!(merkle_root(swapped), root);
+        for i in 0..leaves.len() {
+            let mut changed = leaves.clone();
+            *changed.get_mut(i).unwrap() = leaf(b"other");
+            assert_ne!(merkle_root(changed), root, "leaf {i}");
+        }
+        assert_eq!(merkle_root(vec![leaf(b"x")]), leaf(b"x"));
+    }
+
+    #[test]
+    fn an_empty_entry_is_an_empty_block() {
+        assert_eq!(Payload::from_bytes(Bytes::new()).unwrap(), Payload::default());
+    }
+
+    #[test]
+    fn a_payload_of_too_many_transactions_is_refused() {
+        let payload = Payload { time: 1, transactions: vec![Bytes::new(); TRANSACTIONS_MAX + 1] };
+        assert_eq!(Payload::from_bytes(payload.to_bytes()).unwrap_err().code, Code::TooLarge);
+    }
+
+    #[test]
+    fn a_truncated_payload_is_refused_at_every_cut_that_is_no_shorter_payload() {
+        let payload = Payload { time: 7, transactions: vec![Bytes::from_static(b"abc"), Bytes::from_static(b"def")] };
+        let bytes = payload.to_bytes();
+        for cut in 0..bytes.len() {
+            if let Ok(read) = Payload::from_bytes(bytes.slice(..cut)) {
+                assert_ne!(read, payload);
+            }
+        }
+    }
+}

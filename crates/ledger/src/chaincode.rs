@@ -1,0 +1,119 @@
+//! Chaincode: the programs that every node executes in block order.
+//!
+//! A chaincode is a Rust type that implements [`Chaincode`]. It is compiled into the node and called through a
+//! [`Context`], which is all it may know: no clock, no randomness, no IO, so that every node computes the same.
+//!
+//! ```
+//! use ledger::{Bytes, Chaincode, Code, Context, Rejection};
+//!
+//! /// Counts.
+//! struct Counter;
+//!
+//! impl Chaincode for Counter {
+//!     fn name(&self) -> &'static str { "counter" }
+//!
+//!     fn invoke(&self, ctx: &mut Context<'_>, function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
+//!         let who = ctx.submitter()?.id();
+//!         match function {
+//!             "add" => {
+//!                 let count = ctx.get(who.as_bytes()).map_or(0, |v| v.len());
+//!                 ctx.put(who.as_bytes(), vec![b'|'; count + 1]);
+//!                 Ok(Bytes::from((count + 1).to_string()))
+//!             }
+//!             _ => Err(Rejection::unknown_function("counter", function, &["add"])),
+//!         }
+//!     }
+//! }
+//! ```
+
+mod context;
+mod overlay;
+mod registry;
+
+pub use context::{Context, Environment};
+pub use overlay::{Overlay, StateRead, WriteSet};
+pub use registry::Registry;
+
+use crate::code::Code;
+use crate::identity::Identity;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+
+/// A program that every node executes in block order.
+pub trait Chaincode: Send + Sync {
+    /// The name under which it is called and its keys are kept: lower-case letters, digits and `-`.
+    fn name(&self) -> &'static str;
+
+    /// Executes one call. Called once per transaction call, in block order, on every node; the same function
+    /// serves queries, whose writes are thrown away. Must be deterministic: everything it may know is in `ctx`.
+    ///
+    /// # Errors
+    /// A [`Rejection`] undoes every write of the call and becomes the verdict. A panic does the same with
+    /// [`Code::ChaincodePanic`].
+    fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
+
+    /// Called at the start of every block, before its transactions, with the block's time: the place for what
+    /// is due (leases, deadlines). There is no submitter.
+    fn begin_block(&self, _ctx: &mut Context<'_>) {}
+
+    /// The earliest block time (microseconds) at which [`Chaincode::begin_block`] has something to do. The
+    /// leader orders an empty block when its clock passes it and no traffic did.
+    fn next_deadline(&self, _ctx: &Context<'_>) -> Option<u64> {
+        None
+    }
+
+    /// Called within the transaction that revokes an identity, so that its rights end in the same block.
+    fn identity_revoked(&self, _ctx: &mut Context<'_>, _revoked: &Revocation) {}
+
+    /// May the submitter of `ctx` see this event? Asked at delivery, and again after every change of the answer's
+    /// [`Chaincode::read_version`].
+    ///
+    /// # Errors
+    /// The reason why not; the event is then skipped.
+    fn may_read(&self, _ctx: &Context<'_>, _event: &Event) -> Result<(), Rejection> {
+        Ok(())
+    }
+}
+
+/// What names a revoked certificate: never its fingerprint, because a signature can be rewritten.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Revocation {
+    /// SHA-256 of the issuer's distinguished name as in the certificate.
+    pub issuer: [u8; 32],
+    /// The serial number, big-endian, as in the certificate.
+    pub serial: Vec<u8>,
+}
+
+impl Revocation {
+    /// Is this the certificate of that identity?
+    pub fn names(&self, identity: &Identity) -> bool {
+        self.issuer == identity.issuer && self.serial == identity.serial
+    }
+}
+
+/// Something that a chaincode tells the world, delivered to subscribers in block order together with the
+/// transaction that caused it.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Event {
+    /// The chaincode that emitted it.
+    #[prost(string, tag = "1")]
+    pub chaincode: String,
+    /// What happened, e.g. `message` or `granted`.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// What it happened to, e.g. the service `Turtlebot4/cmd_vel`. Subscribers filter by it.
+    #[prost(string, tag = "3")]
+    pub subject: String,
+    /// Details, usually JSON. What the transaction holds already is not repeated here.
+    #[prost(bytes = "bytes", tag = "4")]
+    pub payload: Bytes,
+}
+
+impl Rejection {
+    /// The refusal of a function that a chaincode does not have.
+    pub fn unknown_function(chaincode: &str, function: &str, known: &[&str]) -> Self {
+        Self::new(Code::UnknownFunction, format!("chaincode {chaincode:?} has no function {function:?}"))
+            .found(function.to_owned())
+            .wanted(format!("one of {}", known.join(", ")))
+    }
+}

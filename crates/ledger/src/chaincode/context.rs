@@ -1,0 +1,223 @@
+//! What a chaincode sees of the world while it runs.
+
+use super::overlay::Overlay;
+use super::{Event, Registry, Revocation};
+use crate::Hash;
+use crate::code::Code;
+use crate::identity::Identity;
+use crate::rejection::Rejection;
+use bytes::{BufMut, Bytes, BytesMut};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+/// Deepest chain of chaincodes calling each other.
+const CALL_DEPTH_MAX: usize = 8;
+/// Most events of one transaction or hook.
+const EVENTS_MAX: usize = 1024;
+/// Most bytes of one key.
+const KEY_BYTES_MAX: usize = 1024;
+/// Most bytes of one value.
+const VALUE_BYTES_MAX: usize = 1024 * 1024;
+
+/// The block and the caller that a call runs for.
+#[derive(Clone, Copy)]
+pub struct Environment<'a> {
+    /// The installed chaincodes.
+    pub registry: &'a Registry,
+    /// Who signed the transaction; nobody in hooks.
+    pub submitter: Option<&'a Identity>,
+    /// Name of the network: hash of its genesis block.
+    pub network: Hash,
+    /// Height of the block that is executed; for queries, the committed height.
+    pub height: u64,
+    /// Block time, microseconds since the UNIX epoch.
+    pub time: u64,
+    /// Id of the transaction; zero in hooks and queries.
+    pub transaction: Hash,
+}
+
+/// All that a chaincode may know and do. Its keys are its own: no other chaincode sees them.
+pub struct Context<'a> {
+    environment: Environment<'a>,
+    chaincode: &'static str,
+    depth: usize,
+    overlay: &'a mut Overlay,
+    events: &'a mut Vec<Event>,
+    limit_exceeded: Option<Rejection>,
+}
+
+impl<'a> Context<'a> {
+    /// The context of `chaincode` on top of an overlay; events are appended to `events`.
+    pub fn new(
+        environment: Environment<'a>,
+        chaincode: &'static str,
+        overlay: &'a mut Overlay,
+        events: &'a mut Vec<Event>,
+    ) -> Self {
+        Self { environment, chaincode, depth: 0, overlay, events, limit_exceeded: None }
+    }
+
+    /// The value of one of this chaincode's keys.
+    pub fn get(&self, key: &[u8]) -> Option<Bytes> {
+        self.overlay.get(&self.full_key(key))
+    }
+
+    /// Writes one of this chaincode's keys. Beyond the limits (1 KiB a key, 1 MiB a value) the call is rejected
+    /// with [`Code::LimitExceeded`] when it returns.
+    pub fn put(&mut self, key: &[u8], value: impl Into<Bytes>) {
+        let value = value.into();
+        if key.len() > KEY_BYTES_MAX || value.len() > VALUE_BYTES_MAX {
+            self.exceeded(
+                format!("key of {} bytes, value of {} bytes", key.len(), value.len()),
+                format!("at most {KEY_BYTES_MAX} and {VALUE_BYTES_MAX} bytes"),
+            );
+            return;
+        }
+        let key = self.full_key(key);
+        self.overlay.write(key, Some(value));
+    }
+
+    /// Deletes one of this chaincode's keys.
+    pub fn delete(&mut self, key: &[u8]) {
+        let key = self.full_key(key);
+        self.overlay.write(key, None);
+    }
+
+    /// At most `limit` of this chaincode's keys that start with `prefix`, in order, with their values.
+    pub fn range(&self, prefix: &[u8], limit: usize) -> Vec<(Bytes, Bytes)> {
+        let own = self.chaincode.len() + 1;
+        self.overlay
+            .range(&self.full_key(prefix), limit)
+            .into_iter()
+            .map(|(key, value)| (key.slice(own..), value))
+            .collect()
+    }
+
+    /// Who signed the transaction.
+    ///
+    /// # Errors
+    /// [`Code::CertificateRequired`] in hooks, which nobody signed.
+    pub fn submitter(&self) -> Result<&'a Identity, Rejection> {
+        self.environment
+            .submitter
+            .ok_or_else(|| Rejection::new(Code::CertificateRequired, "this call needs a signer, and nobody signed it"))
+    }
+
+    /// Block time, microseconds since the UNIX epoch. The only clock there is.
+    pub fn block_time(&self) -> u64 {
+        self.environment.time
+    }
+
+    /// Height of the block that is executed.
+    pub fn height(&self) -> u64 {
+        self.environment.height
+    }
+
+    /// Name of the network: hash of its genesis block.
+    pub fn network(&self) -> Hash {
+        self.environment.network
+    }
+
+    /// Id of the transaction that is executed; zero in hooks and queries.
+    pub fn transaction(&self) -> Hash {
+        self.environment.transaction
+    }
+
+    /// Tells subscribers that something happened. Kept only if the call succeeds.
+    pub fn emit(&mut self, name: &str, subject: &str, payload: impl Into<Bytes>) {
+        let payload = payload.into();
+        if self.events.len() >= EVENTS_MAX || payload.len() > VALUE_BYTES_MAX {
+            self.exceeded(
+                format!("event {} with {} bytes", self.events.len() + 1, payload.len()),
+                format!("at most {EVENTS_MAX} events of {VALUE_BYTES_MAX} bytes"),
+            );
+            return;
+        }
+        self.events.push(Event {
+            chaincode: self.chaincode.to_owned(),
+            name: name.to_owned(),
+            subject: subject.to_owned(),
+            payload,
+        });
+    }
+
+    /// Calls another chaincode as the same submitter. If it is rejected, everything it wrote is undone, and the
+    /// caller may go on or pass the rejection up.
+    ///
+    /// # Errors
+    /// The callee's rejection, [`Code::UnknownChaincode`], [`Code::LimitExceeded`] if nested too deep.
+    pub fn call(&mut self, chaincode: &str, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        if self.depth + 1 >= CALL_DEPTH_MAX {
+            return Err(Rejection::new(Code::LimitExceeded, "chaincodes call each other too deeply")
+                .found(format!("depth {}", self.depth + 1))
+                .wanted(format!("at most {}", CALL_DEPTH_MAX - 1)));
+        }
+        let (environment, depth) = (self.environment, self.depth + 1);
+        let callee = environment.registry.find(chaincode)?;
+        run(environment, callee.name(), depth, self.overlay, self.events, |ctx| callee.invoke(ctx, function, args))
+    }
+
+    /// Tells every installed chaincode that an identity was revoked (see [`super::Chaincode::identity_revoked`]).
+    pub(crate) fn tell_revoked(&mut self, revoked: &Revocation) -> Result<(), Rejection> {
+        let (environment, depth) = (self.environment, self.depth + 1);
+        for chaincode in environment.registry.iter() {
+            run(environment, chaincode.name(), depth, self.overlay, self.events, |ctx| {
+                chaincode.identity_revoked(ctx, revoked);
+                Ok(Bytes::new())
+            })?;
+        }
+        Ok(())
+    }
+
+    fn full_key(&self, key: &[u8]) -> Bytes {
+        let mut full = BytesMut::with_capacity(self.chaincode.len() + 1 + key.len());
+        full.put_slice(self.chaincode.as_bytes());
+        full.put_u8(0);
+        full.put_slice(key);
+        full.freeze()
+    }
+
+    fn exceeded(&mut self, found: String, wanted: String) {
+        let chaincode = self.chaincode;
+        self.limit_exceeded.get_or_insert_with(|| {
+            Rejection::new(Code::LimitExceeded, format!("chaincode {chaincode:?} exceeded a limit"))
+                .found(found)
+                .wanted(wanted)
+        });
+    }
+}
+
+/// Runs one call in a layer of its own: kept if it succeeds, undone if it is rejected, panics or exceeded a limit.
+pub(super) fn run(
+    environment: Environment<'_>,
+    chaincode: &'static str,
+    depth: usize,
+    overlay: &mut Overlay,
+    events: &mut Vec<Event>,
+    body: impl FnOnce(&mut Context<'_>) -> Result<Bytes, Rejection>,
+) -> Result<Bytes, Rejection> {
+    let (layers, emitted) = (overlay.depth(), events.len());
+    overlay.begin();
+    let outcome = catch_unwind(AssertUnwindSafe(|| {
+        let mut ctx = Context { environment, chaincode, depth, overlay, events, limit_exceeded: None };
+        let response = body(&mut ctx)?;
+        ctx.limit_exceeded.map_or(Ok(response), Err)
+    }))
+    .unwrap_or_else(|_| {
+        Err(Rejection::new(
+            Code::ChaincodePanic,
+            format!("chaincode {chaincode:?} panicked; nothing it wrote was kept"),
+        ))
+    });
+    // A panic inside a nested call leaves that call's layers open.
+    while overlay.depth() > layers + 1 {
+        overlay.rollback();
+    }
+    match outcome {
+        Ok(_) => overlay.commit(),
+        Err(_) => {
+            overlay.rollback();
+            events.truncate(emitted);
+        }
+    }
+    outcome
+}

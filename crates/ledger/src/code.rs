@@ -1,0 +1,217 @@
+//! Stable codes for everything the system may answer.
+//!
+//! A code never changes its meaning and is never reused. The number is what is stored in blocks' results
+//! and covered by the state digest; the name is what people grep for; the class decides how a client
+//! reacts (and the exit code of `ledgerctl`). Each code has a paragraph in `docs/errors.md`.
+
+use std::fmt;
+
+/// What kind of answer a code is; decides the exit code of command-line tools.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Class {
+    /// It worked.
+    Ok,
+    /// It failed for a reason that is neither the caller's input nor their rights.
+    Failure,
+    /// The caller may not do this.
+    Denied,
+    /// The input is wrong; repeating it unchanged cannot succeed.
+    Invalid,
+    /// Nobody answered, or no majority could be reached; repeating it may succeed.
+    Unreachable,
+    /// Somebody else holds what was asked for.
+    Conflict,
+}
+
+impl Class {
+    /// The exit code that command-line tools use for this class.
+    pub const fn exit_code(self) -> u8 {
+        match self {
+            Self::Ok => 0,
+            Self::Failure => 1,
+            Self::Denied => 2,
+            Self::Invalid => 3,
+            Self::Unreachable => 4,
+            Self::Conflict => 5,
+        }
+    }
+}
+
+macro_rules! codes {
+    ($($(#[$doc:meta])* $variant:ident = $number:literal $name:literal $class:ident;)*) => {
+        /// A stable code: `LGR-` and a number of four digits, or [`Code::Ok`].
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub enum Code { $($(#[$doc])* $variant,)* }
+
+        impl Code {
+            /// Every code, in ascending order of number.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The number that is stored and transmitted.
+            pub const fn number(self) -> u16 { match self { $(Self::$variant => $number,)* } }
+
+            /// The name, in capitals, for logs and JSON.
+            pub const fn name(self) -> &'static str { match self { $(Self::$variant => $name,)* } }
+
+            /// How a client should react.
+            pub const fn class(self) -> Class { match self { $(Self::$variant => Class::$class,)* } }
+
+            /// The code with this number, if there is one.
+            pub const fn from_number(number: u16) -> Option<Self> {
+                match number { $($number => Some(Self::$variant),)* _ => None }
+            }
+        }
+    };
+}
+
+codes! {
+    /// The call was executed.
+    Ok = 0 "OK" Ok;
+
+    /// The bytes are not a transaction.
+    Malformed = 1001 "MALFORMED" Invalid;
+    /// The transaction exceeds a size limit of the network.
+    TooLarge = 1002 "TOO_LARGE" Invalid;
+    /// The transaction is for another network.
+    WrongNetwork = 1003 "WRONG_NETWORK" Invalid;
+    /// The signature does not match the body and the creator's key.
+    BadSignature = 1004 "BAD_SIGNATURE" Denied;
+    /// The creator's certificate is not on the ledger and did not come with the transaction.
+    UnknownCreator = 1005 "UNKNOWN_CREATOR" Invalid;
+    /// Block time has passed the transaction's `not_after`.
+    Expired = 1006 "EXPIRED" Invalid;
+    /// `not_after` lies further ahead of block time than ids are remembered.
+    NotAfterTooFar = 1007 "NOT_AFTER_TOO_FAR" Invalid;
+    /// A transaction with this id was executed before; the first verdict stands.
+    Duplicate = 1008 "DUPLICATE" Invalid;
+    /// No chaincode of this name is installed.
+    UnknownChaincode = 1009 "UNKNOWN_CHAINCODE" Invalid;
+    /// The chaincode has no function of this name.
+    UnknownFunction = 1010 "UNKNOWN_FUNCTION" Invalid;
+    /// An argument is missing, superfluous or of the wrong type.
+    BadArgument = 1011 "BAD_ARGUMENT" Invalid;
+    /// The chaincode panicked; nothing it wrote was kept.
+    ChaincodePanic = 1012 "CHAINCODE_PANIC" Failure;
+    /// What was asked for does not exist.
+    NotFound = 1013 "NOT_FOUND" Invalid;
+    /// A chaincode called too deep or wrote too much.
+    LimitExceeded = 1014 "LIMIT_EXCEEDED" Invalid;
+    /// A user's own chaincode refused the call.
+    Refused = 1015 "REFUSED" Denied;
+
+    /// The certificate is not of an organisation of this network.
+    Untrusted = 2001 "UNTRUSTED" Denied;
+    /// The certificate is past its validity.
+    CertificateExpired = 2002 "CERTIFICATE_EXPIRED" Denied;
+    /// The certificate is not valid yet.
+    CertificateNotYetValid = 2003 "CERTIFICATE_NOT_YET_VALID" Denied;
+    /// The certificate was revoked by its issuer.
+    Revoked = 2004 "REVOKED" Denied;
+    /// The bytes are not a usable X.509 certificate.
+    CertificateMalformed = 2005 "CERTIFICATE_MALFORMED" Invalid;
+    /// The identity has another role than the one needed.
+    WrongRole = 2006 "WRONG_ROLE" Denied;
+    /// The enrolment name or its one-time secret is wrong or was used before.
+    EnrolmentRefused = 2007 "ENROLMENT_REFUSED" Denied;
+    /// This call needs a client certificate.
+    CertificateRequired = 2008 "CERTIFICATE_REQUIRED" Denied;
+    /// A name is already registered.
+    AlreadyRegistered = 2009 "ALREADY_REGISTERED" Invalid;
+
+    /// The caller's certificate lacks an attribute that the robot requires.
+    MissingAttribute = 3001 "MISSING_ATTRIBUTE" Denied;
+    /// No policy permits this, or one forbids it.
+    DeniedByPolicy = 3002 "DENIED_BY_POLICY" Denied;
+    /// No robot of this name is registered.
+    UnknownRobot = 3003 "UNKNOWN_ROBOT" Invalid;
+    /// The robot offers no service on this topic.
+    UnknownService = 3004 "UNKNOWN_SERVICE" Invalid;
+    /// Another user holds the service.
+    Held = 3005 "HELD" Conflict;
+    /// The caller holds no grant of this service.
+    NotHolder = 3006 "NOT_HOLDER" Denied;
+    /// The epoch is older than the newest grant.
+    StaleEpoch = 3007 "STALE_EPOCH" Denied;
+    /// The sequence number does not increase.
+    StaleSequence = 3008 "STALE_SEQUENCE" Invalid;
+    /// Only the organisation that owns the robot may do this.
+    NotOwner = 3009 "NOT_OWNER" Denied;
+    /// Only an admin may do this.
+    NotAdmin = 3010 "NOT_ADMIN" Denied;
+    /// Something of this name exists already.
+    AlreadyExists = 3011 "ALREADY_EXISTS" Invalid;
+    /// The message is of another type than the service's.
+    WrongType = 3012 "WRONG_TYPE" Invalid;
+    /// A policy could not be evaluated; that denies.
+    PolicyError = 3013 "POLICY_ERROR" Denied;
+    /// The policy text is not acceptable.
+    PolicyInvalid = 3014 "POLICY_INVALID" Invalid;
+
+    /// No node answered.
+    Unreachable = 4001 "UNREACHABLE" Unreachable;
+    /// No leader is known, so nothing can be ordered now.
+    NoLeader = 4002 "NO_LEADER" Unreachable;
+    /// A queue is full.
+    Overloaded = 4003 "OVERLOADED" Unreachable;
+    /// No verdict came in time; the outcome is unknown, repeat with the same transaction.
+    Timeout = 4004 "TIMEOUT" Unreachable;
+    /// The node has not reached the height that was asked for.
+    Behind = 4005 "BEHIND" Unreachable;
+    /// The node is shutting down.
+    ShuttingDown = 4006 "SHUTTING_DOWN" Unreachable;
+
+    /// The disk is full; nothing more is accepted.
+    DiskFull = 5001 "DISK_FULL" Failure;
+    /// Stored bytes are damaged.
+    Corrupt = 5002 "CORRUPT" Failure;
+    /// The disk failed.
+    DiskFailed = 5003 "DISK_FAILED" Failure;
+    /// The chain does not verify.
+    ChainInvalid = 5004 "CHAIN_INVALID" Failure;
+    /// Something inside failed; the log has the details.
+    Internal = 5005 "INTERNAL" Failure;
+
+    /// A topic or type name is not a ROS 2 name.
+    BadName = 6001 "BAD_NAME" Invalid;
+    /// A ROS 2 middleware failed.
+    MiddlewareFailed = 6002 "MIDDLEWARE_FAILED" Failure;
+
+    /// The configuration is wrong.
+    BadConfiguration = 7001 "BAD_CONFIGURATION" Invalid;
+    /// A local file cannot be read or written.
+    BadFile = 7002 "BAD_FILE" Invalid;
+    /// No context is selected, or there is none of this name.
+    NoContext = 7003 "NO_CONTEXT" Invalid;
+}
+
+impl fmt::Display for Code {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "LGR-{:04}", self.number())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_ascend_and_map_back_to_their_code() {
+        for pair in Code::ALL.windows(2) {
+            if let [a, b] = pair {
+                assert!(a.number() < b.number(), "{a} before {b}");
+            }
+        }
+        for code in Code::ALL {
+            assert_eq!(Code::from_number(code.number()), Some(*code));
+        }
+        assert_eq!(Code::from_number(9999), None);
+    }
+
+    #[test]
+    fn names_are_unique() {
+        let mut names: Vec<_> = Code::ALL.iter().map(|code| code.name()).collect();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), Code::ALL.len());
+    }
+}

@@ -1,0 +1,4 @@
+//! Keys (stub until merge).
+/// Public key.
+#[derive(Clone, Debug)]
+pub struct PublicKey;
