@@ -1,1 +1,7 @@
-//! ledger-api.
+//! The contract of a node: generated types of `proto/`, TLS, and the Rust client.
+
+/// Types generated from `proto/ledgerd/v1`.
+#[expect(missing_docs, unused_qualifications, reason = "generated")]
+pub mod v1 {
+    tonic::include_proto!("ledgerd.v1");
+}
