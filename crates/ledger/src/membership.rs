@@ -51,6 +51,10 @@ impl Chaincode for Membership {
         NAME
     }
 
+    fn urgent(&self, _function: &str) -> bool {
+        true
+    }
+
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match (function, args) {
             ("organisations", []) => json(&organisations(ctx)?.iter().map(|o| o.name.as_str()).collect::<Vec<_>>()),
