@@ -41,7 +41,9 @@ pub enum TlsError {
     #[error(transparent)]
     Key(#[from] KeyError),
     /// The key is not the one of the certificate.
-    #[error("found a private key of {found}, wanted the one of the certificate: {wanted}; try the key that was made for it")]
+    #[error(
+        "found a private key of {found}, wanted the one of the certificate: {wanted}; try the key that was made for it"
+    )]
     KeyMismatch {
         /// The public half of the private key.
         found: String,

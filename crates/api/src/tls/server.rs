@@ -3,10 +3,10 @@
 use super::identity::{TlsError, TlsIdentity};
 use super::trust::{TrustSource, client_identity};
 use super::{ALPN, VERSIONS, provider};
+use rustls::client::danger::HandshakeSignatureValid;
 use rustls::crypto::{CryptoProvider, verify_tls13_signature};
 use rustls::pki_types::{CertificateDer, UnixTime};
 use rustls::server::danger::{ClientCertVerified, ClientCertVerifier};
-use rustls::client::danger::HandshakeSignatureValid;
 use rustls::{DigitallySignedStruct, DistinguishedName, PeerIncompatible, ServerConfig, SignatureScheme};
 use std::fmt;
 use std::sync::Arc;
