@@ -28,7 +28,7 @@ fn signature(r: &[u8], s: &[u8]) -> Vec<u8> {
 fn negated(s: &[u8]) -> Vec<u8> {
     let order = hex::decode(ORDER).unwrap();
     let padded = [vec![0; 33 - s.len()], s.to_vec()].concat();
-    let mut result = vec![0; 32];
+    let mut result = [0; 32];
     let mut borrow = 0;
     for place in (0..32).rev() {
         let difference = i32::from(order[place]) - i32::from(padded[place + 1]) - borrow;
