@@ -4,8 +4,8 @@
 //! - **Interfaces.** It uses every interface that has an IPv4 address, `lo` included, and joins the
 //!   discovery group on those that can do multicast. IPv6 is not used.
 //! - **Without multicast** (a network namespace with only `lo`, many containers) it still announces
-//!   itself to the first 12 participants of the domain on `127.0.0.1` (UDP port 7410 + 250 · domain
-//!   + 2 · index). A CycloneDDS peer is found if it listens there: interface `lo`, multicast off,
+//!   itself to the first 12 participants of the domain on `127.0.0.1` (UDP port
+//!   7410 + 250 · domain + 2 · index). A CycloneDDS peer is found if it listens there: interface `lo`, multicast off,
 //!   peer `127.0.0.1`, participant index `auto`. There is nothing to set on our side.
 //! - **Options of the encapsulation header** are dropped on reading and zero on writing. Plain CDR
 //!   has none; CycloneDDS puts the count of padding bytes there, which no reader of plain CDR needs.
@@ -32,12 +32,12 @@ use std::sync::Arc;
 
 use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Topic, TopicKind};
 
+use self::graph::Graph;
 pub use self::{
     matched::{Matched, Matching},
     reader::Reader,
     writer::{WRITER_BYTES_MAX, Writer},
 };
-use self::graph::Graph;
 use crate::{
     error::{Error, Explained, Result},
     names::{TopicName, TypeName},

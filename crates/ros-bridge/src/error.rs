@@ -61,11 +61,7 @@ impl Explained {
 
 impl fmt::Display for Explained {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(
-            f,
-            "{}\n  found   {}\n  wanted  {}",
-            self.what, self.found, self.wanted
-        )?;
+        write!(f, "{}\n  found   {}\n  wanted  {}", self.what, self.found, self.wanted)?;
         if self.hint.is_empty() { Ok(()) } else { write!(f, "\n  try     {}", self.hint) }
     }
 }

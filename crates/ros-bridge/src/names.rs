@@ -167,8 +167,7 @@ fn repaired_topic(text: &str) -> Option<String> {
     }
     let text = text.trim();
     let text = text.strip_prefix("rt/").unwrap_or(text);
-    let clean: String =
-        text.chars().map(|c| if c.is_ascii_alphanumeric() || c == '/' { c } else { '_' }).collect();
+    let clean: String = text.chars().map(|c| if c.is_ascii_alphanumeric() || c == '/' { c } else { '_' }).collect();
     let tokens: Vec<String> = clean
         .split('/')
         .map(|token| token.split('_').filter(|word| !word.is_empty()).collect::<Vec<_>>().join("_"))
@@ -214,9 +213,7 @@ fn repaired_type(text: &str) -> Option<String> {
     let name = match parts.as_slice() {
         [name] => {
             let name = name.trim_end_matches('_');
-            let known = |known: &&&str| {
-                known.rsplit('/').next().is_some_and(|known| known.eq_ignore_ascii_case(name))
-            };
+            let known = |known: &&&str| known.rsplit('/').next().is_some_and(|known| known.eq_ignore_ascii_case(name));
             (*WELL_KNOWN.iter().find(known)?).to_owned()
         }
         [package, name] => {

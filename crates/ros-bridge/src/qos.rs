@@ -50,11 +50,7 @@ pub struct Qos {
 
 impl Default for Qos {
     fn default() -> Self {
-        Self {
-            reliability: Reliability::default(),
-            durability: Durability::default(),
-            depth: DEPTH_SAMPLES_DEFAULT,
-        }
+        Self { reliability: Reliability::default(), durability: Durability::default(), depth: DEPTH_SAMPLES_DEFAULT }
     }
 }
 
@@ -75,9 +71,8 @@ impl Qos {
     /// never holds up the caller.
     pub fn policies(&self) -> QosPolicies {
         let depth = i32::try_from(self.depth.clamp(1, DEPTH_SAMPLES_MAX)).unwrap_or(1);
-        let builder = QosPolicyBuilder::new()
-            .history(policy::History::KeepLast { depth })
-            .durability(match self.durability {
+        let builder =
+            QosPolicyBuilder::new().history(policy::History::KeepLast { depth }).durability(match self.durability {
                 Durability::Volatile => policy::Durability::Volatile,
                 Durability::TransientLocal => policy::Durability::TransientLocal,
             });

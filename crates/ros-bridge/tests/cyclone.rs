@@ -3,10 +3,12 @@
 
 #[path = "../../../tests/interop/network.rs"]
 mod network;
+#[path = "../../../tests/interop/python.rs"]
+mod python;
 
 use std::time::{Duration, Instant};
 
-use network::Python;
+use python::Python;
 use ros_bridge::{
     dds::Participant,
     names::{TopicName, TypeName},
@@ -128,4 +130,27 @@ async fn large_images_go_to_cyclone() {
         let samples: Vec<Sample> = (0..5).map(|index| image(index, 300_000)).collect();
         to_python("/image", "sensor_msgs/msg/Image", &samples, Duration::from_millis(100), 300_000).await;
     }
+}
+
+#[tokio::test]
+async fn ros_tools_see_one_node_with_its_endpoints() {
+    if !network::isolated("ros_tools_see_one_node_with_its_endpoints") {
+        return;
+    }
+    let (topic, message) = names("/cmd_vel", "geometry_msgs/msg/Twist");
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let mut python = Python::start("graph_watcher.py", &["5"]);
+    assert!(until(&mut python, "/ ledgerd_bridge 0 0"), "a node without endpoints, to who comes late as well");
+    let reader = bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
+    assert!(until(&mut python, "/ ledgerd_bridge 1 1"));
+    drop(reader);
+    assert!(until(&mut python, "/ ledgerd_bridge 0 1"));
+    drop(writer);
+    assert!(until(&mut python, "/ ledgerd_bridge 0 0"));
+}
+
+/// Whether a line comes before the script ends.
+fn until(python: &mut Python, wanted: &str) -> bool {
+    std::iter::from_fn(|| python.line()).any(|line| line == wanted)
 }

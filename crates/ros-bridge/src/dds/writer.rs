@@ -9,18 +9,12 @@ use std::{
 use bytes::Bytes;
 use futures::{StreamExt, future::BoxFuture};
 use rustdds::{
-    DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic,
-    dds::result::WriteError,
+    DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic, dds::result::WriteError,
     no_key::DataWriter,
 };
 use tokio::task::AbortHandle;
 
-use super::{
-    Matched, Participant, dds_error,
-    encoding::Raw,
-    graph::Role,
-    matched::Matches,
-};
+use super::{Matched, Participant, dds_error, encoding::Raw, graph::Role, matched::Matches};
 use crate::{
     error::{Error, Explained, Result},
     names::{TopicName, TypeName},
@@ -49,12 +43,7 @@ struct Endpoint {
 }
 
 impl Writer {
-    pub(super) fn open(
-        participant: &Participant,
-        topic: &TopicName,
-        message: &TypeName,
-        qos: &Qos,
-    ) -> Result<Self> {
+    pub(super) fn open(participant: &Participant, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Self> {
         let dds_topic = participant.topic(topic, message, qos)?;
         let (matches, matched) = Matches::new(participant.guid_prefix());
         let mut writer = Self {
@@ -136,9 +125,8 @@ impl Writer {
     fn endpoint_of<const ID: u8>(&self, matches: Matches) -> Result<Endpoint> {
         let failed = |error| dds_error(&format!("cannot write topic {}", self.topic), &error);
         let publisher = self.participant.dds.create_publisher(&self.policies).map_err(failed)?;
-        let writer: DataWriter<Bytes, Raw<ID>> = publisher
-            .create_datawriter_no_key(&self.dds_topic, Some(self.policies.clone()))
-            .map_err(failed)?;
+        let writer: DataWriter<Bytes, Raw<ID>> =
+            publisher.create_datawriter_no_key(&self.dds_topic, Some(self.policies.clone())).map_err(failed)?;
         let writer = Arc::new(writer);
         self.participant.graph.add(Role::Writes, writer.guid());
         let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.clone(), matches)).abort_handle();
