@@ -19,7 +19,8 @@ const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterfac
 
 /// A Python process with CycloneDDS; ends with the test.
 pub(crate) struct Python {
-    child: Child,
+    /// The running interpreter.
+    pub(crate) child: Child,
     lines: Receiver<String>,
 }
 

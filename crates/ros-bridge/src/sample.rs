@@ -60,6 +60,12 @@ impl Sample {
         }
     }
 
+    /// The same from borrowed bytes, which are copied once their length is allowed.
+    pub fn copy_from_wire(wire: &[u8], bytes_max: usize) -> Result<Self> {
+        check_len(wire.len(), bytes_max.min(SAMPLE_BYTES_MAX))?;
+        Self::from_wire(Bytes::copy_from_slice(wire), bytes_max)
+    }
+
     /// The serialized form, header included.
     pub fn wire(&self) -> &Bytes {
         &self.0
@@ -136,6 +142,7 @@ mod tests {
         let wire = Bytes::from(vec![0; 101]);
         let error = Sample::from_wire(wire, 100).unwrap_err().to_string();
         assert!(error.contains("101 bytes") && error.contains("at most 100"), "{error}");
+        assert!(Sample::copy_from_wire(&[0; 101], 100).is_err());
         assert!(Sample::new(CDR_LE, &vec![0; SAMPLE_BYTES_MAX]).is_err());
         assert!(Sample::from_wire(Bytes::from(vec![0; SAMPLE_BYTES_MAX + 1]), usize::MAX).is_err());
     }

@@ -25,7 +25,6 @@ use std::{
     time::{Duration, Instant},
 };
 
-use bytes::Bytes;
 use iceoryx2::{
     node::{Node as IoxNode, NodeBuilder, NodeCreationFailure},
     port::{listener::Listener, notifier::Notifier, publisher, subscriber},
@@ -40,7 +39,7 @@ use crate::{
     error::{Error, Explained, Result},
     names::TopicName,
     queue::{Incoming, Limits, Queue},
-    sample::{SAMPLE_BYTES_MAX, Sample},
+    sample::Sample,
 };
 
 /// Most publishers of a service.
@@ -275,18 +274,11 @@ impl Pump {
         if source == self.origin {
             return;
         }
-        let bytes_max = self.bytes_max.min(SAMPLE_BYTES_MAX);
-        let copied = if payload.len() > bytes_max { Bytes::new() } else { Bytes::copy_from_slice(payload) };
-        let sample = if payload.len() > bytes_max {
-            Err(format!("{} bytes, at most {bytes_max} are allowed", payload.len()))
-        } else {
-            Sample::from_wire(copied, bytes_max).map_err(|error| error.to_string())
-        };
-        match sample {
+        match Sample::copy_from_wire(payload, self.bytes_max) {
             Ok(sample) => self.queue.push(Incoming { sample, source, sequence, received: Instant::now() }),
             Err(error) => {
                 self.queue.count_dropped();
-                tracing::warn!(topic = %self.topic, error, "sample from shared memory dropped");
+                tracing::warn!(topic = %self.topic, %error, "sample from shared memory dropped");
             }
         }
     }

@@ -6,11 +6,15 @@ mod network;
 #[path = "../../../tests/interop/python.rs"]
 mod python;
 
-use std::time::{Duration, Instant};
+use std::{
+    process::Command,
+    time::{Duration, Instant},
+};
 
 use python::Python;
 use ros_bridge::{
-    dds::Participant,
+    dds::{Participant, WRITER_BYTES_MAX},
+    error::Error,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
@@ -130,6 +134,40 @@ async fn large_images_go_to_cyclone() {
         let samples: Vec<Sample> = (0..5).map(|index| image(index, 300_000)).collect();
         to_python("/image", "sensor_msgs/msg/Image", &samples, Duration::from_millis(100), 300_000).await;
     }
+}
+
+#[tokio::test]
+async fn a_subscriber_that_stands_still_is_refused_memory_and_served_again_later() {
+    if !network::isolated("a_subscriber_that_stands_still_is_refused_memory_and_served_again_later") {
+        return;
+    }
+    let (topic, message) = names("/image", "sensor_msgs/msg/Image");
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
+    let mut python = Python::start("twist_subscriber.py", &["5", &topic.dds(), "0", "0", "300000", "60"]);
+    assert_eq!(python.line().unwrap(), "ready");
+    assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+    assert_eq!(python.line().unwrap(), "matched");
+    signal("-STOP", &python);
+    let mut written = 0;
+    let error = loop {
+        match writer.write(&image(0, 300_000)) {
+            Ok(()) => written += 1,
+            Err(error) => break error,
+        }
+        assert!(written <= WRITER_BYTES_MAX / 300_000, "{written} messages are waiting");
+    };
+    assert!(matches!(error, Error::Slow(_)), "{error}");
+    signal("-CONT", &python);
+    assert!(writer.flush(DEADLINE).await);
+    writer.write(&image(1, 300_000)).unwrap();
+    let last = hex_of(&image(1, 300_000));
+    assert!(until(&mut python, &last));
+}
+
+fn signal(signal: &str, python: &Python) {
+    let id = python.child.id().to_string();
+    assert!(Command::new("sh").args(["-c", &format!("kill {signal} {id}")]).status().unwrap().success());
 }
 
 #[tokio::test]

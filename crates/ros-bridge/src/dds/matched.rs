@@ -11,6 +11,9 @@ use super::prefix;
 pub struct Matching {
     /// Endpoints of other participants that are matched now.
     pub matched: usize,
+    /// Endpoints of this participant that are matched now. Samples between them are never given out. Without
+    /// multicast a participant does not find itself, and this stays zero.
+    pub own: usize,
     /// Endpoints that were refused so far because their quality of service does not fit.
     pub incompatible: u64,
 }
@@ -36,26 +39,28 @@ impl Matched {
 pub(super) struct Matches {
     own_prefix: [u8; 12],
     endpoints: BTreeSet<[u8; 16]>,
+    own: BTreeSet<[u8; 16]>,
     state: watch::Sender<Matching>,
 }
 
 impl Matches {
     pub(super) fn new(own_prefix: [u8; 12]) -> (Self, Matched) {
         let (state, receiver) = watch::channel(Matching::default());
-        (Self { own_prefix, endpoints: BTreeSet::new(), state }, Matched(receiver))
+        (Self { own_prefix, endpoints: BTreeSet::new(), own: BTreeSet::new(), state }, Matched(receiver))
     }
 
-    /// An endpoint came (`change` above zero) or left. Our own are not counted.
+    /// An endpoint came (`change` above zero) or left.
     pub(super) fn changed(&mut self, guid: rustdds::GUID, change: i32) {
-        if prefix(guid) == self.own_prefix {
-            return;
-        }
+        let endpoints = if prefix(guid) == self.own_prefix { &mut self.own } else { &mut self.endpoints };
         if change > 0 {
-            self.endpoints.insert(guid.to_bytes());
+            endpoints.insert(guid.to_bytes());
         } else {
-            self.endpoints.remove(&guid.to_bytes());
+            endpoints.remove(&guid.to_bytes());
         }
-        self.state.send_modify(|state| state.matched = self.endpoints.len());
+        self.state.send_modify(|state| {
+            state.matched = self.endpoints.len();
+            state.own = self.own.len();
+        });
     }
 
     pub(super) fn refused(&mut self) {
