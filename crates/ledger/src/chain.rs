@@ -8,7 +8,8 @@ use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
 use crate::identities::{Identities, check_revoked};
 use crate::identity::Identity;
-use crate::membership::{Membership, ORGANISATION_KEYS};
+use crate::certificate::Certificate;
+use crate::membership::{Membership, ORGANISATION_KEYS, certificate_key};
 use crate::msp::Msps;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
@@ -73,8 +74,8 @@ pub struct TransactionRecord {
 pub enum Admission {
     /// Worth ordering.
     New(Transaction),
-    /// Executed before: this is its verdict.
-    Known(TransactionRecord),
+    /// Executed before under this id: this is its verdict.
+    Known(Hash, TransactionRecord),
 }
 
 impl Ledger {
@@ -163,16 +164,14 @@ impl Ledger {
     ///
     /// # Errors
     /// The refusal, with the creator's name if it is known (see [`Refusal`]).
-    pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Refusal> {
+    pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Box<Refusal>> {
         let transaction = Transaction::decode(encoded).map_err(Refusal::anonymous)?;
-        let refuse = |who: Option<&Identity>, rejection| Refusal {
-            who: who.map(Identity::id),
-            transaction: Some(transaction.clone()),
-            rejection,
+        let refuse = |who: Option<&Identity>, rejection| {
+            Box::new(Refusal { who: who.map(Identity::id), transaction: Some(transaction.clone()), rejection })
         };
         check_network(&transaction, &self.network).map_err(|rejection| refuse(None, rejection))?;
         if let Some(record) = self.transaction(&transaction.id()).map_err(|rejection| refuse(None, rejection))? {
-            return Ok(Admission::Known(record));
+            return Ok(Admission::Known(transaction.id(), record));
         }
         let time = now.max(self.tip().time);
         let overlay = self.overlay();
@@ -270,6 +269,22 @@ impl Ledger {
         self.state.get(&result_key(height))?.map(BlockResult::from_bytes).transpose()
     }
 
+    /// The certificate of a creator that the ledger knows, in DER.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn certificate(&self, fingerprint: &Hash) -> Result<Option<Bytes>, Rejection> {
+        self.state.get(&certificate_key(fingerprint))
+    }
+
+    /// The name of a creator that the ledger knows, e.g. `Org1/Salma`, whether or not its certificate is still valid.
+    pub fn creator_name(&self, fingerprint: &Hash) -> Option<String> {
+        let der = self.certificate(fingerprint).ok()??;
+        let certificate = Certificate::parse(&der).ok()?;
+        let identity = self.msps().verify(&der, &[], certificate.not_before).ok()?;
+        Some(identity.id())
+    }
+
     fn call(
         &self,
         caller: &Identity,
@@ -308,8 +323,8 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    fn anonymous(rejection: Rejection) -> Self {
-        Self { who: None, transaction: None, rejection }
+    fn anonymous(rejection: Rejection) -> Box<Self> {
+        Box::new(Self { who: None, transaction: None, rejection })
     }
 }
 
