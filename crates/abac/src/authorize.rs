@@ -1,7 +1,7 @@
 //! Who may: asks the owner's policies, remembers the answers, and explains refusals.
 
 use crate::arguments::{Arguments, shown};
-use crate::grant::{self, Holding, Principal, mode_name, role_name};
+use crate::grant::{self, Holding, Principal, mode_name};
 use crate::nearest::did_you_mean;
 use crate::policies;
 use crate::policy::{Answer, Engine, Question, Resource, User, Verdict};
@@ -23,14 +23,6 @@ pub(crate) enum Action {
     Acquire,
     Publish,
     Subscribe,
-}
-
-/// What entitles a publisher.
-pub(crate) enum Right {
-    /// A live grant, which names the epoch.
-    Grant(Holding),
-    /// A policy, on a service that needs no grant.
-    Policy,
 }
 
 /// Answer of `authorize`.
@@ -166,7 +158,7 @@ impl Decider {
             user: User {
                 organisation: principal.organisation.clone(),
                 name: principal.name.clone(),
-                role: role_name(principal.role),
+                role: principal.role.as_str(),
                 attributes: principal.attributes.clone(),
             },
             action: action.name(),
@@ -209,7 +201,7 @@ pub(crate) fn may_hold(
 }
 
 /// May they publish now? With an epoch, that epoch must be the one of their grant; epoch 0 asks the policies alone,
-/// where the service's mode allows it.
+/// where the service's mode allows it. Returns the grant that entitles them, if it is one that does.
 ///
 /// # Errors
 /// [`Code::StaleEpoch`], [`Code::NotHolder`], or what [`Decider::decide`] says.
@@ -219,14 +211,14 @@ pub(crate) fn may_publish(
     principal: &Principal,
     target: &Target,
     epoch: Option<u64>,
-) -> Result<Right, Rejection> {
+) -> Result<Option<Holding>, Rejection> {
     if !target.service.mode.rule().publishing_needs_grant() && epoch.is_none_or(|epoch| epoch == 0) {
         decider.decide(ctx, principal, target, Action::Publish)?;
-        return Ok(Right::Policy);
+        return Ok(None);
     }
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let refused = match grant::own(ctx, principal, target) {
-        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Right::Grant(own)),
+        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Some(own)),
         Ok(own) => stale(target, epoch, own.grant.epoch),
         // Who has lost the grant to a newer one hears that; who never had one hears what is missing.
         Err(_) if epoch.is_some_and(|epoch| epoch > 0 && epoch < newest) => stale(target, epoch, newest),
@@ -319,7 +311,7 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
     }
     if target.service.direction == Direction::Feed && action != Action::Subscribe {
         return Rejection::new(Code::DeniedByPolicy, format!("{refused}: it is a feed of the robot"))
-            .found(format!("role {} of {}", role_name(principal.role), principal.organisation))
+            .found(format!("role {} of {}", principal.role, principal.organisation))
             .wanted(format!("what the policies of {owner} permit; by default its robots, nodes and admins"))
             .next(format!("subscribe to it: ledgerctl echo {}", target.id));
     }
@@ -341,7 +333,7 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
         .next(format!("ask an admin of {} for the attribute, then enrol again", principal.organisation));
     }
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits it"))
-        .found(format!("role {}, attribute {attribute}={value}", role_name(principal.role)))
+        .found(format!("role {}, attribute {attribute}={value}", principal.role))
         .wanted("a policy that permits it")
         .next(format!("{ask_owner}, or read the policies: ledgerctl policy list"))
 }

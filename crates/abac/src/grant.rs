@@ -142,16 +142,6 @@ impl Holding {
     }
 }
 
-/// The name of a role, as in certificates and policies.
-pub(crate) fn role_name(role: Role) -> &'static str {
-    match role {
-        Role::Member => "member",
-        Role::Admin => "admin",
-        Role::Node => "node",
-        Role::Robot => "robot",
-    }
-}
-
 /// Every grant of a service in the state, live or not, oldest first.
 pub(crate) fn stored(ctx: &Context<'_>, service: &str) -> Result<Vec<Holding>, Rejection> {
     let pairs = ctx.range(&store::grants_prefix(service), HOLDERS_MAX);

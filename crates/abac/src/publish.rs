@@ -4,7 +4,7 @@
 //! checked by comparing numbers, without asking any policy.
 
 use crate::arguments::Arguments;
-use crate::authorize::{self, Decider, Right};
+use crate::authorize::{self, Decider};
 use crate::grant::{self, Principal};
 use crate::service::{self, Target};
 use crate::store;
@@ -63,7 +63,7 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
         .ok_or_else(|| args.bad(2, "FIRST_SEQ", first_seq.to_string(), "room for all messages below 2^64 - 1"))?;
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
-    let right = authorize::may_publish(ctx, decider, &principal, &target, Some(epoch))?;
+    let own = authorize::may_publish(ctx, decider, &principal, &target, Some(epoch))?;
 
     let publisher = principal.id();
     let next_seq = next_sequence(ctx, &target, epoch, &publisher)?;
@@ -73,7 +73,7 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
             .wanted(format!("at least {next_seq}"))
             .next("number messages upwards; after a restart, acquire again and go on from next_seq"));
     }
-    if let Right::Grant(own) = &right {
+    if let Some(own) = &own {
         grant::used(ctx, decider, &target, own)?;
     }
     let key = last_message_key(&target, &publisher);

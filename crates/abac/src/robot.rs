@@ -255,7 +255,7 @@ pub(crate) fn admin<'a>(ctx: &Context<'a>, what: &str) -> Result<&'a Identity, R
         return Ok(submitter);
     }
     Err(Rejection::new(Code::NotAdmin, format!("{} may not {what}", submitter.id()))
-        .found(format!("role {}", grant::role_name(submitter.role)))
+        .found(format!("role {}", submitter.role))
         .wanted("role admin")
         .next(format!("ask an admin of {}", submitter.organisation)))
 }
