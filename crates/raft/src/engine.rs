@@ -283,7 +283,7 @@ impl Engine {
         let due = raft.election_elapsed + 1 >= raft.randomized_election_timeout();
         if raft.state != StateRole::Leader && due && !self.may_campaign() {
             // Time goes on (a dead leader's lease must end, so that this node votes for another), but no election.
-            self.raw.raft.election_elapsed = self.config.election_tick;
+            self.raw.raft.election_elapsed += 1;
         } else {
             self.raw.tick();
             let raft = &self.raw.raft;
@@ -327,7 +327,7 @@ impl Engine {
 
     fn read_index(&mut self, context: u64, out: &mut Vec<Output>) {
         let raft = &self.raw.raft;
-        let reason = if raft.leader_id == raft::INVALID_ID {
+        let reason = if self.leader().is_none() {
             Rejection::new(Code::NoLeader, "no leader is known, so nobody can confirm a read").next("ask again later")
         } else if self.is_leader() && !raft.commit_to_current_term() {
             Rejection::new(Code::NoLeader, "the leader is new and has committed nothing yet").next("ask again later")
@@ -398,6 +398,14 @@ impl Engine {
     fn may_campaign(&self) -> bool {
         let log = &self.raw.raft.raft_log;
         log.persisted == log.last_index() && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
+    }
+
+    /// Who leads, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
+    /// for election itself; here a leader that was not heard of for the longest election timeout is unknown.
+    fn leader(&self) -> Option<u64> {
+        let raft = &self.raw.raft;
+        let silent = !self.is_leader() && raft.election_elapsed > 2 * self.config.election_tick;
+        (raft.leader_id != raft::INVALID_ID && !silent).then_some(raft.leader_id)
     }
 
     fn is_leader(&self) -> bool {

@@ -40,8 +40,7 @@ impl Engine {
             StateRole::Candidate | StateRole::PreCandidate => Role::Candidate,
             StateRole::Follower => Role::Follower,
         };
-        let leader = (raft.leader_id != INVALID_ID).then_some(raft.leader_id);
-        let change = RoleChange { leader, term: raft.term, role };
+        let change = RoleChange { leader: self.leader(), term: raft.term, role };
         if change == self.told {
             return;
         }

@@ -11,9 +11,9 @@ impl Engine {
     /// A client of this node wants a transaction ordered.
     pub(super) fn submit(&mut self, lane: Lane, transaction: Bytes, out: &mut Vec<Output>) {
         let waiting = Waiting { transaction, origin: None };
-        let refused = match self.raw.raft.leader_id {
-            raft::INVALID_ID => Err((waiting, no_leader())),
-            _ => self.queues.push(lane, waiting),
+        let refused = match self.leader() {
+            None => Err((waiting, no_leader())),
+            Some(_) => self.queues.push(lane, waiting),
         };
         if let Err((waiting, reason)) = refused {
             out.push(Output::Dropped { transaction: waiting.transaction, reason });
