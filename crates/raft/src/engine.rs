@@ -96,7 +96,9 @@ impl EngineConfig {
 #[derive(Debug, thiserror::Error)]
 pub enum EngineError {
     /// The state machine holds blocks that the log does not.
-    #[error("state is ahead of the log: found state at height {applied}, wanted at most {last}; move the state aside so that it is rebuilt")]
+    #[error(
+        "state is ahead of the log: found state at height {applied}, wanted at most {last}; move the state aside so that it is rebuilt"
+    )]
     StateAhead {
         /// Height of the state.
         applied: u64,
@@ -104,7 +106,9 @@ pub enum EngineError {
         last: u64,
     },
     /// The log lost what it knew to be committed.
-    #[error("log has lost committed blocks: found last height {last}, wanted at least {commit}; restore the disk, or join again as a new node")]
+    #[error(
+        "log has lost committed blocks: found last height {last}, wanted at least {commit}; restore the disk, or join again as a new node"
+    )]
     LogLost {
         /// Last height of the log.
         last: u64,
@@ -559,7 +563,6 @@ fn mix(number: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
+#[expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 mod tests;

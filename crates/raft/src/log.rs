@@ -23,10 +23,12 @@ impl Log {
     /// commit index is not flushed for its own sake and may lag behind.
     pub(crate) fn new(store: Arc<BlockStore>, members: &Membership, applied: u64) -> Self {
         let stored = store.hard_state();
-        let mut hard_state = HardState::default();
-        hard_state.term = stored.term;
-        hard_state.vote = stored.vote;
-        hard_state.commit = stored.commit.max(applied);
+        let hard_state = HardState {
+            term: stored.term,
+            vote: stored.vote,
+            commit: stored.commit.max(applied),
+            ..HardState::default()
+        };
         let state = RaftState { hard_state, conf_state: conf_state(members) };
         Self { store, state }
     }
@@ -77,14 +79,7 @@ impl Storage for Log {
             }
             (false, Some(_)) => {
                 let high = high.min(low.saturating_add(ENTRIES_PER_READ));
-                (low..high)
-                    .map(|index| {
-                        let mut entry = Entry::default();
-                        entry.index = index;
-                        entry.term = self.term(index)?;
-                        Ok(entry)
-                    })
-                    .collect()
+                (low..high).map(|index| Ok(Entry { index, term: self.term(index)?, ..Entry::default() })).collect()
             }
             (false, None) => (low..high)
                 .map(|index| match self.store.entry(index) {
@@ -104,7 +99,8 @@ impl Storage for Log {
             return Ok(0);
         }
         self.store.term(index).ok_or_else(|| {
-            let reason = if index < self.store.first_index() { StorageError::Compacted } else { StorageError::Unavailable };
+            let reason =
+                if index < self.store.first_index() { StorageError::Compacted } else { StorageError::Unavailable };
             reason.into()
         })
     }

@@ -35,6 +35,9 @@ pub(crate) struct Waiting {
     pub(crate) origin: Option<u64>,
 }
 
+/// A transaction that could not be taken in, and why.
+pub(crate) type Refused = Box<(Waiting, Rejection)>;
+
 /// One lane.
 #[derive(Debug)]
 pub(crate) struct Queue {
@@ -66,21 +69,21 @@ impl Queue {
         Self { items: VecDeque::new(), bytes: 0, transactions_max, bytes_max }
     }
 
-    fn push(&mut self, waiting: Waiting) -> Result<(), (Waiting, Rejection)> {
+    fn push(&mut self, waiting: Waiting) -> Result<(), Refused> {
         let bytes = waiting.transaction.len();
         if bytes > PAYLOAD_BYTES_MAX {
             let reason = Rejection::new(Code::TooLarge, "transaction does not fit a block")
                 .found(format!("{bytes} bytes"))
                 .wanted(format!("at most {PAYLOAD_BYTES_MAX} bytes"))
                 .next("split it");
-            return Err((waiting, reason));
+            return Err(Box::new((waiting, reason)));
         }
         if self.items.len() >= self.transactions_max || self.bytes.saturating_add(bytes) > self.bytes_max {
             let reason = Rejection::new(Code::Overloaded, "too many transactions wait to be ordered")
                 .found(format!("{} transactions, {} bytes", self.items.len(), self.bytes))
                 .wanted(format!("at most {} transactions, {} bytes", self.transactions_max, self.bytes_max))
                 .next("submit it again later, unchanged");
-            return Err((waiting, reason));
+            return Err(Box::new((waiting, reason)));
         }
         self.bytes += bytes;
         self.items.push_back(waiting);
@@ -128,7 +131,7 @@ impl Queues {
     }
 
     /// Appends to a lane, or says why not and gives the transaction back.
-    pub(crate) fn push(&mut self, lane: Lane, waiting: Waiting) -> Result<(), (Waiting, Rejection)> {
+    pub(crate) fn push(&mut self, lane: Lane, waiting: Waiting) -> Result<(), Refused> {
         match lane {
             Lane::Control => self.control.push(waiting),
             Lane::Data => self.data.push(waiting),

@@ -63,9 +63,7 @@ fn three_voters_execute_the_same_in_the_same_order_whoever_takes_it_in() {
         cluster.submit(1 + nth % 4, Lane::Data, &format!("t{nth}"));
         cluster.run_units(1);
     }
-    cluster.until("all have all", 50, |cluster| {
-        cluster.converged() && transactions(&cluster.chosen).len() == 200
-    });
+    cluster.until("all have all", 50, |cluster| cluster.converged() && transactions(&cluster.chosen).len() == 200);
     for id in 2..=4 {
         assert_eq!(cluster.executed_by(id), cluster.executed_by(1));
     }
@@ -162,7 +160,10 @@ fn a_full_queue_refuses_here_and_tells_the_node_that_forwarded() {
     assert!(!dropped.is_empty() && dropped.iter().all(|(_, code)| *code == Code::Overloaded));
     assert!(cluster.engine(leader).status().data.transactions <= max);
     cluster.submit(leader, Lane::Control, "stop");
-    assert!(!cluster.nodes[&leader].dropped.iter().any(|(transaction, _)| transaction == "stop"), "the other lane is free");
+    assert!(
+        !cluster.nodes[&leader].dropped.iter().any(|(transaction, _)| transaction == "stop"),
+        "the other lane is free"
+    );
 
     cluster.cut.clear();
     let sent = Transactions { control: vec![], data: vec![Bytes::from("forwarded")], code: 0 };
@@ -179,7 +180,10 @@ fn a_node_that_is_not_the_leader_gives_back_what_is_forwarded_to_it() {
     let sent = Transactions { control: vec![Bytes::from("c")], data: vec![Bytes::from("d")], code: 0 };
     cluster.input(others[0], Input::Message { from: others[1], message: PeerMessage::Forward(sent) });
     cluster.run(1);
-    assert_eq!(cluster.nodes[&others[1]].dropped, [(Bytes::from("c"), Code::NoLeader), (Bytes::from("d"), Code::NoLeader)]);
+    assert_eq!(
+        cluster.nodes[&others[1]].dropped,
+        [(Bytes::from("c"), Code::NoLeader), (Bytes::from("d"), Code::NoLeader)]
+    );
 }
 
 #[test]

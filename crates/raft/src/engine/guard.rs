@@ -22,7 +22,9 @@ impl Engine {
         match message.get_msg_type() {
             MessageType::MsgHeartbeat if !stale && message.commit > log.last_index() => {
                 // `commit_to` panics. Also what a node sees that lost its disk: it must not vote on, or serve.
-                Err("it says that more is committed than this node holds: this node has lost blocks, or the peer is broken")
+                Err(
+                    "it says that more is committed than this node holds: this node has lost blocks, or the peer is broken",
+                )
             }
             MessageType::MsgAppend if message.index > 0 && message.log_term == 0 => {
                 // An index beyond the log has term 0 in the crate, so this would match and leave a gap.

@@ -12,10 +12,11 @@ impl Engine {
     pub(super) fn submit(&mut self, lane: Lane, transaction: Bytes, out: &mut Vec<Output>) {
         let waiting = Waiting { transaction, origin: None };
         let refused = match self.leader() {
-            None => Err((waiting, no_leader())),
+            None => Err(Box::new((waiting, no_leader()))),
             Some(_) => self.queues.push(lane, waiting),
         };
-        if let Err((waiting, reason)) = refused {
+        if let Err(refused) = refused {
+            let (waiting, reason) = *refused;
             out.push(Output::Dropped { transaction: waiting.transaction, reason });
         }
     }
@@ -30,9 +31,10 @@ impl Engine {
                 // Never forwarded again: two nodes that take each other for the leader would play ping-pong.
                 let result = match self.raw.raft.state {
                     raft::StateRole::Leader => self.queues.push(lane, waiting),
-                    _ => Err((waiting, no_leader())),
+                    _ => Err(Box::new((waiting, no_leader()))),
                 };
-                if let Err((waiting, reason)) = result {
+                if let Err(error) = result {
+                    let (waiting, reason) = *error;
                     refused.push((lane, waiting, reason));
                 }
             }

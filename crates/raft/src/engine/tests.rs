@@ -292,11 +292,14 @@ fn a_node_far_behind_does_not_stand_for_election_but_votes() {
         engine.step(0, Input::Tick, &mut out);
         assert!(sent(&out).is_empty(), "found {out:?}");
     }
-    let out = step(&mut engine, message(3, RaftKind::PreVote, |message| {
-        message.term = 2;
-        message.index = 1;
-        message.log_term = 1;
-    }));
+    let out = step(
+        &mut engine,
+        message(3, RaftKind::PreVote, |message| {
+            message.term = 2;
+            message.index = 1;
+            message.log_term = 1;
+        }),
+    );
     assert_eq!(sent(&out), [RaftKind::PreVoteResponse]);
 }
 

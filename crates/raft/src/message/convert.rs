@@ -63,8 +63,7 @@ impl RaftMessage {
         message.reject_hint = self.reject_hint;
         match kind {
             RaftKind::ReadIndex | RaftKind::ReadIndexResponse => {
-                let mut entry = eraftpb::Entry::default();
-                entry.data = self.context;
+                let entry = eraftpb::Entry { data: self.context, ..eraftpb::Entry::default() };
                 message.set_entries(vec![entry].into());
             }
             _ => {

@@ -8,7 +8,8 @@ fn raft(kind: RaftKind) -> RaftMessage {
 }
 
 fn append(entries: impl IntoIterator<Item = u64>) -> PeerMessage {
-    let entries = entries.into_iter().map(|index| WireEntry { index, term: 1, kind: 1, data: Bytes::from_static(b"x") });
+    let entries =
+        entries.into_iter().map(|index| WireEntry { index, term: 1, kind: 1, data: Bytes::from_static(b"x") });
     PeerMessage::Raft(RaftMessage { entries: entries.collect(), ..raft(RaftKind::Append) })
 }
 
