@@ -9,10 +9,15 @@ use super::*;
 #[derive(Debug, Clone)]
 enum Step {
     /// Append entries of these sizes, this many below the end of the log.
-    Append { back: u64, sizes: Vec<usize> },
+    Append {
+        back: u64,
+        sizes: Vec<usize>,
+    },
     Commit,
     Flush,
-    FailingFlush { sync: bool },
+    FailingFlush {
+        sync: bool,
+    },
     Prepare,
     Crash,
     Kill,
@@ -126,7 +131,11 @@ fn run(seed: u64, steps: Vec<Step>) {
                 store.prepare().unwrap();
             }
             Step::Crash | Step::Kill => {
-                if matches!(step, Step::Crash) { disk.crash() } else { disk.kill() }
+                if matches!(step, Step::Crash) {
+                    disk.crash()
+                } else {
+                    disk.kill()
+                }
                 store = open_with(&disk, SEGMENT_BYTES).unwrap().0;
                 model.restarted(&store);
             }
