@@ -181,3 +181,23 @@ fn rot_that_appears_while_the_store_is_open_is_named_when_read() {
     assert!(matches!(error, StoreError::Corrupt { offset: 96, index: 1, .. }), "{error}");
     assert_eq!(store.entry(2).unwrap(), Some(plain(2, 1)));
 }
+
+#[test]
+fn what_another_attempt_left_behind_never_continues_the_log() {
+    // Two histories with the same salts and sizes: the second record of one is valid by itself in the other.
+    let [ours, other] = [b"ours_", b"other"].map(|data| {
+        let disk = SimDisk::new(1);
+        let (store, _) = open(&disk);
+        flush_entry(&store, entry(1, 1, data));
+        let end = disk.contents(&segments(&disk)[0]).unwrap().len();
+        flush_entry(&store, plain(2, 1));
+        (disk, end)
+    });
+    let name = segments(&ours.0)[0].clone();
+    let mut bytes = ours.0.contents(&name).unwrap();
+    bytes[ours.1..].copy_from_slice(&other.0.contents(&name).unwrap()[other.1..]);
+    ours.0.set_contents(&name, &bytes);
+    let (store, recovery) = open(&ours.0);
+    assert_eq!((recovery.last_index, recovery.torn.unwrap().offset), (1, ours.1 as u64));
+    assert_eq!(all(&store), [entry(1, 1, b"ours_")]);
+}
