@@ -160,7 +160,11 @@ impl Config {
         let text = String::from_utf8(content).map_err(|error| {
             whole(
                 Rejection::new(Code::BadConfiguration, "the file is not text")
-                    .found(format!("{:#04x?} at byte {}", error.as_bytes().get(error.utf8_error().valid_up_to()), error.utf8_error().valid_up_to()))
+                    .found(format!(
+                        "{:#04x?} at byte {}",
+                        error.as_bytes().get(error.utf8_error().valid_up_to()),
+                        error.utf8_error().valid_up_to()
+                    ))
                     .wanted("TOML in UTF-8"),
             )
         })?;
@@ -214,7 +218,10 @@ impl Config {
         if !(ELECTION_MS_MIN..=ELECTION_MS_MAX).contains(&election_ms) {
             root.conflict(
                 ["order.tick_ms", "order.election_ticks"],
-                format!("{} ms x {} ticks = {election_ms} ms until a new leader is elected", order.tick_ms, order.election_ticks),
+                format!(
+                    "{} ms x {} ticks = {election_ms} ms until a new leader is elected",
+                    order.tick_ms, order.election_ticks
+                ),
                 format!("{ELECTION_MS_MIN} to {ELECTION_MS_MAX} ms"),
             );
         }

@@ -115,7 +115,8 @@ fn check(plan: &NetworkPlan) -> Result<(), Rejection> {
     let (mut names, mut directories, mut addresses) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
     for node in &plan.nodes {
         let named = &node.name;
-        check_name(named).map_err(|error| wrong(format!("node {named:?} cannot be named so")).found(error.to_string()))?;
+        check_name(named)
+            .map_err(|error| wrong(format!("node {named:?} cannot be named so")).found(error.to_string()))?;
         if !organisations.contains(&node.organisation) {
             return Err(wrong(format!("node {named:?} is of an unknown organisation"))
                 .found(format!("organisation {:?}", node.organisation))

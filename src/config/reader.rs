@@ -194,7 +194,12 @@ fn nearest(name: &str, known: &[&'static str]) -> Option<&'static str> {
         return None;
     }
     let likeness = |known: &&'static str| (strsim::jaro_winkler(name, known), *known);
-    known.iter().map(likeness).filter(|(likeness, _)| *likeness > 0.75).max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, known)| known)
+    known
+        .iter()
+        .map(likeness)
+        .filter(|(likeness, _)| *likeness > 0.75)
+        .max_by(|a, b| a.0.total_cmp(&b.0))
+        .map(|(_, known)| known)
 }
 
 /// The line of a place in the text, from 1.
