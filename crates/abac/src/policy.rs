@@ -160,7 +160,7 @@ fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
     Rejection::new(Code::PolicyInvalid, message)
         .found(found)
         .wanted(wanted)
-        .next("see the schema and the default policy: ledgerctl policy show default")
+        .next("see the default policy: ledgerctl query abac policies")
 }
 
 /// What can be checked before anything parses the text: its length and how deep it can nest.
