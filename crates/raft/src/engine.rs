@@ -398,10 +398,14 @@ impl Engine {
         }
     }
 
-    /// Standing for election needs a log that is on the own disk, and a state machine that is not far behind.
+    /// Standing for election needs a vote of one's own (the crate forgets to ask when told to), a log that is on the own
+    /// disk, and a state machine that is not far behind.
     fn may_campaign(&self) -> bool {
-        let log = &self.raw.raft.raft_log;
-        log.persisted == log.last_index() && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
+        let raft = &self.raw.raft;
+        let log = &raft.raft_log;
+        raft.promotable()
+            && log.persisted == log.last_index()
+            && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
     }
 
     /// Who leads, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
