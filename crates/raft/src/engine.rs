@@ -1,28 +1,32 @@
 //! The pump around the `raft` crate: inputs in, outputs out, nothing else.
 
+mod config;
 mod guard;
 mod logger;
 mod pump;
+mod request;
+mod status;
 mod submit;
+
+pub use config::{EngineConfig, EngineError};
+pub use status::{PeerStatus, Replication, Status};
 
 use crate::interface::{Input, Output, Role, RoleChange};
 use crate::log::Log;
 use crate::membership::Membership;
 use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
-use crate::queue::{QueueStatus, Queues};
+use crate::queue::Queues;
 use ledger::block::Payload;
 use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger::entry::EntryKind;
 use ledger::{Code, Rejection};
-use raft::{ProgressState, RawNode, StateRole};
+use raft::{RawNode, StateRole};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// Entries committed but not executed beyond which a node does not stand for election: it could not order before it
 /// has caught up, and counting changes of members among them would cost it the election timeout.
 const CAMPAIGN_LAG_MAX: u64 = 10_000;
-/// Reads that wait for a majority to confirm the leader.
-const READS_PENDING_MAX: usize = 4096;
 /// Entries looked at, from the end of the log, for the newest block time. Blocks without a time are the empty ones
 /// that open a term; more of them in a row than this loses only the guarantee that a new leader's *proposed* time
 /// is not older, which the executor makes good.
@@ -34,102 +38,6 @@ const UNPERSISTED_BYTES_MAX: usize = 64 * 1024 * 1024;
 const READ_BYTES: usize = 4 * 1024 * 1024;
 
 const _: () = assert!(UNPERSISTED_BYTES_MAX + PEER_MESSAGE_BYTES_MAX < STAGED_BYTES_MAX);
-
-/// How an engine is set up. Times are counted in ticks.
-#[derive(Clone, Debug)]
-pub struct EngineConfig {
-    /// This node; never 0.
-    pub id: u64,
-    /// The members as of `membership_height`: those of the genesis at height 0, or a pair that
-    /// [`Output::Membership`] told. Later changes up to `applied` are read from the log.
-    pub membership: Membership,
-    /// See `membership`.
-    pub membership_height: u64,
-    /// Last height that the state machine holds. Blocks after it come as [`Output::Commit`].
-    pub applied: u64,
-    /// Ticks without a leader after which a node stands for election; the real timeout is drawn from once to twice.
-    pub election_tick: usize,
-    /// Ticks between a leader's heartbeats; less than `election_tick`.
-    pub heartbeat_tick: usize,
-    /// Messages of entries on their way to one peer.
-    pub max_inflight_msgs: usize,
-    /// Bytes of entries in one message; a single larger block still goes, alone.
-    pub message_bytes: usize,
-    /// Bytes after which a block is closed although more waits. A larger block delays what comes behind it.
-    pub block_bytes: usize,
-    /// Own blocks that may be on their way to the own disk. One would leave the disk idle while the next block is
-    /// formed; more would only cut what waits into smaller blocks.
-    pub blocks_unpersisted: usize,
-    /// Own blocks that may wait for a majority. Bounds memory when the others are slow or gone.
-    pub blocks_uncommitted: usize,
-    /// Bytes of own blocks that may wait for a majority.
-    pub uncommitted_bytes: usize,
-    /// Bytes of committed blocks handed out and not yet executed.
-    pub unapplied_bytes: usize,
-    /// Randomness: election timeouts and the names of reads. Different on every node and at every start.
-    pub seed: u64,
-}
-
-impl EngineConfig {
-    /// The defaults, for ticks of about 10 ms.
-    pub fn new(id: u64, membership: Membership, seed: u64) -> Self {
-        Self {
-            id,
-            membership,
-            membership_height: 0,
-            applied: 0,
-            election_tick: 20,
-            heartbeat_tick: 4,
-            max_inflight_msgs: 64,
-            message_bytes: 1024 * 1024,
-            block_bytes: 1024 * 1024,
-            blocks_unpersisted: 2,
-            blocks_uncommitted: 256,
-            uncommitted_bytes: 64 * 1024 * 1024,
-            unapplied_bytes: 32 * 1024 * 1024,
-            seed,
-        }
-    }
-}
-
-/// Why an engine cannot start.
-#[derive(Debug, thiserror::Error)]
-pub enum EngineError {
-    /// The state machine holds blocks that the log does not.
-    #[error(
-        "state is ahead of the log: found state at height {applied}, wanted at most {last}; move the state aside so that it is rebuilt"
-    )]
-    StateAhead {
-        /// Height of the state.
-        applied: u64,
-        /// Last height of the log.
-        last: u64,
-    },
-    /// The log lost what it knew to be committed.
-    #[error(
-        "log has lost committed blocks: found last height {last}, wanted at least {commit}; restore the disk, or join again as a new node"
-    )]
-    LogLost {
-        /// Last height of the log.
-        last: u64,
-        /// Height known to be committed.
-        commit: u64,
-    },
-    /// Members cannot be recovered.
-    #[error("members are known at height {height} only: found the log starting at {first}, wanted at most {}", height + 1)]
-    MembersUnknown {
-        /// Height of the members given.
-        height: u64,
-        /// First height of the log.
-        first: u64,
-    },
-    /// A block cannot be read.
-    #[error("log cannot be read: {0}")]
-    Store(String),
-    /// The configuration contradicts itself.
-    #[error("ordering cannot be configured so: {0}")]
-    Config(String),
-}
 
 /// A ready of the `raft` crate whose consequences wait for the disk.
 struct PendingReady {
@@ -197,7 +105,7 @@ impl Engine {
         if stored.commit > last {
             return Err(EngineError::LogLost { last, commit: stored.commit });
         }
-        let membership = recover_members(&config, &store)?;
+        let membership = config::recover_members(&config, &store)?;
         let log = Log::new(Arc::clone(&store), &membership, applied);
         let settings = raft::Config {
             id: config.id,
@@ -316,79 +224,6 @@ impl Engine {
         }
     }
 
-    /// Names of reads: node, start, the caller's context. A late answer to a read of an earlier start must not
-    /// answer one of this start.
-    fn read_name(&self, context: u64) -> Vec<u8> {
-        [self.config.id, self.config.seed, context].iter().flat_map(|part| part.to_be_bytes()).collect()
-    }
-
-    /// The context in the name of a read, if it is of this start of this node.
-    fn read_context(&self, name: &[u8]) -> Option<u64> {
-        let (_, context) = name.split_at_checked(16)?;
-        let context = u64::from_be_bytes(context.try_into().ok()?);
-        (self.read_name(context) == name).then_some(context)
-    }
-
-    fn read_index(&mut self, context: u64, out: &mut Vec<Output>) {
-        let raft = &self.raw.raft;
-        let reason = if self.leader().is_none() {
-            Rejection::new(Code::NoLeader, "no leader is known, so nobody can confirm a read").next("ask again later")
-        } else if self.is_leader() && !raft.commit_to_current_term() {
-            Rejection::new(Code::NoLeader, "the leader is new and has committed nothing yet").next("ask again later")
-        } else if raft.pending_read_count() >= READS_PENDING_MAX {
-            Rejection::new(Code::Overloaded, "too many reads wait for confirmation")
-                .found(raft.pending_read_count().to_string())
-                .wanted(format!("at most {READS_PENDING_MAX}"))
-                .next("ask again later")
-        } else {
-            let name = self.read_name(context);
-            return self.raw.read_index(name);
-        };
-        out.push(Output::Refused { input: Box::new(Input::ReadIndex { context }), reason });
-    }
-
-    /// Transfers of leadership and changes of members: both only by a leader that is ready to order.
-    fn administer(&mut self, input: Input, out: &mut Vec<Output>) {
-        let result = if !self.may_propose() {
-            Err(Rejection::new(Code::NoLeader, "this node is not the leader, or not ready to order")
-                .found(format!("leader {:?}", self.told.leader))
-                .next("ask the leader, or again later"))
-        } else {
-            match &input {
-                Input::TransferLeadership { to } if !self.membership.is_voter(*to) => {
-                    Err(Rejection::new(Code::BadArgument, format!("node {to} is not a voter"))
-                        .wanted(format!("one of {:?}", self.membership.voters)))
-                }
-                Input::TransferLeadership { to } => {
-                    self.raw.transfer_leader(*to);
-                    Ok(())
-                }
-                Input::ChangeMembership(change) => self.change_membership(change),
-                _ => Ok(()),
-            }
-        };
-        if let Err(reason) = result {
-            out.push(Output::Refused { input: Box::new(input), reason });
-        }
-    }
-
-    fn change_membership(&mut self, change: &crate::MembershipChange) -> Result<(), Rejection> {
-        let bad = |error: String| Rejection::new(Code::BadArgument, error);
-        if self.raw.raft.has_pending_conf() {
-            return Err(Rejection::new(Code::Overloaded, "another change of members is not complete")
-                .next("ask again when it is"));
-        }
-        let data = change.to_bytes();
-        crate::MembershipChange::from_bytes(&data).map_err(|error| bad(error.to_string()))?;
-        let next = self.membership.apply(change).map_err(|error| bad(error.to_string()))?;
-        if !next.voters.contains(&self.config.id) {
-            return Err(bad("the leader cannot take away its own vote".to_owned())
-                .next("transfer the leadership to another voter first"));
-        }
-        let proposal = crate::message::convert::proposal(self.config.id, EntryKind::ConfChangeV2, data);
-        self.raw.step(proposal).map_err(|error| bad(error.to_string()))
-    }
-
     fn campaign(&mut self) {
         if self.may_campaign() && !self.is_leader() {
             self.attempts += 1;
@@ -398,10 +233,14 @@ impl Engine {
         }
     }
 
-    /// Standing for election needs a log that is on the own disk, and a state machine that is not far behind.
+    /// Standing for election needs a vote of one's own (the crate forgets to ask when told to), a log that is on the own
+    /// disk, and a state machine that is not far behind.
     fn may_campaign(&self) -> bool {
-        let log = &self.raw.raft.raft_log;
-        log.persisted == log.last_index() && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
+        let raft = &self.raw.raft;
+        let log = &raft.raft_log;
+        raft.promotable()
+            && log.persisted == log.last_index()
+            && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
     }
 
     /// Who leads, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
@@ -440,119 +279,6 @@ impl Engine {
         }
         0
     }
-
-    /// How things stand.
-    pub fn status(&self) -> Status {
-        let raft = &self.raw.raft;
-        let replication = |state| match state {
-            ProgressState::Probe => Replication::Probing,
-            ProgressState::Replicate => Replication::Streaming,
-            ProgressState::Snapshot => Replication::Snapshot,
-        };
-        let mut peers: Vec<_> = match raft.state {
-            StateRole::Leader => raft
-                .prs()
-                .iter()
-                .filter(|(node, _)| **node != self.config.id)
-                .map(|(node, progress)| PeerStatus {
-                    node: *node,
-                    matched: progress.matched,
-                    next: progress.next_idx,
-                    replication: replication(progress.state),
-                    recently_active: progress.recent_active,
-                })
-                .collect(),
-            _ => Vec::new(),
-        };
-        peers.sort_by_key(|peer| peer.node);
-        Status {
-            id: self.config.id,
-            role: self.told,
-            commit: raft.raft_log.committed,
-            applied: self.applied,
-            persisted: raft.raft_log.persisted,
-            last: raft.raft_log.last_index(),
-            may_propose: self.may_propose(),
-            membership: self.membership.clone(),
-            peers,
-            control: self.queues.control.status(),
-            data: self.queues.data.status(),
-        }
-    }
-}
-
-/// How an engine stands.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Status {
-    /// This node.
-    pub id: u64,
-    /// Who leads, in which term, and what this node is.
-    pub role: RoleChange,
-    /// Last height known to be committed.
-    pub commit: u64,
-    /// Last height executed.
-    pub applied: u64,
-    /// Last height on the own disk.
-    pub persisted: u64,
-    /// Last height of the log.
-    pub last: u64,
-    /// It leads and has executed everything that was there when it was elected.
-    pub may_propose: bool,
-    /// The members as of the last height handed out.
-    pub membership: Membership,
-    /// The others, as a leader sees them; empty elsewhere. In order of node.
-    pub peers: Vec<PeerStatus>,
-    /// The control lane.
-    pub control: QueueStatus,
-    /// The data lane.
-    pub data: QueueStatus,
-}
-
-/// One peer as the leader sees it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct PeerStatus {
-    /// The peer.
-    pub node: u64,
-    /// Its log is known to be equal up to here.
-    pub matched: u64,
-    /// The next height it will be sent.
-    pub next: u64,
-    /// How entries are sent to it.
-    pub replication: Replication,
-    /// It was heard of within the last election timeout.
-    pub recently_active: bool,
-}
-
-/// How entries are sent to a peer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub enum Replication {
-    /// One message at a time, to find where its log ends.
-    Probing,
-    /// As they come.
-    Streaming,
-    /// It needs blocks that the log does not hold any more.
-    Snapshot,
-}
-
-/// Folds the changes after the known height into the members.
-fn recover_members(config: &EngineConfig, store: &BlockStore) -> Result<Membership, EngineError> {
-    let (known, first) = (config.membership_height, store.first_index());
-    if known < config.applied && first > known + 1 {
-        return Err(EngineError::MembersUnknown { height: known, first });
-    }
-    let mut members = config.membership.clone();
-    let mut next = known + 1;
-    while next <= config.applied {
-        let entries = store
-            .entries(next..config.applied + 1, READ_BYTES)
-            .map_err(|error| EngineError::Store(error.to_string()))?;
-        let Some(last) = entries.last().map(|entry| entry.index) else {
-            return Err(EngineError::Store(format!("block {next} is missing")));
-        };
-        members = members.fold(&entries);
-        next = last + 1;
-    }
-    Ok(members)
 }
 
 /// A well-mixed function of a number (splitmix64).

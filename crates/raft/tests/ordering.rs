@@ -306,6 +306,15 @@ fn a_leader_that_a_change_removes_steps_down() {
 }
 
 #[test]
+fn a_learner_never_leads_even_if_told_to_stand_for_election() {
+    let mut cluster = Cluster::new(18, &[1, 2, 3], &[4]);
+    cluster.input(4, Input::Campaign);
+    cluster.run(10);
+    assert!(cluster.leaders.is_empty());
+    assert_ne!(cluster.elect(), 4);
+}
+
+#[test]
 fn leadership_is_handed_over_on_demand() {
     let mut cluster = Cluster::new(14, &[1, 2, 3], &[4]);
     let leader = cluster.elect();

@@ -4,7 +4,8 @@
 //! panics (or counts wrongly) on some that no correct peer sends; each check here names the place. It also holds the
 //! fix of raft-rs #557, which 0.7.0 lacks.
 
-use super::{Engine, READS_PENDING_MAX, UNPERSISTED_BYTES_MAX};
+use super::request::READS_PENDING_MAX;
+use super::{Engine, UNPERSISTED_BYTES_MAX};
 use crate::message::RaftMessage;
 use raft::ProgressState;
 use raft::eraftpb::{Message, MessageType};

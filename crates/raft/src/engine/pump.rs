@@ -144,8 +144,9 @@ impl Engine {
             }
         }
         self.membership = next.clone();
-        if !next.is_voter(self.config.id) && self.raw.raft.state == StateRole::Leader {
-            // The crate would go on leading without a place of its own in the log, and fail on it.
+        if !next.is_voter(self.config.id) && self.raw.raft.state != StateRole::Follower {
+            // The crate would go on leading (or win the election) without a vote of its own, and once it has no place
+            // among the members it fails on its own progress.
             let term = self.raw.raft.term;
             self.raw.raft.become_follower(term, INVALID_ID);
         }
