@@ -92,6 +92,11 @@ impl Chaincode for AccessControl {
         }
     }
 
+    /// Everything but messages: what ends or hands over control never waits behind data.
+    fn urgent(&self, function: &str) -> bool {
+        function != "set"
+    }
+
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
         let _ = revoke::sweep(ctx);
