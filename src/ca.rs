@@ -20,6 +20,8 @@ mod tests;
 pub use issue::DAY;
 pub use registry::{CERTIFICATES_MAX, IDENTITIES_MAX, IssuedCertificate, Registered};
 pub use request::REQUEST_BYTES_MAX;
+#[cfg(test)]
+pub(crate) use request::make as request;
 pub use secret::{PRESENTED_BYTES_MAX, WRONG_TRIES_MAX};
 
 use durable::{PUBLIC_MODE, SECRET_MODE};
@@ -38,6 +40,8 @@ use std::fs::{self, File, TryLockError};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
+/// The directory of the CAs that a node carries, in its data directory; one directory for each organisation.
+pub const DIRECTORY: &str = "ca";
 const ROOT_FILE: &str = "ca.pem";
 const KEY_FILE: &str = "ca.key";
 /// Largest root that is read, in bytes of PEM.
@@ -142,6 +146,20 @@ impl CertificateAuthority {
         })
     }
 
+    /// Opens every CA that a node carries: the directories in `<data>/ca`. Most nodes carry none.
+    ///
+    /// # Errors
+    /// As [`CertificateAuthority::open`], of the first one that cannot be opened.
+    pub fn open_all(data: &Path) -> Result<Vec<Self>, Rejection> {
+        let directory = data.join(DIRECTORY);
+        let read = |error: std::io::Error| durable::failed("read", &directory, &error);
+        if fs::symlink_metadata(&directory).is_err_and(|error| error.kind() == std::io::ErrorKind::NotFound) {
+            return Ok(Vec::new());
+        }
+        let entries = fs::read_dir(&directory).map_err(read)?.collect::<Result<Vec<_>, _>>().map_err(read)?;
+        entries.iter().map(|entry| Self::open(&entry.path())).collect()
+    }
+
     /// Sets for how many days certificates are valid and secrets can be used, from now on.
     pub fn set_days(&mut self, certificates: u32, secrets: u32) {
         (self.certificate_days, self.secret_days) = (certificates, secrets);
@@ -242,18 +260,18 @@ impl CertificateAuthority {
     pub fn enrol(&mut self, name: &str, secret: &str, request: &[u8], now: u64) -> Result<Vec<u8>, Rejection> {
         self.check_usable()?;
         if secret.len() > PRESENTED_BYTES_MAX {
-            return Err(refused());
+            return Err(Self::refusal());
         }
         let usable = |secret: &OneTimeSecret| secret.is_usable(now);
         let Some(mut registered) =
             self.identity(name).filter(|known| known.secret.as_ref().is_some_and(usable)).cloned()
         else {
-            return Err(refused());
+            return Err(Self::refusal());
         };
         if let Some(expected) = registered.secret.as_mut().filter(|expected| !expected.opens(secret, now)) {
             expected.count_wrong();
             self.change(|registry| registry.identities.insert(name.to_owned(), registered))?;
-            return Err(refused());
+            return Err(Self::refusal());
         }
         let holder = Holder {
             organisation: self.organisation(),
@@ -277,6 +295,14 @@ impl CertificateAuthority {
         )?;
         self.change(|registry| registry.identities.insert(name.to_owned(), registered))?;
         Ok(der)
+    }
+
+    /// Why enrolment is refused: the same words whatever is wrong, so that nobody learns which names exist.
+    pub fn refusal() -> Rejection {
+        Rejection::new(Code::EnrolmentRefused, "enrolment is refused")
+            .found("a name and secret that do not belong together, or a secret that was used, has expired or is void")
+            .wanted("a registered name (or ORGANISATION/NAME) and its unused one-time secret")
+            .next("ask an admin of the organisation for a new secret")
     }
 
     /// Registers and enrols at once, with a key made here: for a node's own identity and a founder's first admins.
@@ -378,14 +404,6 @@ fn check_secret(path: &Path) -> Result<(), Rejection> {
         .found(format!("mode {:04o}", found & 0o7777))
         .wanted("mode 0600")
         .next(format!("chmod 600 {}; if others may have read it, found the CA anew", path.display())))
-}
-
-/// The same words whatever is wrong, so that nobody learns which names exist.
-fn refused() -> Rejection {
-    Rejection::new(Code::EnrolmentRefused, "enrolment is refused")
-        .found("a name and secret that do not belong together, or a secret that was used, has expired or is void")
-        .wanted("a registered name and its unused one-time secret")
-        .next("ask an admin of the organisation for a new secret")
 }
 
 fn bad_argument(found: &str) -> Rejection {

@@ -112,9 +112,15 @@ impl Default for Config {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
                 secret_days: CertificateAuthority::SECRET_DAYS,
             },
-            log: Log { level: LevelFilter::INFO, format: LogFormat::Text },
+            log: Log::default(),
             bridge: None,
         }
+    }
+}
+
+impl Default for Log {
+    fn default() -> Self {
+        Self { level: LevelFilter::INFO, format: LogFormat::Text }
     }
 }
 
@@ -130,13 +136,18 @@ pub struct Fault {
     pub rejection: Rejection,
 }
 
+impl From<Fault> for Rejection {
+    fn from(fault: Fault) -> Self {
+        let mut rejection = fault.rejection;
+        let line = fault.line.map(|line| format!("{line}:")).unwrap_or_default();
+        rejection.message = format!("{}:{line} {}", fault.file.display(), rejection.message);
+        rejection
+    }
+}
+
 impl fmt::Display for Fault {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:", self.file.display())?;
-        if let Some(line) = self.line {
-            write!(f, "{line}:")?;
-        }
-        write!(f, " {}", self.rejection)
+        fmt::Display::fmt(&Rejection::from(self.clone()), f)
     }
 }
 
@@ -218,18 +229,15 @@ impl Config {
         if !(ELECTION_MS_MIN..=ELECTION_MS_MAX).contains(&election_ms) {
             root.conflict(
                 ["order.tick_ms", "order.election_ticks"],
-                format!(
-                    "{} ms x {} ticks = {election_ms} ms until a new leader is elected",
-                    order.tick_ms, order.election_ticks
-                ),
-                format!("{ELECTION_MS_MIN} to {ELECTION_MS_MAX} ms"),
+                format!("{} ms x {} ticks = {election_ms} ms", order.tick_ms, order.election_ticks),
+                format!("{ELECTION_MS_MIN} to {ELECTION_MS_MAX} ms until a new leader is elected"),
             );
         }
-        let (payload, segment) = (limits.payload_bytes_max, storage.segment_mib.saturating_mul(1024 * 1024));
-        if payload.saturating_mul(2) > segment {
+        let (payload, segment_mib) = (limits.payload_bytes_max, storage.segment_mib);
+        if payload.saturating_mul(2) > segment_mib.saturating_mul(1024 * 1024) {
             root.conflict(
                 ["limits.payload_bytes_max", "storage.segment_mib"],
-                format!("transactions of {payload} bytes and segments of {segment} bytes"),
+                format!("transactions of up to {payload} bytes and segments of {segment_mib} MiB"),
                 "segments that hold at least two transactions of the largest size".into(),
             );
         }
@@ -249,7 +257,7 @@ fn level(text: &str) -> Option<LevelFilter> {
 }
 
 /// Is it `HOST:PORT`? Port 0 lets the system choose. An IPv6 address stands in brackets.
-fn is_address(text: &str) -> bool {
+pub(crate) fn is_address(text: &str) -> bool {
     let Some((host, port)) = text.rsplit_once(':') else { return false };
     let host = match host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
         Some(inner) => inner.parse::<std::net::Ipv6Addr>().is_ok(),

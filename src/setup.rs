@@ -7,6 +7,11 @@
 //! | `node.key` | its private key, PKCS #8, mode 0600 |
 //! | `ca/<Org>/` | the CA of an organisation (see [`crate::ca`]), on one node: the organisation's first, or the network's first if the organisation runs none |
 
+mod init;
+
+pub use init::{InitOptions, init};
+
+use crate::ca;
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::{CertificateAuthority, Issued};
 use ledger::identity::{Role, check_name};
@@ -26,8 +31,6 @@ pub const GENESIS_FILE: &str = "genesis.json";
 pub const CERTIFICATE_FILE: &str = "node.pem";
 /// The node's private key.
 pub const KEY_FILE: &str = "node.key";
-/// The directory of the CAs that a node carries, one directory each.
-pub const CA_DIRECTORY: &str = "ca";
 
 /// A network to be founded.
 #[derive(Clone, Debug, PartialEq)]
@@ -154,7 +157,7 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
         let name = &organisation.name;
         let carrier = plan.nodes.iter().position(|node| node.organisation == *name).unwrap_or(0);
         let (Some(stage), Some(node)) = (staged.get(carrier), plan.nodes.get(carrier)) else { continue };
-        let inside = Path::new(CA_DIRECTORY).join(name);
+        let inside = Path::new(ca::DIRECTORY).join(name);
         let authority = CertificateAuthority::create(&stage.path().join(&inside), name, organisation.key, now)?;
         founded.push(FoundedAuthority {
             organisation: name.clone(),

@@ -36,7 +36,7 @@ fn request(kind: KeyKind) -> (SigningKey, Vec<u8>) {
     (key, request)
 }
 
-fn verify(ca: &CertificateAuthority, usage: Usage, der: &[u8], at: u64) -> Result<Identity, ledger::Rejection> {
+fn verify(ca: &CertificateAuthority, usage: Usage, der: &[u8], at: u64) -> Result<Identity, Rejection> {
     let mut msps = Msps::new();
     msps.insert(Msp::new(ca.organisation(), &[ca.root()], &[] as &[&[u8]])?)?;
     Ok(msps.verify_for(usage, der, &[], at)?)
@@ -111,7 +111,7 @@ fn requested_authority_subject_and_extensions_are_ignored() {
     params.distinguished_name.push(DnType::CommonName, "Salma");
     params.distinguished_name.push(DnType::OrganizationalUnitName, "admin");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    let forged = ledger::certificate::encode_attributes(&attributes(&["Husky"])).unwrap();
+    let forged = encode_attributes(&attributes(&["Husky"])).unwrap();
     params.custom_extensions = vec![CustomExtension::from_oid_content(ledger::certificate::ATTRIBUTES_OID, forged)];
     let csr = params.serialize_request(&key).unwrap();
 
@@ -369,4 +369,17 @@ fn one_name_keeps_a_limited_number_of_valid_certificates() {
     assert_eq!(code(again(NOW)), Code::LimitExceeded);
     again(NOW + 2 * DAY).unwrap();
     assert_eq!(f.ca.identity("Salma").unwrap().certificates.len(), 1, "those that expired are forgotten");
+}
+
+#[test]
+fn a_node_opens_every_ca_that_it_carries() {
+    let place = TempDir::new().unwrap();
+    assert!(CertificateAuthority::open_all(place.path()).unwrap().is_empty());
+    for organisation in ["Org1", "Org2"] {
+        let directory = place.path().join(DIRECTORY).join(organisation);
+        CertificateAuthority::create(&directory, organisation, KeyKind::Ed25519, NOW).unwrap();
+    }
+    let mut found: Vec<_> = CertificateAuthority::open_all(place.path()).unwrap();
+    found.sort_by(|a, b| a.organisation().cmp(b.organisation()));
+    assert_eq!(found.iter().map(CertificateAuthority::organisation).collect::<Vec<_>>(), ["Org1", "Org2"]);
 }

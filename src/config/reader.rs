@@ -128,11 +128,11 @@ impl<'t> Section<'_, 't> {
     }
 
     /// Settings that do not go together, by their full names.
-    pub(super) fn conflict(&mut self, names: [&str; 2], found: String, wanted: String) {
-        let rejection = Rejection::new(Code::BadConfiguration, format!("{} does not fit {}", names[0], names[1]))
+    pub(super) fn conflict(&mut self, [first, second]: [&str; 2], found: String, wanted: String) {
+        let rejection = Rejection::new(Code::BadConfiguration, format!("{first} does not fit {second}"))
             .found(found)
             .wanted(wanted)
-            .next(format!("change {} or {}", names[0], names[1]));
+            .next(format!("change {first} or {second}"));
         self.reader.fault(None, rejection);
     }
 

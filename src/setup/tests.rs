@@ -80,7 +80,7 @@ fn the_ca_of_an_organisation_is_on_its_first_node_and_ready_to_use() {
         let identity = msps(&founded.genesis).verify(&admin.certificate, &[], NOW).unwrap();
         assert_eq!(identity.id(), format!("{}/Admin", authority.organisation));
     }
-    assert!(!plan.nodes[2].data.join(CA_DIRECTORY).exists());
+    assert!(!plan.nodes[2].data.join(ca::DIRECTORY).exists());
 }
 
 #[test]
