@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tonic::Status;
 
 /// After this long without a verdict a client is told that the outcome is unknown; it retries with the same id.
 const WAIT_MAX: Duration = Duration::from_secs(10);
@@ -14,7 +15,7 @@ const WAIT_MAX: Duration = Duration::from_secs(10);
 /// Where an answer goes. The permit counts the transaction as in flight until it is answered.
 pub struct Waiter {
     /// The client's stream, or the call that waits for one answer.
-    pub answers: mpsc::UnboundedSender<SubmitResponse>,
+    pub answers: mpsc::UnboundedSender<Result<SubmitResponse, Status>>,
     /// Bounds how many can wait.
     pub permit: OwnedSemaphorePermit,
 }
@@ -78,7 +79,7 @@ impl Waiters {
 
 fn answer(waiting: Vec<(Instant, Waiter)>, response: &SubmitResponse) {
     for (_, waiter) in waiting {
-        let _gone = waiter.answers.send(response.clone());
+        let _gone = waiter.answers.send(Ok(response.clone()));
     }
 }
 

@@ -2,13 +2,14 @@
 
 use crate::Hash;
 use crate::block::{Header, leaf};
+use crate::certificate::Certificate;
 use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead};
 use crate::code::Code;
 use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
 use crate::identities::{Identities, check_revoked};
 use crate::identity::Identity;
-use crate::membership::{Membership, ORGANISATION_KEYS};
+use crate::membership::{Membership, ORGANISATION_KEYS, certificate_key, revoked_key};
 use crate::msp::Msps;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
@@ -73,8 +74,8 @@ pub struct TransactionRecord {
 pub enum Admission {
     /// Worth ordering.
     New(Transaction),
-    /// Executed before: this is its verdict.
-    Known(TransactionRecord),
+    /// Executed before under this id: this is its verdict.
+    Known(Hash, TransactionRecord),
 }
 
 impl Ledger {
@@ -163,16 +164,14 @@ impl Ledger {
     ///
     /// # Errors
     /// The refusal, with the creator's name if it is known (see [`Refusal`]).
-    pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Refusal> {
+    pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Box<Refusal>> {
         let transaction = Transaction::decode(encoded).map_err(Refusal::anonymous)?;
-        let refuse = |who: Option<&Identity>, rejection| Refusal {
-            who: who.map(Identity::id),
-            transaction: Some(transaction.clone()),
-            rejection,
+        let refuse = |who: Option<&Identity>, rejection| {
+            Box::new(Refusal { who: who.map(Identity::id), transaction: Some(transaction.clone()), rejection })
         };
         check_network(&transaction, &self.network).map_err(|rejection| refuse(None, rejection))?;
         if let Some(record) = self.transaction(&transaction.id()).map_err(|rejection| refuse(None, rejection))? {
-            return Ok(Admission::Known(record));
+            return Ok(Admission::Known(transaction.id(), record));
         }
         let time = now.max(self.tip().time);
         let overlay = self.overlay();
@@ -223,6 +222,14 @@ impl Ledger {
         check_revoked(caller, &self.overlay())
     }
 
+    /// Was the certificate with this serial number revoked? The issuer is the SHA-256 of its distinguished name.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn is_revoked(&self, issuer: &Hash, serial: &[u8]) -> Result<bool, Rejection> {
+        Ok(self.state.get(&revoked_key(&[&issuer.0, serial].concat()))?.is_some())
+    }
+
     /// May this identity see this event? Decided on the committed state.
     ///
     /// # Errors
@@ -267,7 +274,23 @@ impl Ledger {
     /// # Errors
     /// A fault of the store.
     pub fn result(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
-        self.state.get(&result_key(height))?.map(BlockResult::from_bytes).transpose()
+        stored_result(&self.state, height)
+    }
+
+    /// The certificate of a creator that the ledger knows, in DER.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn certificate(&self, fingerprint: &Hash) -> Result<Option<Bytes>, Rejection> {
+        self.state.get(&certificate_key(fingerprint))
+    }
+
+    /// The name of a creator that the ledger knows, e.g. `Org1/Salma`, whether or not its certificate is still valid.
+    pub fn creator_name(&self, fingerprint: &Hash) -> Option<String> {
+        let der = self.certificate(fingerprint).ok()??;
+        let certificate = Certificate::parse(&der).ok()?;
+        let identity = self.msps().verify(&der, &[], certificate.not_before).ok()?;
+        Some(identity.id())
     }
 
     fn call(
@@ -296,6 +319,11 @@ impl Ledger {
     }
 }
 
+/// What a state keeps of the block at a height.
+pub(crate) fn stored_result(state: &State, height: u64) -> Result<Option<BlockResult>, Rejection> {
+    state.get(&result_key(height))?.map(BlockResult::from_bytes).transpose()
+}
+
 /// A transaction that was refused before it was ordered, and whose it was if that is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
@@ -308,8 +336,8 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    fn anonymous(rejection: Rejection) -> Self {
-        Self { who: None, transaction: None, rejection }
+    fn anonymous(rejection: Rejection) -> Box<Self> {
+        Box::new(Self { who: None, transaction: None, rejection })
     }
 }
 

@@ -4,10 +4,12 @@
 //! a trait. So the whole of it runs in a simulator as it runs in a node.
 
 pub mod block;
+pub mod block_store;
 pub mod certificate;
 mod chain;
 mod chaincode;
 mod code;
+pub mod disk;
 pub mod entry;
 mod execution;
 mod hash;
@@ -19,8 +21,10 @@ pub mod msp;
 pub mod network;
 mod rejection;
 pub mod result;
+pub mod segment;
 pub mod state;
 pub mod transaction;
+pub mod verify;
 
 pub use bytes::Bytes;
 pub use chain::{Admission, Ledger, Outcome, Refusal, TransactionRecord};

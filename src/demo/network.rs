@@ -1,0 +1,194 @@
+//! The processes of the demo: two nodes and three bridges, in a temporary directory.
+
+use super::process::Process;
+use super::summary::{BridgeReport, Summary};
+use crate::ca::CertificateAuthority;
+use crate::dev::ORGANISATIONS;
+use crate::node::clock;
+use crate::random;
+use crate::setup::{CA_DIRECTORY, Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use ledger::identity::Role;
+use ledger::key::KeyKind;
+use ledger::{Code, Hash, Rejection};
+use ledger_api::context::Context;
+use ledger_api::{Client, Enrolment};
+use std::collections::BTreeMap;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Time for a node to answer after it was started.
+const START_TIME_MAX: Duration = Duration::from_secs(20);
+/// Time for the follower to reach the leader's height on an idle network.
+const CONVERGE_TIME_MAX: Duration = Duration::from_secs(10);
+/// Highest ROS 2 domain id whose UDP ports are not taken by the operating system for other things.
+const DOMAIN_MAX: u64 = 100;
+
+/// The ROS 2 domain ids of the three graphs.
+pub struct Domains {
+    /// Salma's.
+    pub salma: u16,
+    /// Farhad's.
+    pub farhad: u16,
+    /// The robot's.
+    pub robot: u16,
+}
+
+/// The running experiment. Dropping it ends the processes and removes the directory.
+pub struct Network {
+    /// A client of Org2's admin, who owns the robots.
+    pub owner: Client,
+    admin: Client,
+    founded: Founded,
+    addresses: [String; 2],
+    nodes: Vec<Process>,
+    bridges: Vec<Process>,
+    // Declared last: removed after the processes are gone.
+    directory: TempDir,
+}
+
+impl Network {
+    /// Founds the network of the paper and starts its two nodes.
+    pub async fn start() -> Result<Self, Rejection> {
+        let directory = tempfile::Builder::new()
+            .prefix("ledgerd-demo-")
+            .tempdir()
+            .map_err(|error| Rejection::new(Code::BadFile, format!("cannot make a temporary directory: {error}")))?;
+        let addresses = free_addresses()?;
+        let data = ORGANISATIONS.map(|organisation| directory.path().join(organisation));
+        let founded = found(&plan(&data, &addresses), clock())?;
+        let mut nodes = Vec::new();
+        for ((organisation, data), address) in ORGANISATIONS.iter().zip(&data).zip(&addresses) {
+            let config = directory.path().join(format!("{organisation}.toml"));
+            write(&config, &format!("data = {:?}\nlisten = {address:?}\n", data.display().to_string()))?;
+            nodes.push(Process::start(organisation, directory.path(), &["run", "--config", &config.to_string_lossy()])?);
+        }
+        let admin = admin_of(&founded, 0, &data, &addresses)?;
+        let owner = admin_of(&founded, 1, &data, &addresses)?;
+        let admin = connect(&admin, &mut nodes).await?;
+        let owner = connect(&owner, &mut nodes).await?;
+        Ok(Self { owner, admin, founded, addresses, nodes, bridges: Vec::new(), directory })
+    }
+
+    fn home(&self) -> PathBuf {
+        self.directory.path().join("home")
+    }
+
+    /// Org1's admin registers a user, who enrols from outside as anybody would.
+    pub async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
+        let attributes = attributes.iter().map(|key| ((*key).to_owned(), "true".to_owned())).collect();
+        let secret = self.admin.register(name, Role::Member, attributes).await?;
+        let fingerprint = self.founded.authorities.first().map_or(Hash::ZERO, |authority| authority.fingerprint);
+        let context = Enrolment::new(&self.addresses[0], fingerprint)?.enrol(name, &secret.secret, KeyKind::Ed25519).await?;
+        context.save(&self.home())?;
+        Client::connect(&context).await
+    }
+
+    /// Starts the bridges: each user's at Org1's node, the robot's at Org2's.
+    pub async fn start_bridges(&mut self) -> Result<Domains, Rejection> {
+        let data = self.directory.path().join(ORGANISATIONS[1]);
+        let mut robot = issue(&data, ORGANISATIONS[1], "Turtlebot4", Role::Robot, BTreeMap::new(), clock())?;
+        (robot.nodes, robot.network) = (vec![self.addresses[1].clone()], self.founded.network);
+        robot.save(&self.home())?;
+        let first = u16::try_from(1 + random::number()? % (DOMAIN_MAX - 3)).unwrap_or(1);
+        let domains = Domains { salma: first, farhad: first + 1, robot: first + 2 };
+        for (name, domain, direction) in [
+            ("Salma", domains.salma, "to_ledger"),
+            ("Farhad", domains.farhad, "to_ledger"),
+            ("Turtlebot4", domains.robot, "from_ledger"),
+        ] {
+            let context = self.home().join("contexts").join(name);
+            let text = format!(
+                "context_dir = {:?}\ndomain_id = {domain}\nshared_memory = false\n\n[[route]]\nservice = \"Turtlebot4/cmd_vel\"\n\
+                 direction = \"{direction}\"\ntopic = \"/cmd_vel\"\ntype = \"geometry_msgs/msg/Twist\"\n",
+                context.display().to_string()
+            );
+            let config = self.directory.path().join(format!("bridge-{name}.toml"));
+            write(&config, &text)?;
+            let arguments = ["bridge", "--config", &config.to_string_lossy()];
+            self.bridges.push(Process::start(&format!("bridge-{name}"), self.directory.path(), &arguments)?);
+        }
+        Ok(domains)
+    }
+
+    /// Fails if a process has ended by itself.
+    pub fn check(&mut self) -> Result<(), Rejection> {
+        self.nodes.iter_mut().chain(&mut self.bridges).try_for_each(Process::check)
+    }
+
+    /// Ends the bridges, whose last line says what they saw, and compares the nodes.
+    pub async fn report(&mut self, summary: &mut Summary) -> Result<(), Rejection> {
+        for bridge in self.bridges.drain(..) {
+            let printed = bridge.stop().await?;
+            summary.add(BridgeReport::read(&printed)?);
+        }
+        let deadline = Instant::now() + CONVERGE_TIME_MAX;
+        loop {
+            let (leader, follower) = tokio::try_join!(self.admin.status(), self.owner.status())?;
+            if leader.height == follower.height || Instant::now() > deadline {
+                summary.height = leader.height;
+                summary.digest_equal = leader.height == follower.height
+                    && leader.state_digest == follower.state_digest
+                    && leader.block_hash == follower.block_hash;
+                return Ok(());
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    }
+
+    /// Ends the nodes in order; the directory goes with `self`.
+    pub async fn stop(mut self) -> Result<(), Rejection> {
+        for node in self.nodes.drain(..) {
+            node.stop().await?;
+        }
+        Ok(())
+    }
+}
+
+fn plan(data: &[PathBuf; 2], addresses: &[String; 2]) -> NetworkPlan {
+    let organisations = ORGANISATIONS.map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
+    let nodes = ORGANISATIONS.iter().zip(data).zip(addresses).enumerate().map(|(index, ((organisation, data), address))| PlannedNode {
+        name: format!("{}-node", organisation.to_lowercase()),
+        organisation: (*organisation).into(),
+        data: data.clone(),
+        address: address.clone(),
+        // As in the paper: Org1 orders.
+        voter: index == 0,
+    });
+    NetworkPlan { label: "demo".into(), organisations: organisations.into(), nodes: nodes.collect() }
+}
+
+/// Two addresses that nobody uses at the moment.
+fn free_addresses() -> Result<[String; 2], Rejection> {
+    let failed = |error: std::io::Error| Rejection::new(Code::Internal, format!("no free port on 127.0.0.1: {error}"));
+    // Both are held at once, so that they differ.
+    let (a, b) = (TcpListener::bind("127.0.0.1:0").map_err(failed)?, TcpListener::bind("127.0.0.1:0").map_err(failed)?);
+    Ok([a.local_addr().map_err(failed)?.to_string(), b.local_addr().map_err(failed)?.to_string()])
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Rejection> {
+    std::fs::write(path, text).map_err(|error| Rejection::new(Code::BadFile, format!("cannot write {}: {error}", path.display())))
+}
+
+/// The context of an organisation's admin, issued by its CA directly.
+fn admin_of(founded: &Founded, index: usize, data: &[PathBuf; 2], addresses: &[String; 2]) -> Result<Context, Rejection> {
+    let mut context = issue(&data[index], ORGANISATIONS[index], "Admin", Role::Admin, BTreeMap::new(), clock())?;
+    (context.nodes, context.network) = (vec![addresses[index].clone()], founded.network);
+    Ok(context)
+}
+
+/// Connects as soon as the node answers.
+async fn connect(context: &Context, nodes: &mut [Process]) -> Result<Client, Rejection> {
+    let deadline = Instant::now() + START_TIME_MAX;
+    loop {
+        match Client::connect(context).await {
+            Ok(client) => return Ok(client),
+            Err(rejection) if rejection.code != Code::Unreachable || Instant::now() > deadline => return Err(rejection),
+            Err(_) => {
+                nodes.iter_mut().try_for_each(Process::check)?;
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+        }
+    }
+}

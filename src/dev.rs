@@ -1,0 +1,200 @@
+//! A network of one node for playing: both organisations of the paper, its three robots, contexts for the admins.
+
+use crate::command::{print_line, until_stopped};
+use crate::config::{Config, Log};
+use crate::node::{NodeBuilder, clock};
+use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
+use crate::{ca::CertificateAuthority, telemetry};
+use ledger::identity::Role;
+use ledger::key::KeyKind;
+use ledger::verify::GENESIS_FILE;
+use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_api::context::{Context, home};
+use ledger_api::Client;
+use serde::Serialize;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use tracing_subscriber::filter::LevelFilter;
+
+/// The organisations of the paper.
+pub const ORGANISATIONS: [&str; 2] = ["Org1", "Org2"];
+/// The label by which a network for playing is recognised.
+const LABEL: &str = "dev";
+
+/// `ledgerd dev`
+#[derive(clap::Args)]
+pub struct Options {
+    /// Keep the network in this directory, and go on with it next time; otherwise it is temporary.
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Where to listen; port 0 takes a free one.
+    #[arg(long, value_name = "HOST:PORT", default_value = "127.0.0.1:7450")]
+    listen: String,
+    /// Print the facts as one line of JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `ledgerd dev --json` prints.
+#[derive(Serialize)]
+struct Facts {
+    address: String,
+    ca_fingerprint: Hash,
+    data: PathBuf,
+    contexts: Vec<String>,
+    network: Hash,
+    robots: Vec<String>,
+    version: &'static str,
+}
+
+/// Starts the network, prints what a player needs, and ends it on Ctrl-C.
+pub async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
+    telemetry::start(&Log { level: LevelFilter::WARN, ..Config::default().log });
+    let temporary = match options.data {
+        Some(_) => None,
+        None => Some(tempfile::tempdir().map_err(|error| Rejection::new(Code::BadFile, format!("cannot make a temporary directory: {error}")))?),
+    };
+    let data = match (&options.data, &temporary) {
+        (Some(directory), _) => directory.clone(),
+        (None, Some(temporary)) => temporary.path().join("node"),
+        (None, None) => return Err(Rejection::new(Code::Internal, "no directory")),
+    };
+    let listen = free_port(&options.listen)?;
+    let fresh = !data.join(GENESIS_FILE).is_file();
+    if fresh {
+        found(&plan(&data, &listen), clock())?;
+    }
+    let config = Config { data: data.clone(), listen, ..Config::default() };
+    let node = builder.start(&config).await?;
+    let address = node.address().to_string();
+    let home = home()?;
+    let contexts = write_contexts(&data, &address, node.ledger().network(), &home)?;
+    let robots = match fresh {
+        true => register_robots(&home, contexts.last()).await?,
+        false => Vec::new(),
+    };
+    let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
+    let facts = Facts {
+        address,
+        ca_fingerprint,
+        data,
+        contexts: contexts.clone(),
+        network: node.ledger().network(),
+        robots,
+        version: env!("CARGO_PKG_VERSION"),
+    };
+    print(&facts, options.json, temporary.is_some())?;
+    let outcome = until_stopped(node).await;
+    if temporary.is_some() {
+        forget_contexts(&home, &contexts, facts.network);
+    }
+    outcome
+}
+
+/// One node that orders, and carries the CAs of both organisations.
+fn plan(data: &Path, address: &str) -> NetworkPlan {
+    let organisations = ORGANISATIONS.map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
+    let node = PlannedNode {
+        name: "node1".into(),
+        organisation: ORGANISATIONS[0].into(),
+        data: data.to_owned(),
+        address: address.to_owned(),
+        voter: true,
+    };
+    NetworkPlan { label: LABEL.into(), organisations: organisations.into(), nodes: vec![node] }
+}
+
+/// The genesis names the node's address, so a free port is chosen before it is written.
+fn free_port(listen: &str) -> Result<String, Rejection> {
+    if !listen.ends_with(":0") {
+        return Ok(listen.to_owned());
+    }
+    TcpListener::bind(listen).and_then(|listener| listener.local_addr()).map(|address| address.to_string()).map_err(|error| {
+        Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}: {error}"))
+            .next("choose another address with --listen")
+    })
+}
+
+fn authority(data: &Path, organisation: &str) -> Result<CertificateAuthority, Rejection> {
+    CertificateAuthority::open(&data.join(crate::setup::CA_DIRECTORY).join(organisation))
+}
+
+/// The name of an admin's context.
+fn context_name(organisation: &str) -> String {
+    format!("dev-{}-admin", organisation.to_lowercase())
+}
+
+/// A context for the admin of each organisation, made anew at each start.
+fn write_contexts(data: &Path, address: &str, network: Hash, home: &Path) -> Result<Vec<String>, Rejection> {
+    ORGANISATIONS
+        .iter()
+        .map(|organisation| {
+            let name = context_name(organisation);
+            let mut context = crate::setup::issue(data, organisation, "Admin", Role::Admin, BTreeMap::new(), clock())?;
+            (context.name, context.nodes, context.label, context.network) = (name.clone(), vec![address.to_owned()], LABEL.into(), network);
+            context.save(home)?;
+            Ok(name)
+        })
+        .collect()
+}
+
+/// The robots of the paper, registered by their owner.
+async fn register_robots(home: &Path, admin: Option<&String>) -> Result<Vec<String>, Rejection> {
+    let context = Context::load(home, admin.map(String::as_str))?;
+    let client = Client::connect(&context).await?;
+    let robots = paper_robots("exclusive");
+    let names = robots.iter().map(|(name, _)| (*name).to_owned()).collect();
+    client.invoke("abac", "setup", robots.into_iter().map(|(_, spec)| Bytes::from(spec.to_string())).collect()).await?;
+    Ok(names)
+}
+
+/// Turtlebot4 and Husky with their `/cmd_vel`, OptiTrack with its poses (paper, "Task").
+pub fn paper_robots(mode: &str) -> Vec<(&'static str, serde_json::Value)> {
+    let mobile = |name: &'static str| {
+        let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": mode});
+        (name, json!({"name": name, "attribute_required": name, "services": [service]}))
+    };
+    let poses = json!({"topic": "/poses", "type": "geometry_msgs/msg/PoseStamped", "mode": "open", "direction": "feed"});
+    let optitrack = json!({"name": "OptiTrack", "attribute_required": "OptiTrack", "services": [poses]});
+    vec![mobile("Turtlebot4"), mobile("Husky"), ("OptiTrack", optitrack)]
+}
+
+fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection> {
+    if as_json {
+        let line = serde_json::to_string(facts).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        print_line(&line);
+        return Ok(());
+    }
+    let [admin, owner] = ORGANISATIONS.map(context_name);
+    print_line(&format!(
+        "ledgerd {version} · a network for playing, ready\n\n  \
+         address         {address}\n  \
+         CA fingerprint  {fingerprint}\n  \
+         data            {data}{kept}\n  \
+         contexts        {admin} (Org1), {owner} (Org2, owns Turtlebot4, Husky and OptiTrack)\n\n\
+         Next, in another terminal:\n\n  \
+         ledgerctl --context {admin} identity register Salma --attr Turtlebot4 --attr Husky\n  \
+         ledgerctl enroll Salma --node {address} --ca-fingerprint {fingerprint} --secret SECRET\n  \
+         ledgerctl --context Salma acquire Turtlebot4\n\n\
+         (SECRET is what the first command prints. cargo build --release builds ledgerctl beside ledgerd.) Ctrl-C ends it.",
+        version = facts.version,
+        address = facts.address,
+        fingerprint = facts.ca_fingerprint,
+        data = facts.data.display(),
+        kept = if temporary { " (removed at the end; --data DIR keeps it)" } else { "" },
+    ));
+    Ok(())
+}
+
+/// Removes the contexts of a network that is gone, unless they are another's by now.
+fn forget_contexts(home: &Path, contexts: &[String], network: Hash) {
+    for name in contexts {
+        if Context::load(home, Some(name)).is_ok_and(|context| context.network == network)
+            && let Err(rejection) = Context::remove(home, name)
+        {
+            tracing::warn!(%rejection, "a context stays behind");
+        }
+    }
+}

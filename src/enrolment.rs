@@ -1,0 +1,298 @@
+//! The API of the CAs that a node carries: the service `Enrolment` of `enrolment.proto`.
+//!
+//! A client without a certificate may ask for the network and may enrol. Tries to enrol share one limited rate, and a
+//! refusal takes as long for a name that exists as for one that does not.
+
+#[cfg(test)]
+mod tests;
+mod tries;
+
+use crate::ca::{CertificateAuthority, IssuedCertificate, Registered};
+use crate::listen::Caller;
+use crate::waiters::verdict;
+use ledger::identity::{Identity, Role};
+use ledger::network::Genesis;
+use ledger::{Bytes, Code, Ledger, Rejection};
+use ledger_api::v1;
+use ledger_api::v1::enrolment_server::Enrolment;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+use tonic::{Request, Response, Status};
+use tries::Tries;
+
+/// A refused try to enrol is answered no sooner than this after it came: counting a wrong secret takes a write to
+/// the disk, which an unknown name does not.
+const REFUSAL_TIME: Duration = Duration::from_millis(100);
+/// The roles by the names that an admin uses.
+const ROLES: [Role; 4] = [Role::Member, Role::Admin, Role::Node, Role::Robot];
+
+/// The service; see the module.
+#[derive(Clone)]
+pub struct EnrolmentService {
+    shared: Arc<Shared>,
+}
+
+struct Shared {
+    /// By organisation; most nodes carry one or none.
+    authorities: BTreeMap<String, Mutex<CertificateAuthority>>,
+    ledger: Arc<Ledger>,
+    genesis: Genesis,
+    /// The node's clock, microseconds since the UNIX epoch.
+    clock: fn() -> u64,
+    tries: Mutex<Tries>,
+}
+
+impl EnrolmentService {
+    /// The service of a node that carries these CAs.
+    pub fn new(
+        authorities: impl IntoIterator<Item = CertificateAuthority>,
+        ledger: Arc<Ledger>,
+        genesis: Genesis,
+        clock: fn() -> u64,
+    ) -> Self {
+        let authorities = authorities.into_iter().map(|ca| (ca.organisation().to_owned(), Mutex::new(ca))).collect();
+        Self { shared: Arc::new(Shared { authorities, ledger, genesis, clock, tries: Mutex::default() }) }
+    }
+
+    /// Does work that waits for the disk, beside the threads that serve connections.
+    async fn blocking<T: Send + 'static>(
+        &self,
+        work: impl FnOnce(&Shared) -> Result<T, Rejection> + Send + 'static,
+    ) -> Result<T, Rejection> {
+        let shared = Arc::clone(&self.shared);
+        let done = tokio::task::spawn_blocking(move || work(&shared)).await;
+        done.unwrap_or_else(|error| Err(Rejection::new(Code::Internal, format!("the CA failed: {error}"))))
+    }
+}
+
+#[tonic::async_trait]
+impl Enrolment for EnrolmentService {
+    async fn network(&self, _: Request<v1::NetworkRequest>) -> Result<Response<v1::NetworkResponse>, Status> {
+        Ok(Response::new(self.shared.network()))
+    }
+
+    async fn enrol(&self, request: Request<v1::EnrolRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
+        let came = Instant::now();
+        let request = request.into_inner();
+        let enrolled = match self.shared.begin_try() {
+            Ok(()) => self.blocking(move |shared| shared.enrol(&request)).await,
+            Err(rejection) => Err(rejection),
+        };
+        Ok(Response::new(match enrolled {
+            Ok(response) => {
+                self.shared.forgive_try();
+                response
+            }
+            Err(rejection) => {
+                if rejection.code == Code::EnrolmentRefused {
+                    tokio::time::sleep_until(came + REFUSAL_TIME).await;
+                }
+                v1::EnrolResponse { verdict: Some(verdict(&rejection)), ..v1::EnrolResponse::default() }
+            }
+        }))
+    }
+
+    async fn register(&self, request: Request<v1::RegisterRequest>) -> Result<Response<v1::RegisterResponse>, Status> {
+        let registered = match self.shared.admin(&request) {
+            Ok(admin) => {
+                let request = request.into_inner();
+                self.blocking(move |shared| shared.register(&admin, request)).await
+            }
+            Err(rejection) => Err(rejection),
+        };
+        Ok(Response::new(registered.unwrap_or_else(|rejection| v1::RegisterResponse {
+            verdict: Some(verdict(&rejection)),
+            ..v1::RegisterResponse::default()
+        })))
+    }
+
+    async fn list_identities(
+        &self,
+        request: Request<v1::ListIdentitiesRequest>,
+    ) -> Result<Response<v1::ListIdentitiesResponse>, Status> {
+        let listed = match self.shared.admin(&request) {
+            Ok(admin) => {
+                let name = request.into_inner().name;
+                self.blocking(move |shared| shared.list(&admin, &name)).await
+            }
+            Err(rejection) => Err(rejection),
+        };
+        Ok(Response::new(listed.unwrap_or_else(|rejection| v1::ListIdentitiesResponse {
+            verdict: Some(verdict(&rejection)),
+            ..v1::ListIdentitiesResponse::default()
+        })))
+    }
+}
+
+impl Shared {
+    fn network(&self) -> v1::NetworkResponse {
+        let ders = |ders: &mut dyn Iterator<Item = &[u8]>| ders.map(Bytes::copy_from_slice).collect();
+        let msps = self.ledger.msps();
+        let organisations = msps.iter().map(|msp| v1::Organisation {
+            name: msp.organisation().to_owned(),
+            roots: ders(&mut msp.roots()),
+            intermediates: ders(&mut msp.intermediates()),
+            addresses: self
+                .genesis
+                .nodes
+                .iter()
+                .filter(|node| node.organisation == msp.organisation())
+                .map(|node| node.address.clone())
+                .collect(),
+        });
+        v1::NetworkResponse {
+            network: Bytes::copy_from_slice(&self.ledger.network().0),
+            label: self.genesis.label.clone(),
+            organisations: organisations.collect(),
+            clock: (self.clock)(),
+        }
+    }
+
+    fn enrol(&self, request: &v1::EnrolRequest) -> Result<v1::EnrolResponse, Rejection> {
+        let now = (self.clock)();
+        let Some((mut authority, name)) = self.find(&request.name) else {
+            tracing::warn!(name = ?printable(&request.name), "refused to enrol a name that is not registered");
+            return Err(CertificateAuthority::refusal());
+        };
+        let organisation = authority.organisation().to_owned();
+        let certificate = authority.enrol(name, &request.secret, &request.request, now).inspect_err(|rejection| {
+            tracing::warn!(organisation, name = ?printable(name), code = %rejection.code, "refused to enrol");
+        })?;
+        tracing::info!(organisation, name = ?printable(name), "enrolled");
+        drop(authority);
+        Ok(v1::EnrolResponse {
+            verdict: Some(v1::Verdict::default()),
+            certificate: certificate.into(),
+            // Our CAs sign with their root, which clients have from the network.
+            chain: Vec::new(),
+            organisation,
+            network: Some(self.network()),
+        })
+    }
+
+    /// The CA for a name, or for ORGANISATION/NAME: none if the name is registered nowhere, or at several.
+    fn find<'a>(&self, name: &'a str) -> Option<(MutexGuard<'_, CertificateAuthority>, &'a str)> {
+        if let Some((organisation, name)) = name.split_once('/') {
+            return Some((lock(self.authorities.get(organisation)?), name));
+        }
+        let mut found = self.authorities.values().map(lock).filter(|ca| ca.identity(name).is_some());
+        match (found.next(), found.next()) {
+            (Some(authority), None) => Some((authority, name)),
+            _ => None,
+        }
+    }
+
+    fn register(&self, admin: &Identity, request: v1::RegisterRequest) -> Result<v1::RegisterResponse, Rejection> {
+        let role = role(&request.role)?;
+        let mut authority = self.authority_of(admin)?;
+        let secret = authority.register(&request.name, role, request.attributes, (self.clock)())?;
+        let organisation = authority.organisation().to_owned();
+        tracing::info!(by = admin.id(), name = ?request.name, %role, "registered");
+        Ok(v1::RegisterResponse { verdict: Some(v1::Verdict::default()), secret, organisation })
+    }
+
+    fn list(&self, admin: &Identity, name: &str) -> Result<v1::ListIdentitiesResponse, Rejection> {
+        let authority = self.authority_of(admin)?;
+        let chosen = |(known, _): &(&str, &Registered)| name.is_empty() || *known == name;
+        let identities = authority
+            .identities()
+            .filter(chosen)
+            .map(|(name, registered)| self.registered(authority.organisation(), name, registered))
+            .collect::<Result<Vec<_>, _>>()?;
+        if identities.is_empty() && !name.is_empty() {
+            return Err(Rejection::new(
+                Code::NotFound,
+                format!("{:?} is not registered at {}", printable(name), authority.organisation()),
+            )
+            .next("ledgerctl identity list shows who is"));
+        }
+        Ok(v1::ListIdentitiesResponse { verdict: Some(v1::Verdict::default()), identities })
+    }
+
+    fn registered(
+        &self,
+        organisation: &str,
+        name: &str,
+        registered: &Registered,
+    ) -> Result<v1::RegisteredIdentity, Rejection> {
+        let certificate = |issued: &IssuedCertificate| {
+            Ok(v1::IssuedCertificate {
+                serial: Bytes::copy_from_slice(&issued.serial),
+                issuer: Bytes::copy_from_slice(&issued.issuer.0),
+                fingerprint: Bytes::copy_from_slice(&issued.fingerprint.0),
+                not_before: issued.not_before,
+                not_after: issued.not_after,
+                revoked: self.ledger.is_revoked(&issued.issuer, &issued.serial)?,
+            })
+        };
+        Ok(v1::RegisteredIdentity {
+            name: name.to_owned(),
+            organisation: organisation.to_owned(),
+            role: registered.role.to_string(),
+            attributes: registered.attributes.clone(),
+            enrolled: !registered.certificates.is_empty(),
+            certificates: registered.certificates.iter().map(certificate).collect::<Result<_, Rejection>>()?,
+        })
+    }
+
+    /// Who calls, if it is an admin whose certificate is still good.
+    fn admin<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Rejection> {
+        let caller =
+            request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
+                Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
+                    .found("a connection without one, which can only enrol")
+                    .next("connect with the certificate of an admin, for example with --context")
+            })?;
+        if caller.role != Role::Admin {
+            return Err(Rejection::new(Code::NotAdmin, format!("{} may not manage identities", caller.id()))
+                .found(format!("role {}", caller.role))
+                .wanted(format!("an admin of {}", caller.organisation))
+                .next(format!("ask an admin of {}", caller.organisation)));
+        }
+        caller.check_validity((self.clock)())?;
+        self.ledger.check_revoked(&caller)?;
+        Ok(caller)
+    }
+
+    /// The CA of the admin's organisation: the only one that the admin may change or read.
+    fn authority_of(&self, admin: &Identity) -> Result<MutexGuard<'_, CertificateAuthority>, Rejection> {
+        let organisation = &admin.organisation;
+        self.authorities.get(organisation).map(lock).ok_or_else(|| {
+            let carried: Vec<_> = self.authorities.keys().map(String::as_str).collect();
+            Rejection::new(Code::NotFound, format!("this node does not carry the CA of {organisation}"))
+                .found(if carried.is_empty() { "no CA".into() } else { format!("the CA of {}", carried.join(", ")) })
+                .next(format!("ask the node of {organisation} that does"))
+        })
+    }
+
+    fn begin_try(&self) -> Result<(), Rejection> {
+        self.tries.lock().unwrap_or_else(PoisonError::into_inner).take((self.clock)())
+    }
+
+    fn forgive_try(&self) {
+        self.tries.lock().unwrap_or_else(PoisonError::into_inner).give_back();
+    }
+}
+
+/// A CA that panicked half-way has changed nothing: it changes its memory last.
+fn lock(authority: &Mutex<CertificateAuthority>) -> MutexGuard<'_, CertificateAuthority> {
+    authority.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn role(name: &str) -> Result<Role, Rejection> {
+    if name.is_empty() {
+        return Ok(Role::Member);
+    }
+    ROLES.into_iter().find(|role| role.as_str() == name).ok_or_else(|| {
+        Rejection::new(Code::BadArgument, "this role does not exist")
+            .found(format!("{:?}", printable(name)))
+            .wanted("member, admin, node or robot")
+    })
+}
+
+/// A name from outside, cut for a log line or message; print it with `{:?}`.
+fn printable(name: &str) -> String {
+    name.chars().take(128).collect()
+}

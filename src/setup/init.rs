@@ -1,0 +1,237 @@
+//! `ledgerd init`: founds a network of one organisation with one node, and invites its first admin.
+
+use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
+use crate::ca::CertificateAuthority;
+use crate::ca::durable::{self, PUBLIC_MODE};
+use crate::config::{Config, is_address};
+use ledger::identity::Role;
+use ledger::key::KeyKind;
+use ledger::{Code, Rejection};
+use std::collections::BTreeMap;
+use std::fs;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+/// What is written where no configuration is yet: every setting with its default, commented out.
+const SHIPPED_CONFIG: &str = include_str!("../../ledgerd.toml");
+
+/// The arguments of `ledgerd init`.
+#[derive(Clone, Debug, clap::Args)]
+pub struct InitOptions {
+    /// The node's configuration; made with all defaults if it does not exist.
+    #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
+    pub config: PathBuf,
+    /// Name of the organisation that founds the network, e.g. Org1.
+    #[arg(long, value_name = "NAME")]
+    pub organisation: String,
+    /// Name of the network for people; the organisation's name if left out.
+    #[arg(long, value_name = "TEXT")]
+    pub label: Option<String>,
+    /// Name of the node.
+    #[arg(long, value_name = "NAME", default_value = "node1")]
+    pub node: String,
+    /// Where clients and other nodes reach the node; the setting `listen` if left out.
+    #[arg(long, value_name = "HOST:PORT")]
+    pub address: Option<String>,
+    /// Kind of the keys of the organisation's CA and of the node: ed25519 or p256.
+    #[arg(long, value_name = "KIND", default_value_t = KeyKind::Ed25519)]
+    pub key: KeyKind,
+    /// Name of the first admin, who receives a one-time secret.
+    #[arg(long, value_name = "NAME", default_value = "admin")]
+    pub admin: String,
+}
+
+/// Founds the network; answers with what to tell the user.
+///
+/// # Errors
+/// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
+pub fn init(options: &InitOptions) -> Result<String, Rejection> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_micros();
+    let now = u64::try_from(now).unwrap_or(u64::MAX);
+    let written = write_config(options)?;
+    init_at(options, now).inspect_err(|_| {
+        if written {
+            let _ = fs::remove_file(&options.config);
+        }
+    })
+}
+
+fn init_at(options: &InitOptions, now: u64) -> Result<String, Rejection> {
+    let path = options.config.display();
+    let config = Config::load(&options.config).map_err(|faults| {
+        let more = format!("correct it; ledgerd check --config {path} names all {} faults", faults.len());
+        let first = faults.into_iter().next().map(Rejection::from);
+        first
+            .map_or_else(|| Rejection::new(Code::BadConfiguration, "the configuration is not usable"), |r| r.next(more))
+    })?;
+    let address = address(options, &config.listen)?;
+    let organisation = &options.organisation;
+    let plan = NetworkPlan {
+        label: options.label.clone().unwrap_or_else(|| organisation.clone()),
+        organisations: vec![PlannedOrganisation { name: organisation.clone(), key: options.key }],
+        nodes: vec![PlannedNode {
+            name: options.node.clone(),
+            organisation: organisation.clone(),
+            data: config.data.clone(),
+            address: address.clone(),
+            voter: true,
+        }],
+    };
+    let founded = found(&plan, now)?;
+    let secret = invite(options, &config, &founded.authorities, now).inspect_err(|_| {
+        let _ = fs::remove_dir_all(&config.data);
+    })?;
+    let fingerprint = founded.authorities.first().map(|ca| ca.fingerprint).unwrap_or_default();
+    let InitOptions { node, admin, .. } = options;
+    Ok(format!(
+        "network {:?} is founded: {}\n\
+         node     {organisation}/{node} at {address}, data in {}\n\
+         CA       {organisation}, sha256 {fingerprint}\n\
+         admin    {organisation}/{admin}, to enrol within {} days\n\
+         \n\
+         next:\n  \
+           ledgerd run --config {path}\n  \
+           ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n  \
+           ledgerctl identity register NAME --attr KEY=VALUE",
+        plan.label,
+        founded.network,
+        config.data.display(),
+        config.ca.secret_days,
+    ))
+}
+
+/// Registers the first admin; answers with the one-time secret.
+fn invite(
+    options: &InitOptions,
+    config: &Config,
+    authorities: &[super::FoundedAuthority],
+    now: u64,
+) -> Result<String, Rejection> {
+    let authority = authorities.first().ok_or_else(|| Rejection::new(Code::Internal, "no CA was founded"))?;
+    let mut authority = CertificateAuthority::open(&authority.directory)?;
+    authority.set_days(config.ca.certificate_days, config.ca.secret_days);
+    authority.register(&options.admin, Role::Admin, BTreeMap::new(), now)
+}
+
+/// Writes the shipped configuration if there is none; true if it did.
+fn write_config(options: &InitOptions) -> Result<bool, Rejection> {
+    if fs::symlink_metadata(&options.config).is_ok() {
+        return Ok(false);
+    }
+    durable::create(&options.config, SHIPPED_CONFIG.as_bytes(), PUBLIC_MODE).map(|()| true)
+}
+
+/// The address that the genesis tells everybody.
+fn address(options: &InitOptions, listen: &str) -> Result<String, Rejection> {
+    let unusable = |found: &str, why: &str| {
+        Err(Rejection::new(Code::BadConfiguration, format!("others cannot reach the node at {found}"))
+            .found(why)
+            .wanted("HOST:PORT as clients and other nodes use it")
+            .next("ledgerd init --address HOST:PORT"))
+    };
+    let address = options.address.as_deref().unwrap_or(listen);
+    if !is_address(address) {
+        return unusable(address, "no HOST:PORT");
+    }
+    if address.ends_with(":0") {
+        return unusable(address, "port 0, which lets the system choose another one at each start");
+    }
+    if address.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_unspecified()) {
+        return unusable(address, "an address that means every network of this machine");
+    }
+    Ok(address.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+    use super::*;
+    use crate::ca;
+    use std::path::Path;
+    use tempfile::TempDir;
+
+    const NOW: u64 = 1_800_000_000_000_000;
+
+    fn options(place: &Path) -> InitOptions {
+        InitOptions {
+            config: place.join("ledgerd.toml"),
+            organisation: "Org1".into(),
+            label: None,
+            node: "node1".into(),
+            address: None,
+            key: KeyKind::Ed25519,
+            admin: "admin".into(),
+        }
+    }
+
+    fn entries(place: &Path) -> usize {
+        fs::read_dir(place).unwrap().count()
+    }
+
+    #[test]
+    fn without_a_configuration_one_is_written_and_the_network_stands_beside_it() {
+        let place = TempDir::new().unwrap();
+        let text = init(&options(place.path())).unwrap();
+        let config = Config::load(&place.path().join("ledgerd.toml")).unwrap();
+        assert_eq!(config.data, place.path().join("data"));
+        let authorities = CertificateAuthority::open_all(&config.data).unwrap();
+        let ca = authorities.first().unwrap();
+        assert!(text.contains(&format!("--ca-fingerprint {}", ca.fingerprint())), "{text}");
+        assert_eq!(ca.identity("admin").unwrap().role, Role::Admin);
+    }
+
+    #[test]
+    fn the_secret_that_is_told_enrols_the_admin_within_the_configured_days() {
+        let place = TempDir::new().unwrap();
+        let options = options(place.path());
+        fs::write(&options.config, "data = 'd'\n[ca]\nsecret_days = 2\n").unwrap();
+        let text = init_at(&options, NOW).unwrap();
+        let secret = text.split_once("--secret ").unwrap().1.lines().next().unwrap();
+        let mut ca = CertificateAuthority::open(&place.path().join("d").join(ca::DIRECTORY).join("Org1")).unwrap();
+        let key = ledger::key::SigningKey::generate(KeyKind::P256, &ring::rand::SystemRandom::new()).unwrap();
+        let request = ca::request(&key, "admin").unwrap();
+        assert!(ca.enrol("admin", secret, &request, NOW + 2 * ca::DAY + 1).is_err());
+        assert!(ca.enrol("admin", secret, &request, NOW + 2 * ca::DAY).is_ok());
+    }
+
+    #[test]
+    fn a_failure_leaves_nothing_behind() {
+        let place = TempDir::new().unwrap();
+        for spoil in [
+            |options: &mut InitOptions| options.admin = "a/b".into(),
+            |options: &mut InitOptions| options.organisation = "..".into(),
+            |options: &mut InitOptions| options.admin = "node1".into(),
+            |options: &mut InitOptions| options.address = Some("0.0.0.0:7450".into()),
+            |options: &mut InitOptions| options.address = Some("[::]:7450".into()),
+            |options: &mut InitOptions| options.address = Some("localhost:0".into()),
+            |options: &mut InitOptions| options.address = Some("localhost".into()),
+        ] {
+            let mut options = options(place.path());
+            spoil(&mut options);
+            assert!(init(&options).is_err(), "{options:?}");
+            assert_eq!(entries(place.path()), 0, "{options:?}");
+        }
+    }
+
+    #[test]
+    fn a_second_time_is_refused_and_changes_nothing() {
+        let place = TempDir::new().unwrap();
+        let options = options(place.path());
+        init(&options).unwrap();
+        let genesis = fs::read(place.path().join("data").join(super::super::GENESIS_FILE)).unwrap();
+        assert_eq!(init(&options).unwrap_err().code, Code::BadFile);
+        assert_eq!(fs::read(place.path().join("data").join(super::super::GENESIS_FILE)).unwrap(), genesis);
+        assert!(options.config.exists());
+    }
+
+    #[test]
+    fn a_faulty_configuration_is_refused_with_the_way_to_see_all_faults() {
+        let place = TempDir::new().unwrap();
+        let options = options(place.path());
+        fs::write(&options.config, "a = 1\nb = 2\n").unwrap();
+        let refused = init(&options).unwrap_err();
+        assert!(refused.next.contains("names all 2 faults"), "{refused}");
+        assert!(options.config.exists());
+    }
+}
