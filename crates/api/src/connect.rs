@@ -4,13 +4,15 @@ mod stream;
 
 use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
 use hyper_util::rt::TokioIo;
+use ledger::certificate::Certificate;
+use ledger::identity::IdentityError;
 use ledger::key::SigningKey;
 use ledger::{Bytes, Code, Hash, Rejection};
 use rustls::pki_types::ServerName;
 use rustls::{AlertDescription, ClientConfig};
 use std::error::Error as StdError;
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use stream::{Fault, Watched};
 use tokio::net::TcpStream;
 use tokio::time::timeout;
@@ -23,7 +25,7 @@ const KEEP_ALIVE: Duration = Duration::from_secs(2);
 /// How much a node may send ahead on one stream and on a connection, in bytes.
 const STREAM_WINDOW_BYTES: u32 = 1024 * 1024;
 const CONNECTION_WINDOW_BYTES: u32 = 4 * 1024 * 1024;
-/// Most that a name in TLS must hold; the name is not checked (see [`crate::tls`]).
+/// The name that TLS asks for; it is not checked (see [`crate::tls`]).
 const SERVER_NAME: &str = "node.ledgerd.internal";
 
 /// What connections as an identity need: who one is, on which network, and which nodes are accepted.
@@ -72,30 +74,45 @@ pub(crate) struct Connection {
     pub(crate) channel: Channel,
     /// `HOST:PORT` of the node.
     pub(crate) address: Arc<str>,
+    /// Our own certificate in DER, to explain why it is refused; empty if we show none.
+    certificate: Bytes,
     /// Why the connection broke, if it did.
     fault: Arc<Mutex<Option<Fault>>>,
 }
 
 impl Connection {
-    /// Connects to a node within `patience`.
+    /// Connects to a node within `patience`. `certificate` is the one that `tls` shows, or empty.
     ///
     /// # Errors
     /// [`Code::Unreachable`] with address and reason; the code of the fault if the node's certificate is not accepted;
     /// [`Code::BadArgument`] if the address is none.
-    pub(crate) async fn open(address: &str, tls: Arc<ClientConfig>, patience: Duration) -> Result<Self, Rejection> {
+    pub(crate) async fn open(
+        address: &str,
+        tls: Arc<ClientConfig>,
+        certificate: &Bytes,
+        patience: Duration,
+    ) -> Result<Self, Rejection> {
         let origin = origin(address)?;
-        match timeout(patience, Self::establish(address, origin, tls)).await {
+        match timeout(patience, Self::establish(address, origin, tls, certificate)).await {
             Ok(done) => done,
             Err(_) => Err(unreachable(address, &format!("no answer within {} ms", patience.as_millis()))),
         }
     }
 
-    async fn establish(address: &str, origin: Uri, tls: Arc<ClientConfig>) -> Result<Self, Rejection> {
+    async fn establish(
+        address: &str,
+        origin: Uri,
+        tls: Arc<ClientConfig>,
+        certificate: &Bytes,
+    ) -> Result<Self, Rejection> {
         let tcp = TcpStream::connect(address).await.map_err(|error| unreachable(address, &error.to_string()))?;
         tcp.set_nodelay(true).map_err(|error| unreachable(address, &error.to_string()))?;
         let name = ServerName::try_from(SERVER_NAME)
             .map_err(|error| Rejection::new(Code::Internal, format!("the name for TLS is wrong: {error}")))?;
-        let secured = TlsConnector::from(tls).connect(name, tcp).await.map_err(|error| handshake(address, &error))?;
+        let secured = TlsConnector::from(tls)
+            .connect(name, tcp)
+            .await
+            .map_err(|error| handshake(address, certificate, &error))?;
         let fault = Arc::new(Mutex::new(None));
         let watched = Watched::new(secured, Arc::clone(&fault));
         // The one stream there is: when it breaks, whoever owns the connection opens another, perhaps elsewhere.
@@ -113,7 +130,7 @@ impl Connection {
             .connect_with_connector(connector)
             .await
             .map_err(|error| unreachable(address, &chain(&error)))?;
-        Ok(Self { channel, address: address.into(), fault })
+        Ok(Self { channel, address: address.into(), certificate: certificate.clone(), fault })
     }
 
     /// The refusal behind a failed call. A node that refuses our certificate only closes the connection with an
@@ -121,7 +138,7 @@ impl Connection {
     pub(crate) fn refusal(&self, status: &Status) -> Rejection {
         let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
         match fault {
-            Some(Fault::Alert(alert)) => alerted(&self.address, alert),
+            Some(Fault::Alert(alert)) => alerted(&self.address, &self.certificate, alert),
             Some(Fault::Broken(reason)) if status.source().is_some() => unreachable(&self.address, &reason),
             _ => crate::report::from_status(&self.address, status),
         }
@@ -154,20 +171,26 @@ fn origin(address: &str) -> Result<Uri, Rejection> {
 }
 
 /// The TLS handshake failed.
-fn handshake(address: &str, error: &std::io::Error) -> Rejection {
+fn handshake(address: &str, certificate: &[u8], error: &std::io::Error) -> Rejection {
     if let Some(refused) = refusal(error) {
         let mut rejection = Rejection::from(refused.clone());
         rejection.message = format!("the node at {address} is not accepted: {}", rejection.message);
         return rejection;
     }
     match Fault::of(error) {
-        Fault::Alert(alert) => alerted(address, alert),
+        Fault::Alert(alert) => alerted(address, certificate, alert),
         Fault::Broken(reason) => unreachable(address, &format!("no TLS 1.3 connection: {reason}")),
     }
 }
 
-/// The node ended the connection with an alert, which nearly always means our certificate.
-fn alerted(address: &str, alert: AlertDescription) -> Rejection {
+/// The node ended the connection with an alert, which nearly always means our certificate. Alerts say little: nodes
+/// send "unknown" for most faults. What we see ourselves in the certificate says more.
+fn alerted(address: &str, certificate: &[u8], alert: AlertDescription) -> Rejection {
+    if let Some(outdated) = outdated(certificate) {
+        let mut rejection = Rejection::from(outdated);
+        rejection.message = format!("the node at {address} refuses the connection: {}", rejection.message);
+        return rejection;
+    }
     let (code, what, next) = match alert {
         AlertDescription::CertificateExpired => (
             Code::CertificateExpired,
@@ -197,6 +220,18 @@ fn alerted(address: &str, alert: AlertDescription) -> Rejection {
         .next(next)
 }
 
+/// Is our certificate past its validity, or not valid yet, by the clock of this machine?
+fn outdated(certificate: &[u8]) -> Option<IdentityError> {
+    let Certificate { subject, not_before, not_after, .. } = Certificate::parse(certificate).ok()?;
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let at = u64::try_from(now.as_micros()).unwrap_or(u64::MAX);
+    if at > not_after {
+        return Some(IdentityError::Expired { subject, not_after, at });
+    }
+    (at < not_before).then_some(IdentityError::NotYetValid { subject, not_before, at })
+}
+
+/// An error with all that it was caused by.
 fn chain(error: &dyn StdError) -> String {
     let mut text = error.to_string();
     let mut next = error.source();

@@ -120,7 +120,7 @@ impl Enrolment {
     }
 
     async fn connect(&self) -> Result<Connection, Rejection> {
-        Connection::open(&self.node, self.tls()?, CONNECT_MAX).await
+        Connection::open(&self.node, self.tls()?, &Bytes::new(), CONNECT_MAX).await
     }
 
     fn tls(&self) -> Result<Arc<ClientConfig>, Rejection> {

@@ -29,7 +29,7 @@ const UNITS_MIN: usize = UNITS / IN_FLIGHT_MAX;
 const _: () = assert!(UNITS_MIN > 0 && TRANSACTION_BYTES_MAX + UNIT_BYTES <= IN_FLIGHT_BYTES_MAX);
 const _: () = assert!(UNITS <= Semaphore::MAX_PERMITS);
 
-/// After this long without an answer the node counts as stuck, and another one is asked.
+/// After this long without any answer, while one is due, the node counts as stuck, and another one is asked.
 pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
 /// How long a node that said "not now" is left in peace.
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
@@ -64,6 +64,8 @@ struct Table {
     entries: HashMap<Hash, Entry>,
     /// The open stream to the node, if there is one. Unbounded in form only: what is in it has room in the table.
     outgoing: Option<Outgoing>,
+    /// When the last answer came. A node with much to do answers late, but it answers.
+    answered: Option<Instant>,
     /// Number of the next entry.
     next: u64,
 }
@@ -192,6 +194,7 @@ impl InFlight {
         };
         let mut table = self.lock();
         let table = &mut *table;
+        table.answered = Some(Instant::now());
         let hash_map::Entry::Occupied(mut place) = table.entries.entry(id) else { return Effect::Nothing };
         let entry = place.get_mut();
         let verdict = accepted(answer.verdict.as_ref());
@@ -241,6 +244,7 @@ impl InFlight {
         let hopeless = broken.is_some_and(is_final);
         let mut table = self.lock();
         let table = &mut *table;
+        let silent = table.answered.is_none_or(|answered| answered + ATTEMPT_MAX <= now);
         let mut stuck = false;
         for (id, entry) in table.entries.extract_if(|_, entry| hopeless || entry.deadline <= now) {
             let verdict = Err(entry.give_up(id, broken));
@@ -249,10 +253,7 @@ impl InFlight {
         for entry in table.entries.values_mut() {
             match entry.state {
                 State::Resting(until) if until <= now => entry.send(table.outgoing.as_ref(), now),
-                State::Sent(since) if since + ATTEMPT_MAX <= now => {
-                    entry.uncertain = true;
-                    stuck = true;
-                }
+                State::Sent(since) => stuck |= silent && since + ATTEMPT_MAX <= now,
                 _ => {}
             }
         }

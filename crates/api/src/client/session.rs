@@ -11,7 +11,7 @@ use crate::v1::enrolment_client::EnrolmentClient;
 use crate::v1::gateway_client::GatewayClient;
 use crate::v1::{NetworkRequest, SubmitRequest, SubmitResponse};
 use ledger::transaction::Transaction;
-use ledger::{Class, Code, Hash, Rejection};
+use ledger::{Bytes, Class, Code, Hash, Rejection};
 use rustls::ClientConfig;
 use std::pin::pin;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -83,6 +83,7 @@ impl Session {
             nodes,
             at: 0,
             tls: Arc::clone(&credentials.tls),
+            certificate: credentials.certificate.clone(),
             network: credentials.network,
             patience: options.connect,
         };
@@ -206,6 +207,7 @@ struct Dialer {
     /// Index of the node to try next.
     at: usize,
     tls: Arc<ClientConfig>,
+    certificate: Bytes,
     network: Hash,
     patience: Duration,
 }
@@ -237,7 +239,7 @@ impl Dialer {
     }
 
     async fn open(&self, address: &str) -> Result<Opened, Rejection> {
-        let connection = Connection::open(address, Arc::clone(&self.tls), self.patience).await?;
+        let connection = Connection::open(address, Arc::clone(&self.tls), &self.certificate, self.patience).await?;
         let late =
             || crate::connect::unreachable(address, &format!("no answer within {} ms", self.patience.as_millis()));
         let up = Up { number: 0, connection };

@@ -1,0 +1,429 @@
+//! A node that does what a test tells it: the generated server traits over TLS, and a plug to pull.
+
+use crate::authority::{Authority, NETWORK};
+use ledger::identity::Identity;
+use ledger::msp::Msps;
+use ledger::transaction::Transaction;
+use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_api::tls::{TrustSource, server_config};
+use ledger_api::v1::enrolment_server::{Enrolment, EnrolmentServer};
+use ledger_api::v1::gateway_server::{Gateway, GatewayServer};
+use ledger_api::{to_status, v1};
+use std::collections::BTreeMap;
+use std::io;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use tokio::io::{AsyncRead, AsyncWrite, DuplexStream, ReadBuf};
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, watch};
+use tokio::task::{AbortHandle, JoinHandle};
+use tokio_rustls::TlsAcceptor;
+use tokio_rustls::server::TlsStream;
+use tokio_stream::wrappers::{ReceiverStream, UnboundedReceiverStream};
+use tokio_stream::{Stream, StreamExt};
+use tonic::transport::server::Connected;
+use tonic::{Request, Response, Status, Streaming};
+
+/// What the node does with a transaction.
+#[derive(Clone)]
+pub(crate) enum Reaction {
+    /// Executes it (once) and says so.
+    Commit,
+    /// Executes it (once) and says nothing.
+    CommitSilently,
+    /// Refuses it before ordering.
+    Refuse(Rejection),
+    /// Says nothing, ever.
+    Ignore,
+}
+
+type Script = dyn Fn(&Transaction, usize) -> Reaction + Send + Sync;
+type Answers = Pin<Box<dyn Stream<Item = Result<v1::SubmitResponse, Status>> + Send>>;
+type Deliveries = Pin<Box<dyn Stream<Item = Result<v1::Delivery, Status>> + Send>>;
+
+/// What several nodes of one network share: the chain.
+#[derive(Default)]
+pub(crate) struct Chain {
+    /// Id -> height of the executed transactions.
+    pub(crate) executed: Mutex<BTreeMap<Hash, u64>>,
+}
+
+pub(crate) struct Fake {
+    pub(crate) node: Arc<Node>,
+    authority: Arc<Authority>,
+    address: String,
+    server: Mutex<JoinHandle<()>>,
+    plugs: Arc<Mutex<Vec<AbortHandle>>>,
+}
+
+pub(crate) struct Node {
+    authority: Arc<Authority>,
+    pub(crate) chain: Arc<Chain>,
+    script: Mutex<Arc<Script>>,
+    /// Every transaction as it came, in order.
+    pub(crate) received: Mutex<Vec<Bytes>>,
+    attempts: Mutex<BTreeMap<Hash, usize>>,
+    pub(crate) subscriptions: Mutex<Vec<v1::SubscribeRequest>>,
+    /// Height of the newest block with an event.
+    pub(crate) height: watch::Sender<u64>,
+    /// What queries say before they answer.
+    pub(crate) not_now: Mutex<Vec<Rejection>>,
+    /// Microseconds that this node's clock is ahead.
+    pub(crate) ahead: AtomicU64,
+    pub(crate) network: Mutex<Hash>,
+    /// Gives this certificate whatever is asked.
+    pub(crate) certificate: Mutex<Option<Bytes>>,
+}
+
+pub(crate) fn wall_clock() -> u64 {
+    u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros()).unwrap()
+}
+
+/// Waits until something is true.
+pub(crate) async fn until(what: &str, mut holds: impl FnMut() -> bool) {
+    let deadline = tokio::time::Instant::now() + Duration::from_secs(20);
+    while !holds() {
+        assert!(tokio::time::Instant::now() < deadline, "waited in vain until {what}");
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+}
+
+impl Fake {
+    pub(crate) async fn start(authority: &Arc<Authority>) -> Self {
+        Self::with_chain(authority, Arc::default()).await
+    }
+
+    pub(crate) async fn with_chain(authority: &Arc<Authority>, chain: Arc<Chain>) -> Self {
+        let node = Arc::new(Node {
+            authority: Arc::clone(authority),
+            chain,
+            script: Mutex::new(Arc::new(|_, _| Reaction::Commit)),
+            received: Mutex::default(),
+            attempts: Mutex::default(),
+            subscriptions: Mutex::default(),
+            height: watch::Sender::new(0),
+            not_now: Mutex::default(),
+            ahead: AtomicU64::new(0),
+            network: Mutex::new(NETWORK),
+            certificate: Mutex::default(),
+        });
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap().to_string();
+        let plugs = Arc::default();
+        let server = Mutex::new(serve(&node, authority, &plugs, listener));
+        Self { node, authority: Arc::clone(authority), address, server, plugs }
+    }
+
+    pub(crate) fn address(&self) -> String {
+        self.address.clone()
+    }
+
+    /// From now on transactions are treated so; the number counts how often the same one came.
+    pub(crate) fn script(&self, script: impl Fn(&Transaction, usize) -> Reaction + Send + Sync + 'static) {
+        *self.node.script.lock().unwrap() = Arc::new(script);
+    }
+
+    pub(crate) fn received(&self) -> Vec<Bytes> {
+        self.node.received.lock().unwrap().clone()
+    }
+
+    /// Is there no connection?
+    pub(crate) fn idle(&self) -> bool {
+        self.plugs.lock().unwrap().iter().all(AbortHandle::is_finished)
+    }
+
+    /// Cuts all connections; new ones are accepted.
+    pub(crate) fn cut(&self) {
+        for plug in self.plugs.lock().unwrap().drain(..) {
+            plug.abort();
+        }
+    }
+
+    /// Cuts all connections and accepts no more.
+    pub(crate) async fn stop(&self) {
+        self.server.lock().unwrap().abort();
+        until("the server has stopped", || self.server.lock().unwrap().is_finished()).await;
+        self.cut();
+    }
+
+    /// Starts again at the same address.
+    pub(crate) async fn restart(&self) {
+        let listener = TcpListener::bind(&self.address).await.unwrap();
+        *self.server.lock().unwrap() = serve(&self.node, &self.authority, &self.plugs, listener);
+    }
+}
+
+impl Drop for Fake {
+    fn drop(&mut self) {
+        self.server.lock().unwrap().abort();
+        self.cut();
+    }
+}
+
+struct Trust(Arc<Msps>);
+
+impl TrustSource for Trust {
+    fn msps(&self) -> Arc<Msps> {
+        Arc::clone(&self.0)
+    }
+
+    fn now(&self) -> u64 {
+        wall_clock()
+    }
+
+    fn revoked(&self, _identity: &Identity) -> bool {
+        false
+    }
+}
+
+fn serve(
+    node: &Arc<Node>,
+    authority: &Authority,
+    plugs: &Arc<Mutex<Vec<AbortHandle>>>,
+    listener: TcpListener,
+) -> JoinHandle<()> {
+    let config = server_config(authority.node(), Arc::new(Trust(authority.msps()))).unwrap();
+    let acceptor = TlsAcceptor::from(Arc::new(config));
+    let (connected, connections) = mpsc::channel(16);
+    let plugs = Arc::clone(plugs);
+    let accept = async move {
+        loop {
+            let (mut tcp, _) = listener.accept().await.unwrap();
+            let (inside, mut outside) = tokio::io::duplex(64 * 1024);
+            let forward = tokio::spawn(async move { tokio::io::copy_bidirectional(&mut tcp, &mut outside).await });
+            plugs.lock().unwrap().push(forward.abort_handle());
+            let (acceptor, connected) = (acceptor.clone(), connected.clone());
+            tokio::spawn(async move {
+                if let Ok(stream) = acceptor.accept(inside).await {
+                    let _stopped = connected.send(Ok::<_, io::Error>(Plugged(stream))).await;
+                }
+            });
+        }
+    };
+    let server = tonic::transport::Server::builder()
+        .add_service(GatewayServer::new(Shared(Arc::clone(node))))
+        .add_service(EnrolmentServer::new(Shared(Arc::clone(node))))
+        .serve_with_incoming(ReceiverStream::new(connections));
+    tokio::spawn(async move {
+        tokio::select! {
+            () = accept => {}
+            done = server => done.unwrap(),
+        }
+    })
+}
+
+struct Plugged(TlsStream<DuplexStream>);
+
+impl Connected for Plugged {
+    type ConnectInfo = ();
+    fn connect_info(&self) {}
+}
+
+impl AsyncRead for Plugged {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, to: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_read(cx, to)
+    }
+}
+
+impl AsyncWrite for Plugged {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, from: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.0).poll_write(cx, from)
+    }
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_flush(cx)
+    }
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.0).poll_shutdown(cx)
+    }
+}
+
+#[derive(Clone)]
+struct Shared(Arc<Node>);
+
+impl Node {
+    fn clock(&self) -> u64 {
+        wall_clock() + self.ahead.load(Ordering::SeqCst)
+    }
+
+    fn submit(&self, encoded: &Bytes) -> Option<v1::SubmitResponse> {
+        let transaction = Transaction::decode(encoded.clone()).unwrap();
+        let id = transaction.id();
+        let attempt = {
+            self.received.lock().unwrap().push(encoded.clone());
+            let mut attempts = self.attempts.lock().unwrap();
+            let attempt = attempts.entry(id).or_insert(0);
+            *attempt += 1;
+            *attempt
+        };
+        let script = Arc::clone(&*self.script.lock().unwrap());
+        let mut answer = v1::SubmitResponse { id: Bytes::copy_from_slice(id.as_ref()), ..Default::default() };
+        let refused = match script(&transaction, attempt) {
+            Reaction::Ignore => return None,
+            Reaction::Refuse(refused) => Some(refused),
+            _ if transaction.check_time(self.clock()).is_err() => transaction.check_time(self.clock()).err(),
+            reaction => {
+                let mut executed = self.chain.executed.lock().unwrap();
+                let next = u64::try_from(executed.len()).unwrap() + 1;
+                let height = *executed.entry(id).or_insert(next);
+                if matches!(reaction, Reaction::CommitSilently) {
+                    return None;
+                }
+                answer.height = height;
+                answer.response = Bytes::from(height.to_string());
+                None
+            }
+        };
+        let ok = v1::Verdict::default();
+        answer.verdict = Some(refused.map_or(ok, |refused| v1::Verdict::from(&refused)));
+        Some(answer)
+    }
+
+    fn describe(&self) -> v1::NetworkResponse {
+        v1::NetworkResponse {
+            network: Bytes::copy_from_slice(self.network.lock().unwrap().as_ref()),
+            label: "fleet".into(),
+            organisations: vec![v1::Organisation {
+                name: "Org1".into(),
+                roots: vec![self.authority.der()],
+                intermediates: Vec::new(),
+                addresses: vec!["node2.example:7450".into()],
+            }],
+            clock: self.clock(),
+        }
+    }
+}
+
+/// The delivery of one height: one event that carries the height.
+fn delivery(height: u64) -> v1::Delivery {
+    let event = v1::EventRecord { payload: Bytes::from(height.to_string()), ..Default::default() };
+    v1::Delivery { height, events: vec![event], ..Default::default() }
+}
+
+#[tonic::async_trait]
+impl Gateway for Shared {
+    async fn submit(&self, request: Request<v1::SubmitRequest>) -> Result<Response<v1::SubmitResponse>, Status> {
+        self.0.submit(&request.into_inner().transaction).map(Response::new).ok_or_else(|| Status::aborted("silent"))
+    }
+
+    type SubmitStreamStream = Answers;
+
+    async fn submit_stream(&self, request: Request<Streaming<v1::SubmitRequest>>) -> Result<Response<Answers>, Status> {
+        let mut requests = request.into_inner();
+        let (answers, stream) = mpsc::unbounded_channel();
+        let node = Arc::clone(&self.0);
+        tokio::spawn(async move {
+            while let Some(Ok(request)) = requests.next().await {
+                if let Some(answer) = node.submit(&request.transaction) {
+                    let _gone = answers.send(Ok(answer));
+                }
+            }
+        });
+        Ok(Response::new(Box::pin(UnboundedReceiverStream::new(stream))))
+    }
+
+    async fn query(&self, request: Request<v1::QueryRequest>) -> Result<Response<v1::QueryResponse>, Status> {
+        if let Some(refused) = self.0.not_now.lock().unwrap().pop() {
+            return Err(to_status(&refused));
+        }
+        let request = request.into_inner();
+        let response = Bytes::from(request.min_height.to_string());
+        let verdict = Some(v1::Verdict::default());
+        Ok(Response::new(v1::QueryResponse { verdict, response, height: request.min_height }))
+    }
+
+    type SubscribeStream = Deliveries;
+
+    async fn subscribe(&self, request: Request<v1::SubscribeRequest>) -> Result<Response<Deliveries>, Status> {
+        let request = request.into_inner();
+        let mut next = request.from_height;
+        let heartbeat = request.heartbeat_ms;
+        self.0.subscriptions.lock().unwrap().push(request);
+        let mut heights = self.0.height.subscribe();
+        let (deliveries, stream) = mpsc::channel(16);
+        tokio::spawn(async move {
+            loop {
+                let newest = *heights.borrow_and_update();
+                while next <= newest {
+                    if deliveries.send(Ok(delivery(next))).await.is_err() {
+                        return;
+                    }
+                    next += 1;
+                }
+                let silence = if heartbeat == 0 { u64::MAX } else { heartbeat.into() };
+                tokio::select! {
+                    changed = heights.changed() => changed.unwrap(),
+                    () = deliveries.closed() => return,
+                    () = tokio::time::sleep(Duration::from_millis(silence)) => {
+                        let beat = v1::Delivery { height: newest, ..Default::default() };
+                        let _gone = deliveries.send(Ok(beat)).await;
+                    }
+                }
+            }
+        });
+        Ok(Response::new(Box::pin(ReceiverStream::new(stream))))
+    }
+
+    async fn status(&self, _request: Request<v1::StatusRequest>) -> Result<Response<v1::StatusResponse>, Status> {
+        let height = *self.0.height.borrow();
+        Ok(Response::new(v1::StatusResponse { height, clock: self.0.clock(), ..Default::default() }))
+    }
+
+    async fn get_block(&self, request: Request<v1::GetBlockRequest>) -> Result<Response<v1::Block>, Status> {
+        let height = request.into_inner().height;
+        Err(to_status(&Rejection::new(Code::NotFound, format!("there is no block {height}")).next("wait for it")))
+    }
+
+    async fn get_transaction(
+        &self,
+        request: Request<v1::GetTransactionRequest>,
+    ) -> Result<Response<v1::TransactionRecord>, Status> {
+        Ok(Response::new(v1::TransactionRecord { id: request.into_inner().id, ..Default::default() }))
+    }
+
+    async fn denials(&self, _request: Request<v1::DenialsRequest>) -> Result<Response<v1::DenialsResponse>, Status> {
+        Ok(Response::new(v1::DenialsResponse::default()))
+    }
+}
+
+#[tonic::async_trait]
+impl Enrolment for Shared {
+    async fn network(&self, _request: Request<v1::NetworkRequest>) -> Result<Response<v1::NetworkResponse>, Status> {
+        Ok(Response::new(self.0.describe()))
+    }
+
+    async fn enrol(&self, request: Request<v1::EnrolRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
+        let request = request.into_inner();
+        if request.secret != "secret" {
+            let refused =
+                Rejection::new(Code::EnrolmentRefused, "the secret is wrong").next("ask an admin for another");
+            let verdict = Some(v1::Verdict::from(&refused));
+            return Ok(Response::new(v1::EnrolResponse { verdict, ..Default::default() }));
+        }
+        let fixed = self.0.certificate.lock().unwrap().clone();
+        Ok(Response::new(v1::EnrolResponse {
+            verdict: Some(v1::Verdict::default()),
+            certificate: fixed.unwrap_or_else(|| self.0.authority.certify(&request.name, &request.request)),
+            chain: Vec::new(),
+            organisation: "Org1".into(),
+            network: Some(self.0.describe()),
+        }))
+    }
+
+    async fn register(&self, request: Request<v1::RegisterRequest>) -> Result<Response<v1::RegisterResponse>, Status> {
+        let secret = format!("secret of {}", request.into_inner().name);
+        let verdict = Some(v1::Verdict::default());
+        Ok(Response::new(v1::RegisterResponse { verdict, secret, organisation: "Org1".into() }))
+    }
+
+    async fn list_identities(
+        &self,
+        _request: Request<v1::ListIdentitiesRequest>,
+    ) -> Result<Response<v1::ListIdentitiesResponse>, Status> {
+        let refused = Rejection::new(Code::NotAdmin, "only an admin may list identities");
+        let verdict = Some(v1::Verdict::from(&refused));
+        Ok(Response::new(v1::ListIdentitiesResponse { verdict, ..Default::default() }))
+    }
+}

@@ -1,0 +1,10 @@
+//! The client against a scripted node over real TLS and HTTP/2.
+#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
+
+mod authority;
+mod contexts;
+mod enrolment;
+mod fake;
+mod reading;
+mod submitting;
+mod subscribing;

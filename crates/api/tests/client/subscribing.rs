@@ -1,0 +1,81 @@
+//! Subscriptions: every block once, in order, over any number of connections.
+
+use crate::authority::Authority;
+use crate::fake::{Fake, until};
+use ledger_api::{Client, EventStream, Subscription};
+use std::sync::Arc;
+
+async fn heights(stream: &mut EventStream, count: usize) -> Vec<u64> {
+    let mut heights = Vec::new();
+    while heights.len() < count {
+        let delivery = stream.next().await.unwrap();
+        if !delivery.events.is_empty() {
+            heights.push(delivery.height);
+        }
+    }
+    heights
+}
+
+#[tokio::test]
+async fn a_cut_subscription_resumes_after_the_last_delivery_through_another_node() {
+    let authority = Arc::new(Authority::new());
+    let (first, second) = (Fake::start(&authority).await, Fake::start(&authority).await);
+    for node in [&first, &second] {
+        node.node.height.send_replace(3);
+    }
+    let client = Client::connect(&authority.context(&[&first, &second])).await.unwrap();
+    let mut stream = client.subscribe(Subscription { from_height: 1, ..Subscription::default() });
+    assert_eq!(heights(&mut stream, 3).await, [1, 2, 3]);
+    first.stop().await;
+    second.node.height.send_replace(6);
+    assert_eq!(heights(&mut stream, 3).await, [4, 5, 6]);
+    assert_eq!(second.node.subscriptions.lock().unwrap()[0].from_height, 4);
+    assert_eq!(client.height_seen(), 6);
+}
+
+#[tokio::test]
+async fn from_the_next_block_means_the_same_block_after_a_cut() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.node.height.send_replace(5);
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    let mut stream = client.subscribe(Subscription::default());
+    let reading = tokio::spawn(async move { heights(&mut stream, 2).await });
+    until("the subscription is there", || node.node.subscriptions.lock().unwrap().len() == 1).await;
+    node.stop().await;
+    node.node.height.send_replace(7);
+    node.restart().await;
+    assert_eq!(reading.await.unwrap(), [6, 7]);
+}
+
+#[tokio::test]
+async fn heartbeats_are_passed_on_and_their_height_is_not_asked_for_again() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.node.height.send_replace(5);
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    let mut stream = client.subscribe(Subscription { heartbeat: 50, ..Subscription::default() });
+    let beat = stream.next().await.unwrap();
+    assert_eq!((beat.height, beat.events.len()), (5, 0));
+    assert_eq!(stream.next_height(), 6);
+}
+
+#[tokio::test]
+async fn asking_for_the_next_delivery_may_be_cancelled() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    let mut stream = client.subscribe(Subscription { from_height: 1, ..Subscription::default() });
+    for height in 1..=20 {
+        // Cancelled at any of its await points; nothing may be lost by it.
+        for _ in 0..10 {
+            tokio::select! {
+                biased;
+                _ = stream.next() => panic!("there is no block {height} yet"),
+                () = tokio::task::yield_now() => {}
+            }
+        }
+        node.node.height.send_replace(height);
+        assert_eq!(heights(&mut stream, 1).await, [height]);
+    }
+}
