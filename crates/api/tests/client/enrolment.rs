@@ -49,13 +49,14 @@ async fn a_certificate_of_another_key_name_or_ca_is_not_stored() {
     let enrolment = Enrolment::new(node.address(), authority.fingerprint());
     let other_key = authority.stored().chain[0].to_vec();
     let other_ca = Authority::new().stored().chain[0].to_vec();
-    for (certificate, name, what) in [
-        (other_key.clone(), "Salma", "another key"),
-        (other_ca, "Salma", "another CA"),
-        (b"garbage".to_vec(), "Salma", "no certificate"),
-    ] {
+    *node.node.name.lock().unwrap() = Some("Farhad".into());
+    let refused = enrolment.enrol("Salma", "secret", KeyKind::Ed25519).await.unwrap_err();
+    assert!(refused.code == Code::Untrusted && refused.found.contains("Farhad"), "{refused}");
+    for (certificate, what) in
+        [(other_key, "another key"), (other_ca, "another CA"), (b"garbage".to_vec(), "no certificate")]
+    {
         *node.node.certificate.lock().unwrap() = Some(certificate.into());
-        let refused = enrolment.enrol(name, "secret", KeyKind::Ed25519).await.unwrap_err();
+        let refused = enrolment.enrol("Salma", "secret", KeyKind::Ed25519).await.unwrap_err();
         let codes = [Code::Untrusted, Code::CertificateMalformed];
         assert!(codes.contains(&refused.code), "{what}: {refused}");
     }

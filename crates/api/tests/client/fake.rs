@@ -76,6 +76,8 @@ pub(crate) struct Node {
     pub(crate) network: Mutex<Hash>,
     /// Gives this certificate whatever is asked.
     pub(crate) certificate: Mutex<Option<Bytes>>,
+    /// Certifies this name whatever is asked.
+    pub(crate) name: Mutex<Option<String>>,
 }
 
 pub(crate) fn wall_clock() -> u64 {
@@ -109,6 +111,7 @@ impl Fake {
             ahead: AtomicU64::new(0),
             network: Mutex::new(NETWORK),
             certificate: Mutex::default(),
+            name: Mutex::default(),
         });
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -402,10 +405,11 @@ impl Enrolment for Shared {
             let verdict = Some(v1::Verdict::from(&refused));
             return Ok(Response::new(v1::EnrolResponse { verdict, ..Default::default() }));
         }
+        let name = self.0.name.lock().unwrap().clone().unwrap_or(request.name);
         let fixed = self.0.certificate.lock().unwrap().clone();
         Ok(Response::new(v1::EnrolResponse {
             verdict: Some(v1::Verdict::default()),
-            certificate: fixed.unwrap_or_else(|| self.0.authority.certify(&request.name, &request.request)),
+            certificate: fixed.unwrap_or_else(|| self.0.authority.certify(&name, &request.request)),
             chain: Vec::new(),
             organisation: "Org1".into(),
             network: Some(self.0.describe()),

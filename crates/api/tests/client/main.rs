@@ -1,5 +1,5 @@
 //! The client against a scripted node over real TLS and HTTP/2.
-#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 mod authority;
 mod contexts;
