@@ -147,6 +147,35 @@ async fn an_unknown_outcome_names_the_id() {
 }
 
 #[tokio::test]
+async fn what_was_sent_before_the_node_went_away_is_unknown() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.script(|_, _| Reaction::CommitSilently);
+    let client = impatient(&authority.context(&[&node]), 600).await;
+    let pending = client.submit_nowait(&client.prepare(call("a")).unwrap());
+    until("the node has it", || !node.received().is_empty()).await;
+    node.stop().await;
+    assert_eq!(pending.await.unwrap_err().code, Code::Timeout);
+}
+
+#[tokio::test]
+async fn a_transaction_that_expires_after_a_lost_attempt_is_unknown_and_not_signed_anew() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.script(|_, attempt| match attempt {
+        1 => Reaction::CommitSilently,
+        _ => Reaction::Refuse(Rejection::new(Code::Expired, "came too late")),
+    });
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    let invoked = tokio::spawn(async move { client.invoke("abac", "acquire", Vec::new()).await });
+    until("the node has it", || !node.received().is_empty()).await;
+    node.cut();
+    assert_eq!(invoked.await.unwrap().unwrap_err().code, Code::Timeout);
+    let received = ids(&node.received());
+    assert_eq!(received, [received[0], received[0]]);
+}
+
+#[tokio::test]
 async fn what_was_only_refused_is_not_called_unknown() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
