@@ -36,6 +36,7 @@
 //! # Ok(()) }
 //! ```
 
+pub mod config;
 pub mod dds;
 pub mod error;
 pub mod names;
