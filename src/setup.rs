@@ -8,8 +8,10 @@
 //! | `ca/<Org>/` | the CA of an organisation (see [`crate::ca`]), on one node: the organisation's first, or the network's first if the organisation runs none |
 
 mod init;
+mod issue;
 
 pub use init::{InitOptions, init};
+pub use issue::issue;
 
 use crate::ca;
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
