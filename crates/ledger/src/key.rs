@@ -1,4 +1,315 @@
-//! Keys (stub until merge).
-/// Public key.
-#[derive(Clone, Debug)]
-pub struct PublicKey;
+//! Keys and signatures: Ed25519 (the default for keys we make) and ECDSA P-256 (accepted everywhere).
+//!
+//! Every signature has exactly one accepted encoding. For P-256 that needs two rules that the curve alone does
+//! not give: strict DER, and the lower of the two values of `s` that verify (see [`ecdsa`]).
+
+mod ecdsa;
+
+use ring::rand::{SecureRandom, SystemRandom};
+use ring::signature::{
+    ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, ED25519, EcdsaKeyPair, Ed25519KeyPair, KeyPair,
+    UnparsedPublicKey,
+};
+use rustls_pki_types::PrivatePkcs8KeyDer;
+use rustls_pki_types::pem::PemObject;
+use std::fmt;
+use std::str::FromStr;
+use thiserror::Error;
+
+/// Largest private key file that is read, in bytes.
+pub const KEY_BYTES_MAX: usize = 4 * 1024;
+
+/// Everything before the 32 bytes of an Ed25519 key in its SubjectPublicKeyInfo (RFC 8410).
+const ED25519_INFO: &[u8] = &[0x30, 0x2a, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x03, 0x21, 0x00];
+
+/// Everything before the 65 bytes of an uncompressed P-256 point in its SubjectPublicKeyInfo (RFC 5480).
+const P256_INFO: &[u8] = &[
+    0x30, 0x59, 0x30, 0x13, 0x06, 0x07, 0x2a, 0x86, 0x48, 0xce, 0x3d, 0x02, 0x01, 0x06, 0x08, 0x2a, 0x86, 0x48, 0xce,
+    0x3d, 0x03, 0x01, 0x07, 0x03, 0x42, 0x00,
+];
+
+/// Everything before the 32-byte seed of an Ed25519 key in PKCS#8 version 1, the form that every tool reads.
+const ED25519_PKCS8: &[u8] =
+    &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
+
+/// The algorithm of a key.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum KeyKind {
+    /// Ed25519 (RFC 8032).
+    #[default]
+    Ed25519,
+    /// ECDSA over P-256 with SHA-256.
+    P256,
+}
+
+impl fmt::Display for KeyKind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Ed25519 => "ed25519",
+            Self::P256 => "p256",
+        })
+    }
+}
+
+impl FromStr for KeyKind {
+    type Err = KeyError;
+
+    fn from_str(text: &str) -> Result<Self, KeyError> {
+        match text {
+            "ed25519" => Ok(Self::Ed25519),
+            "p256" => Ok(Self::P256),
+            _ => Err(KeyError::UnknownKind { found: text.chars().take(32).collect() }),
+        }
+    }
+}
+
+/// Why a key cannot be made, read or used.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum KeyError {
+    /// No such algorithm.
+    #[error("found key kind {found:?}, wanted \"ed25519\" or \"p256\"")]
+    UnknownKind {
+        /// What was asked for, cut to 32 characters.
+        found: String,
+    },
+    /// The text holds no private key in PKCS#8 PEM.
+    #[error(
+        "found no PKCS#8 private key ({reason}), wanted a section \"BEGIN PRIVATE KEY\"; \
+         try `openssl pkcs8 -topk8 -nocrypt -in OLD -out NEW`"
+    )]
+    NotPem {
+        /// What the PEM reader says.
+        reason: String,
+    },
+    /// The bytes are not a private key of ours.
+    #[error("found a private key that is not usable ({reason}), wanted Ed25519 or ECDSA P-256 in PKCS#8")]
+    Rejected {
+        /// What the key reader says.
+        reason: String,
+    },
+    /// The public key of a certificate is of another kind.
+    #[error(
+        "found a public key of another algorithm or form, wanted Ed25519 or an uncompressed ECDSA P-256 point; \
+         try a new key of kind ed25519 or p256"
+    )]
+    UnsupportedPublicKey,
+    /// Larger than any private key.
+    #[error("found {found} bytes, wanted a private key of at most {KEY_BYTES_MAX} bytes")]
+    TooLarge {
+        /// Size in bytes.
+        found: usize,
+    },
+    /// The source of randomness failed.
+    #[error("the system's source of randomness failed, wanted 32 random bytes for a new key")]
+    Random,
+}
+
+/// Why a signature is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+pub enum SignatureError {
+    /// An Ed25519 signature has another length.
+    #[error("found a signature of {found} bytes, wanted 64 bytes of Ed25519")]
+    Length {
+        /// Size in bytes.
+        found: usize,
+    },
+    /// An ECDSA signature is not in strict DER.
+    #[error("found a signature of {found} bytes that is not strict DER, wanted a SEQUENCE of two positive INTEGERs")]
+    Encoding {
+        /// Size in bytes.
+        found: usize,
+    },
+    /// The second of the two valid forms of an ECDSA signature, which anybody can make from the first.
+    #[error("found an ECDSA signature with high s, wanted s <= n/2; try replacing s with n - s when signing")]
+    HighS,
+    /// The signature is not of this message by this key.
+    #[error("found a signature that does not verify, wanted one of this message by this {0} key")]
+    Mismatch(KeyKind),
+}
+
+/// A private key that signs transactions, requests and TLS handshakes. Its `Debug` never shows the secret.
+pub struct SigningKey {
+    /// The key as the algorithm's implementation holds it.
+    pair: Pair,
+    /// The same key as it is stored: PKCS#8 in DER.
+    pkcs8: PrivatePkcs8KeyDer<'static>,
+}
+
+enum Pair {
+    Ed25519(Ed25519KeyPair),
+    /// With the source of the nonce of each signature. ring derives the nonce from key and message too, so a weak
+    /// source does not reveal the key.
+    P256(EcdsaKeyPair, SystemRandom),
+}
+
+impl SigningKey {
+    /// Makes a new key from the given source of randomness.
+    ///
+    /// # Errors
+    /// [`KeyError::Random`] if the source fails.
+    pub fn generate(kind: KeyKind, random: &dyn SecureRandom) -> Result<Self, KeyError> {
+        match kind {
+            KeyKind::Ed25519 => {
+                let mut seed = [0; 32];
+                random.fill(&mut seed).map_err(|_| KeyError::Random)?;
+                Self::from_pkcs8_der(&[ED25519_PKCS8, &seed].concat())
+            }
+            KeyKind::P256 => {
+                let pkcs8 = EcdsaKeyPair::generate_pkcs8(&ECDSA_P256_SHA256_FIXED_SIGNING, random)
+                    .map_err(|_| KeyError::Random)?;
+                Self::from_pkcs8_der(pkcs8.as_ref())
+            }
+        }
+    }
+
+    /// Reads a key from PKCS#8 in DER.
+    ///
+    /// # Errors
+    /// [`KeyError::Rejected`] with the reason, [`KeyError::TooLarge`].
+    pub fn from_pkcs8_der(der: &[u8]) -> Result<Self, KeyError> {
+        if der.len() > KEY_BYTES_MAX {
+            return Err(KeyError::TooLarge { found: der.len() });
+        }
+        let pkcs8 = PrivatePkcs8KeyDer::from(der.to_vec());
+        let ed25519 = match Ed25519KeyPair::from_pkcs8_maybe_unchecked(der) {
+            Ok(pair) => return Ok(Self { pair: Pair::Ed25519(pair), pkcs8 }),
+            Err(error) => error.to_string(),
+        };
+        let random = SystemRandom::new();
+        match EcdsaKeyPair::from_pkcs8(&ECDSA_P256_SHA256_FIXED_SIGNING, der, &random) {
+            Ok(pair) => Ok(Self { pair: Pair::P256(pair, random), pkcs8 }),
+            Err(p256) => Err(KeyError::Rejected { reason: format!("as ed25519: {ed25519}, as p256: {p256}") }),
+        }
+    }
+
+    /// Reads the first PKCS#8 private key of a PEM text.
+    ///
+    /// # Errors
+    /// [`KeyError::NotPem`], [`KeyError::TooLarge`], and what [`SigningKey::from_pkcs8_der`] says.
+    pub fn from_pkcs8_pem(pem: &str) -> Result<Self, KeyError> {
+        if pem.len() > KEY_BYTES_MAX {
+            return Err(KeyError::TooLarge { found: pem.len() });
+        }
+        let key = PrivatePkcs8KeyDer::from_pem_slice(pem.as_bytes())
+            .map_err(|error| KeyError::NotPem { reason: error.to_string() })?;
+        Self::from_pkcs8_der(key.secret_pkcs8_der())
+    }
+
+    /// The secret as PKCS#8 in DER. Keep it secret.
+    pub fn to_pkcs8_der(&self) -> &[u8] {
+        self.pkcs8.secret_pkcs8_der()
+    }
+
+    /// The secret as PKCS#8 in PEM. Keep it secret: mode 0600 at most.
+    pub fn to_pkcs8_pem(&self) -> String {
+        let section = pem::Pem::new("PRIVATE KEY", self.to_pkcs8_der());
+        pem::encode_config(&section, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF))
+    }
+
+    /// The algorithm.
+    pub fn kind(&self) -> KeyKind {
+        match self.pair {
+            Pair::Ed25519(_) => KeyKind::Ed25519,
+            Pair::P256(..) => KeyKind::P256,
+        }
+    }
+
+    /// The public half.
+    pub fn public_key(&self) -> PublicKey {
+        match &self.pair {
+            Pair::Ed25519(pair) => PublicKey { kind: KeyKind::Ed25519, bytes: pair.public_key().as_ref().to_vec() },
+            Pair::P256(pair, _) => PublicKey { kind: KeyKind::P256, bytes: pair.public_key().as_ref().to_vec() },
+        }
+    }
+
+    /// Signs a message: 64 bytes for Ed25519, strict DER with low s for P-256.
+    ///
+    /// Should the system's source of randomness fail (P-256 only), the signature is empty, which every verifier
+    /// refuses: the signer learns of it at once and nothing weak is ever signed.
+    pub fn sign(&self, message: &[u8]) -> Vec<u8> {
+        match &self.pair {
+            Pair::Ed25519(pair) => pair.sign(message).as_ref().to_vec(),
+            Pair::P256(pair, random) => match pair.sign(random, message) {
+                Ok(signature) => ecdsa::encode(signature.as_ref()).unwrap_or_default(),
+                Err(ring::error::Unspecified) => Vec::new(),
+            },
+        }
+    }
+}
+
+impl fmt::Debug for SigningKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("SigningKey").field("public_key", &self.public_key()).finish_non_exhaustive()
+    }
+}
+
+/// The public key of an identity.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub struct PublicKey {
+    /// The algorithm.
+    kind: KeyKind,
+    /// 32 bytes of Ed25519, or the uncompressed point (65 bytes) of P-256.
+    bytes: Vec<u8>,
+}
+
+impl PublicKey {
+    /// Reads a SubjectPublicKeyInfo in DER, as certificates and signing requests hold it.
+    ///
+    /// # Errors
+    /// [`KeyError::UnsupportedPublicKey`] for other algorithms, compressed points and superfluous bytes.
+    pub fn from_spki(der: &[u8]) -> Result<Self, KeyError> {
+        let (kind, bytes) = if let Some(bytes) = der.strip_prefix(ED25519_INFO) {
+            (KeyKind::Ed25519, bytes)
+        } else if let Some(bytes) = der.strip_prefix(P256_INFO) {
+            (KeyKind::P256, bytes)
+        } else {
+            return Err(KeyError::UnsupportedPublicKey);
+        };
+        match (kind, bytes) {
+            (KeyKind::Ed25519, [..]) if bytes.len() == 32 => {}
+            (KeyKind::P256, [0x04, ..]) if bytes.len() == 65 => {}
+            _ => return Err(KeyError::UnsupportedPublicKey),
+        }
+        Ok(Self { kind, bytes: bytes.to_vec() })
+    }
+
+    /// The SubjectPublicKeyInfo in DER.
+    pub fn to_spki(&self) -> Vec<u8> {
+        let info = match self.kind {
+            KeyKind::Ed25519 => ED25519_INFO,
+            KeyKind::P256 => P256_INFO,
+        };
+        [info, &self.bytes].concat()
+    }
+
+    /// The algorithm.
+    pub fn kind(&self) -> KeyKind {
+        self.kind
+    }
+
+    /// Checks that `signature` is the signature of `message` by this key, in its one accepted encoding.
+    ///
+    /// # Errors
+    /// [`SignatureError`]: wrong form, high s, or simply not a signature of this message.
+    pub fn verify(&self, message: &[u8], signature: &[u8]) -> Result<(), SignatureError> {
+        let found = signature.len();
+        let verified = match self.kind {
+            KeyKind::Ed25519 if found != 64 => return Err(SignatureError::Length { found }),
+            KeyKind::Ed25519 => UnparsedPublicKey::new(&ED25519, &self.bytes).verify(message, signature),
+            KeyKind::P256 => {
+                let (r_and_s, low) = ecdsa::decode(signature).ok_or(SignatureError::Encoding { found })?;
+                if !low {
+                    return Err(SignatureError::HighS);
+                }
+                UnparsedPublicKey::new(&ECDSA_P256_SHA256_FIXED, &self.bytes).verify(message, &r_and_s)
+            }
+        };
+        verified.map_err(|_| SignatureError::Mismatch(self.kind))
+    }
+}
+
+impl fmt::Debug for PublicKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "PublicKey({} {})", self.kind, hex::encode(&self.bytes))
+    }
+}

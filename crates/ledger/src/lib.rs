@@ -4,11 +4,13 @@
 //! a trait. So the whole of it runs in a simulator as it runs in a node.
 
 pub mod block;
+pub mod certificate;
 mod chaincode;
 mod code;
 mod hash;
 pub mod identity;
 pub mod key;
+pub mod msp;
 mod rejection;
 pub mod state;
 

@@ -45,3 +45,19 @@ impl StateRead for MemoryState {
             .collect())
     }
 }
+
+impl super::Store for MemoryState {
+    fn get(&self, key: &[u8]) -> Result<Option<Bytes>, Rejection> {
+        StateRead::get(self, key)
+    }
+
+    fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
+        StateRead::range(self, prefix, after, limit)
+    }
+
+    fn write(&self, batch: &WriteSet, (key, value): (&[u8], &[u8])) -> Result<(), Rejection> {
+        self.apply(batch);
+        self.apply(&WriteSet::from([(Bytes::copy_from_slice(key), Some(Bytes::copy_from_slice(value)))]));
+        Ok(())
+    }
+}

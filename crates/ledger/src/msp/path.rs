@@ -1,0 +1,170 @@
+//! The path from a certificate to a root of one organisation.
+
+use super::{Authority, Msp, Usage};
+use crate::certificate::Certificate;
+use crate::identity::{IdentityError, printable};
+use rustls_pki_types::{CertificateDer, SignatureVerificationAlgorithm, UnixTime};
+use std::time::Duration;
+use webpki::ring::{ECDSA_P256_SHA256, ECDSA_P384_SHA384, ED25519};
+use webpki::{EndEntityCert, ExtendedKeyUsageValidator, KeyPurposeId, KeyPurposeIdIter};
+
+/// Algorithms with which authorities may sign. P-384 is common for the keys of a CA.
+const ALGORITHMS: &[&dyn SignatureVerificationAlgorithm] = &[ED25519, ECDSA_P256_SHA256, ECDSA_P384_SHA384];
+
+const ANY_USAGE: KeyPurposeId<'_> = KeyPurposeId::new(&[0x55, 0x1d, 0x25, 0x00]);
+const SERVER_AUTH: KeyPurposeId<'_> = KeyPurposeId::new(&[0x2b, 0x06, 0x01, 0x05, 0x05, 0x07, 0x03, 0x01]);
+const CLIENT_AUTH: KeyPurposeId<'_> = KeyPurposeId::new(&[0x2b, 0x06, 0x01, 0x05, 0x05, 0x07, 0x03, 0x02]);
+
+/// A certificate whose path is looked for.
+pub(super) struct Leaf<'a> {
+    pub(super) der: CertificateDer<'a>,
+    pub(super) certificate: &'a Certificate,
+    pub(super) usage: Usage,
+    /// The time of the check, in microseconds since the UNIX epoch.
+    pub(super) at: u64,
+}
+
+/// When every certificate of a path is valid, in microseconds since the UNIX epoch.
+#[derive(Debug)]
+pub(super) struct Validity {
+    pub(super) not_before: u64,
+    pub(super) not_after: u64,
+}
+
+impl Validity {
+    fn narrow(&mut self, certificate: &Certificate) {
+        self.not_before = self.not_before.max(certificate.not_before);
+        self.not_after = self.not_after.min(certificate.not_after);
+    }
+}
+
+impl Leaf<'_> {
+    /// Looks for a path to any root of the organisation.
+    pub(super) fn path_to(&self, msp: &Msp, presented: &[Authority]) -> Result<Validity, IdentityError> {
+        let issuers: Vec<_> = msp.intermediates.iter().chain(presented).map(|found| found.der.clone()).collect();
+        let mut refused = self.untrusted(msp);
+        for root in &msp.roots {
+            match self.path_to_root(msp, root, &issuers) {
+                Ok(validity) => return Ok(validity),
+                Err(error) => refused = more_telling(refused, error),
+            }
+        }
+        Err(refused)
+    }
+
+    fn path_to_root(
+        &self,
+        msp: &Msp,
+        root: &Authority,
+        issuers: &[CertificateDer<'_>],
+    ) -> Result<Validity, IdentityError> {
+        let leaf = EndEntityCert::try_from(&self.der).map_err(|error| self.explain(msp, &error))?;
+        // webpki reads neither the path length nor the validity of an anchor.
+        let length_max = root.certificate.path_length_max().and_then(|max| usize::try_from(max).ok());
+        let within_length = |path: &webpki::VerifiedPath<'_>| match length_max {
+            Some(max) if path.intermediate_certificates().count() > max => {
+                Err(webpki::Error::PathLenConstraintViolated)
+            }
+            _ => Ok(()),
+        };
+        let path = leaf
+            .verify_for_usage(
+                ALGORITHMS,
+                std::slice::from_ref(&root.anchor),
+                issuers,
+                UnixTime::since_unix_epoch(Duration::from_micros(self.at)),
+                self.usage,
+                None,
+                Some(&within_length),
+            )
+            .map_err(|error| self.explain(msp, &error))?;
+        root.certificate.check_validity(self.at)?;
+        let mut validity = Validity { not_before: self.certificate.not_before, not_after: self.certificate.not_after };
+        validity.narrow(&root.certificate);
+        for issuer in path.intermediate_certificates() {
+            validity.narrow(&Certificate::parse(&issuer.der())?);
+        }
+        Ok(validity)
+    }
+
+    fn untrusted(&self, msp: &Msp) -> IdentityError {
+        IdentityError::Untrusted { issuer: printable(&self.certificate.issuer), wanted: vec![msp.organisation.clone()] }
+    }
+
+    /// What webpki says, in our words. The certificate's own validity was checked before, so that an expired one
+    /// here is an issuer's.
+    fn explain(&self, msp: &Msp, error: &webpki::Error) -> IdentityError {
+        let issuer = || format!("an intermediate authority of {}", msp.organisation);
+        let subject = printable(&self.certificate.subject);
+        match error {
+            webpki::Error::UnknownIssuer => self.untrusted(msp),
+            webpki::Error::CertExpired { not_after, .. } => IdentityError::Expired {
+                subject: issuer(),
+                not_after: not_after.as_secs().saturating_mul(1_000_000).saturating_add(999_999),
+                at: self.at,
+            },
+            webpki::Error::CertNotValidYet { not_before, .. } => IdentityError::NotYetValid {
+                subject: issuer(),
+                not_before: not_before.as_secs().saturating_mul(1_000_000),
+                at: self.at,
+            },
+            webpki::Error::InvalidSignatureForPublicKey => IdentityError::BadSignature {
+                subject,
+                issuer: printable(&self.certificate.issuer),
+                organisation: msp.organisation.clone(),
+            },
+            webpki::Error::EmptyEkuExtension => IdentityError::WrongUsage {
+                subject,
+                found: "an extended key usage without this use, in the certificate or an issuer's".into(),
+                wanted: match self.usage {
+                    Usage::Client => "clientAuth, or no extended key usage",
+                    Usage::Server => "serverAuth, or no extended key usage",
+                },
+            },
+            webpki::Error::BadDer
+            | webpki::Error::BadDerTime
+            | webpki::Error::ExtensionValueInvalid
+            | webpki::Error::InvalidCertValidity
+            | webpki::Error::InvalidSerialNumber
+            | webpki::Error::MalformedExtensions
+            | webpki::Error::SignatureAlgorithmMismatch
+            | webpki::Error::TrailingData(_)
+            | webpki::Error::UnsupportedCertVersion => {
+                IdentityError::Malformed { found: error.to_string(), wanted: "an X.509 version 3 certificate in DER" }
+            }
+            _ => IdentityError::BadPath { subject, organisation: msp.organisation.clone(), found: error.to_string() },
+        }
+    }
+}
+
+/// Absent extended key usages are accepted, as users of Fabric have none; if present, they must allow the use.
+impl ExtendedKeyUsageValidator for Usage {
+    fn validate(&self, found: KeyPurposeIdIter<'_, '_>) -> Result<(), webpki::Error> {
+        let wanted = match self {
+            Self::Client => CLIENT_AUTH,
+            Self::Server => SERVER_AUTH,
+        };
+        let mut absent = true;
+        for purpose in found {
+            let purpose = purpose?;
+            if purpose == wanted || purpose == ANY_USAGE {
+                return Ok(());
+            }
+            absent = false;
+        }
+        // The error for "not this use" cannot be made outside of webpki; `explain` words this one for both.
+        if absent { Ok(()) } else { Err(webpki::Error::EmptyEkuExtension) }
+    }
+}
+
+/// Of two refusals, the one from further along the path: a root that verified but has expired says more than
+/// another root that did not fit.
+pub(super) fn more_telling(first: IdentityError, second: IdentityError) -> IdentityError {
+    let rank = |error: &IdentityError| match error {
+        IdentityError::Untrusted { .. } => 0,
+        IdentityError::BadSignature { .. } => 1,
+        IdentityError::Expired { .. } | IdentityError::NotYetValid { .. } => 3,
+        _ => 2,
+    };
+    if rank(&second) > rank(&first) { second } else { first }
+}

@@ -1,0 +1,131 @@
+//! The genesis of a network: what all its nodes agree on before the first block.
+
+use crate::Hash;
+use crate::code::Code;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// Most bytes of a genesis document.
+pub const GENESIS_BYTES_MAX: usize = 1024 * 1024;
+/// The version of the rules by which blocks are executed.
+pub const RULES_VERSION: u32 = 1;
+
+/// The genesis block, height 0. Its hash names the network.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Genesis {
+    /// Version of the rules by which blocks are executed.
+    pub rules: u32,
+    /// A name for people; need not be unique.
+    pub label: String,
+    /// When the network was made, microseconds since the UNIX epoch: block time starts here.
+    pub created: u64,
+    /// Random, so that two networks made alike still differ.
+    pub salt: Hash,
+    /// The founding organisations.
+    pub organisations: Vec<FoundingOrganisation>,
+    /// The founding nodes.
+    pub nodes: Vec<FoundingNode>,
+}
+
+/// A founding organisation and its verifying material.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FoundingOrganisation {
+    /// Name, e.g. `Org1`.
+    pub name: String,
+    /// Root CA certificates, DER in hexadecimal.
+    #[serde(with = "hex_list")]
+    pub roots: Vec<Bytes>,
+    /// Intermediate CA certificates, DER in hexadecimal.
+    #[serde(with = "hex_list", default, skip_serializing_if = "Vec::is_empty")]
+    pub intermediates: Vec<Bytes>,
+}
+
+/// A founding node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FoundingNode {
+    /// Its number in the ordering protocol, from 1.
+    pub id: u64,
+    /// Common name of its certificate.
+    pub name: String,
+    /// Organisation that runs it.
+    pub organisation: String,
+    /// `HOST:PORT` of its gateway.
+    pub address: String,
+    /// Does it order (voter), or only follow (learner)?
+    pub voter: bool,
+}
+
+impl Genesis {
+    /// The document as it is stored and hashed.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if it cannot be written, which no well-formed genesis causes.
+    pub fn to_bytes(&self) -> Result<Bytes, Rejection> {
+        serde_json::to_vec_pretty(self)
+            .map(Bytes::from)
+            .map_err(|error| Rejection::new(Code::Internal, format!("genesis cannot be written: {error}")))
+    }
+
+    /// Reads and checks a document; answers with the network's name as well.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`], [`Code::Malformed`] with what is wrong.
+    pub fn from_bytes(bytes: &[u8]) -> Result<(Self, Hash), Rejection> {
+        let wrong = |what: String| {
+            Rejection::new(Code::Malformed, format!("genesis is not usable: {what}"))
+                .next("take the genesis.json of another node of the same network")
+        };
+        if bytes.len() > GENESIS_BYTES_MAX {
+            return Err(Rejection::new(Code::TooLarge, "genesis is too large")
+                .found(format!("{} bytes", bytes.len()))
+                .wanted(format!("at most {GENESIS_BYTES_MAX} bytes")));
+        }
+        let genesis: Self = serde_json::from_slice(bytes).map_err(|error| wrong(error.to_string()))?;
+        if genesis.rules != RULES_VERSION {
+            return Err(wrong(format!("rules version {} instead of {RULES_VERSION}", genesis.rules)));
+        }
+        let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();
+        if names.is_empty() || names.len() != genesis.organisations.len() {
+            return Err(wrong("organisations must be named and their names differ".into()));
+        }
+        let mut ids = BTreeSet::new();
+        for node in &genesis.nodes {
+            if node.id == 0 || !ids.insert(node.id) {
+                return Err(wrong(format!("node id {} is zero or used twice", node.id)));
+            }
+            if !names.contains(node.organisation.as_str()) {
+                return Err(wrong(format!("node {:?} is of unknown organisation {:?}", node.name, node.organisation)));
+            }
+        }
+        if !genesis.nodes.iter().any(|node| node.voter) {
+            return Err(wrong("no node is a voter".into()));
+        }
+        Ok((genesis, Hash::of(&[b"ledgerd genesis v1\0", bytes])))
+    }
+
+    /// The node of that organisation and name.
+    pub fn node(&self, organisation: &str, name: &str) -> Option<&FoundingNode> {
+        self.nodes.iter().find(|node| node.organisation == organisation && node.name == name)
+    }
+}
+
+mod hex_list {
+    use bytes::Bytes;
+    use serde::{Deserialize, Deserializer, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(list: &[Bytes], serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_seq(list.iter().map(hex::encode))
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Bytes>, D::Error> {
+        Vec::<String>::deserialize(deserializer)?
+            .iter()
+            .map(|text| hex::decode(text).map(Bytes::from).map_err(serde::de::Error::custom))
+            .collect()
+    }
+}

@@ -1,0 +1,112 @@
+//! Where the world state is kept between runs. The only file that knows `sled`.
+
+use crate::chaincode::WriteSet;
+use crate::code::Code;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use std::ops::Bound;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+/// Bytes of sled's page cache: small, for a node on a robot; hot keys live in [`super::State`]'s memory anyway.
+const CACHE_BYTES: u64 = 16 * 1024 * 1024;
+
+/// A sorted store with atomic batches.
+pub trait Store: Send + Sync {
+    /// The value of a key.
+    ///
+    /// # Errors
+    /// [`Code::DiskFailed`], [`Code::Corrupt`].
+    fn get(&self, key: &[u8]) -> Result<Option<Bytes>, Rejection>;
+
+    /// At most `limit` pairs in order whose keys start with `prefix` and, if given, are greater than `after`.
+    ///
+    /// # Errors
+    /// As [`Store::get`].
+    fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection>;
+
+    /// Writes everything or nothing, and waits for the disk.
+    ///
+    /// # Errors
+    /// [`Code::DiskFull`], [`Code::DiskFailed`].
+    fn write(&self, batch: &WriteSet, tip: (&[u8], &[u8])) -> Result<(), Rejection>;
+}
+
+/// The store on disk. sled 0.34 is called beta by its authors: whatever it reports or panics about means that the
+/// directory is to be deleted and rebuilt from blocks, never that data is lost.
+pub struct SledStore {
+    tree: sled::Db,
+}
+
+impl SledStore {
+    /// Opens or creates the store in a directory.
+    ///
+    /// # Errors
+    /// [`Code::Corrupt`] for whatever sled reports or panics about, [`Code::DiskFull`] if there is no space.
+    pub fn open(directory: &Path) -> Result<Self, Rejection> {
+        let config = sled::Config::new()
+            .path(directory)
+            .flush_every_ms(None)
+            .cache_capacity(CACHE_BYTES)
+            .mode(sled::Mode::LowSpace);
+        match catch_unwind(AssertUnwindSafe(|| config.open())) {
+            Ok(Ok(tree)) => Ok(Self { tree }),
+            Ok(Err(error)) => Err(fault(&error)),
+            Err(_) => Err(Rejection::new(Code::Corrupt, "the state store cannot be opened: it panicked")
+                .next("delete the state directory; the node rebuilds it from the blocks")),
+        }
+    }
+}
+
+/// What sled answers, and what it panics about, as a rejection.
+fn guard<T>(body: impl FnOnce() -> Result<T, sled::Error>) -> Result<T, Rejection> {
+    match catch_unwind(AssertUnwindSafe(body)) {
+        Ok(result) => result.map_err(|error| fault(&error)),
+        Err(_) => Err(Rejection::new(Code::Corrupt, "the state store panicked")),
+    }
+}
+
+fn fault(error: &sled::Error) -> Rejection {
+    let code = match error {
+        sled::Error::Io(io) if io.kind() == std::io::ErrorKind::StorageFull => Code::DiskFull,
+        sled::Error::Io(_) => Code::DiskFailed,
+        _ => Code::Corrupt,
+    };
+    Rejection::new(code, format!("the state store failed: {error}"))
+}
+
+impl Store for SledStore {
+    fn get(&self, key: &[u8]) -> Result<Option<Bytes>, Rejection> {
+        guard(|| Ok(self.tree.get(key)?.map(|value| Bytes::copy_from_slice(&value))))
+    }
+
+    fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
+        guard(|| {
+            let start = after.map_or(Bound::Included(prefix), Bound::Excluded);
+            let mut pairs = Vec::new();
+            for pair in self.tree.range::<&[u8], _>((start, Bound::Unbounded)).take(limit) {
+                let (key, value) = pair?;
+                if !key.starts_with(prefix) {
+                    break;
+                }
+                pairs.push((Bytes::copy_from_slice(&key), Bytes::copy_from_slice(&value)));
+            }
+            Ok(pairs)
+        })
+    }
+
+    fn write(&self, batch: &WriteSet, tip: (&[u8], &[u8])) -> Result<(), Rejection> {
+        guard(|| {
+            let mut stored = sled::Batch::default();
+            for (key, value) in batch {
+                match value {
+                    Some(value) => stored.insert(&key[..], &value[..]),
+                    None => stored.remove(&key[..]),
+                }
+            }
+            stored.insert(tip.0, tip.1);
+            self.tree.apply_batch(stored)?;
+            self.tree.flush().map(drop)
+        })
+    }
+}

@@ -1,0 +1,204 @@
+//! Transactions: signed requests to call a chaincode function.
+//!
+//! The message formats are those of `crates/api/proto/ledgerd/v1/transaction.proto`. A transaction travels and is
+//! stored as the exact bytes that its creator sent; its id is the SHA-256 of its body, so a rewritten signature
+//! (ECDSA allows many) is still the same transaction.
+
+use crate::Hash;
+use crate::block::PAYLOAD_BYTES_MAX;
+use crate::code::Code;
+use crate::key::{PublicKey, SigningKey};
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use prost::Message;
+
+/// How far `not_after` may lie ahead of block time, and so how long ids must be remembered: microseconds.
+pub const NOT_AFTER_AHEAD_MAX: u64 = 120_000_000;
+/// Most bytes of one encoded transaction; a node's configuration may allow less, never more.
+pub const TRANSACTION_BYTES_MAX: usize = PAYLOAD_BYTES_MAX / 2;
+/// Most arguments of one call.
+pub const ARGUMENTS_MAX: usize = 1024;
+/// Most bytes of the names of chaincode and function.
+pub const NAME_BYTES_MAX: usize = 128;
+/// Exact length of a nonce.
+pub const NONCE_BYTES: usize = 16;
+/// Separates these signatures from everything else that the same key may sign (TLS, certificate requests).
+const SIGNATURE_DOMAIN: &[u8] = b"ledgerd transaction v1\0";
+
+/// What the creator signs.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Body {
+    /// Name of the network (32 bytes).
+    #[prost(bytes = "bytes", tag = "1")]
+    pub network: Bytes,
+    /// SHA-256 of the creator's certificate in DER (32 bytes).
+    #[prost(bytes = "bytes", tag = "2")]
+    pub creator: Bytes,
+    /// 16 random bytes.
+    #[prost(bytes = "bytes", tag = "3")]
+    pub nonce: Bytes,
+    /// Block time after which it is no longer executed, microseconds since the UNIX epoch.
+    #[prost(uint64, tag = "4")]
+    pub not_after: u64,
+    /// Name of the chaincode.
+    #[prost(string, tag = "5")]
+    pub chaincode: String,
+    /// Name of its function.
+    #[prost(string, tag = "6")]
+    pub function: String,
+    /// Arguments in order.
+    #[prost(bytes = "bytes", repeated, tag = "7")]
+    pub args: Vec<Bytes>,
+}
+
+/// The three parts as they are stored and sent.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+struct Envelope {
+    #[prost(bytes = "bytes", tag = "1")]
+    body: Bytes,
+    #[prost(bytes = "bytes", tag = "2")]
+    signature: Bytes,
+    #[prost(bytes = "bytes", tag = "3")]
+    certificate: Bytes,
+}
+
+/// A transaction whose form has been checked; its signature has not (see [`Transaction::verify`]).
+#[derive(Clone, Debug, PartialEq)]
+pub struct Transaction {
+    id: Hash,
+    body: Body,
+    envelope: Envelope,
+    encoded: Bytes,
+}
+
+impl Transaction {
+    /// Signs a body.
+    ///
+    /// # Errors
+    /// What [`Transaction::decode`] would refuse, and [`Code::Internal`] if the key cannot sign.
+    pub fn sign(body: &Body, key: &SigningKey) -> Result<Self, Rejection> {
+        let encoded_body = Bytes::from(body.encode_to_vec());
+        let signature = key
+            .sign(&signed_bytes(&encoded_body))
+            .map_err(|error| Rejection::new(Code::Internal, format!("the key cannot sign: {error}")))?;
+        Self::from_envelope(Envelope { body: encoded_body, signature: signature.into(), certificate: Bytes::new() })
+    }
+
+    /// The same transaction, carrying its creator's certificate.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`] if it does not fit.
+    pub fn with_certificate(&self, certificate: Bytes) -> Result<Self, Rejection> {
+        Self::from_envelope(Envelope { certificate, ..self.envelope.clone() })
+    }
+
+    /// Reads a transaction and checks its form.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`] beyond a limit, [`Code::Malformed`] if the bytes or the lengths of fields are wrong.
+    pub fn decode(encoded: Bytes) -> Result<Self, Rejection> {
+        if encoded.len() > TRANSACTION_BYTES_MAX {
+            return Err(Rejection::new(Code::TooLarge, "transaction is too large")
+                .found(format!("{} bytes", encoded.len()))
+                .wanted(format!("at most {TRANSACTION_BYTES_MAX} bytes"))
+                .next("split it into several"));
+        }
+        let envelope = Envelope::decode(encoded.clone()).map_err(|error| malformed(&error.to_string()))?;
+        let body = Body::decode(envelope.body.clone()).map_err(|error| malformed(&error.to_string()))?;
+        check_form(&body)?;
+        Ok(Self { id: Hash::of(&[&envelope.body]), body, envelope, encoded })
+    }
+
+    fn from_envelope(envelope: Envelope) -> Result<Self, Rejection> {
+        Self::decode(envelope.encode_to_vec().into())
+    }
+
+    /// SHA-256 of the body.
+    pub fn id(&self) -> Hash {
+        self.id
+    }
+
+    /// What was signed.
+    pub fn body(&self) -> &Body {
+        &self.body
+    }
+
+    /// SHA-256 of the creator's certificate.
+    pub fn creator(&self) -> Hash {
+        Hash::from_slice(&self.body.creator).unwrap_or(Hash::ZERO)
+    }
+
+    /// The creator's certificate in DER, if it travels along.
+    pub fn certificate(&self) -> Option<&Bytes> {
+        Some(&self.envelope.certificate).filter(|certificate| !certificate.is_empty())
+    }
+
+    /// The exact bytes to store and to send.
+    pub fn encoded(&self) -> &Bytes {
+        &self.encoded
+    }
+
+    /// Checks the creator's signature.
+    ///
+    /// # Errors
+    /// [`Code::BadSignature`].
+    pub fn verify(&self, key: &PublicKey) -> Result<(), Rejection> {
+        key.verify(&signed_bytes(&self.envelope.body), &self.envelope.signature).map_err(|error| {
+            Rejection::new(Code::BadSignature, format!("signature of transaction {} is not valid: {error}", self.id))
+                .wanted(format!("a signature by the key of certificate {}", self.creator()))
+        })
+    }
+
+    /// Checks the window in which it may be executed.
+    ///
+    /// # Errors
+    /// [`Code::Expired`], [`Code::NotAfterTooFar`].
+    pub fn check_time(&self, block_time: u64) -> Result<(), Rejection> {
+        let not_after = self.body.not_after;
+        if not_after < block_time {
+            return Err(Rejection::new(Code::Expired, "transaction came too late")
+                .found(format!("not_after {not_after} µs"))
+                .wanted(format!("at least block time, {block_time} µs"))
+                .next("sign it again with a later not_after"));
+        }
+        if not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
+            return Err(Rejection::new(Code::NotAfterTooFar, "not_after lies too far ahead")
+                .found(format!("not_after {not_after} µs"))
+                .wanted(format!("at most {} s after block time, {block_time} µs", NOT_AFTER_AHEAD_MAX / 1_000_000))
+                .next("sign it again with an earlier not_after, and check this machine's clock"));
+        }
+        Ok(())
+    }
+}
+
+fn signed_bytes(body: &[u8]) -> Vec<u8> {
+    [SIGNATURE_DOMAIN, body].concat()
+}
+
+fn malformed(what: &str) -> Rejection {
+    Rejection::new(Code::Malformed, format!("bytes are no transaction: {what}"))
+        .wanted("an encoded ledgerd.v1.Transaction (transaction.proto)")
+}
+
+fn check_form(body: &Body) -> Result<(), Rejection> {
+    for (name, found, wanted) in [
+        ("network", body.network.len(), 32),
+        ("creator", body.creator.len(), 32),
+        ("nonce", body.nonce.len(), NONCE_BYTES),
+    ] {
+        if found != wanted {
+            return Err(malformed(&format!("field {name} has {found} bytes instead of {wanted}")));
+        }
+    }
+    for (name, text) in [("chaincode", &body.chaincode), ("function", &body.function)] {
+        if text.is_empty() || text.len() > NAME_BYTES_MAX {
+            return Err(malformed(&format!("field {name} has {} bytes instead of 1 to {NAME_BYTES_MAX}", text.len())));
+        }
+    }
+    if body.args.len() > ARGUMENTS_MAX {
+        return Err(Rejection::new(Code::TooLarge, "transaction has too many arguments")
+            .found(body.args.len().to_string())
+            .wanted(format!("at most {ARGUMENTS_MAX}")));
+    }
+    Ok(())
+}
