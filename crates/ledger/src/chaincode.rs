@@ -52,6 +52,12 @@ pub trait Chaincode: Send + Sync {
     /// [`Code::ChaincodePanic`].
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
 
+    /// Must calls of this function overtake data that waits to be ordered? For what ends or hands over control:
+    /// release, revoke, stop.
+    fn urgent(&self, _function: &str) -> bool {
+        false
+    }
+
     /// Called at the start of every block, before its transactions, with the block's time: the place for what
     /// is due (leases, deadlines). There is no submitter.
     fn begin_block(&self, _ctx: &mut Context<'_>) {}
@@ -65,8 +71,7 @@ pub trait Chaincode: Send + Sync {
     /// Called within the transaction that revokes an identity, so that its rights end in the same block.
     fn identity_revoked(&self, _ctx: &mut Context<'_>, _revoked: &Revocation) {}
 
-    /// May the submitter of `ctx` see this event? Asked at delivery, and again after every change of the answer's
-    /// [`Chaincode::read_version`].
+    /// May the submitter of `ctx` see this event? Asked for each event at delivery, so it should be quick.
     ///
     /// # Errors
     /// The reason why not; the event is then skipped.

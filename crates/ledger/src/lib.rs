@@ -4,17 +4,29 @@
 //! a trait. So the whole of it runs in a simulator as it runs in a node.
 
 pub mod block;
+pub mod block_store;
 pub mod certificate;
+mod chain;
 mod chaincode;
 mod code;
+pub mod disk;
+pub mod entry;
+mod execution;
 mod hash;
+mod identities;
 pub mod identity;
 pub mod key;
+pub mod membership;
 pub mod msp;
+pub mod network;
 mod rejection;
+pub mod result;
+pub mod segment;
 pub mod state;
+pub mod transaction;
 
 pub use bytes::Bytes;
+pub use chain::{Admission, Ledger, Outcome, Refusal, TransactionRecord};
 pub use chaincode::{Chaincode, Context, Environment, Event, Overlay, Registry, Revocation, StateRead, WriteSet};
 pub use code::{Class, Code};
 pub use hash::Hash;

@@ -75,12 +75,10 @@ impl Transaction {
     /// Signs a body.
     ///
     /// # Errors
-    /// What [`Transaction::decode`] would refuse, and [`Code::Internal`] if the key cannot sign.
+    /// What [`Transaction::decode`] would refuse.
     pub fn sign(body: &Body, key: &SigningKey) -> Result<Self, Rejection> {
         let encoded_body = Bytes::from(body.encode_to_vec());
-        let signature = key
-            .sign(&signed_bytes(&encoded_body))
-            .map_err(|error| Rejection::new(Code::Internal, format!("the key cannot sign: {error}")))?;
+        let signature = key.sign(&signed_bytes(&encoded_body));
         Self::from_envelope(Envelope { body: encoded_body, signature: signature.into(), certificate: Bytes::new() })
     }
 

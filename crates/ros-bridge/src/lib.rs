@@ -1,1 +1,46 @@
-//! ros-bridge.
+//! The bridge joins a ROS 2 graph to the ledger.
+//!
+//! ROS 2 nodes stay unchanged: the bridge takes the raw CDR bytes of their messages from DDS or
+//! from shared memory, and puts such bytes back on the other side. It never decodes a message, so
+//! any message type works by its name alone.
+//!
+//! What it is not: a DDS implementation (that is `rustdds`), a typed ROS 2 client, or a place where
+//! rights are decided (that is the ledger, and on the robot's side the gate).
+//!
+//! # Map
+//! | module | what is in it |
+//! |---|---|
+//! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
+//! | [`qos`] | the quality-of-service settings of a route |
+//! | [`sample`] | one message as raw CDR, in the form that travels on the ledger |
+//! | [`dds`] | participant, reader and writer of a ROS domain |
+//! | [`shm`] | publisher and subscriber over iceoryx2 shared memory |
+//! | [`queue`] | the queue between them and whoever takes the samples, limited in bytes |
+//! | [`stop`] | the message that makes a robot stand still |
+//! | [`error`] | everything that can go wrong, and what to do then |
+//!
+//! # Example
+//! ```no_run
+//! use ros_bridge::{dds::Participant, names::{TopicName, TypeName}, qos::Qos, queue::Limits};
+//!
+//! # async fn example() -> Result<(), ros_bridge::error::Error> {
+//! let topic = TopicName::parse("/cmd_vel")?;
+//! let message = TypeName::parse("geometry_msgs/msg/Twist")?;
+//! let users = Participant::open(7, "ledgerd_bridge").await?;
+//! let robots = Participant::open(8, "ledgerd_bridge").await?;
+//! let mut from = users.reader(&topic, &message, &Qos::default(), Limits::default())?;
+//! let to = robots.writer(&topic, &message, &Qos::default())?;
+//! while let Some(incoming) = from.next().await {
+//!     to.write(&incoming.sample)?;
+//! }
+//! # Ok(()) }
+//! ```
+
+pub mod dds;
+pub mod error;
+pub mod names;
+pub mod qos;
+pub mod queue;
+pub mod sample;
+pub mod shm;
+pub mod stop;

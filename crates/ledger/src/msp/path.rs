@@ -108,7 +108,8 @@ impl Leaf<'_> {
                 not_before: not_before.as_secs().saturating_mul(1_000_000),
                 at: self.at,
             },
-            webpki::Error::InvalidSignatureForPublicKey => IdentityError::BadSignature {
+            webpki::Error::InvalidSignatureForPublicKey
+            | webpki::Error::UnsupportedSignatureAlgorithmForPublicKeyContext(_) => IdentityError::BadSignature {
                 subject,
                 issuer: printable(&self.certificate.issuer),
                 organisation: msp.organisation.clone(),
@@ -132,8 +133,21 @@ impl Leaf<'_> {
             | webpki::Error::UnsupportedCertVersion => {
                 IdentityError::Malformed { found: error.to_string(), wanted: "an X.509 version 3 certificate in DER" }
             }
-            _ => IdentityError::BadPath { subject, organisation: msp.organisation.clone(), found: error.to_string() },
+            _ => IdentityError::BadPath { subject, organisation: msp.organisation.clone(), found: broken_rule(error) },
         }
+    }
+}
+
+/// The rules that people break, in words; the rest as webpki calls it.
+fn broken_rule(error: &webpki::Error) -> String {
+    match error {
+        webpki::Error::PathLenConstraintViolated => "more authorities than a path length constraint allows".into(),
+        webpki::Error::NameConstraintViolation => "a name that a name constraint excludes".into(),
+        webpki::Error::UnsupportedCriticalExtension => "a critical extension that is not known here".into(),
+        webpki::Error::UnsupportedSignatureAlgorithmContext(_) => {
+            "a signature that is neither Ed25519 nor ECDSA P-256 with SHA-256 nor P-384 with SHA-384".into()
+        }
+        _ => error.to_string(),
     }
 }
 

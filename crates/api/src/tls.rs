@@ -1,0 +1,39 @@
+//! Mutual TLS 1.3 between clients, bridges and nodes.
+//!
+//! What counts is the identity in the certificate, checked against the network's organisations
+//! ([`ledger::msp::Msps`]); host names are not checked, because robots move between addresses. A server must show a
+//! certificate of role node: a user's certificate never passes as a node's. A client may come without a
+//! certificate; it can then only enrol, which the gateway decides.
+//!
+//! Sessions are never resumed: resumption would skip the check of the certificate, and so outlive a revocation.
+//!
+//! ```text
+//! server_config(node, trust)                    any client of the network, or one without a certificate
+//! client_config(me, ServerTrust::Roots(msps))   any node of the network
+//! client_config(None, ServerTrust::Fingerprint) first contact: any node below the CA with this fingerprint
+//! ```
+
+mod identity;
+mod refusal;
+mod server;
+mod trust;
+
+pub use identity::{TlsError, TlsIdentity};
+pub use refusal::{Refusal, refusal};
+pub use server::server_config;
+pub use trust::{ServerTrust, TrustSource, client_config, client_config_expecting, client_identity};
+
+use rustls::SupportedProtocolVersion;
+use rustls::crypto::{CryptoProvider, ring};
+use rustls::version::TLS13;
+use std::sync::Arc;
+
+/// The protocol that both sides speak inside: HTTP/2, for gRPC.
+pub const ALPN: &[u8] = b"h2";
+
+const VERSIONS: &[&SupportedProtocolVersion] = &[&TLS13];
+
+/// The cryptography, passed explicitly wherever rustls wants it: nothing depends on a process-wide default.
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(ring::default_provider())
+}

@@ -1,0 +1,278 @@
+//! Puts staged records on disk: one write and one `fdatasync` a flush, as long as it fits into the segment.
+
+use std::io::{self, ErrorKind};
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex, PoisonError};
+
+use super::StoreError;
+use super::ahead::{Ahead, Marks, Spare, write_zeros};
+use super::index::Location;
+use super::stored::StoredSegment;
+use crate::disk::{Disk, DiskFile};
+use crate::entry::Entry;
+use crate::segment::{HEADER_BYTES, LogPosition, Record, SegmentHeader, encode_record, encoded_bytes, segment_name};
+
+/// A buffer larger than this is given back after use.
+const BUFFER_KEPT_BYTES: usize = 1 << 20;
+
+/// The end of the log. Used by one flusher at a time.
+pub(super) struct Writer {
+    pub(super) disk: Arc<dyn Disk>,
+    pub(super) network: [u8; 32],
+    pub(super) segment_bytes: u64,
+    pub(super) salt: Box<dyn FnMut() -> u64 + Send>,
+    /// The newest segment; none in a new store.
+    pub(super) active: Option<Arc<StoredSegment>>,
+    /// End of its records.
+    pub(super) end: u64,
+    /// CRC the next record names.
+    pub(super) previous: u32,
+    /// The index after the newest entry written.
+    pub(super) next_index: u64,
+    /// Reused for encoding.
+    pub(super) buffer: Vec<u8>,
+}
+
+/// What became durable.
+#[derive(Default)]
+pub(super) struct Written {
+    pub(super) entries: Vec<(u64, Location)>,
+    pub(super) segments: Vec<Arc<StoredSegment>>,
+}
+
+/// Why a flush failed.
+pub(super) enum Failure {
+    /// The disk is full, and what was begun has been undone: the rest may be tried again.
+    Undone(StoreError),
+    /// Nothing is known about what is on disk.
+    Fatal(StoreError),
+}
+
+/// One write: what is in the buffer, and where it goes.
+struct Run {
+    /// The segment to be, if the run starts one.
+    fresh: Option<Fresh>,
+    /// Offset of the buffer's first byte.
+    start: u64,
+    previous: u32,
+    entries: Vec<(u64, Location)>,
+    next_index: u64,
+}
+
+struct Fresh {
+    spare: Spare,
+    segment: Arc<StoredSegment>,
+}
+
+impl Writer {
+    /// Writes and syncs `records`. `written` tells what is durable, also after a failure.
+    pub(super) fn write(
+        &mut self,
+        records: impl Iterator<Item = Record>,
+        ahead: &Mutex<Ahead>,
+        marks: &Marks,
+        written: &mut Written,
+    ) -> Result<(), Failure> {
+        let result = self.write_runs(records, ahead, marks, written);
+        if !matches!(result, Err(Failure::Fatal(_))) {
+            lock(ahead).beginning = false;
+        }
+        result
+    }
+
+    fn write_runs(
+        &mut self,
+        records: impl Iterator<Item = Record>,
+        ahead: &Mutex<Ahead>,
+        marks: &Marks,
+        written: &mut Written,
+    ) -> Result<(), Failure> {
+        let mut run = self.continue_segment();
+        for record in records {
+            let bytes = encoded_bytes(&record) as u64;
+            let at = run.start + self.buffer.len() as u64;
+            // A record larger than a segment gets one of its own.
+            let fits = at + bytes <= self.segment_bytes || at == HEADER_BYTES;
+            if (run.fresh.is_none() && self.active.is_none()) || !fits {
+                self.commit(run, ahead, marks, written)?;
+                run = self.begin_segment(ahead)?;
+            }
+            let Some(segment) = run.fresh.as_ref().map(|fresh| &fresh.segment).or(self.active.as_ref()) else {
+                return Err(Failure::Fatal(StoreError::Violation("no segment to write to".to_owned())));
+            };
+            let at = run.start + self.buffer.len() as u64;
+            let offset = u32::try_from(at)
+                .map_err(|_| Failure::Fatal(StoreError::Violation(format!("{} is too long", segment.name))))?;
+            let durable_upto = self.durable();
+            run.previous =
+                encode_record(&record, segment.salt, offset, run.previous, durable_upto, &mut self.buffer);
+            if let Record::Entry(Entry { index, .. }) = record {
+                let location = Location { sequence: segment.sequence, offset, bytes: bytes as u32 };
+                run.entries.push((index, location));
+                run.next_index = index + 1;
+            }
+        }
+        self.commit(run, ahead, marks, written)
+    }
+
+    /// Everything before this is on disk.
+    fn durable(&self) -> LogPosition {
+        let end = u32::try_from(self.end).unwrap_or(u32::MAX);
+        self.active.as_ref().map_or_else(LogPosition::default, |segment| LogPosition {
+            sequence: segment.sequence,
+            offset: end,
+        })
+    }
+
+    fn continue_segment(&mut self) -> Run {
+        self.buffer.clear();
+        self.buffer.shrink_to(BUFFER_KEPT_BYTES);
+        Run { fresh: None, start: self.end, previous: self.previous, entries: Vec::new(), next_index: self.next_index }
+    }
+
+    fn begin_segment(&mut self, ahead: &Mutex<Ahead>) -> Result<Run, Failure> {
+        let durable_upto = self.durable();
+        let sequence = durable_upto.sequence + 1;
+        let spare = {
+            let mut ahead = lock(ahead);
+            ahead.beginning = true;
+            ahead.spare.take()
+        };
+        let spare = match spare {
+            Some(spare) => spare,
+            None => Spare::create(self.disk.as_ref(), sequence).map_err(|error| match error {
+                full @ StoreError::DiskFull { .. } => Failure::Undone(full),
+                other => Failure::Fatal(other),
+            })?,
+        };
+        let header = SegmentHeader {
+            sequence,
+            network: self.network,
+            first_index: self.next_index,
+            salt: (self.salt)(),
+            durable_upto,
+            previous: self.previous,
+        };
+        let (bytes, crc) = header.encode();
+        self.buffer.clear();
+        self.buffer.extend(bytes);
+        let segment = Arc::new(StoredSegment {
+            name: segment_name(sequence, header.first_index),
+            sequence,
+            salt: header.salt,
+            file: Arc::clone(&spare.file),
+        });
+        let fresh = Some(Fresh { spare, segment });
+        Ok(Run { fresh, start: 0, previous: crc, entries: Vec::new(), next_index: self.next_index })
+    }
+
+    /// Puts the buffer on disk.
+    fn commit(&mut self, run: Run, ahead: &Mutex<Ahead>, marks: &Marks, written: &mut Written) -> Result<(), Failure> {
+        if self.buffer.is_empty() {
+            return Ok(());
+        }
+        let end = run.start + self.buffer.len() as u64;
+        match run.fresh {
+            None => self.commit_in_place(run.start, end, ahead, marks)?,
+            Some(fresh) => {
+                self.commit_fresh(&fresh, end, ahead, marks)?;
+                written.segments.push(Arc::clone(&fresh.segment));
+                self.active = Some(fresh.segment);
+            }
+        }
+        self.end = end;
+        self.previous = run.previous;
+        self.next_index = run.next_index;
+        written.entries.extend(run.entries);
+        self.buffer.clear();
+        Ok(())
+    }
+
+    fn commit_in_place(&self, start: u64, end: u64, ahead: &Mutex<Ahead>, marks: &Marks) -> Result<(), Failure> {
+        let Some(segment) = &self.active else { return Ok(()) };
+        let write = || segment.file.write_at(&self.buffer, start);
+        let result = if end <= marks.zeroed.load(Ordering::Acquire) {
+            marks.position.store(end, Ordering::Release);
+            write()
+        } else {
+            // Nobody may write zeros where this write goes.
+            let _ahead = lock(ahead);
+            marks.position.store(end, Ordering::Release);
+            let result = write();
+            if result.is_ok() {
+                marks.zeroed.fetch_max(end, Ordering::AcqRel);
+            }
+            result
+        };
+        match result {
+            Ok(()) => {}
+            Err(error) if error.kind() == ErrorKind::StorageFull => {
+                let full = disk_error("write", &segment.name, end - start, error);
+                return Err(undo(segment, start, end, full, ahead, marks));
+            }
+            Err(error) => return Err(Failure::Fatal(StoreError::io("write", &segment.name, error))),
+        }
+        segment.file.sync_data().map_err(|error| Failure::Fatal(StoreError::io("sync", &segment.name, error)))
+    }
+
+    /// The file gets its name, and the name its place, only when the content is on disk.
+    fn commit_fresh(&self, fresh: &Fresh, end: u64, ahead: &Mutex<Ahead>, marks: &Marks) -> Result<(), Failure> {
+        let Fresh { spare, segment } = fresh;
+        if let Err(error) = spare.file.write_at(&self.buffer, 0) {
+            if error.kind() != ErrorKind::StorageFull {
+                return Err(Failure::Fatal(StoreError::io("write", &spare.name, error)));
+            }
+            let full = disk_error("write", &spare.name, end, error);
+            // It has no segment's name, so it is no part of the log; without it there is more room.
+            let removed = self.disk.remove(&spare.name);
+            removed.map_err(|error| Failure::Fatal(StoreError::io("remove", &spare.name, error)))?;
+            return Err(Failure::Undone(full));
+        }
+        let fatal = |operation, error| Failure::Fatal(StoreError::io(operation, &spare.name, error));
+        spare.file.sync_data().map_err(|error| fatal("sync", error))?;
+        self.disk.rename(&spare.name, &segment.name).map_err(|error| fatal("rename", error))?;
+        self.disk.sync_dir().map_err(|error| fatal("sync the directory of", error))?;
+        let mut ahead = lock(ahead);
+        ahead.newest = segment.sequence;
+        ahead.beginning = false;
+        ahead.active = Some((segment.name.clone(), Arc::clone(&segment.file)));
+        marks.position.store(end, Ordering::Release);
+        marks.zeroed.store(end.max(spare.zeroed), Ordering::Release);
+        Ok(())
+    }
+}
+
+/// Takes back a write that found the disk full, so that zeros follow the log as before.
+fn undo(
+    segment: &StoredSegment,
+    start: u64,
+    end: u64,
+    full: StoreError,
+    ahead: &Mutex<Ahead>,
+    marks: &Marks,
+) -> Failure {
+    let _ahead = lock(ahead);
+    let zeroed = marks.zeroed.load(Ordering::Acquire);
+    let cut = |file: &dyn DiskFile| if file.len()? > zeroed { file.set_len(zeroed) } else { Ok(()) };
+    let undone = cut(segment.file.as_ref())
+        .map_err(|error| StoreError::io("shorten", &segment.name, error))
+        .and_then(|()| write_zeros(segment.file.as_ref(), &segment.name, start, end.min(zeroed)));
+    marks.position.store(start, Ordering::Release);
+    match undone {
+        Ok(()) => Failure::Undone(full),
+        Err(error) => Failure::Fatal(error),
+    }
+}
+
+/// An error while writing: a full disk is told apart.
+pub(super) fn disk_error(operation: &'static str, file: &str, wanted_bytes: u64, error: io::Error) -> StoreError {
+    if error.kind() == ErrorKind::StorageFull {
+        return StoreError::DiskFull { operation, file: file.to_owned(), wanted_bytes };
+    }
+    StoreError::io(operation, file, error)
+}
+
+/// Locks what no panic can leave half-changed: every critical section only assigns.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}

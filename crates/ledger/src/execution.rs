@@ -1,0 +1,211 @@
+//! The execution of one block: a function of the block and the state before it, the same on every node.
+
+use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
+use crate::chaincode::{Environment, Event, Overlay, Registry, StateRead};
+use crate::code::Code;
+use crate::entry::{Entry, EntryKind};
+use crate::identities::Identities;
+use crate::identity::Identity;
+use crate::membership::{certificate_key, found};
+use crate::network::Genesis;
+use crate::rejection::Rejection;
+use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
+use crate::state::{Tip, result_key, transaction_key};
+use crate::transaction::Transaction;
+use crate::{Hash, WriteSet};
+use bytes::Bytes;
+use ring::digest::{Context as Sha256, SHA256};
+use std::sync::Arc;
+
+/// What the execution of a block needs besides the block.
+pub(crate) struct Executor<'a> {
+    pub(crate) network: Hash,
+    pub(crate) registry: &'a Registry,
+    pub(crate) identities: &'a Identities,
+    pub(crate) state: Arc<dyn StateRead>,
+    /// Was the signature of exactly these bytes (by their [`leaf`]) verified by this node before?
+    pub(crate) verified: &'a dyn Fn(&Hash) -> bool,
+}
+
+/// What the execution of a block gave.
+pub(crate) struct Execution {
+    pub(crate) tip: Tip,
+    pub(crate) header: Header,
+    pub(crate) result: BlockResult,
+    pub(crate) transactions: Vec<Bytes>,
+    /// Id of each transaction; zero where the bytes are no transaction.
+    pub(crate) ids: Vec<Hash>,
+    /// World state and indexes.
+    pub(crate) writes: WriteSet,
+}
+
+impl Executor<'_> {
+    /// Executes the entry that follows `previous`.
+    pub(crate) fn execute(&self, previous: &Tip, entry: &Entry) -> Result<Execution, Rejection> {
+        let (kind, payload) = match entry.kind {
+            // A leader that orders rubbish gets an empty block, on every node alike.
+            EntryKind::Normal => (BlockKind::Transactions, Payload::from_bytes(entry.data.clone()).ok()),
+            EntryKind::ConfChange | EntryKind::ConfChangeV2 => (BlockKind::Membership, None),
+        };
+        let leaves: Option<Vec<Hash>> = payload.as_ref().map(|p| p.transactions.iter().map(|t| leaf(t)).collect());
+        let root = leaves.clone().map_or_else(|| opaque_root(&entry.data), merkle_root);
+        let Payload { time, transactions } = payload.unwrap_or_default();
+        let time = time.max(previous.time);
+        let header = Header { height: entry.index, term: entry.term, time, previous: previous.hash, root };
+
+        let mut overlay = Overlay::new(Arc::clone(&self.state));
+        let mut events = Vec::new();
+        self.begin_block(&header, &mut overlay, &mut events);
+        let mut index = WriteSet::new();
+        let mut results = Vec::with_capacity(transactions.len());
+        let mut ids = Vec::with_capacity(transactions.len());
+        for (position, (encoded, leaf)) in (0u32..).zip(transactions.iter().zip(leaves.iter().flatten())) {
+            let mut emitted = Vec::new();
+            let mut id = Hash::ZERO;
+            let outcome = Transaction::decode(encoded.clone()).and_then(|transaction| {
+                id = transaction.id();
+                check_first(&transaction, &index, &overlay)?;
+                let (identity, new) = self.authenticate(&transaction, leaf, &header, &overlay)?;
+                // From here on the id is taken: its creator signed it, and this is its one verdict.
+                index.insert(transaction_key(&id), Some(place(header.height, position)));
+                if let Some(certificate) = new {
+                    overlay.write(certificate_key(&transaction.creator()), Some(certificate));
+                }
+                let body = transaction.body();
+                let environment =
+                    Environment { submitter: Some(&identity), transaction: id, ..self.environment(&header) };
+                Registry::invoke(environment, &mut overlay, &mut emitted, &body.chaincode, &body.function, &body.args)
+            });
+            ids.push(id);
+            results.push(TransactionResult::from(outcome));
+            events.extend(emitted.into_iter().map(|event| EmittedEvent { index: Some(position), event }));
+        }
+
+        let world = overlay.finish()?;
+        let digest = digest(&previous.digest, &world, &results);
+        let hash = header.hash();
+        let result = BlockResult {
+            term: header.term,
+            time,
+            previous: Bytes::copy_from_slice(&header.previous.0),
+            root: Bytes::copy_from_slice(&header.root.0),
+            digest: Bytes::copy_from_slice(&digest.0),
+            kind: kind.into(),
+            results,
+            events,
+        };
+        let mut writes = world;
+        writes.append(&mut index);
+        writes.insert(result_key(header.height), Some(result.to_bytes()));
+        let tip = Tip { height: header.height, term: header.term, time, hash, digest };
+        Ok(Execution { tip, header, result, transactions, ids, writes })
+    }
+
+    fn environment(&self, header: &Header) -> Environment<'_> {
+        Environment {
+            registry: self.registry,
+            submitter: None,
+            network: self.network,
+            height: header.height,
+            time: header.time,
+            transaction: Hash::ZERO,
+        }
+    }
+
+    fn begin_block(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
+        for chaincode in self.registry.iter() {
+            let mut emitted: Vec<Event> = Vec::new();
+            let hook = Registry::hook(self.environment(header), chaincode, overlay, &mut emitted, |ctx| {
+                chaincode.begin_block(ctx);
+            });
+            if let Err(rejection) = hook {
+                tracing::error!(height = header.height, chaincode = chaincode.name(), %rejection, "begin_block was undone");
+            }
+            events.extend(emitted.into_iter().map(|event| EmittedEvent { index: None, event }));
+        }
+    }
+
+    fn authenticate(
+        &self,
+        transaction: &Transaction,
+        leaf: &Hash,
+        header: &Header,
+        overlay: &Overlay,
+    ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
+        check_network(transaction, &self.network)?;
+        transaction.check_time(header.time)?;
+        let (identity, new) = self.identities.creator(transaction, overlay, header.time)?;
+        if !(self.verified)(leaf) {
+            transaction.verify(&identity.public_key)?;
+        }
+        Ok((identity, new))
+    }
+}
+
+/// An id is executed once: neither twice in this block, whose places are in `index`, nor again in a later one.
+fn check_first(transaction: &Transaction, index: &WriteSet, overlay: &Overlay) -> Result<(), Rejection> {
+    let key = transaction_key(&transaction.id());
+    if index.contains_key(&key) || overlay.get(&key).is_some() {
+        return Err(Rejection::new(Code::Duplicate, format!("transaction {} was executed before", transaction.id())));
+    }
+    Ok(())
+}
+
+/// Refuses a transaction that was signed for another network.
+pub(crate) fn check_network(transaction: &Transaction, network: &Hash) -> Result<(), Rejection> {
+    if transaction.body().network == network.0[..] {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::WrongNetwork, "transaction is for another network")
+        .found(hex::encode(&transaction.body().network))
+        .wanted(network.to_string())
+        .next("enrol at this network and use that context"))
+}
+
+/// Where a transaction is, as it is stored: height and position, big-endian.
+pub(crate) fn place(height: u64, position: u32) -> Bytes {
+    [&height.to_be_bytes()[..], &position.to_be_bytes()].concat().into()
+}
+
+/// d(h) = H(d(h-1), sorted writes, verdicts). Every part carries its length, so that nothing can be read two ways.
+fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> Hash {
+    let mut sha = Sha256::new(&SHA256);
+    let mut part = |bytes: &[u8]| {
+        sha.update(&(bytes.len() as u64).to_be_bytes());
+        sha.update(bytes);
+    };
+    part(b"ledgerd state v1");
+    part(&previous.0);
+    part(&(writes.len() as u64).to_be_bytes());
+    for (key, value) in writes {
+        part(key);
+        match value {
+            Some(value) => {
+                part(b"put");
+                part(value);
+            }
+            None => part(b"delete"),
+        }
+    }
+    for result in results {
+        part(&result.code.to_be_bytes());
+        part(&result.response);
+    }
+    Hash::finish(sha)
+}
+
+/// The tip and the writes of the genesis block.
+pub(crate) fn genesis(genesis: &Genesis, network: Hash) -> Result<(Tip, WriteSet), Rejection> {
+    let mut writes = found(genesis)?;
+    let digest = digest(&Hash::ZERO, &writes, &[]);
+    let result = BlockResult {
+        time: genesis.created,
+        previous: Bytes::copy_from_slice(&Hash::ZERO.0),
+        root: Bytes::copy_from_slice(&network.0),
+        digest: Bytes::copy_from_slice(&digest.0),
+        kind: BlockKind::Genesis.into(),
+        ..BlockResult::default()
+    };
+    writes.insert(result_key(0), Some(result.to_bytes()));
+    Ok((Tip { height: 0, term: 0, time: genesis.created, hash: network, digest }, writes))
+}

@@ -1,0 +1,131 @@
+//! Whose signature is whose: certificates known to the ledger, verified once and remembered.
+
+use crate::Hash;
+use crate::chaincode::{Overlay, StateRead};
+use crate::code::Code;
+use crate::identity::Identity;
+use crate::membership::{ORGANISATION_KEYS, certificate_key, read_organisation, revoked_key};
+use crate::msp::{Msp, Msps};
+use crate::rejection::Rejection;
+use crate::transaction::Transaction;
+use bytes::Bytes;
+use std::collections::HashMap;
+use std::sync::{Arc, PoisonError, RwLock};
+
+/// Most identities kept in memory; beyond it the memory starts anew.
+const CACHED_MAX: usize = 10_000;
+/// Most organisations of a network.
+const ORGANISATIONS_MAX: usize = 1_000;
+
+/// The network's organisations and the identities verified against them.
+///
+/// What is remembered changes no answer: a certificate is verified against the same organisations either way, and
+/// one that has run out of a remembered path is verified again before it is refused.
+pub(crate) struct Identities {
+    trusted: RwLock<Trusted>,
+}
+
+struct Trusted {
+    msps: Arc<Msps>,
+    known: HashMap<Hash, Arc<Identity>>,
+}
+
+impl Identities {
+    /// Reads the organisations that the state holds.
+    pub(crate) fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
+        let trusted = Trusted { msps: Arc::new(read_msps(state)?), known: HashMap::new() };
+        Ok(Self { trusted: RwLock::new(trusted) })
+    }
+
+    /// Reads the organisations again, after a block has changed them.
+    pub(crate) fn reload(&self, state: &dyn StateRead) -> Result<(), Rejection> {
+        let msps = Arc::new(read_msps(state)?);
+        *self.trusted.write().unwrap_or_else(PoisonError::into_inner) = Trusted { msps, known: HashMap::new() };
+        Ok(())
+    }
+
+    /// The organisations.
+    pub(crate) fn msps(&self) -> Arc<Msps> {
+        Arc::clone(&self.trusted.read().unwrap_or_else(PoisonError::into_inner).msps)
+    }
+
+    /// The creator of a transaction, valid at that time and not revoked. If the ledger did not know the certificate,
+    /// it is answered as well, to be written.
+    pub(crate) fn creator(
+        &self,
+        transaction: &Transaction,
+        overlay: &Overlay,
+        at: u64,
+    ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
+        let fingerprint = transaction.creator();
+        let (identity, new) = match self.remembered(&fingerprint, at) {
+            // Remembered from an admission: the ledger itself may not have the certificate yet.
+            Some(identity) if overlay.get(&certificate_key(&fingerprint)).is_some() => (identity, None),
+            remembered => {
+                let (der, new) = certificate(transaction, overlay, &fingerprint)?;
+                let identity = match remembered {
+                    Some(identity) => identity,
+                    None => self.verify(&der, at)?,
+                };
+                (identity, new.then_some(der))
+            }
+        };
+        check_revoked(&identity, overlay)?;
+        Ok((identity, new))
+    }
+
+    fn remembered(&self, fingerprint: &Hash, at: u64) -> Option<Arc<Identity>> {
+        let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
+        trusted.known.get(fingerprint).filter(|identity| identity.check_validity(at).is_ok()).map(Arc::clone)
+    }
+
+    fn verify(&self, der: &[u8], at: u64) -> Result<Arc<Identity>, Rejection> {
+        let msps = self.msps();
+        let identity = Arc::new(msps.verify(der, &[], at)?);
+        let mut trusted = self.trusted.write().unwrap_or_else(PoisonError::into_inner);
+        if Arc::ptr_eq(&trusted.msps, &msps) {
+            if trusted.known.len() >= CACHED_MAX {
+                trusted.known.clear();
+            }
+            trusted.known.insert(Hash(identity.fingerprint), Arc::clone(&identity));
+        }
+        Ok(identity)
+    }
+}
+
+/// Refuses an identity whose certificate was revoked.
+pub(crate) fn check_revoked(identity: &Identity, overlay: &Overlay) -> Result<(), Rejection> {
+    match overlay.get(&revoked_key(&identity.revocation_key())) {
+        None => Ok(()),
+        Some(_) => Err(Rejection::new(Code::Revoked, format!("the certificate of {} was revoked", identity.id()))
+            .found(format!("serial {}", hex::encode(&identity.serial)))
+            .wanted("a certificate that its organisation still stands for".to_owned())
+            .next(format!("ask an admin of {} and enrol again", identity.organisation))),
+    }
+}
+
+/// The creator's certificate, and whether the ledger lacks it.
+fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash) -> Result<(Bytes, bool), Rejection> {
+    if let Some(der) = overlay.get(&certificate_key(fingerprint)) {
+        return Ok((der, false));
+    }
+    match transaction.certificate() {
+        Some(der) if Hash::of(&[der]) == *fingerprint => Ok((der.clone(), true)),
+        Some(der) => Err(Rejection::new(Code::UnknownCreator, "the certificate that came along is not the creator's")
+            .found(format!("certificate {}", Hash::of(&[der])))
+            .wanted(format!("certificate {fingerprint}"))),
+        None => Err(Rejection::new(Code::UnknownCreator, "the ledger does not know the creator's certificate yet")
+            .found(format!("creator {fingerprint} without a certificate"))
+            .wanted("the certificate in the field \"certificate\" of the transaction".to_owned())
+            .next("send the same transaction with the certificate")),
+    }
+}
+
+fn read_msps(state: &dyn StateRead) -> Result<Msps, Rejection> {
+    let mut msps = Msps::new();
+    for (_, value) in state.range(ORGANISATION_KEYS, None, ORGANISATIONS_MAX)? {
+        let organisation = read_organisation(&value)?;
+        msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
+    }
+    Ok(msps)
+}

@@ -1,0 +1,277 @@
+//! Reading a whole store in order, trusting nothing: for recovery and for offline verification.
+
+use std::sync::Arc;
+
+use super::header::{HEADER_BYTES, LogPosition, SegmentHeader, parse_name};
+use super::record::{RECORD_HEADER_BYTES, Record, RecordHeader, decode_record};
+use super::window::Window;
+use crate::block_store::StoreError;
+use crate::disk::{Disk, DiskFile};
+
+/// What a scan came upon.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Found {
+    /// A good record.
+    Record {
+        /// Name of its file.
+        file: Arc<str>,
+        /// Where it starts.
+        position: LogPosition,
+        /// Bytes of its header and payload.
+        bytes: u32,
+        /// Up to where the log was durable when it was written.
+        durable_upto: LogPosition,
+        /// What it holds.
+        record: Record,
+    },
+    /// The rest of a write that was cut off and never acknowledged. Always the last item. Opening the store zeroes it.
+    Torn {
+        /// Name of the file.
+        file: Arc<str>,
+        /// First byte after the last good record.
+        offset: u64,
+        /// Bytes up to the last one that is not zero.
+        bytes: u64,
+        /// What is wrong with the record that should be there.
+        what: &'static str,
+    },
+}
+
+/// Iterator over the records of a store; ends after the first error.
+pub struct Scan {
+    segments: Vec<ScannedSegment>,
+    /// Files that are no segments.
+    ignored: Vec<String>,
+    /// Which segment is being read.
+    at: usize,
+    /// Where its next record starts; 0 before the header was looked at.
+    offset: u64,
+    /// CRC the next record has to name.
+    previous: u32,
+    /// Up to where the newest segment is proven durable by its own records.
+    proven: u64,
+    /// The index after the newest entry seen, for messages.
+    next_index: u64,
+    window: Option<Window>,
+    done: bool,
+}
+
+/// A segment that a scan opened.
+#[derive(Clone)]
+pub(crate) struct ScannedSegment {
+    pub(crate) name: Arc<str>,
+    pub(crate) header: SegmentHeader,
+    /// CRC of the header.
+    pub(crate) crc: u32,
+    pub(crate) file: Arc<dyn DiskFile>,
+}
+
+/// Where the log ends, once a scan is done.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Tail {
+    /// First byte after the last good record of the newest segment.
+    pub(crate) end: u64,
+    /// CRC the next record has to name.
+    pub(crate) previous: u32,
+    /// Up to where its own records prove the newest segment durable.
+    pub(crate) proven: u64,
+}
+
+/// Opens every segment of `disk` and checks the headers; the iterator then reads the records.
+///
+/// `network`: refuse segments of another one. Changes nothing, so it works on a disk that is open for reading only.
+pub fn scan(disk: &dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan, StoreError> {
+    let names = disk.list().map_err(|error| StoreError::io("list", ".", error))?;
+    let mut segments: Vec<ScannedSegment> = Vec::new();
+    let mut ignored = Vec::new();
+    for name in names {
+        let Some((sequence, first_index)) = parse_name(&name) else {
+            ignored.push(name);
+            continue;
+        };
+        // Names sort as their numbers do.
+        let before = segments.last();
+        let wanted = before.map_or(1, |segment| segment.header.sequence.saturating_add(1));
+        if sequence != wanted {
+            let what = format!("this is segment {sequence}, but segment {wanted} is missing or there twice");
+            return Err(StoreError::corrupt(&name, 0, what, before.map_or(1, |segment| segment.header.first_index)));
+        }
+        let segment = open_segment(disk, &name, first_index)?;
+        let header = &segment.header;
+        if let Some(wanted) = network.filter(|wanted| **wanted != header.network) {
+            return Err(StoreError::WrongNetwork { file: name, found: header.network, wanted: *wanted });
+        }
+        if (header.sequence, header.first_index) != (sequence, first_index) {
+            let what =
+                format!("the header says segment {}, first index {}: renamed?", header.sequence, header.first_index);
+            return Err(StoreError::corrupt(&name, 12, what, first_index));
+        }
+        if header.durable_upto.sequence != sequence - 1 {
+            return Err(StoreError::corrupt(&name, 64, "the header does not follow the segment before", first_index));
+        }
+        segments.push(segment);
+    }
+    Ok(Scan {
+        segments,
+        ignored,
+        at: 0,
+        offset: 0,
+        previous: 0,
+        proven: 0,
+        next_index: 1,
+        window: None,
+        done: false,
+    })
+}
+
+fn open_segment(disk: &dyn Disk, name: &str, first_index: u64) -> Result<ScannedSegment, StoreError> {
+    let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
+    let mut bytes = [0; HEADER_BYTES as usize];
+    let count = file.read_at(&mut bytes, 0).map_err(|error| StoreError::io("read", name, error))?;
+    let (header, crc) = SegmentHeader::decode(bytes.get(..count).unwrap_or_default())
+        .map_err(|(offset, what)| StoreError::corrupt(name, offset, what, first_index))?;
+    Ok(ScannedSegment { name: name.into(), header, crc, file })
+}
+
+impl Scan {
+    /// Names of files in the directory that are no segments.
+    pub fn ignored(&self) -> &[String] {
+        &self.ignored
+    }
+
+    pub(crate) fn segments(&self) -> &[ScannedSegment] {
+        &self.segments
+    }
+
+    /// Where the log ends; meaningful when the iterator has ended without an error.
+    pub(crate) const fn tail(&self) -> Tail {
+        Tail { end: self.offset, previous: self.previous, proven: self.proven }
+    }
+
+    fn step(&mut self) -> Result<Option<Found>, StoreError> {
+        loop {
+            let Some(segment) = self.segments.get(self.at).cloned() else { return Ok(None) };
+            let successor = self.segments.get(self.at + 1).map(|next| next.header.durable_upto.offset);
+            let name = &segment.name;
+            let read = |error| StoreError::io("read", name, error);
+            if self.window.is_none() {
+                self.enter(&segment)?;
+                self.window = Some(Window::new(Arc::clone(&segment.file)).map_err(read)?);
+            }
+            let next_index = self.next_index;
+            let corrupt = |offset, what: &str| StoreError::corrupt(name, offset, what, next_index);
+            let Some(window) = &mut self.window else { return Ok(None) };
+            if successor.map(u64::from) == Some(self.offset) {
+                if let Some(offset) = window.first_non_zero(self.offset).map_err(read)? {
+                    return Err(corrupt(offset, "only zeros may follow the last record of a finished segment"));
+                }
+                self.window = None;
+                self.at += 1;
+                continue;
+            }
+            let offset = self.offset;
+            let position = LogPosition { sequence: segment.header.sequence, offset: narrow(offset) };
+            let what = match decode_at(window, &segment, position, self.previous).map_err(read)? {
+                Ok((header, record)) => {
+                    let end = offset + header.record_bytes() as u64;
+                    if successor.is_some_and(|successor| end > u64::from(successor)) {
+                        return Err(corrupt(offset, "the record goes beyond where this segment ended"));
+                    }
+                    self.offset = end;
+                    self.previous = header.crc;
+                    if header.durable_upto.sequence == position.sequence {
+                        self.proven = self.proven.max(u64::from(header.durable_upto.offset));
+                    }
+                    if let Record::Entry(entry) = &record {
+                        self.next_index = entry.index.saturating_add(1);
+                    }
+                    let bytes = narrow(header.record_bytes() as u64);
+                    let durable_upto = header.durable_upto;
+                    return Ok(Some(Found::Record { file: name.clone(), position, bytes, durable_upto, record }));
+                }
+                Err(what) => what,
+            };
+            if successor.is_some() {
+                let what = format!("{what}, and a later segment proves that it was durable");
+                return Err(corrupt(offset, &what));
+            }
+            self.done = true;
+            let Some(last) = window.last_non_zero(offset).map_err(read)? else { return Ok(None) };
+            if let Some(proof) = find_proof(window, &segment, position, last).map_err(read)? {
+                let what = format!("{what}, and the record at byte {proof} proves that it was durable");
+                return Err(corrupt(offset, &what));
+            }
+            return Ok(Some(Found::Torn { file: name.clone(), offset, bytes: last + 1 - offset, what }));
+        }
+    }
+
+    /// Checks that a segment continues the one before, and starts with its first record.
+    fn enter(&mut self, segment: &ScannedSegment) -> Result<(), StoreError> {
+        if segment.header.previous != self.previous {
+            let what = "the header does not name the last record of the segment before";
+            return Err(StoreError::corrupt(&segment.name, 72, what, self.next_index));
+        }
+        if segment.header.first_index != self.next_index {
+            let what = format!("the header says entry {} comes next, found {}", segment.header.first_index, self.next_index);
+            return Err(StoreError::corrupt(&segment.name, 48, what, self.next_index));
+        }
+        self.offset = HEADER_BYTES;
+        self.proven = HEADER_BYTES;
+        self.previous = segment.crc;
+        Ok(())
+    }
+}
+
+impl Iterator for Scan {
+    type Item = Result<Found, StoreError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        if self.done {
+            return None;
+        }
+        let item = self.step().transpose();
+        self.done |= !matches!(item, Some(Ok(_)));
+        item
+    }
+}
+
+type Decoded = Result<(RecordHeader, Record), &'static str>;
+
+/// Reads the record at `position`, which has to name `previous`.
+fn decode_at(
+    window: &mut Window,
+    segment: &ScannedSegment,
+    position: LogPosition,
+    previous: u32,
+) -> std::io::Result<Decoded> {
+    let offset = u64::from(position.offset);
+    let header = match RecordHeader::decode(window.get(offset, RECORD_HEADER_BYTES)?, segment.header.salt, position) {
+        Ok(header) if header.previous == previous => header,
+        Ok(_) => return Ok(Err("the record does not continue the one before")),
+        Err(what) => return Ok(Err(what)),
+    };
+    let payload = window.get(offset + RECORD_HEADER_BYTES as u64, header.length as usize)?;
+    Ok(decode_record(&header, payload).map(|record| (header, record)))
+}
+
+/// Looks behind a bad record for one that was written when the bad one was already durable.
+fn find_proof(
+    window: &mut Window,
+    segment: &ScannedSegment,
+    bad: LogPosition,
+    last: u64,
+) -> std::io::Result<Option<u64>> {
+    for offset in u64::from(bad.offset) + 1..=last {
+        let bytes = window.get(offset, RECORD_HEADER_BYTES)?;
+        let position = LogPosition { sequence: bad.sequence, offset: narrow(offset) };
+        if RecordHeader::decode(bytes, segment.header.salt, position).is_ok_and(|header| header.durable_upto > bad) {
+            return Ok(Some(offset));
+        }
+    }
+    Ok(None)
+}
+
+/// Offsets of real segments fit; what does not becomes an offset at which nothing parses.
+fn narrow(offset: u64) -> u32 {
+    u32::try_from(offset).unwrap_or(u32::MAX)
+}

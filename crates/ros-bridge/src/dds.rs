@@ -1,0 +1,130 @@
+//! The DDS side: one participant per ROS domain, readers and writers of raw CDR.
+//!
+//! # What was found out about RustDDS
+//! - **Interfaces.** It uses every interface that has an IPv4 address, `lo` included, and joins the
+//!   discovery group on those that can do multicast. IPv6 is not used.
+//! - **Without multicast** (a network namespace with only `lo`, many containers) it still announces
+//!   itself to the first 12 participants of the domain on `127.0.0.1` (UDP port
+//!   7410 + 250 · domain + 2 · index). A CycloneDDS peer is found if it listens there: interface `lo`, multicast off,
+//!   peer `127.0.0.1`, participant index `auto`. There is nothing to set on our side.
+//! - **Options of the encapsulation header** are dropped on reading and zero on writing. Plain CDR
+//!   has none; CycloneDDS puts the count of padding bytes there, which no reader of plain CDR needs.
+//! - **A DDS writer has one encoding.** [`Writer`] opens a second one when the first sample of
+//!   another byte order comes; samples written before readers matched that one are lost, as at any
+//!   start.
+//! - **History is counted in samples**, and kept per topic after reading: `depth` times the largest
+//!   message is the memory of a topic. What waits for us is limited in bytes by [`crate::queue`].
+//! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, RustDDS 50 s). A
+//!   reliable writer keeps what it has not acknowledged, up to [`WRITER_BYTES_MAX`], and then refuses.
+//! - **Large messages to Fast DDS** (above about 200 kB) need a larger receive buffer on its side.
+//!
+//! Creating a participant takes tens of milliseconds and two threads; reading and writing never
+//! block. Everything here must be called inside a tokio runtime.
+
+mod encoding;
+mod graph;
+mod intake;
+mod matched;
+mod reader;
+mod writer;
+
+use std::sync::Arc;
+
+use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Topic, TopicKind};
+
+use self::graph::Graph;
+pub use self::{
+    matched::{Matched, Matching},
+    reader::Reader,
+    writer::{WRITER_BYTES_MAX, Writer},
+};
+use crate::{
+    error::{Error, Explained, Result},
+    names::{TopicName, TypeName},
+    qos::Qos,
+    queue::Limits,
+};
+
+/// Highest DDS domain: above it the UDP ports would exceed 65535.
+pub const DOMAIN_MAX: u16 = 232;
+
+/// Our presence in one ROS domain: a DDS participant with one ROS 2 node. Cloning shares it; it
+/// leaves the domain when the last clone, reader and writer are gone.
+#[derive(Clone)]
+pub struct Participant {
+    dds: DomainParticipant,
+    graph: Arc<Graph>,
+}
+
+impl Participant {
+    /// Joins a domain as the node `node_name` (shown by `ros2 node list`). Fails if the domain is out of
+    /// range, the name is not valid, or the UDP ports of the domain cannot be opened.
+    pub async fn open(domain: u16, node_name: &str) -> Result<Self> {
+        if domain > DOMAIN_MAX {
+            let wanted = format!("0 to {DOMAIN_MAX}");
+            let hint = "domains up to 101 are safe on every system";
+            let what = "ROS domain id is out of range";
+            return Err(Error::Setting(Explained::new(what, domain.to_string(), wanted, hint)));
+        }
+        let node = graph::node_name(node_name)?;
+        let join = move || {
+            let dds = DomainParticipantBuilder::new(domain)
+                .build()
+                .map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?;
+            let graph = Arc::new(Graph::announce(&dds, node)?);
+            Ok(Self { dds, graph })
+        };
+        let joined = tokio::task::spawn_blocking(join).await;
+        joined.map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?
+    }
+
+    /// Starts to read a topic. Samples of this participant's own writers are never given out.
+    pub fn reader(&self, topic: &TopicName, message: &TypeName, qos: &Qos, limits: Limits) -> Result<Reader> {
+        Reader::open(self, topic, message, qos, limits)
+    }
+
+    /// Starts to offer a topic.
+    pub fn writer(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Writer> {
+        Writer::open(self, topic, message, qos)
+    }
+
+    /// The GUID of the participant: unique in the world, new with every start.
+    pub fn guid(&self) -> [u8; 16] {
+        self.dds.guid().to_bytes()
+    }
+
+    /// The ROS domain.
+    pub fn domain(&self) -> u16 {
+        self.dds.domain_id()
+    }
+
+    fn guid_prefix(&self) -> [u8; 12] {
+        prefix(self.dds.guid())
+    }
+
+    fn topic(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Topic> {
+        qos.validate()?;
+        self.dds
+            .create_topic(topic.dds(), message.dds(), &qos.policies(), TopicKind::NoKey)
+            .map_err(|error| dds_error(&format!("cannot open topic {topic} [{message}]"), &error))
+    }
+}
+
+impl std::fmt::Debug for Participant {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Participant").field("guid", &hex::encode(self.guid())).finish_non_exhaustive()
+    }
+}
+
+/// The part of a GUID that all endpoints of a participant share.
+fn prefix(guid: GUID) -> [u8; 12] {
+    let mut prefix = [0; 12];
+    prefix.iter_mut().zip(guid.to_bytes()).for_each(|(to, from)| *to = from);
+    prefix
+}
+
+fn dds_error(what: &str, error: &dyn std::error::Error) -> Error {
+    let wanted = "a working DDS participant";
+    let hint = "look at the interfaces of this machine (`ip address`) and at its free UDP ports from 7400";
+    Error::Dds(Explained::new(what, error.to_string(), wanted, hint))
+}

@@ -1,0 +1,159 @@
+//! Takes the samples of one topic.
+
+use std::{sync::Arc, time::Instant};
+
+use futures::StreamExt;
+use rustdds::{DataReaderStatus, GUID, StatusEvented, no_key::SimpleDataReader};
+use tokio::task::JoinHandle;
+
+use super::{
+    Matched, Participant, dds_error,
+    encoding::AnyRaw,
+    graph::{Graph, Role},
+    intake::{Intake, Verdict},
+    matched::Matches,
+};
+use crate::{
+    error::Result,
+    names::{TopicName, TypeName},
+    qos::Qos,
+    queue::{Incoming, Limits, Queue},
+    sample::Sample,
+};
+
+/// Reads one topic; ends when dropped. A task moves samples from DDS into a queue that is limited in bytes.
+pub struct Reader {
+    queue: Arc<Queue>,
+    matched: Matched,
+    guid: GUID,
+    graph: Arc<Graph>,
+    pump: JoinHandle<()>,
+}
+
+impl Reader {
+    pub(super) fn open(
+        participant: &Participant,
+        topic: &TopicName,
+        message: &TypeName,
+        qos: &Qos,
+        limits: Limits,
+    ) -> Result<Self> {
+        let failed = |error| dds_error(&format!("cannot read topic {topic} [{message}]"), &error);
+        let dds_topic = participant.topic(topic, message, qos)?;
+        let subscriber = participant.dds.create_subscriber(&qos.policies()).map_err(failed)?;
+        let source: SimpleDataReader<Sample, AnyRaw> =
+            subscriber.create_simple_datareader_no_key(&dds_topic, Some(qos.policies())).map_err(failed)?;
+        let guid = source.guid();
+        let (matches, matched) = Matches::new(participant.guid_prefix());
+        let queue = Queue::new(limits.queue_bytes_max);
+        let pump = Pump {
+            topic: topic.clone(),
+            intake: Intake::new(participant.guid_prefix()),
+            matches,
+            sample_bytes_max: limits.sample_bytes_max,
+            queue: Arc::clone(&queue),
+        };
+        participant.graph.add(Role::Reads, guid);
+        Ok(Self {
+            queue,
+            matched,
+            guid,
+            graph: Arc::clone(&participant.graph),
+            pump: tokio::spawn(pump.run(source, participant.clone())),
+        })
+    }
+
+    /// The next sample, as soon as there is one; `None` only if DDS ended. Cancelling it loses nothing.
+    pub async fn next(&mut self) -> Option<Incoming> {
+        self.queue.next().await
+    }
+
+    /// The next sample if one waits.
+    pub fn try_next(&mut self) -> Option<Incoming> {
+        self.queue.try_next()
+    }
+
+    /// The writers of others.
+    pub fn matched(&self) -> &Matched {
+        &self.matched
+    }
+
+    /// Samples dropped so far: too large, or pushed out of a full queue.
+    pub fn dropped(&self) -> u64 {
+        self.queue.dropped()
+    }
+}
+
+impl Drop for Reader {
+    fn drop(&mut self) {
+        self.graph.remove(Role::Reads, self.guid);
+        self.pump.abort();
+    }
+}
+
+/// What the task behind a reader holds.
+struct Pump {
+    topic: TopicName,
+    intake: Intake,
+    matches: Matches,
+    sample_bytes_max: usize,
+    queue: Arc<Queue>,
+}
+
+impl Pump {
+    /// Runs until the reader is dropped. Holds the participant, so that it outlives its reader.
+    async fn run(mut self, source: SimpleDataReader<Sample, AnyRaw>, _participant: Participant) {
+        let samples = source.as_async_stream();
+        let mut samples = std::pin::pin!(samples);
+        let mut statuses = source.as_async_status_stream();
+        loop {
+            tokio::select! {
+                sample = samples.next() => match sample {
+                    Some(Ok(change)) => self.take(change.writer_guid, change.sequence_number.into(), change.sample),
+                    Some(Err(error)) => {
+                        self.queue.count_dropped();
+                        tracing::warn!(topic = %self.topic, %error, "sample dropped");
+                    }
+                    None => break,
+                },
+                status = statuses.next() => match status {
+                    Some(status) => self.note(&status),
+                    None => break,
+                },
+            }
+        }
+        self.queue.close();
+    }
+
+    fn take(&mut self, writer: GUID, sequence: i64, sample: Sample) {
+        let source = writer.to_bytes();
+        if self.intake.judge(source, sequence, self.matches.endpoints()) != Verdict::Admit {
+            return;
+        }
+        if sample.wire().len() > self.sample_bytes_max {
+            self.queue.count_dropped();
+            let (bytes, bytes_max) = (sample.wire().len(), self.sample_bytes_max);
+            tracing::warn!(topic = %self.topic, bytes, bytes_max, "sample dropped: larger than the limit");
+            return;
+        }
+        let sequence = u64::try_from(sequence).unwrap_or_default();
+        self.queue.push(Incoming { sample, source, sequence, received: Instant::now() });
+    }
+
+    fn note(&mut self, status: &DataReaderStatus) {
+        match status {
+            DataReaderStatus::SubscriptionMatched { current, writer, .. } => {
+                self.matches.changed(*writer, current.count_change());
+            }
+            DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. } => {
+                self.matches.refused();
+                let policy = format!("{last_policy_id:?}");
+                tracing::warn!(topic = %self.topic, policy, "a publisher offers less than this route requests");
+            }
+            DataReaderStatus::SampleLost { count } => {
+                tracing::debug!(topic = %self.topic, lost = count.count(), "samples lost before they reached us");
+            }
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,196 @@
+//! Publishes raw CDR on one topic.
+
+use std::{
+    collections::BTreeMap,
+    sync::{Arc, Mutex, PoisonError},
+    time::Duration,
+};
+
+use bytes::Bytes;
+use futures::{StreamExt, future::BoxFuture};
+use rustdds::{
+    DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic, dds::result::WriteError,
+    no_key::DataWriter,
+};
+use tokio::task::AbortHandle;
+
+use super::{Matched, Participant, dds_error, encoding::Raw, graph::Role, matched::Matches};
+use crate::{
+    error::{Error, Explained, Result},
+    names::{TopicName, TypeName},
+    qos::Qos,
+    sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample},
+};
+
+/// Most bytes written that reliable readers have not acknowledged. Beyond it a write is refused.
+pub const WRITER_BYTES_MAX: usize = 16 * 1024 * 1024;
+
+/// Offers one topic; leaves it when dropped. Writing never blocks.
+pub struct Writer {
+    participant: Participant,
+    topic: TopicName,
+    dds_topic: Topic,
+    policies: QosPolicies,
+    matched: Matched,
+    endpoints: Mutex<BTreeMap<[u8; 2], Endpoint>>,
+}
+
+/// The DDS writer of one encoding.
+struct Endpoint {
+    output: Arc<dyn Output>,
+    unacknowledged_bytes: usize,
+    watcher: AbortHandle,
+}
+
+impl Writer {
+    pub(super) fn open(participant: &Participant, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Self> {
+        let dds_topic = participant.topic(topic, message, qos)?;
+        let (matches, matched) = Matches::new(participant.guid_prefix());
+        let mut writer = Self {
+            participant: participant.clone(),
+            topic: topic.clone(),
+            dds_topic,
+            policies: qos.policies(),
+            matched,
+            endpoints: Mutex::default(),
+        };
+        let first = writer.endpoint(CDR_LE, matches)?;
+        writer.endpoints.get_mut().unwrap_or_else(PoisonError::into_inner).insert(CDR_LE, first);
+        Ok(writer)
+    }
+
+    /// Publishes a sample.
+    ///
+    /// [`Error::Slow`] means that reliable readers are too far behind: this sample is not written, a later one may
+    /// be. [`Error::Dds`] means that the participant is broken.
+    pub fn write(&self, sample: &Sample) -> Result<()> {
+        let mut endpoints = self.endpoints.lock().unwrap_or_else(PoisonError::into_inner);
+        let id = sample.representation_id();
+        let endpoint = match endpoints.entry(id) {
+            std::collections::btree_map::Entry::Occupied(known) => known.into_mut(),
+            std::collections::btree_map::Entry::Vacant(new) => {
+                let (matches, _) = Matches::new(self.participant.guid_prefix());
+                new.insert(self.endpoint(id, matches)?)
+            }
+        };
+        let body = sample.body();
+        let bytes = body.len();
+        if endpoint.output.all_acknowledged() {
+            endpoint.unacknowledged_bytes = 0;
+        }
+        if endpoint.unacknowledged_bytes.saturating_add(bytes) > WRITER_BYTES_MAX && endpoint.unacknowledged_bytes > 0 {
+            return Err(self.slow());
+        }
+        match endpoint.output.put(body) {
+            Ok(()) => {
+                endpoint.unacknowledged_bytes = endpoint.unacknowledged_bytes.saturating_add(bytes);
+                Ok(())
+            }
+            Err(WriteError::WouldBlock { .. }) => Err(self.slow()),
+            Err(error) => Err(dds_error(&format!("cannot publish on {}", self.topic), &error)),
+        }
+    }
+
+    /// Waits until all reliable readers have everything written so far; `false` after `at_most`. A stop message
+    /// deserves it before the writer is dropped.
+    pub async fn flush(&self, at_most: Duration) -> bool {
+        let outputs: Vec<Arc<dyn Output>> = {
+            let endpoints = self.endpoints.lock().unwrap_or_else(PoisonError::into_inner);
+            endpoints.values().map(|endpoint| Arc::clone(&endpoint.output)).collect()
+        };
+        let all = futures::future::join_all(outputs.iter().map(|output| output.acknowledged()));
+        tokio::time::timeout(at_most, all).await.is_ok_and(|all| all.into_iter().all(|done| done))
+    }
+
+    /// The readers of others (of the usual encoding, little endian).
+    pub fn matched(&self) -> &Matched {
+        &self.matched
+    }
+
+    /// Opens the DDS writer of an encoding and follows its status.
+    fn endpoint(&self, id: [u8; 2], matches: Matches) -> Result<Endpoint> {
+        match id {
+            CDR_LE => self.endpoint_of::<1>(matches),
+            CDR_BE => self.endpoint_of::<0>(matches),
+            PL_CDR_BE => self.endpoint_of::<2>(matches),
+            PL_CDR_LE => self.endpoint_of::<3>(matches),
+            [first, second] => {
+                let found = format!("encoding {first:02x} {second:02x}");
+                let what = format!("cannot publish on {}: unknown encoding", self.topic);
+                Err(Error::Sample(Explained::new(what, found, "00 00 to 00 03", "")))
+            }
+        }
+    }
+
+    fn endpoint_of<const ID: u8>(&self, matches: Matches) -> Result<Endpoint> {
+        let failed = |error| dds_error(&format!("cannot write topic {}", self.topic), &error);
+        let publisher = self.participant.dds.create_publisher(&self.policies).map_err(failed)?;
+        let writer: DataWriter<Bytes, Raw<ID>> =
+            publisher.create_datawriter_no_key(&self.dds_topic, Some(self.policies.clone())).map_err(failed)?;
+        let writer = Arc::new(writer);
+        self.participant.graph.add(Role::Writes, writer.guid());
+        let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.clone(), matches)).abort_handle();
+        Ok(Endpoint { output: writer, unacknowledged_bytes: 0, watcher })
+    }
+
+    fn slow(&self) -> Error {
+        let what = format!("sample not published on {}: a reader does not keep up", self.topic);
+        let found = "the window of unacknowledged samples is full";
+        let wanted = format!("acknowledgements within {WRITER_BYTES_MAX} bytes or 8192 samples");
+        let hint = "make the slow subscriber best effort, or publish less";
+        Error::Slow(Explained::new(what, found, wanted, hint))
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        for endpoint in self.endpoints.get_mut().unwrap_or_else(PoisonError::into_inner).values() {
+            endpoint.watcher.abort();
+            self.participant.graph.remove(Role::Writes, endpoint.output.id());
+        }
+    }
+}
+
+/// A DDS writer of any encoding.
+trait Output: Send + Sync {
+    fn put(&self, body: Bytes) -> std::result::Result<(), WriteError<Bytes>>;
+    fn all_acknowledged(&self) -> bool;
+    fn acknowledged(&self) -> BoxFuture<'_, bool>;
+    fn id(&self) -> GUID;
+}
+
+impl<const ID: u8> Output for DataWriter<Bytes, Raw<ID>> {
+    fn put(&self, body: Bytes) -> std::result::Result<(), WriteError<Bytes>> {
+        self.write(body, Some(Timestamp::now()))
+    }
+
+    fn all_acknowledged(&self) -> bool {
+        self.wait_for_acknowledgments(Duration::ZERO).unwrap_or(false)
+    }
+
+    fn acknowledged(&self) -> BoxFuture<'_, bool> {
+        Box::pin(async { self.async_wait_for_acknowledgments().await.unwrap_or(false) })
+    }
+
+    fn id(&self) -> GUID {
+        self.guid()
+    }
+}
+
+/// Follows the status of a DDS writer until it is dropped.
+async fn watch<const ID: u8>(writer: Arc<DataWriter<Bytes, Raw<ID>>>, topic: TopicName, mut matches: Matches) {
+    let mut statuses = writer.as_async_status_stream();
+    while let Some(status) = statuses.next().await {
+        match status {
+            DataWriterStatus::PublicationMatched { current, reader, .. } => {
+                matches.changed(reader, current.count_change());
+            }
+            DataWriterStatus::OfferedIncompatibleQos { last_policy_id, .. } => {
+                matches.refused();
+                let policy = format!("{last_policy_id:?}");
+                tracing::warn!(%topic, policy, "a subscriber requests more than this route offers");
+            }
+            _ => {}
+        }
+    }
+}

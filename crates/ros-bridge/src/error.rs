@@ -1,0 +1,67 @@
+//! Everything that can go wrong in the bridge.
+//!
+//! Each message has the same four lines: what failed, what was found, what was wanted, what to try.
+
+use std::fmt;
+
+/// The result of everything in this crate that can fail.
+pub type Result<T> = std::result::Result<T, Error>;
+
+/// A failure of the bridge. The kind says who has to act; the text says how.
+#[derive(Debug, Clone, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A topic or node name that ROS 2 does not allow. Fault of the configuration.
+    #[error("{0}")]
+    Name(Explained),
+    /// A message type name that ROS 2 does not allow. Fault of the configuration.
+    #[error("{0}")]
+    Type(Explained),
+    /// A setting outside its range. Fault of the configuration.
+    #[error("{0}")]
+    Setting(Explained),
+    /// Bytes that are no CDR sample, or more of them than allowed. Fault of the sender.
+    #[error("{0}")]
+    Sample(Explained),
+    /// A reader on the graph does not keep up; the sample was not written. Try the next one.
+    #[error("{0}")]
+    Slow(Explained),
+    /// The DDS side refused or broke. Often a port or interface of this machine.
+    #[error("{0}")]
+    Dds(Explained),
+    /// The shared memory side refused or broke.
+    #[error("{0}")]
+    Shm(Explained),
+}
+
+/// The four lines of an error message.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Explained {
+    /// What could not be done.
+    pub what: String,
+    /// What was found instead of what was wanted.
+    pub found: String,
+    /// What would have been right.
+    pub wanted: String,
+    /// What to do next; empty if there is no good advice.
+    pub hint: String,
+}
+
+impl Explained {
+    /// Puts the four lines together.
+    pub fn new(
+        what: impl Into<String>,
+        found: impl Into<String>,
+        wanted: impl Into<String>,
+        hint: impl Into<String>,
+    ) -> Self {
+        Self { what: what.into(), found: found.into(), wanted: wanted.into(), hint: hint.into() }
+    }
+}
+
+impl fmt::Display for Explained {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}\n  found   {}\n  wanted  {}", self.what, self.found, self.wanted)?;
+        if self.hint.is_empty() { Ok(()) } else { write!(f, "\n  try     {}", self.hint) }
+    }
+}

@@ -1,0 +1,192 @@
+//! The queue between a source of samples and whoever takes them.
+//!
+//! DDS and iceoryx2 count samples, not bytes. This queue weighs them: when it is full the oldest go
+//! first, as in a ROS 2 history, because an old command is worth less than a new one.
+
+use std::{
+    collections::VecDeque,
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
+    },
+};
+
+use tokio::sync::Notify;
+
+use crate::sample::Sample;
+
+/// What a reader accepts and keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Largest sample taken, in bytes with its header; larger ones are dropped and counted.
+    pub sample_bytes_max: usize,
+    /// Most bytes waiting to be taken; the oldest samples make room.
+    pub queue_bytes_max: usize,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { sample_bytes_max: 1024 * 1024, queue_bytes_max: 16 * 1024 * 1024 }
+    }
+}
+
+/// A sample that came in, and where from.
+#[derive(Debug, Clone)]
+pub struct Incoming {
+    /// The message.
+    pub sample: Sample,
+    /// Who published it: the GUID of the DDS writer, or the origin in shared memory.
+    pub source: [u8; 16],
+    /// The source's own count of its samples.
+    pub sequence: u64,
+    /// When it was taken from the middleware.
+    pub received: std::time::Instant,
+}
+
+/// Bytes that every queued sample is taken to cost besides its own.
+const OVERHEAD_BYTES: usize = 128;
+
+/// The sending half, the receiving half and the counters, shared.
+#[derive(Debug, Default)]
+pub(crate) struct Queue {
+    waiting: Mutex<Waiting>,
+    arrived: Notify,
+    bytes_max: AtomicUsize,
+    dropped: AtomicU64,
+    closed: AtomicBool,
+}
+
+#[derive(Debug, Default)]
+struct Waiting {
+    samples: VecDeque<Incoming>,
+    bytes: usize,
+}
+
+impl Queue {
+    pub(crate) fn new(bytes_max: usize) -> Arc<Self> {
+        let queue = Self::default();
+        queue.bytes_max.store(bytes_max, Ordering::Relaxed);
+        Arc::new(queue)
+    }
+
+    /// Appends a sample; the oldest leave until it fits. One that never fits is dropped itself.
+    pub(crate) fn push(&self, incoming: Incoming) {
+        let bytes_max = self.bytes_max.load(Ordering::Relaxed);
+        let bytes = weight(&incoming);
+        if bytes > bytes_max {
+            self.count_dropped();
+            return;
+        }
+        let mut waiting = self.lock();
+        while waiting.bytes + bytes > bytes_max {
+            let Some(oldest) = waiting.samples.pop_front() else { break };
+            waiting.bytes = waiting.bytes.saturating_sub(weight(&oldest));
+            self.count_dropped();
+        }
+        waiting.bytes += bytes;
+        waiting.samples.push_back(incoming);
+        drop(waiting);
+        self.arrived.notify_one();
+    }
+
+    /// Counts a sample that was lost before or in the queue.
+    pub(crate) fn count_dropped(&self) {
+        self.dropped.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Samples lost so far.
+    pub(crate) fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
+    }
+
+    /// Nothing will come any more; what waits can still be taken.
+    pub(crate) fn close(&self) {
+        self.closed.store(true, Ordering::Release);
+        self.arrived.notify_one();
+    }
+
+    pub(crate) fn try_next(&self) -> Option<Incoming> {
+        let mut waiting = self.lock();
+        let incoming = waiting.samples.pop_front()?;
+        waiting.bytes = waiting.bytes.saturating_sub(weight(&incoming));
+        Some(incoming)
+    }
+
+    /// The oldest sample, as soon as there is one; `None` when closed and empty. Cancelling it
+    /// loses nothing. One taker only.
+    pub(crate) async fn next(&self) -> Option<Incoming> {
+        loop {
+            let closed = self.closed.load(Ordering::Acquire);
+            if let Some(incoming) = self.try_next() {
+                return Some(incoming);
+            }
+            if closed {
+                return None;
+            }
+            self.arrived.notified().await;
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Waiting> {
+        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn weight(incoming: &Incoming) -> usize {
+    incoming.sample.wire().len().saturating_add(OVERHEAD_BYTES)
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::sample::CDR_LE;
+
+    fn incoming(sequence: u64, bytes: usize) -> Incoming {
+        Incoming {
+            sample: Sample::new(CDR_LE, &vec![0; bytes]).unwrap(),
+            source: [0; 16],
+            sequence,
+            received: std::time::Instant::now(),
+        }
+    }
+
+    #[test]
+    fn the_oldest_make_room_and_are_counted() {
+        let queue = Queue::new(3 * (OVERHEAD_BYTES + 104));
+        for sequence in 0..5 {
+            queue.push(incoming(sequence, 100));
+        }
+        let left: Vec<u64> = std::iter::from_fn(|| queue.try_next()).map(|i| i.sequence).collect();
+        assert_eq!(left, [2, 3, 4]);
+        assert_eq!(queue.dropped(), 2);
+    }
+
+    #[test]
+    fn tiny_samples_cannot_fill_the_memory_either() {
+        let queue = Queue::new(10 * OVERHEAD_BYTES);
+        for sequence in 0..1000 {
+            queue.push(incoming(sequence, 0));
+        }
+        assert!(std::iter::from_fn(|| queue.try_next()).count() < 10);
+    }
+
+    #[test]
+    fn a_sample_larger_than_the_queue_is_dropped_alone() {
+        let queue = Queue::new(1000);
+        queue.push(incoming(1, 10));
+        queue.push(incoming(2, 10_000));
+        assert_eq!(queue.try_next().unwrap().sequence, 1);
+        assert_eq!(queue.dropped(), 1);
+    }
+
+    #[tokio::test]
+    async fn a_closed_queue_gives_what_it_has_and_then_ends() {
+        let queue = Queue::new(1000);
+        queue.push(incoming(1, 10));
+        queue.close();
+        assert_eq!(queue.next().await.unwrap().sequence, 1);
+        assert!(queue.next().await.is_none());
+        assert!(queue.next().await.is_none());
+    }
+}

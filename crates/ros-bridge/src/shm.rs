@@ -1,0 +1,325 @@
+//! The shared memory side: raw samples between processes of one machine, over iceoryx2.
+//!
+//! # Contract with local processes
+//! - **Service**: publish-subscribe of `[u8]`, named like the DDS topic (`rt/cmd_vel`). The payload is the sample
+//!   with its encapsulation header, byte for byte what DDS carries ([`Sample::wire`]).
+//! - **User header**: 32 bytes, `[u8; 32]`, so that no padding and no byte order is left to the compiler:
+//!   `origin` (16, who published), `sequence` (8, little endian, counts from 1), then 8 zero bytes. A process that
+//!   publishes by itself takes any origin that is unique, best random; zero is allowed and stands for "unknown".
+//! - **Event service** of the same name: notify it after each publication, wait on it for news.
+//! - A bridge drops what carries its own origin, so nothing goes in circles.
+//! - All processes run as the same user. The first one to open a service sets its limits ([`PUBLISHERS_MAX`],
+//!   [`SUBSCRIBERS_MAX`], [`BUFFER_SAMPLES`]); ours refuses a service that was opened with less.
+//!
+//! What a killed process leaves behind is removed when the next node starts or opens a service; two processes that
+//! do so at the same time can disturb each other, so opening is tried several times.
+//!
+//! iceoryx2 would take over SIGINT and SIGTERM; that is switched off. Arrays of bytes are sendable without any
+//! `unsafe`, which is the other reason for the plain header.
+
+use std::{
+    sync::{
+        Arc,
+        atomic::{AtomicBool, AtomicU64, Ordering},
+    },
+    time::{Duration, Instant},
+};
+
+use iceoryx2::{
+    node::{Node as IoxNode, NodeBuilder, NodeCreationFailure},
+    port::{listener::Listener, notifier::Notifier, publisher, subscriber},
+    prelude::{AllocationStrategy, LogLevel, NodeName, ServiceName, SignalHandlingMode, set_log_level_from_env_or},
+    service::{
+        ipc_threadsafe::Service,
+        port_factory::{self, PortFactory},
+    },
+};
+
+use crate::{
+    error::{Error, Explained, Result},
+    names::TopicName,
+    queue::{Incoming, Limits, Queue},
+    sample::Sample,
+};
+
+/// Most publishers of a service.
+pub const PUBLISHERS_MAX: usize = 16;
+/// Most subscribers of a service.
+pub const SUBSCRIBERS_MAX: usize = 16;
+/// Most processes that use a service.
+const NODES_MAX: usize = 32;
+/// Samples that wait for each subscriber; a slow one loses the oldest.
+pub const BUFFER_SAMPLES: usize = 32;
+/// Samples for which a publisher sets memory aside; the memory grows with the largest sample sent.
+const PREALLOCATED_SAMPLES_MAX: usize = 64;
+/// Largest sample in bytes without growing.
+const FIRST_SLICE_BYTES: usize = 4096;
+/// Tries to open something that others create or clean up at the same time.
+const OPEN_TRIES_MAX: u32 = 20;
+const OPEN_PAUSE: Duration = Duration::from_millis(50);
+/// A subscriber looks for samples at least this often, also when a wake-up was lost.
+const WAIT_MAX: Duration = Duration::from_secs(1);
+
+const HEADER_BYTES: usize = 32;
+type Header = [u8; HEADER_BYTES];
+type DataService = port_factory::publish_subscribe::PortFactory<Service, [u8], Header>;
+type EventService = port_factory::event::PortFactory<Service>;
+
+/// Our presence in the shared memory of this machine. Cloning shares it.
+#[derive(Clone)]
+pub struct Node {
+    node: Arc<IoxNode<Service>>,
+    origin: [u8; 16],
+}
+
+impl Node {
+    /// Opens shared memory under a name that tools show. `origin` marks what we publish: unique in the world, such as
+    /// the GUID of a DDS participant.
+    pub async fn open(name: &str, origin: [u8; 16]) -> Result<Self> {
+        let node_name = NodeName::new(name).map_err(|error| failed(&format!("node name {name:?}"), &error))?;
+        blocking(move || {
+            set_log_level_from_env_or(LogLevel::Error);
+            let create = || -> std::result::Result<_, NodeCreationFailure> {
+                let builder = NodeBuilder::new().name(&node_name);
+                builder.signal_handling_mode(SignalHandlingMode::Disabled).create::<Service>()
+            };
+            Ok(Self { node: Arc::new(retry("cannot open shared memory", create)?), origin })
+        })
+        .await
+    }
+
+    /// Starts to publish a topic.
+    pub async fn publisher(&self, topic: &TopicName) -> Result<Publisher> {
+        let (node, topic) = (self.clone(), topic.clone());
+        blocking(move || {
+            let (data, events) = node.services(&topic)?;
+            let what = format!("cannot publish {topic} in shared memory");
+            let port = retry(&what, || {
+                data.publisher_builder()
+                    .initial_max_slice_len(FIRST_SLICE_BYTES)
+                    .allocation_strategy(AllocationStrategy::PowerOfTwo)
+                    .override_sample_preallocation(|worst| worst.min(PREALLOCATED_SAMPLES_MAX))
+                    .create()
+            })?;
+            let notifier = retry(&what, || events.notifier_builder().create())?;
+            Ok(Publisher { port, notifier, data, origin: node.origin, sequence: AtomicU64::new(0), topic })
+        })
+        .await
+    }
+
+    /// Starts to receive a topic; what carries this node's origin is left out.
+    pub async fn subscriber(&self, topic: &TopicName, limits: Limits) -> Result<Subscriber> {
+        let (node, topic) = (self.clone(), topic.clone());
+        blocking(move || {
+            let (data, events) = node.services(&topic)?;
+            let what = format!("cannot subscribe {topic} in shared memory");
+            let listener = retry(&what, || events.listener_builder().create())?;
+            let waker = retry(&what, || events.notifier_builder().create())?;
+            let port = retry(&what, || data.subscriber_builder().buffer_size(BUFFER_SAMPLES).create())?;
+            let queue = Queue::new(limits.queue_bytes_max);
+            let stop = Arc::new(AtomicBool::new(false));
+            let pump = Pump {
+                port,
+                listener,
+                queue: Arc::clone(&queue),
+                stop: Arc::clone(&stop),
+                origin: node.origin,
+                bytes_max: limits.sample_bytes_max,
+                topic: topic.clone(),
+            };
+            let thread = std::thread::Builder::new().name("bridge-shm".to_owned());
+            thread.spawn(move || pump.run()).map_err(|error| failed(&what, &error))?;
+            Ok(Subscriber { queue, data, stop, waker })
+        })
+        .await
+    }
+
+    fn services(&self, topic: &TopicName) -> Result<(DataService, EventService)> {
+        let what = format!("cannot open {topic} in shared memory");
+        let name = ServiceName::new(&topic.dds()).map_err(|error| failed(&what, &error))?;
+        let data = retry(&what, || {
+            self.node
+                .service_builder(&name)
+                .publish_subscribe::<[u8]>()
+                .user_header::<Header>()
+                .max_publishers(PUBLISHERS_MAX)
+                .max_subscribers(SUBSCRIBERS_MAX)
+                .max_nodes(NODES_MAX)
+                .subscriber_max_buffer_size(BUFFER_SAMPLES)
+                .enable_safe_overflow(true)
+                .open_or_create()
+        })?;
+        let events = retry(&what, || {
+            self.node
+                .service_builder(&name)
+                .event()
+                .max_notifiers(PUBLISHERS_MAX + SUBSCRIBERS_MAX)
+                .max_listeners(SUBSCRIBERS_MAX)
+                .max_nodes(NODES_MAX)
+                .open_or_create()
+        })?;
+        Ok((data, events))
+    }
+}
+
+/// Publishes raw samples of one topic.
+pub struct Publisher {
+    port: publisher::Publisher<Service, [u8], Header>,
+    notifier: Notifier<Service>,
+    data: DataService,
+    origin: [u8; 16],
+    sequence: AtomicU64,
+    topic: TopicName,
+}
+
+impl Publisher {
+    /// Copies a sample into shared memory and wakes the subscribers; never waits. Returns how many it reached.
+    pub fn write(&self, sample: &Sample) -> Result<usize> {
+        let what = || format!("cannot publish on {} in shared memory", self.topic);
+        let wire = sample.wire();
+        let mut loan = self.port.loan_slice_uninit(wire.len()).map_err(|error| failed(&what(), &error))?;
+        let sequence = self.sequence.fetch_add(1, Ordering::Relaxed).saturating_add(1);
+        *loan.user_header_mut() = encode_header(self.origin, sequence);
+        let reached = loan.write_from_slice(wire).send().map_err(|error| failed(&what(), &error))?;
+        if let Err(error) = self.notifier.notify() {
+            tracing::debug!(topic = %self.topic, ?error, "a subscriber in shared memory was not woken");
+        }
+        Ok(reached)
+    }
+
+    /// Subscribers of the topic in shared memory, ours included.
+    pub fn subscribers(&self) -> usize {
+        self.data.dynamic_config().number_of_subscribers()
+    }
+}
+
+/// Receives raw samples of one topic; ends when dropped. A thread moves them into a queue limited in bytes.
+pub struct Subscriber {
+    queue: Arc<Queue>,
+    data: DataService,
+    stop: Arc<AtomicBool>,
+    waker: Notifier<Service>,
+}
+
+impl Subscriber {
+    /// The next sample, as soon as there is one. Cancelling it loses nothing.
+    pub async fn next(&mut self) -> Option<Incoming> {
+        self.queue.next().await
+    }
+
+    /// The next sample if one waits.
+    pub fn try_next(&mut self) -> Option<Incoming> {
+        self.queue.try_next()
+    }
+
+    /// Publishers of the topic in shared memory, ours included.
+    pub fn publishers(&self) -> usize {
+        self.data.dynamic_config().number_of_publishers()
+    }
+
+    /// Samples dropped so far: not valid, too large, or pushed out of a full queue.
+    pub fn dropped(&self) -> u64 {
+        self.queue.dropped()
+    }
+}
+
+impl Drop for Subscriber {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Release);
+        // Without the wake-up the thread sees the flag within WAIT_MAX.
+        if let Err(error) = self.waker.notify() {
+            tracing::debug!(?error, "shared memory thread not woken");
+        }
+    }
+}
+
+/// What the thread behind a subscriber holds.
+struct Pump {
+    port: subscriber::Subscriber<Service, [u8], Header>,
+    listener: Listener<Service>,
+    queue: Arc<Queue>,
+    stop: Arc<AtomicBool>,
+    origin: [u8; 16],
+    bytes_max: usize,
+    topic: TopicName,
+}
+
+impl Pump {
+    fn run(self) {
+        while !self.stop.load(Ordering::Acquire) {
+            self.drain();
+            if let Err(error) = self.listener.timed_wait(|_| (), WAIT_MAX) {
+                tracing::error!(topic = %self.topic, ?error, "shared memory subscription ended");
+                break;
+            }
+        }
+        self.queue.close();
+    }
+
+    fn drain(&self) {
+        loop {
+            match self.port.receive() {
+                Ok(Some(sample)) => self.take(sample.user_header(), sample.payload()),
+                Ok(None) => return,
+                Err(error) => {
+                    tracing::warn!(topic = %self.topic, ?error, "shared memory not readable now");
+                    return;
+                }
+            }
+        }
+    }
+
+    fn take(&self, header: &Header, payload: &[u8]) {
+        let (source, sequence) = decode_header(header);
+        if source == self.origin {
+            return;
+        }
+        match Sample::copy_from_wire(payload, self.bytes_max) {
+            Ok(sample) => self.queue.push(Incoming { sample, source, sequence, received: Instant::now() }),
+            Err(error) => {
+                self.queue.count_dropped();
+                tracing::warn!(topic = %self.topic, %error, "sample from shared memory dropped");
+            }
+        }
+    }
+}
+
+fn encode_header(origin: [u8; 16], sequence: u64) -> Header {
+    let mut header = [0; HEADER_BYTES];
+    let bytes = origin.into_iter().chain(sequence.to_le_bytes());
+    header.iter_mut().zip(bytes).for_each(|(to, from)| *to = from);
+    header
+}
+
+fn decode_header(header: &Header) -> ([u8; 16], u64) {
+    let origin = header.first_chunk().copied().unwrap_or_default();
+    let sequence = header.get(16..24).and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes);
+    (origin, sequence)
+}
+
+/// Tries again what fails while others create or clean up the same thing.
+fn retry<T, E: std::fmt::Debug>(what: &str, mut attempt: impl FnMut() -> std::result::Result<T, E>) -> Result<T> {
+    let mut tries = 1;
+    loop {
+        match attempt() {
+            Ok(done) => return Ok(done),
+            Err(error) if tries >= OPEN_TRIES_MAX => return Err(failed(what, &error)),
+            Err(error) => {
+                tracing::debug!(what, ?error, tries, "trying again");
+                tries += 1;
+                std::thread::sleep(OPEN_PAUSE);
+            }
+        }
+    }
+}
+
+fn failed(what: &str, error: &dyn std::fmt::Debug) -> Error {
+    let wanted = "free, compatible shared memory of this user in /dev/shm and /tmp/iceoryx2";
+    let hint = "run all processes as one user with the same limits; stop them and delete /tmp/iceoryx2 if it stays";
+    Error::Shm(Explained::new(what, format!("{error:?}"), wanted, hint))
+}
+
+/// Runs what may wait (files, locks, retries) off the threads of the runtime.
+async fn blocking<T: Send + 'static>(work: impl FnOnce() -> Result<T> + Send + 'static) -> Result<T> {
+    tokio::task::spawn_blocking(work).await.map_err(|error| failed("shared memory task ended early", &error))?
+}

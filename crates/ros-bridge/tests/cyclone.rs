@@ -1,0 +1,194 @@
+//! The other side is CycloneDDS, the DDS of `rmw_cyclonedds`, in Python.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+#[path = "../../../tests/interop/network.rs"]
+mod network;
+#[path = "../../../tests/interop/python.rs"]
+mod python;
+
+use std::{
+    process::Command,
+    time::{Duration, Instant},
+};
+
+use python::Python;
+use ros_bridge::{
+    dds::{Participant, WRITER_BYTES_MAX},
+    error::Error,
+    names::{TopicName, TypeName},
+    qos::Qos,
+    queue::Limits,
+    sample::{CDR_LE, Sample},
+};
+
+const DEADLINE: Duration = Duration::from_secs(30);
+
+fn names(topic: &str, message: &str) -> (TopicName, TypeName) {
+    (TopicName::parse(topic).unwrap(), TypeName::parse(message).unwrap())
+}
+
+/// The same values as `message()` in messages.py.
+fn twist(index: u32) -> Sample {
+    let value = f64::from(index);
+    let numbers = [value, value + 0.25, -value, value * 0.5, 0.0, value / 3.0];
+    let body: Vec<u8> = numbers.into_iter().flat_map(f64::to_le_bytes).collect();
+    Sample::new(CDR_LE, &body).unwrap()
+}
+
+/// sensor_msgs/msg/Image with `size` bytes of data, the same as in messages.py.
+fn image(index: u32, size: u32) -> Sample {
+    let mut body = Vec::new();
+    let number = |body: &mut Vec<u8>, number: u32| {
+        body.resize(body.len().next_multiple_of(4), 0);
+        body.extend(number.to_le_bytes());
+    };
+    let text = |body: &mut Vec<u8>, text: &str| {
+        number(body, u32::try_from(text.len()).unwrap() + 1);
+        body.extend(text.bytes().chain([0]));
+    };
+    number(&mut body, index);
+    number(&mut body, index + 1);
+    text(&mut body, "camera");
+    number(&mut body, 1);
+    number(&mut body, size);
+    text(&mut body, "mono8");
+    body.push(0);
+    number(&mut body, size);
+    number(&mut body, size);
+    body.extend((0..size).map(|at| u8::try_from((index + at) % 251).unwrap()));
+    body.resize(body.len().next_multiple_of(4), 0);
+    Sample::new(CDR_LE, &body).unwrap()
+}
+
+/// Publishes from Python and compares what arrives here with what the script says that it sent.
+async fn from_python(topic: &str, message: &str, count: usize, rate: usize, size: usize) {
+    let (topic, message) = names(topic, message);
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let mut reader = bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let args = ["5".to_owned(), topic.dds(), count.to_string(), rate.to_string(), size.to_string()];
+    let mut python = Python::start("twist_publisher.py", &args.each_ref().map(String::as_str));
+    let mut received = Vec::new();
+    while received.len() < count {
+        received.push(tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap());
+    }
+    assert_eq!(python.line().unwrap(), "matched");
+    for (index, incoming) in received.iter().enumerate() {
+        assert_eq!(hex_of(&incoming.sample), python.line().unwrap(), "message {index}");
+        assert_eq!(incoming.sequence, index as u64 + 1);
+    }
+    assert!(python.finish());
+    assert_eq!(reader.dropped(), 0);
+}
+
+/// Publishes from here; Python prints what it received, with the header as it came.
+async fn to_python(topic: &str, message: &str, samples: &[Sample], period: Duration, size: usize) {
+    let (topic, message) = names(topic, message);
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
+    let args = ["5".to_owned(), topic.dds(), samples.len().to_string(), "0".to_owned(), size.to_string()];
+    let mut python = Python::start("twist_subscriber.py", &args.each_ref().map(String::as_str));
+    assert_eq!(python.line().unwrap(), "ready");
+    assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+    assert_eq!(python.line().unwrap(), "matched");
+    let start = Instant::now();
+    for (index, sample) in samples.iter().enumerate() {
+        tokio::time::sleep_until((start + period * u32::try_from(index).unwrap()).into()).await;
+        writer.write(sample).unwrap();
+    }
+    assert!(writer.flush(DEADLINE).await);
+    for (index, sample) in samples.iter().enumerate() {
+        assert_eq!(python.line().unwrap(), hex_of(sample), "message {index}");
+    }
+    assert!(python.finish());
+}
+
+fn hex_of(sample: &Sample) -> String {
+    sample.wire().iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[tokio::test]
+async fn twists_come_from_cyclone_at_50_hz_and_none_is_lost() {
+    if network::isolated("twists_come_from_cyclone_at_50_hz_and_none_is_lost") {
+        from_python("/cmd_vel", "geometry_msgs/msg/Twist", 150, 50, 0).await;
+    }
+}
+
+#[tokio::test]
+async fn twists_go_to_cyclone_at_50_hz_and_none_is_lost() {
+    if network::isolated("twists_go_to_cyclone_at_50_hz_and_none_is_lost") {
+        let samples: Vec<Sample> = (0..150).map(twist).collect();
+        to_python("/cmd_vel", "geometry_msgs/msg/Twist", &samples, Duration::from_millis(20), 0).await;
+    }
+}
+
+#[tokio::test]
+async fn large_images_come_from_cyclone() {
+    if network::isolated("large_images_come_from_cyclone") {
+        from_python("/image", "sensor_msgs/msg/Image", 5, 10, 300_000).await;
+    }
+}
+
+#[tokio::test]
+async fn large_images_go_to_cyclone() {
+    if network::isolated("large_images_go_to_cyclone") {
+        let samples: Vec<Sample> = (0..5).map(|index| image(index, 300_000)).collect();
+        to_python("/image", "sensor_msgs/msg/Image", &samples, Duration::from_millis(100), 300_000).await;
+    }
+}
+
+#[tokio::test]
+async fn a_subscriber_that_stands_still_is_refused_memory_and_served_again_later() {
+    if !network::isolated("a_subscriber_that_stands_still_is_refused_memory_and_served_again_later") {
+        return;
+    }
+    let (topic, message) = names("/image", "sensor_msgs/msg/Image");
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
+    let mut python = Python::start("twist_subscriber.py", &["5", &topic.dds(), "0", "0", "300000", "60"]);
+    assert_eq!(python.line().unwrap(), "ready");
+    assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+    assert_eq!(python.line().unwrap(), "matched");
+    signal("-STOP", &python);
+    let mut written = 0;
+    let error = loop {
+        match writer.write(&image(0, 300_000)) {
+            Ok(()) => written += 1,
+            Err(error) => break error,
+        }
+        assert!(written <= WRITER_BYTES_MAX / 300_000, "{written} messages are waiting");
+    };
+    assert!(matches!(error, Error::Slow(_)), "{error}");
+    signal("-CONT", &python);
+    assert!(writer.flush(DEADLINE).await);
+    writer.write(&image(1, 300_000)).unwrap();
+    let last = hex_of(&image(1, 300_000));
+    assert!(until(&mut python, &last));
+}
+
+fn signal(signal: &str, python: &Python) {
+    let id = python.child.id().to_string();
+    assert!(Command::new("sh").args(["-c", &format!("kill {signal} {id}")]).status().unwrap().success());
+}
+
+#[tokio::test]
+async fn ros_tools_see_one_node_with_its_endpoints() {
+    if !network::isolated("ros_tools_see_one_node_with_its_endpoints") {
+        return;
+    }
+    let (topic, message) = names("/cmd_vel", "geometry_msgs/msg/Twist");
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let mut python = Python::start("graph_watcher.py", &["5"]);
+    assert!(until(&mut python, "/ ledgerd_bridge 0 0"), "a node without endpoints, to who comes late as well");
+    let reader = bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
+    assert!(until(&mut python, "/ ledgerd_bridge 1 1"));
+    drop(reader);
+    assert!(until(&mut python, "/ ledgerd_bridge 0 1"));
+    drop(writer);
+    assert!(until(&mut python, "/ ledgerd_bridge 0 0"));
+}
+
+/// Whether a line comes before the script ends.
+fn until(python: &mut Python, wanted: &str) -> bool {
+    std::iter::from_fn(|| python.line()).any(|line| line == wanted)
+}

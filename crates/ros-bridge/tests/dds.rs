@@ -1,0 +1,200 @@
+//! Two participants of ours on a network of their own.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+#[path = "../../../tests/interop/network.rs"]
+mod network;
+
+use std::{process::Command, time::Duration};
+
+use ros_bridge::{
+    dds::{Participant, Reader, Writer},
+    error::Error,
+    names::{TopicName, TypeName},
+    qos::{Durability, Qos, Reliability},
+    queue::{Incoming, Limits},
+    sample::{CDR_BE, CDR_LE, Sample},
+};
+
+const DEADLINE: Duration = Duration::from_secs(20);
+
+fn topic() -> TopicName {
+    TopicName::parse("/cmd_vel").unwrap()
+}
+
+fn twist() -> TypeName {
+    TypeName::parse("geometry_msgs/msg/Twist").unwrap()
+}
+
+fn numbered(number: u32) -> Sample {
+    Sample::new(CDR_LE, &number.to_le_bytes().repeat(12)).unwrap()
+}
+
+async fn matched(reader: &Reader, writer: &Writer) {
+    let both = async {
+        assert!(reader.matched().at_least(1).await);
+        assert!(writer.matched().at_least(1).await);
+    };
+    tokio::time::timeout(DEADLINE, both).await.unwrap();
+}
+
+async fn next(reader: &mut Reader) -> Incoming {
+    tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap()
+}
+
+#[tokio::test]
+async fn samples_arrive_byte_for_byte_and_in_order() {
+    if !network::isolated("samples_arrive_byte_for_byte_and_in_order") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    assert_ne!(here.guid(), there.guid());
+    let writer = here.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    matched(&reader, &writer).await;
+    for number in 0..500 {
+        writer.write(&numbered(number)).unwrap();
+        if number % 50 == 49 {
+            assert!(writer.flush(DEADLINE).await);
+        }
+    }
+    for number in 0..500 {
+        let incoming = next(&mut reader).await;
+        assert_eq!(incoming.sample, numbered(number));
+        assert_eq!(incoming.source[..12], here.guid()[..12]);
+        assert_eq!(incoming.sequence, u64::from(number) + 1);
+    }
+    assert_eq!(reader.dropped(), 0);
+}
+
+#[tokio::test]
+async fn a_large_sample_arrives_whole() {
+    if !network::isolated("a_large_sample_arrives_whole") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let writer = here.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    matched(&reader, &writer).await;
+    let body: Vec<u8> = (0..1_000_000_u32).map(|byte| byte.to_le_bytes()[0]).collect();
+    let large = Sample::new(CDR_LE, &body).unwrap();
+    writer.write(&large).unwrap();
+    assert_eq!(next(&mut reader).await.sample, large);
+}
+
+#[tokio::test]
+async fn a_sample_above_the_limit_is_dropped_and_the_next_one_comes() {
+    if !network::isolated("a_sample_above_the_limit_is_dropped_and_the_next_one_comes") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let writer = here.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let limits = Limits { sample_bytes_max: 1000, ..Limits::default() };
+    let mut reader = there.reader(&topic(), &twist(), &Qos::default(), limits).unwrap();
+    matched(&reader, &writer).await;
+    writer.write(&Sample::new(CDR_LE, &[1; 2000]).unwrap()).unwrap();
+    writer.write(&numbered(2)).unwrap();
+    assert_eq!(next(&mut reader).await.sample, numbered(2));
+    assert_eq!(reader.dropped(), 1);
+}
+
+#[tokio::test]
+async fn a_participant_never_hears_itself() {
+    if !network::isolated("a_participant_never_hears_itself") {
+        return;
+    }
+    // Only with multicast does a participant of RustDDS find itself at all.
+    for setup in ["link set lo multicast on", "route add 224.0.0.0/4 dev lo"] {
+        assert!(Command::new("ip").args(setup.split(' ')).status().unwrap().success());
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let writer = here.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let mut own = here.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    let other = there.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    matched(&own, &other).await;
+    let itself = async {
+        while own.matched().now().own == 0 || writer.matched().now().own == 0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, itself).await.unwrap();
+    assert_eq!(own.matched().now().matched, 1, "our own writer is not counted with the others");
+    writer.write(&numbered(1)).unwrap();
+    assert!(writer.flush(DEADLINE).await, "our own reader has it");
+    // What it gives out first is what came from the other, although its own was written before.
+    other.write(&numbered(2)).unwrap();
+    assert_eq!(next(&mut own).await.sample, numbered(2));
+    assert!(own.try_next().is_none());
+}
+
+#[tokio::test]
+async fn both_byte_orders_pass_as_they_are() {
+    if !network::isolated("both_byte_orders_pass_as_they_are") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    // Latched, so that what is written before the second DDS writer is matched is not lost.
+    let qos = Qos { durability: Durability::TransientLocal, ..Qos::default() };
+    let writer = here.writer(&topic(), &twist(), &qos).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &qos, Limits::default()).unwrap();
+    matched(&reader, &writer).await;
+    let big = Sample::new(CDR_BE, &[0, 0, 0, 9]).unwrap();
+    writer.write(&big).unwrap();
+    assert_eq!(next(&mut reader).await.sample, big);
+    writer.write(&numbered(3)).unwrap();
+    assert_eq!(next(&mut reader).await.sample, numbered(3));
+}
+
+#[tokio::test]
+async fn a_late_reader_gets_what_was_latched() {
+    if !network::isolated("a_late_reader_gets_what_was_latched") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let qos = Qos { durability: Durability::TransientLocal, ..Qos::default() };
+    let writer = here.writer(&topic(), &twist(), &qos).unwrap();
+    writer.write(&numbered(7)).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &qos, Limits::default()).unwrap();
+    assert_eq!(next(&mut reader).await.sample, numbered(7));
+}
+
+#[tokio::test]
+async fn a_reader_that_requests_too_much_is_counted_as_incompatible() {
+    if !network::isolated("a_reader_that_requests_too_much_is_counted_as_incompatible") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let best_effort = Qos { reliability: Reliability::BestEffort, ..Qos::default() };
+    let _writer = here.writer(&topic(), &twist(), &best_effort).unwrap();
+    let reader = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    let refused = async {
+        while reader.matched().now().incompatible == 0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, refused).await.unwrap();
+    assert_eq!(reader.matched().now().matched, 0);
+}
+
+#[tokio::test]
+async fn a_writer_that_leaves_is_no_longer_matched() {
+    if !network::isolated("a_writer_that_leaves_is_no_longer_matched") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let writer = here.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let reader = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    matched(&reader, &writer).await;
+    drop(writer);
+    let gone = async {
+        while reader.matched().now().matched > 0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, gone).await.unwrap();
+}
+
+#[tokio::test]
+async fn domains_and_node_names_out_of_range_are_refused() {
+    assert!(matches!(Participant::open(233, "bridge").await, Err(Error::Setting(_))));
+    assert!(matches!(Participant::open(1, "not a name").await, Err(Error::Name(_))));
+}

@@ -1,0 +1,128 @@
+//! Shared memory between two nodes, and between two processes.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use std::{
+    env,
+    process::{Child, Command},
+    time::Duration,
+};
+
+use ros_bridge::{
+    names::TopicName,
+    queue::{Incoming, Limits},
+    sample::{CDR_LE, Sample},
+    shm::{Node, Subscriber},
+};
+
+const DEADLINE: Duration = Duration::from_secs(20);
+/// Tells the child which topic to publish.
+const CHILD_TOPIC: &str = "LEDGERD_TEST_SHM_TOPIC";
+
+/// A topic that no other test run uses.
+fn topic(test: &str) -> TopicName {
+    TopicName::parse(&format!("/test_{}/{test}", std::process::id()).replace("test_", "t")).unwrap()
+}
+
+fn sample(byte: u8, len: usize) -> Sample {
+    Sample::new(CDR_LE, &vec![byte; len]).unwrap()
+}
+
+async fn next(subscriber: &mut Subscriber) -> Incoming {
+    tokio::time::timeout(DEADLINE, subscriber.next()).await.unwrap().unwrap()
+}
+
+#[tokio::test]
+async fn samples_pass_between_two_nodes_and_grow() {
+    let topic = topic("grow");
+    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let mut subscriber = there.subscriber(&topic, Limits::default()).await.unwrap();
+    let publisher = here.publisher(&topic).await.unwrap();
+    assert_eq!((publisher.subscribers(), subscriber.publishers()), (1, 1));
+    for (number, len) in [(1, 48), (2, 300_000), (3, 0), (4, 1_000_000), (5, 48)] {
+        assert_eq!(publisher.write(&sample(number, len)).unwrap(), 1);
+        let incoming = next(&mut subscriber).await;
+        assert_eq!(incoming.sample, sample(number, len));
+        assert_eq!((incoming.source, incoming.sequence), ([1; 16], u64::from(number)));
+    }
+}
+
+#[tokio::test]
+async fn a_node_never_hears_itself() {
+    let topic = topic("own");
+    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let mut subscriber = here.subscriber(&topic, Limits::default()).await.unwrap();
+    let own = here.publisher(&topic).await.unwrap();
+    let other = there.publisher(&topic).await.unwrap();
+    own.write(&sample(1, 10)).unwrap();
+    other.write(&sample(2, 10)).unwrap();
+    assert_eq!(next(&mut subscriber).await.sample, sample(2, 10));
+    assert!(subscriber.try_next().is_none());
+}
+
+#[tokio::test]
+async fn a_sample_above_the_limit_is_dropped_and_the_next_one_comes() {
+    let topic = topic("limit");
+    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let limits = Limits { sample_bytes_max: 100, ..Limits::default() };
+    let mut subscriber = there.subscriber(&topic, limits).await.unwrap();
+    let publisher = here.publisher(&topic).await.unwrap();
+    publisher.write(&sample(1, 1000)).unwrap();
+    publisher.write(&sample(2, 10)).unwrap();
+    assert_eq!(next(&mut subscriber).await.sample, sample(2, 10));
+    assert_eq!(subscriber.dropped(), 1);
+}
+
+#[tokio::test]
+async fn a_dropped_subscriber_leaves_the_service() {
+    let topic = topic("leave");
+    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let publisher = here.publisher(&topic).await.unwrap();
+    for _ in 0..3 * ros_bridge::shm::SUBSCRIBERS_MAX {
+        let subscriber = there.subscriber(&topic, Limits::default()).await.unwrap();
+        drop(subscriber);
+    }
+    let gone = async {
+        while publisher.subscribers() > 0 {
+            tokio::task::yield_now().await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, gone).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_killed_process_does_not_stand_in_the_way_of_the_next() {
+    let topic = topic("killed");
+    let node = Node::open("here", [1; 16]).await.unwrap();
+    let mut subscriber = node.subscriber(&topic, Limits::default()).await.unwrap();
+    // More often than there are places for publishers, so that the dead ones must have been removed.
+    for _ in 0..ros_bridge::shm::PUBLISHERS_MAX + 2 {
+        let mut child = start_child(&topic);
+        let before = next(&mut subscriber).await;
+        assert_eq!(before.sample, sample(9, 52));
+        child.kill().unwrap();
+        child.wait().unwrap();
+        while subscriber.try_next().is_some() {}
+    }
+}
+
+fn start_child(topic: &TopicName) -> Child {
+    Command::new(env::current_exe().unwrap())
+        .args(["--exact", "child_publishes_until_it_is_killed"])
+        .env(CHILD_TOPIC, topic.as_str())
+        .stdout(std::process::Stdio::null())
+        .spawn()
+        .unwrap()
+}
+
+/// Not a test of its own: the other process of the test above.
+#[tokio::test]
+async fn child_publishes_until_it_is_killed() {
+    let Ok(topic) = env::var(CHILD_TOPIC) else { return };
+    let node = Node::open("child", [3; 16]).await.unwrap();
+    let publisher = node.publisher(&TopicName::parse(&topic).unwrap()).await.unwrap();
+    let mut pause = tokio::time::interval(Duration::from_millis(5));
+    loop {
+        pause.tick().await;
+        publisher.write(&sample(9, 52)).unwrap();
+    }
+}

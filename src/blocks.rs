@@ -1,0 +1,97 @@
+//! Executed blocks for those who read them: recent ones from memory, older ones from the block store and the results
+//! kept beside it.
+
+use ledger::block::Payload;
+use ledger::block_store::BlockStore;
+use ledger::result::BlockKind;
+use ledger::transaction::Transaction;
+use ledger::{Code, Hash, Ledger, Outcome, Rejection};
+use std::collections::VecDeque;
+use std::sync::{Arc, PoisonError, RwLock};
+use tokio::sync::watch;
+
+/// Blocks kept in memory for subscribers that keep up.
+const RECENT_BLOCKS_MAX: usize = 4096;
+/// Bytes of transactions kept in memory with them.
+const RECENT_BYTES_MAX: usize = 8 * 1024 * 1024;
+
+/// Executed blocks by height.
+pub struct Blocks {
+    ledger: Arc<Ledger>,
+    store: Arc<BlockStore>,
+    recent: RwLock<Recent>,
+    head: watch::Sender<u64>,
+}
+
+#[derive(Default)]
+struct Recent {
+    outcomes: VecDeque<Arc<Outcome>>,
+    bytes: usize,
+}
+
+impl Blocks {
+    /// The blocks of a ledger, of which none is in memory yet.
+    pub fn new(ledger: Arc<Ledger>, store: Arc<BlockStore>) -> Self {
+        let head = watch::Sender::new(ledger.tip().height);
+        Self { ledger, store, recent: RwLock::default(), head }
+    }
+
+    /// Takes the block that was executed last and wakes everybody who waits for it.
+    pub fn publish(&self, outcome: Arc<Outcome>) {
+        let height = outcome.header.height;
+        {
+            let mut recent = self.recent.write().unwrap_or_else(PoisonError::into_inner);
+            recent.bytes += bytes_of(&outcome);
+            recent.outcomes.push_back(outcome);
+            while recent.outcomes.len() > RECENT_BLOCKS_MAX || recent.bytes > RECENT_BYTES_MAX {
+                let Some(oldest) = recent.outcomes.pop_front() else { break };
+                recent.bytes -= bytes_of(&oldest);
+            }
+        }
+        self.head.send_replace(height);
+    }
+
+    /// Follows the height of the last executed block.
+    pub fn head(&self) -> watch::Receiver<u64> {
+        self.head.subscribe()
+    }
+
+    /// The block at a height; none if it was not executed yet, or if it is the genesis.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn get(&self, height: u64) -> Result<Option<Arc<Outcome>>, Rejection> {
+        match self.recent(height) {
+            Some(outcome) => Ok(Some(outcome)),
+            None => Ok(self.stored(height)?.map(Arc::new)),
+        }
+    }
+
+    fn recent(&self, height: u64) -> Option<Arc<Outcome>> {
+        let recent = self.recent.read().unwrap_or_else(PoisonError::into_inner);
+        let first = recent.outcomes.front()?.header.height;
+        recent.outcomes.get(usize::try_from(height.checked_sub(first)?).ok()?).map(Arc::clone)
+    }
+
+    fn stored(&self, height: u64) -> Result<Option<Outcome>, Rejection> {
+        let Some(result) = self.ledger.result(height)? else { return Ok(None) };
+        let Some(entry) = self.store.entry(height)? else { return Ok(None) };
+        let header = result.header(height);
+        if header.term != entry.term {
+            return Err(Rejection::new(Code::Corrupt, format!("block {height} and its result do not belong together"))
+                .found(format!("term {} in the block, {} in the result", entry.term, header.term))
+                .next("stop the node and delete its state directory; it is rebuilt from the blocks"));
+        }
+        let transactions = match result.kind() {
+            BlockKind::Transactions => Payload::from_bytes(entry.data).unwrap_or_default().transactions,
+            BlockKind::Membership | BlockKind::Genesis => Vec::new(),
+        };
+        let ids = transactions.iter().map(|bytes| Transaction::decode(bytes.clone()).map_or(Hash::ZERO, |t| t.id())).collect();
+        let (hash, digest, kind) = (header.hash(), result.digest(), result.kind());
+        Ok(Some(Outcome { header, hash, digest, kind, transactions, ids, results: result.results, events: result.events }))
+    }
+}
+
+fn bytes_of(outcome: &Outcome) -> usize {
+    512 + outcome.transactions.iter().map(|transaction| transaction.len() + 256).sum::<usize>()
+}

@@ -1,0 +1,76 @@
+//! What this node refused before it was ordered: counted by code, and the last ones kept for an admin to see.
+
+use ledger::{Code, Refusal};
+use ledger_api::v1::Denial;
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Mutex, PoisonError};
+
+use crate::waiters::verdict;
+
+/// Refusals kept; a flood of the same one takes one place.
+const KEPT_MAX: usize = 1000;
+/// Bytes of a subject that are kept.
+const SUBJECT_BYTES_MAX: usize = 256;
+
+/// Refusals of this node since it started.
+#[derive(Default)]
+pub struct Denials {
+    kept: Mutex<Kept>,
+}
+
+#[derive(Default)]
+struct Kept {
+    latest: VecDeque<Denial>,
+    counts: BTreeMap<u32, u64>,
+}
+
+impl Denials {
+    /// Takes down a refusal at the node's time, microseconds.
+    pub fn record(&self, now: u64, refusal: &Refusal) {
+        let body = refusal.transaction.as_ref().map(ledger::transaction::Transaction::body);
+        let subject = body.and_then(|body| body.args.first()).filter(|arg| arg.len() <= SUBJECT_BYTES_MAX);
+        let denial = Denial {
+            time: now,
+            who: refusal.who.clone().unwrap_or_default(),
+            chaincode: body.map(|body| body.chaincode.clone()).unwrap_or_default(),
+            function: body.map(|body| body.function.clone()).unwrap_or_default(),
+            subject: subject.map(|arg| String::from_utf8_lossy(arg).into_owned()).unwrap_or_default(),
+            verdict: Some(verdict(&refusal.rejection)),
+            count: 1,
+        };
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        *kept.counts.entry(refusal.rejection.code.number().into()).or_default() += 1;
+        if let Some(last) = kept.latest.iter_mut().rev().take(8).find(|last| alike(last, &denial)) {
+            last.count += 1;
+            last.time = now;
+            last.verdict = denial.verdict;
+            return;
+        }
+        if kept.latest.len() == KEPT_MAX {
+            kept.latest.pop_front();
+        }
+        kept.latest.push_back(denial);
+    }
+
+    /// The last refusals, newest first.
+    pub fn latest(&self, limit: usize) -> Vec<Denial> {
+        let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        kept.latest.iter().rev().take(limit).cloned().collect()
+    }
+
+    /// How many refusals there were, by number of the code.
+    pub fn counts(&self) -> BTreeMap<u32, u64> {
+        self.kept.lock().unwrap_or_else(PoisonError::into_inner).counts.clone()
+    }
+
+    /// Counts a refusal that has no transaction worth keeping.
+    pub fn count(&self, code: Code) {
+        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
+        *kept.counts.entry(code.number().into()).or_default() += 1;
+    }
+}
+
+fn alike(a: &Denial, b: &Denial) -> bool {
+    let code = |denial: &Denial| denial.verdict.as_ref().map(|verdict| verdict.code);
+    (&a.who, &a.chaincode, &a.function, &a.subject, code(a)) == (&b.who, &b.chaincode, &b.function, &b.subject, code(b))
+}

@@ -1,0 +1,155 @@
+//! The gateway: the gRPC API of the node for clients and bridges (crates/api/proto/ledgerd/v1/gateway.proto).
+
+mod reads;
+mod submit;
+mod subscribe;
+
+use crate::blocks::Blocks;
+use crate::config::Limits;
+use crate::denials::Denials;
+use crate::listen::Caller;
+use crate::orderer::Orderer;
+use crate::peers::Member;
+use crate::waiters::{Waiter, Waiters};
+use ledger::identity::Identity;
+use ledger::{Code, Ledger};
+use ledger_api::v1::gateway_server::Gateway;
+use ledger_api::v1::{
+    Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, QueryRequest, QueryResponse,
+    StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
+};
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, RwLock};
+use std::time::Instant;
+use tokio::sync::{Semaphore, mpsc};
+use tokio_stream::Stream;
+use tokio_stream::wrappers::{ReceiverStream, UnboundedReceiverStream};
+use tonic::{Request, Response, Status, Streaming};
+
+/// The gateway of a node; cheap to clone.
+#[derive(Clone)]
+pub struct GatewayService {
+    pub(crate) node: Arc<NodeView>,
+}
+
+/// What the gateway sees of its node.
+pub struct NodeView {
+    /// This node.
+    pub me: Member,
+    /// Name of the network for people.
+    pub label: String,
+    /// The ledger.
+    pub ledger: Arc<Ledger>,
+    /// Executed blocks.
+    pub blocks: Arc<Blocks>,
+    /// Clients that wait.
+    pub waiters: Arc<Waiters>,
+    /// What was refused.
+    pub denials: Denials,
+    /// Ordering; gone when the node stops.
+    pub orderer: RwLock<Option<Orderer>>,
+    /// The other nodes and whether they are connected.
+    pub peers: Box<dyn Fn() -> Vec<(Member, bool)> + Send + Sync>,
+    /// Limits of the configuration.
+    pub limits: Limits,
+    /// Transactions that may be in flight.
+    pub in_flight: Arc<Semaphore>,
+    /// Open subscriptions.
+    pub subscribers: Arc<AtomicU64>,
+    /// Is there too little space to promise anything?
+    pub disk_full: AtomicBool,
+    /// The node's clock, microseconds since the UNIX epoch.
+    pub clock: fn() -> u64,
+    /// When the node started.
+    pub started: Instant,
+}
+
+impl GatewayService {
+    /// The caller's identity, which must not have been revoked since it connected.
+    #[expect(clippy::result_large_err, reason = "tonic's error type")]
+    fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Status> {
+        let identity = request
+            .extensions()
+            .get::<Caller>()
+            .and_then(|caller| caller.identity.clone())
+            .ok_or_else(|| status(&ledger::Rejection::new(Code::CertificateRequired, "this call needs a client certificate").next("enrol first: ledgerctl enroll")))?;
+        self.node.check(&identity)?;
+        Ok(identity)
+    }
+}
+
+impl NodeView {
+    /// Refuses an identity that was revoked or whose certificate has run out since it connected.
+    #[expect(clippy::result_large_err, reason = "tonic's error type")]
+    pub(crate) fn check(&self, identity: &Identity) -> Result<(), Status> {
+        identity.check_validity((self.clock)()).map_err(|error| status(&error.into()))?;
+        self.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
+    }
+}
+
+/// A refusal of a whole call, as gRPC reports it. The stable code stands in the message.
+pub(crate) fn status(rejection: &ledger::Rejection) -> Status {
+    use ledger::Class;
+    let code = match rejection.code.class() {
+        Class::Ok | Class::Failure => tonic::Code::Internal,
+        Class::Denied if rejection.code == Code::CertificateRequired => tonic::Code::Unauthenticated,
+        Class::Denied => tonic::Code::PermissionDenied,
+        Class::Invalid if rejection.code == Code::NotFound => tonic::Code::NotFound,
+        Class::Invalid => tonic::Code::InvalidArgument,
+        Class::Unreachable => tonic::Code::Unavailable,
+        Class::Conflict => tonic::Code::FailedPrecondition,
+    };
+    Status::new(code, rejection.to_string())
+}
+
+#[tonic::async_trait]
+impl Gateway for GatewayService {
+    async fn submit(&self, request: Request<SubmitRequest>) -> Result<Response<SubmitResponse>, Status> {
+        self.caller(&request)?;
+        let (answers, mut answer) = mpsc::unbounded_channel();
+        let permit = self.permit().await?;
+        self.node.submit(request.into_inner(), Waiter { answers, permit });
+        answer.recv().await.ok_or_else(|| Status::unavailable("the node is stopping"))?.map(Response::new)
+    }
+
+    type SubmitStreamStream = UnboundedReceiverStream<Result<SubmitResponse, Status>>;
+
+    async fn submit_stream(&self, request: Request<Streaming<SubmitRequest>>) -> Result<Response<Self::SubmitStreamStream>, Status> {
+        self.caller(&request)?;
+        Ok(Response::new(submit::stream(self.clone(), request.into_inner())))
+    }
+
+    async fn query(&self, request: Request<QueryRequest>) -> Result<Response<QueryResponse>, Status> {
+        let caller = self.caller(&request)?;
+        self.node.query(&caller, request.into_inner()).await.map(Response::new)
+    }
+
+    type SubscribeStream = Pin<Box<dyn Stream<Item = Result<Delivery, Status>> + Send>>;
+
+    async fn subscribe(&self, request: Request<SubscribeRequest>) -> Result<Response<Self::SubscribeStream>, Status> {
+        let caller = self.caller(&request)?;
+        let deliveries: ReceiverStream<_> = subscribe::start(Arc::clone(&self.node), caller, request.into_inner())?;
+        Ok(Response::new(Box::pin(deliveries)))
+    }
+
+    async fn status(&self, request: Request<StatusRequest>) -> Result<Response<StatusResponse>, Status> {
+        self.caller(&request)?;
+        self.node.status().map(Response::new).map_err(|rejection| status(&rejection))
+    }
+
+    async fn get_block(&self, request: Request<GetBlockRequest>) -> Result<Response<Block>, Status> {
+        let caller = self.caller(&request)?;
+        self.node.block(&caller, request.into_inner().height).map(Response::new).map_err(|rejection| status(&rejection))
+    }
+
+    async fn get_transaction(&self, request: Request<GetTransactionRequest>) -> Result<Response<TransactionRecord>, Status> {
+        let caller = self.caller(&request)?;
+        self.node.transaction(&caller, &request.into_inner().id).map(Response::new).map_err(|rejection| status(&rejection))
+    }
+
+    async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {
+        let caller = self.caller(&request)?;
+        self.node.denied(&caller, request.into_inner().limit).map(Response::new).map_err(|rejection| status(&rejection))
+    }
+}

@@ -1,0 +1,195 @@
+//! Questions about the committed state, the chain and the node.
+
+use super::{NodeView, status};
+use crate::waiters::{verdict, verdict_of};
+use ledger::identity::{Identity, Role};
+use ledger::result::{BlockKind, EmittedEvent};
+use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
+use ledger_api::v1::{
+    Block, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse, TransactionRecord, Verdict,
+};
+use std::sync::PoisonError;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+use tonic::Status;
+
+/// Longest time that a query waits for the height that it wants.
+const WAIT_FOR_HEIGHT: Duration = Duration::from_secs(2);
+/// Refusals that are answered if the caller names no limit.
+const DENIALS_DEFAULT: u32 = 100;
+
+impl NodeView {
+    pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
+        self.reach(request.min_height).await.map_err(|rejection| status(&rejection))?;
+        let answer = self.ledger.query(caller, (self.clock)(), &request.chaincode, &request.function, &request.args);
+        Ok(match answer {
+            Ok((response, height)) => QueryResponse { verdict: Some(Verdict::default()), response, height },
+            Err(rejection) => {
+                let height = self.ledger.tip().height;
+                QueryResponse { verdict: Some(verdict(&rejection)), response: Bytes::new(), height }
+            }
+        })
+    }
+
+    /// Waits until this node has executed the block at a height.
+    async fn reach(&self, height: u64) -> Result<(), Rejection> {
+        let mut head = self.blocks.head();
+        let reached = tokio::time::timeout(WAIT_FOR_HEIGHT, head.wait_for(|reached| *reached >= height)).await;
+        match reached {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
+            Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
+                .found(format!("height {}", self.ledger.tip().height))
+                .wanted(format!("height {height}"))
+                .next("ask again, or ask another node")),
+        }
+    }
+
+    pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {
+        let tip = self.ledger.tip();
+        let orderer = self.orderer.read().unwrap_or_else(PoisonError::into_inner);
+        let orderer = orderer.as_ref().ok_or_else(|| Rejection::new(Code::ShuttingDown, "the node is stopping"))?;
+        let ordering = orderer.status();
+        let matched = |id| ordering.peers.iter().find(|peer| peer.id == id).map_or(0, |peer| peer.matched);
+        let role = match ordering.role {
+            ledger_raft::Role::Follower if !self.me.voter => "learner",
+            ledger_raft::Role::Follower => "follower",
+            ledger_raft::Role::Candidate => "candidate",
+            ledger_raft::Role::Leader => "leader",
+        };
+        let peers = (self.peers)().into_iter().map(|(member, connected)| PeerStatus {
+            node_id: member.id,
+            matched: matched(member.id),
+            name: member.name,
+            organisation: member.organisation,
+            address: member.address,
+            voter: member.voter,
+            connected,
+        });
+        Ok(StatusResponse {
+            version: env!("CARGO_PKG_VERSION").into(),
+            network: self.ledger.network().0.to_vec().into(),
+            network_label: self.label.clone(),
+            node_id: self.me.id,
+            node_name: self.me.name.clone(),
+            organisation: self.me.organisation.clone(),
+            role: role.into(),
+            leader_id: ordering.leader.unwrap_or_default(),
+            term: ordering.term,
+            height: tip.height,
+            block_hash: tip.hash.0.to_vec().into(),
+            block_time: tip.time,
+            state_digest: tip.digest.0.to_vec().into(),
+            committed: ordering.commit,
+            last_index: ordering.last,
+            clock: (self.clock)(),
+            uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
+            chaincodes: self.ledger.registry().names().into_iter().map(str::to_owned).collect(),
+            refused: self.denials.counts(),
+            executed: orderer.executed(),
+            peers: peers.collect(),
+            subscribers: self.subscribers.load(Ordering::Relaxed),
+            payload_bytes_max: self.limits.payload_bytes_max as u64,
+            resident_bytes: resident_bytes(),
+        })
+    }
+
+    pub(super) fn block(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {
+        if height == 0 {
+            let result = self.ledger.result(0)?.ok_or_else(|| self.no_block(0))?;
+            return Ok(Block {
+                hash: self.ledger.network().0.to_vec().into(),
+                time: result.time,
+                previous_hash: result.previous.clone(),
+                root: result.root.clone(),
+                state_digest: result.digest.clone(),
+                kind: "genesis".into(),
+                ..Block::default()
+            });
+        }
+        let outcome = self.blocks.get(height)?.ok_or_else(|| self.no_block(height))?;
+        let transactions = (0..outcome.transactions.len()).map(|index| self.record(caller, &outcome, index)).collect();
+        let own = outcome.events.iter().filter(|emitted| emitted.index.is_none());
+        let events = own.filter(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok()).cloned();
+        Ok(Block {
+            height,
+            term: outcome.header.term,
+            time: outcome.header.time,
+            previous_hash: outcome.header.previous.0.to_vec().into(),
+            root: outcome.header.root.0.to_vec().into(),
+            hash: outcome.hash.0.to_vec().into(),
+            state_digest: outcome.digest.0.to_vec().into(),
+            kind: match outcome.kind {
+                BlockKind::Transactions => "transactions",
+                BlockKind::Membership => "membership",
+                BlockKind::Genesis => "genesis",
+            }
+            .into(),
+            transactions,
+            events: events.map(event_record).collect(),
+        })
+    }
+
+    pub(super) fn transaction(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
+        let id = Hash::from_slice(id).ok_or_else(|| {
+            Rejection::new(Code::BadArgument, "the id of a transaction is not usable")
+                .found(format!("{} bytes", id.len()))
+                .wanted("32 bytes")
+        })?;
+        let place = self.ledger.transaction(&id)?.ok_or_else(|| {
+            Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
+                .next("if it was submitted just now, ask again; what is refused before ordering has no record")
+        })?;
+        let outcome = self.blocks.get(place.height)?.ok_or_else(|| self.no_block(place.height))?;
+        Ok(self.record(caller, &outcome, place.index as usize))
+    }
+
+    pub(super) fn denied(&self, caller: &Identity, limit: u32) -> Result<DenialsResponse, Rejection> {
+        if caller.role != Role::Admin {
+            return Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", caller.id()))
+                .found(format!("role {}", caller.role))
+                .wanted("role admin"));
+        }
+        let limit = if limit == 0 { DENIALS_DEFAULT } else { limit };
+        Ok(DenialsResponse { denials: self.denials.latest(limit as usize) })
+    }
+
+    fn no_block(&self, height: u64) -> Rejection {
+        Rejection::new(Code::NotFound, format!("this node has no block {height}"))
+            .wanted(format!("a height from 0 to {}", self.ledger.tip().height))
+    }
+
+    /// One transaction of a block. Its bytes are only shown to those who may read all the events that it caused.
+    fn record(&self, caller: &Identity, outcome: &Outcome, index: usize) -> TransactionRecord {
+        let position = u32::try_from(index).unwrap_or(u32::MAX);
+        let encoded = outcome.transactions.get(index).cloned().unwrap_or_default();
+        let result = outcome.results.get(index).cloned().unwrap_or_default();
+        let creator = ledger::transaction::Transaction::decode(encoded.clone())
+            .ok()
+            .and_then(|transaction| self.ledger.creator_name(&transaction.creator()));
+        let mut caused = outcome.events.iter().filter(|emitted| emitted.index == Some(position));
+        let readable = caused.all(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok());
+        TransactionRecord {
+            id: outcome.ids.get(index).map(|id| id.0.to_vec().into()).unwrap_or_default(),
+            height: outcome.header.height,
+            index: position,
+            time: outcome.header.time,
+            verdict: Some(verdict_of(&result)),
+            response: result.response,
+            transaction: if readable { encoded } else { Bytes::new() },
+            creator: creator.unwrap_or_default(),
+        }
+    }
+}
+
+fn event_record(EmittedEvent { index, event }: EmittedEvent) -> EventRecord {
+    let Event { chaincode, name, subject, payload } = event;
+    EventRecord { chaincode, name, subject, payload, index: index.unwrap_or_default(), ..EventRecord::default() }
+}
+
+/// Resident memory of this process in bytes; 0 where the operating system does not tell.
+fn resident_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok()).map_or(0, |kib| kib * 1024)
+}

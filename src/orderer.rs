@@ -1,0 +1,275 @@
+//! The driver of the ordering engine: two threads.
+//!
+//! The *order* thread owns the engine. It takes what comes in, sends what goes out, and writes the log: while it waits
+//! for the disk, what arrives gathers and becomes the next block. The *execute* thread applies committed blocks to
+//! the ledger, wakes subscribers and answers clients. Nothing else happens between a transaction and its verdict, so
+//! that one command costs as few wake-ups of threads as possible.
+
+use crate::blocks::Blocks;
+use crate::peers::Peers;
+use crate::waiters::Waiters;
+use ledger::block_store::BlockStore;
+use ledger::entry::Entry;
+use ledger::transaction::Transaction;
+use ledger::{Ledger, Rejection};
+use ledger_raft::{Engine, Input, Membership, Output, Role, Status};
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, Instant};
+
+/// Inputs that wait for the order thread. Clients are bounded before it; this bounds peers.
+const INBOX_MAX: usize = 65_536;
+/// Inputs taken before the log is written, so that a flood cannot put off the write.
+const INPUTS_PER_WRITE_MAX: usize = 4096;
+
+/// What the two threads share with the rest of the node.
+pub struct Shared {
+    /// The ledger that blocks are applied to.
+    pub ledger: Arc<Ledger>,
+    /// The log.
+    pub store: Arc<BlockStore>,
+    /// Where executed blocks go.
+    pub blocks: Arc<Blocks>,
+    /// Clients that wait for a verdict.
+    pub waiters: Arc<Waiters>,
+    /// The other nodes.
+    pub peers: Peers,
+    /// The node's clock, microseconds since the UNIX epoch.
+    pub clock: fn() -> u64,
+    /// Called once with the reason if the node cannot go on.
+    pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
+    /// Called when the members of the network have changed at a height.
+    pub membership: Box<dyn Fn(u64, Membership) + Send + Sync>,
+}
+
+/// The running threads.
+pub struct Orderer {
+    inbox: Option<SyncSender<Input>>,
+    status: Arc<Mutex<Status>>,
+    executed: Arc<Mutex<BTreeMap<u32, u64>>>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Orderer {
+    /// Starts the threads. `tick` is the unit in which the engine counts its timeouts.
+    ///
+    /// # Errors
+    /// If the operating system gives no thread.
+    pub fn start(engine: Engine, shared: Arc<Shared>, tick: Duration) -> io::Result<Self> {
+        let (inbox, inputs) = mpsc::sync_channel(INBOX_MAX);
+        let (committed, blocks) = mpsc::channel();
+        let status = Arc::new(Mutex::new(engine.status()));
+        let deadline = Arc::new(AtomicU64::new(shared.ledger.next_deadline().unwrap_or(u64::MAX)));
+        let executed = Arc::new(Mutex::new(BTreeMap::new()));
+        let execute = Execute {
+            shared: Arc::clone(&shared),
+            deadline: Arc::clone(&deadline),
+            counts: Arc::clone(&executed),
+            applied: inbox.clone(),
+        };
+        let order = Order {
+            leading: false,
+            engine,
+            shared,
+            committed,
+            outputs: Vec::new(),
+            flush: None,
+            status: Arc::clone(&status),
+            deadline,
+            asked_for: 0,
+        };
+        let threads = vec![
+            std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks))?,
+            std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs, tick))?,
+        ];
+        Ok(Self { inbox: Some(inbox), status, executed, threads })
+    }
+
+    /// Hands in an input; false if the node stops or is flooded. Never blocks.
+    pub fn input(&self, input: Input) -> bool {
+        self.inbox.as_ref().is_some_and(|inbox| match inbox.try_send(input) {
+            Ok(()) => true,
+            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => false,
+        })
+    }
+
+    /// A handle for handing in inputs from elsewhere.
+    pub fn inbox(&self) -> Option<SyncSender<Input>> {
+        self.inbox.clone()
+    }
+
+    /// How ordering stands.
+    pub fn status(&self) -> Status {
+        self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Transactions executed since the start, by number of the verdict's code.
+    pub fn executed(&self) -> BTreeMap<u32, u64> {
+        self.executed.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Ends both threads after what they are doing. Everything acknowledged is on disk already.
+    pub fn stop(&mut self) {
+        self.inbox = None;
+        for thread in self.threads.drain(..) {
+            if thread.join().is_err() {
+                tracing::error!("a thread of the orderer had panicked");
+            }
+        }
+    }
+}
+
+/// The order thread.
+struct Order {
+    engine: Engine,
+    leading: bool,
+    shared: Arc<Shared>,
+    committed: Sender<Vec<Entry>>,
+    outputs: Vec<Output>,
+    /// Number of the newest flush that the engine waits for.
+    flush: Option<u64>,
+    status: Arc<Mutex<Status>>,
+    deadline: Arc<AtomicU64>,
+    /// The deadline for which an empty block was asked for already.
+    asked_for: u64,
+}
+
+impl Order {
+    fn run(mut self, inputs: &Receiver<Input>, tick: Duration) {
+        let mut next_tick = Instant::now();
+        loop {
+            if next_tick <= Instant::now() {
+                self.step(Input::Tick);
+                next_tick = (next_tick + tick).max(Instant::now());
+                self.report();
+            }
+            self.meet_deadline();
+            let wait = if self.flush.is_some() { Duration::ZERO } else { self.idle_time(next_tick) };
+            match inputs.recv_timeout(wait) {
+                Ok(input) => self.step(input),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            for _ in 0..INPUTS_PER_WRITE_MAX {
+                match inputs.try_recv() {
+                    Ok(input) => self.step(input),
+                    Err(_) => break,
+                }
+            }
+            if !self.write() {
+                return;
+            }
+        }
+    }
+
+    /// Until the next tick, or the next deadline of a chaincode if that is earlier.
+    fn idle_time(&self, next_tick: Instant) -> Duration {
+        let until_tick = next_tick.saturating_duration_since(Instant::now());
+        let deadline = self.deadline.load(Ordering::Relaxed);
+        if !self.leading || deadline == self.asked_for {
+            return until_tick;
+        }
+        until_tick.min(Duration::from_micros(deadline.saturating_sub((self.shared.clock)())))
+    }
+
+    /// Orders an empty block when something is due and no traffic moved block time past it.
+    fn meet_deadline(&mut self) {
+        let deadline = self.deadline.load(Ordering::Relaxed);
+        if self.leading && deadline != self.asked_for && (self.shared.clock)() >= deadline {
+            self.asked_for = deadline;
+            self.step(Input::ProposeEmpty);
+        }
+    }
+
+    /// Makes the log durable if the engine waits for it. False if the node cannot go on.
+    fn write(&mut self) -> bool {
+        let Some(ready) = self.flush.take() else { return true };
+        if let Err(error) = self.shared.store.flush() {
+            (self.shared.fatal)(error.into());
+            return false;
+        }
+        self.step(Input::Persisted { ready });
+        true
+    }
+
+    fn step(&mut self, input: Input) {
+        let mut outputs = std::mem::take(&mut self.outputs);
+        self.engine.step((self.shared.clock)(), input, &mut outputs);
+        for output in outputs.drain(..) {
+            self.carry_out(output);
+        }
+        self.outputs = outputs;
+    }
+
+    fn carry_out(&mut self, output: Output) {
+        match output {
+            Output::Send { to, message } => {
+                self.shared.peers.send(to, &message);
+            }
+            Output::Flush { ready } => self.flush = Some(ready),
+            Output::Commit(entries) => {
+                // The other end is only gone when the node has failed already.
+                let _stopping = self.committed.send(entries);
+            }
+            Output::Role(change) => {
+                self.leading = change.role == Role::Leader;
+                tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
+                self.report();
+            }
+            Output::Membership { height, membership } => (self.shared.membership)(height, membership),
+            Output::Dropped { transaction, reason } => {
+                if let Ok(transaction) = Transaction::decode(transaction) {
+                    self.shared.waiters.refuse(&transaction.id(), &reason);
+                }
+            }
+            Output::ReadReady { .. } => {}
+            Output::Refused { input, reason } => tracing::warn!(?input, %reason, "ordering refused a request"),
+            Output::Failed(reason) => (self.shared.fatal)(reason),
+        }
+    }
+
+    fn report(&self) {
+        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = self.engine.status();
+    }
+}
+
+/// The execute thread.
+struct Execute {
+    shared: Arc<Shared>,
+    deadline: Arc<AtomicU64>,
+    counts: Arc<Mutex<BTreeMap<u32, u64>>>,
+    applied: SyncSender<Input>,
+}
+
+impl Execute {
+    fn run(self, blocks: &Receiver<Vec<Entry>>) {
+        while let Ok(entries) = blocks.recv() {
+            let Some(height) = entries.last().map(|entry| entry.index) else { continue };
+            for entry in &entries {
+                if let Err(fault) = self.execute(entry) {
+                    (self.shared.fatal)(fault);
+                    return;
+                }
+            }
+            if self.applied.send(Input::Applied { height }).is_err() {
+                return;
+            }
+        }
+    }
+
+    fn execute(&self, entry: &Entry) -> Result<(), Rejection> {
+        let outcome = Arc::new(self.shared.ledger.apply(entry)?);
+        self.shared.waiters.resolve(&outcome, &self.shared.ledger);
+        self.shared.blocks.publish(Arc::clone(&outcome));
+        self.deadline.store(self.shared.ledger.next_deadline().unwrap_or(u64::MAX), Ordering::Relaxed);
+        let mut counts = self.counts.lock().unwrap_or_else(PoisonError::into_inner);
+        for result in &outcome.results {
+            *counts.entry(result.code).or_default() += 1;
+        }
+        Ok(())
+    }
+}
