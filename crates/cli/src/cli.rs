@@ -73,9 +73,10 @@ enum Command {
 impl Cli {
     /// Runs the command and writes its results to standard output.
     pub(crate) fn run(self) -> Result<(), Failure> {
-        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(|error| {
-            Rejection::new(Code::Internal, "cannot start the runtime").found(error.to_string())
-        })?;
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|error| Rejection::new(Code::Internal, "cannot start the runtime").found(error.to_string()))?;
         let outcome = runtime.block_on(self.dispatch());
         // Whatever a connection still wants to do must not keep the shell waiting.
         runtime.shutdown_background();
@@ -186,7 +187,9 @@ mod tests {
 
     #[test]
     fn publish_wants_exactly_one_source() {
-        for line in ["ledgerctl publish T", "ledgerctl publish T --stdin --hex 00", "ledgerctl publish T --file a --hex b"] {
+        for line in
+            ["ledgerctl publish T", "ledgerctl publish T --stdin --hex 00", "ledgerctl publish T --file a --hex b"]
+        {
             assert!(Cli::try_parse_from(words(line)).is_err(), "{line}");
         }
     }

@@ -1,7 +1,6 @@
 //! JSON that somebody else wrote, laid out anew without touching a character of its values: the order of fields and
 //! the digits of numbers stay as they are.
 
-use serde::Serialize;
 use serde_json::value::RawValue;
 
 /// Spaces per level.
@@ -16,11 +15,6 @@ pub(crate) fn pretty(text: &str) -> Option<String> {
 pub(crate) fn compact(text: &str) -> Option<Box<RawValue>> {
     serde_json::from_str::<&RawValue>(text).ok()?;
     RawValue::from_string(lay_out(text, false)).ok()
-}
-
-/// A value of ours with one field per line, in the order of its fields.
-pub(crate) fn pretty_value(value: &impl Serialize) -> String {
-    serde_json::to_string_pretty(value).unwrap_or_default()
 }
 
 /// `text` is valid JSON, so braces balance and strings end.
@@ -85,7 +79,8 @@ mod tests {
 
     #[test]
     fn order_numbers_and_strings_stay_as_they_are() {
-        let text = r#"{"Name":"a \"b\\\" {,:","SubTopic":[1e400, 18446744073709551615 ],"x":{},"y":[ ],"UnderOp":true}"#;
+        let text =
+            r#"{"Name":"a \"b\\\" {,:","SubTopic":[1e400, 18446744073709551615 ],"x":{},"y":[ ],"UnderOp":true}"#;
         let wanted = "{\n  \"Name\": \"a \\\"b\\\\\\\" {,:\",\n  \"SubTopic\": [\n    1e400,\n    18446744073709551615\n  \
                       ],\n  \"x\": {},\n  \"y\": [],\n  \"UnderOp\": true\n}";
         assert_eq!(pretty(text).unwrap(), wanted);

@@ -35,11 +35,6 @@ impl Output {
         Self { format, out: Box::new(io::stdout()) }
     }
 
-    /// The chosen format.
-    pub(crate) fn format(&self) -> Format {
-        self.format
-    }
-
     /// Writes the facts and flushes, so that whoever reads a stream of them gets each at once.
     pub(crate) fn show<F: Facts>(&mut self, facts: &F) -> Result<(), Failure> {
         let mut text = Vec::new();

@@ -38,8 +38,7 @@ pub(crate) fn parse(text: &str) -> Result<ServiceSpec, String> {
         match name {
             "mode" => spec.mode = Some(choice(name, value, &[("open", Mode::Open), ("exclusive", Mode::Exclusive)])?),
             "direction" => {
-                spec.direction =
-                    choice(name, value, &[("command", Direction::Command), ("feed", Direction::Feed)])?;
+                spec.direction = choice(name, value, &[("command", Direction::Command), ("feed", Direction::Feed)])?;
             }
             "lease" => spec.lease_ms = span()?,
             "lease-max" => spec.lease_ms_max = span()?,

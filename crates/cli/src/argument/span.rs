@@ -42,7 +42,8 @@ mod tests {
 
     #[test]
     fn other_spans_are_refused_with_the_wanted_form() {
-        for text in ["", "s", "0s", "-1s", "1.5s", "3 s", "10", "1d", "99999999999999999999s", "18446744073709551615h"] {
+        for text in ["", "s", "0s", "-1s", "1.5s", "3 s", "10", "1d", "99999999999999999999s", "18446744073709551615h"]
+        {
             let error = text.parse::<Milliseconds>().err().unwrap_or_default();
             assert!(error.contains("30s"), "{text:?}: {error}");
         }

@@ -54,7 +54,8 @@ impl Context {
             Self::List(_) => {
                 let names = ledger_api::Context::list(&home)?;
                 let in_use = context::name_in_use(global, &home)?;
-                output.show(&Contexts(names.into_iter().map(|name| Entry::read(&home, name, in_use.as_ref())).collect()))
+                output
+                    .show(&Contexts(names.into_iter().map(|name| Entry::read(&home, name, in_use.as_ref())).collect()))
             }
             Self::Use(command) => {
                 ledger_api::Context::select(&home, &command.name)?;

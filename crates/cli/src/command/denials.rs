@@ -89,7 +89,8 @@ mod tests {
 
     #[test]
     fn a_denial_says_who_wanted_what_and_why_not() {
-        let verdict = v1::Verdict { code: 3001, message: "Org1/Farhad may not acquire Husky".into(), ..Default::default() };
+        let verdict =
+            v1::Verdict { code: 3001, message: "Org1/Farhad may not acquire Husky".into(), ..Default::default() };
         let denial = v1::Denial {
             time: 1,
             who: "Org1/Farhad".into(),

@@ -316,7 +316,8 @@ impl Revoke {
             .filter(|certificate| !certificate.revoked && serial.as_ref().is_none_or(|s| *s == certificate.serial))
             .collect();
         if chosen.is_empty() {
-            let serials: Vec<_> = person.certificates.iter().filter(|c| !c.revoked).map(|c| c.serial.as_str()).collect();
+            let serials: Vec<_> =
+                person.certificates.iter().filter(|c| !c.revoked).map(|c| c.serial.as_str()).collect();
             return Err(Rejection::new(Code::NotFound, format!("{} has no such certificate to revoke", self.name))
                 .found(if serials.is_empty() { "no valid certificate".to_owned() } else { serials.join(", ") })
                 .wanted(serial.unwrap_or_else(|| "a certificate that is not revoked".to_owned()))
@@ -344,7 +345,8 @@ mod tests {
 
     #[test]
     fn words_survive_the_shell() {
-        for (text, wanted) in [("Salma", "Salma"), ("", "''"), ("a b", "'a b'"), ("it's", r"'it'\''s'"), ("-x", "'-x'")] {
+        for (text, wanted) in [("Salma", "Salma"), ("", "''"), ("a b", "'a b'"), ("it's", r"'it'\''s'"), ("-x", "'-x'")]
+        {
             assert_eq!(shell_word(text), wanted);
         }
     }

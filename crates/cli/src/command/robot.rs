@@ -117,7 +117,8 @@ impl Facts for Robots {
         let mut table = Table::new(["SERVICE", "TYPE", "MODE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES"]);
         for robot in &self.0 {
             for service in &robot.services {
-                let expires = if service.expires == 0 { String::new() } else { time::relative(service.expires, self.1) };
+                let expires =
+                    if service.expires == 0 { String::new() } else { time::relative(service.expires, self.1) };
                 table.row([
                     service.service.clone(),
                     service.type_name.clone(),

@@ -28,3 +28,8 @@ impl Verify {
         verify(&self.directory, output)
     }
 }
+
+fn verify(directory: &Path, output: &mut Output) -> Result<(), Failure> {
+    let _ = (directory, output);
+    Ok(())
+}

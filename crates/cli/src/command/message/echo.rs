@@ -5,12 +5,14 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
-use crate::time;
+use crate::{context, time};
+use ledger::identity::Identity;
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_abac::{MessageEvent, ServiceState};
 use ledger_api::{Subscription, v1};
 use serde::Serialize;
+use std::collections::HashMap;
 use std::io::{self, Write};
 
 /// How often the node says that it is alive while there is nothing to print, in milliseconds.
@@ -97,7 +99,11 @@ impl Echo {
 }
 
 /// The messages of one event: what the event says about them, and their bytes from the signed transaction.
-fn messages(delivery: &v1::Delivery, event: &v1::EventRecord, senders: &mut Senders<'_>) -> Result<Vec<Message>, Rejection> {
+fn messages(
+    delivery: &v1::Delivery,
+    event: &v1::EventRecord,
+    senders: &mut Senders<'_>,
+) -> Result<Vec<Message>, Rejection> {
     let details: MessageEvent = answer::parse(&Bytes::copy_from_slice(&event.payload), "an event of messages")?;
     let transaction = Transaction::decode(Bytes::copy_from_slice(&event.transaction))?;
     let sender = senders.check(&transaction, &event.certificate)?;
@@ -119,4 +125,33 @@ fn messages(delivery: &v1::Delivery, event: &v1::EventRecord, senders: &mut Send
             transaction: transaction.id(),
         })
         .collect())
+}
+
+/// Who signs: names that certificates carry, checked against the organisations of our context.
+struct Senders<'a> {
+    session: &'a Session,
+    known: HashMap<Hash, Identity>,
+}
+
+impl<'a> Senders<'a> {
+    fn new(session: &'a Session) -> Self {
+        Self { session, known: HashMap::new() }
+    }
+
+    /// Checks the signature and names the signer. A stream shows each certificate once, with the first message.
+    fn check(&mut self, transaction: &Transaction, certificate: &[u8]) -> Result<String, Rejection> {
+        let creator = transaction.creator();
+        if Hash::of(&[certificate]) == creator && !self.known.contains_key(&creator) {
+            let identity = context::verified(self.session.context(), certificate)?;
+            self.known.insert(creator, identity);
+        }
+        let signer = self.known.get(&creator).ok_or_else(|| {
+            Rejection::new(Code::UnknownCreator, format!("nobody knows who signed transaction {}", transaction.id()))
+                .found(format!("no certificate with fingerprint {creator}"))
+                .wanted("the certificate with the first message of a sender")
+                .next("the node left it out: ask another node")
+        })?;
+        transaction.verify(&signer.public_key)?;
+        Ok(signer.id())
+    }
 }

@@ -56,9 +56,10 @@ struct Source {
 }
 
 fn rate(text: &str) -> Result<f64, String> {
-    text.parse().ok().filter(|hz| *hz > 0.0 && *hz <= RATE_HZ_MAX).ok_or_else(|| {
-        format!("wanted messages per second, above 0 and at most {RATE_HZ_MAX}")
-    })
+    text.parse()
+        .ok()
+        .filter(|hz| *hz > 0.0 && *hz <= RATE_HZ_MAX)
+        .ok_or_else(|| format!("wanted messages per second, above 0 and at most {RATE_HZ_MAX}"))
 }
 
 impl Source {
