@@ -58,7 +58,7 @@ pub struct NodeView {
     /// Open subscriptions.
     pub subscribers: Arc<AtomicU64>,
     /// Is there too little space to promise anything?
-    pub disk_full: AtomicBool,
+    pub disk_full: Arc<AtomicBool>,
     /// The node's clock, microseconds since the UNIX epoch.
     pub clock: fn() -> u64,
     /// When the node started.

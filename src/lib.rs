@@ -1,1 +1,55 @@
-//! ledgerd.
+//! `ledgerd`, the node: orderer, peer, chaincode runtime, enrolment CA and gateway in one process.
+//!
+//! This crate puts together what the others do: it owns the threads, sockets and files. A node with a chaincode of your
+//! own is a program of three lines:
+//!
+//! ```no_run
+//! # struct Inventory;
+//! # impl ledger::Chaincode for Inventory {
+//! #     fn name(&self) -> &'static str { "inventory" }
+//! #     fn invoke(&self, _: &mut ledger::Context<'_>, _: &str, _: &[ledger::Bytes]) -> Result<ledger::Bytes, ledger::Rejection> {
+//! #         Ok(ledger::Bytes::new())
+//! #     }
+//! # }
+//! fn main() -> std::process::ExitCode {
+//!     ledgerd::run(ledgerd::Node::builder().chaincode(Inventory))
+//! }
+//! ```
+//!
+//! | module | what is there |
+//! |---|---|
+//! | `command` | the command line: `run`, `check`, `init`, `dev`, `demo`, `bridge`, `verify` |
+//! | `config` | the configuration file, every fault at once |
+//! | `node` | a node from its stores to its server, and back down in order |
+//! | `stores` | opening blocks and world state; rebuilding the latter |
+//! | `orderer` | the two threads between a transaction and its verdict |
+//! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
+//! | `listen`, `peers` | TLS connections of clients and between nodes |
+//! | `gateway` | the gRPC API |
+//! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
+//! | `setup` | founding a network |
+//! | `housekeeping` | what is done beside the work |
+//! | `dev`, `demo` | a network of one for playing; the paper's experiment |
+
+mod blocks;
+pub mod ca;
+mod command;
+pub mod config;
+mod demo;
+mod denials;
+mod dev;
+mod enrolment;
+mod gateway;
+mod housekeeping;
+mod listen;
+mod node;
+mod orderer;
+mod peers;
+mod random;
+pub mod setup;
+mod stores;
+mod telemetry;
+mod waiters;
+
+pub use command::run;
+pub use node::{Node, NodeBuilder};

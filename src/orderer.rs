@@ -8,14 +8,14 @@
 use crate::blocks::Blocks;
 use crate::peers::Peers;
 use crate::waiters::Waiters;
-use ledger::block_store::BlockStore;
+use ledger::block_store::{BlockStore, StoreError};
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Rejection};
-use ledger_raft::{Engine, Input, Membership, Output, Role, Status};
+use ledger_raft::{Engine, Input, Output, Role, Status};
 use std::collections::BTreeMap;
 use std::io;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -25,6 +25,9 @@ use std::time::{Duration, Instant};
 const INBOX_MAX: usize = 65_536;
 /// Inputs taken before the log is written, so that a flood cannot put off the write.
 const INPUTS_PER_WRITE_MAX: usize = 4096;
+
+/// Pause before a write is tried again that found no space.
+const FULL_DISK_PAUSE: Duration = Duration::from_millis(100);
 
 /// What the two threads share with the rest of the node.
 pub struct Shared {
@@ -42,8 +45,8 @@ pub struct Shared {
     pub clock: fn() -> u64,
     /// Called once with the reason if the node cannot go on.
     pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
-    /// Called when the members of the network have changed at a height.
-    pub membership: Box<dyn Fn(u64, Membership) + Send + Sync>,
+    /// Set while the log cannot be written for lack of space.
+    pub disk_full: Arc<AtomicBool>,
 }
 
 /// The running threads.
@@ -148,7 +151,11 @@ impl Order {
                 self.report();
             }
             self.meet_deadline();
-            let wait = if self.flush.is_some() { Duration::ZERO } else { self.idle_time(next_tick) };
+            let wait = match self.flush {
+                Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
+                Some(_) => Duration::ZERO,
+                None => self.idle_time(next_tick),
+            };
             match inputs.recv_timeout(wait) {
                 Ok(input) => self.step(input),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -188,12 +195,22 @@ impl Order {
     /// Makes the log durable if the engine waits for it. False if the node cannot go on.
     fn write(&mut self) -> bool {
         let Some(ready) = self.flush.take() else { return true };
-        if let Err(error) = self.shared.store.flush() {
-            (self.shared.fatal)(error.into());
-            return false;
+        match self.shared.store.flush() {
+            Ok(_) => {
+                self.step(Input::Persisted { ready });
+                true
+            }
+            Err(StoreError::DiskFull { .. }) => {
+                // Nothing of it is on disk and nobody was told otherwise: it is tried again until there is space.
+                self.shared.disk_full.store(true, Ordering::Relaxed);
+                self.flush = Some(ready);
+                true
+            }
+            Err(error) => {
+                (self.shared.fatal)(error.into());
+                false
+            }
         }
-        self.step(Input::Persisted { ready });
-        true
     }
 
     fn step(&mut self, input: Input) {
@@ -220,7 +237,7 @@ impl Order {
                 tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
                 self.report();
             }
-            Output::Membership { height, membership } => (self.shared.membership)(height, membership),
+            Output::Membership { height, membership } => tracing::info!(height, ?membership, "members changed"),
             Output::Dropped { transaction, reason } => {
                 if let Ok(transaction) = Transaction::decode(transaction) {
                     self.shared.waiters.refuse(&transaction.id(), &reason);

@@ -66,12 +66,7 @@ pub struct Options {
 impl Options {
     /// The defaults.
     pub fn new(network: [u8; 32], salt: impl FnMut() -> u64 + Send + 'static) -> Self {
-        Self {
-            network,
-            segment_bytes: SEGMENT_BYTES_DEFAULT,
-            cache_bytes: CACHE_BYTES_DEFAULT,
-            salt: Box::new(salt),
-        }
+        Self { network, segment_bytes: SEGMENT_BYTES_DEFAULT, cache_bytes: CACHE_BYTES_DEFAULT, salt: Box::new(salt) }
     }
 }
 

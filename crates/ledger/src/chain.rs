@@ -2,13 +2,13 @@
 
 use crate::Hash;
 use crate::block::{Header, leaf};
+use crate::certificate::Certificate;
 use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead};
 use crate::code::Code;
 use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
 use crate::identities::{Identities, check_revoked};
 use crate::identity::Identity;
-use crate::certificate::Certificate;
 use crate::membership::{Membership, ORGANISATION_KEYS, certificate_key};
 use crate::msp::Msps;
 use crate::network::Genesis;
@@ -266,7 +266,7 @@ impl Ledger {
     /// # Errors
     /// A fault of the store.
     pub fn result(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
-        self.state.get(&result_key(height))?.map(BlockResult::from_bytes).transpose()
+        stored_result(&self.state, height)
     }
 
     /// The certificate of a creator that the ledger knows, in DER.
@@ -309,6 +309,11 @@ impl Ledger {
     fn overlay(&self) -> Overlay {
         Overlay::new(Arc::clone(&self.state) as Arc<dyn StateRead>)
     }
+}
+
+/// What a state keeps of the block at a height.
+pub(crate) fn stored_result(state: &State, height: u64) -> Result<Option<BlockResult>, Rejection> {
+    state.get(&result_key(height))?.map(BlockResult::from_bytes).transpose()
 }
 
 /// A transaction that was refused before it was ordered, and whose it was if that is known.

@@ -24,6 +24,7 @@ pub mod result;
 pub mod segment;
 pub mod state;
 pub mod transaction;
+pub mod verify;
 
 pub use bytes::Bytes;
 pub use chain::{Admission, Ledger, Outcome, Refusal, TransactionRecord};

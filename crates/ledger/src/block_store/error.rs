@@ -1,5 +1,6 @@
 //! What can go wrong with the store.
 
+use crate::{Code, Rejection};
 use std::io;
 use std::sync::Arc;
 
@@ -43,7 +44,9 @@ pub enum StoreError {
     },
     /// The directory belongs to another network.
     #[error(
-        "{file} belongs to network {}, wanted {}; point the node at its own directory", hex::encode(found), hex::encode(wanted)
+        "{file} belongs to network {}, wanted {}; point the node at its own directory",
+        hex::encode(found),
+        hex::encode(wanted)
     )]
     WrongNetwork {
         /// Name of the file.
@@ -95,5 +98,19 @@ impl StoreError {
 
     pub(crate) fn corrupt(file: &str, offset: u64, what: impl Into<String>, index: u64) -> Self {
         Self::Corrupt { file: file.to_owned(), offset, what: what.into(), index }
+    }
+}
+
+impl From<StoreError> for Rejection {
+    fn from(error: StoreError) -> Self {
+        let code = match &error {
+            StoreError::DiskFull { .. } => Code::DiskFull,
+            StoreError::Io { .. } => Code::DiskFailed,
+            StoreError::Corrupt { .. } | StoreError::WrongNetwork { .. } => Code::Corrupt,
+            StoreError::TooLarge { .. } => Code::TooLarge,
+            StoreError::StageFull { .. } => Code::Overloaded,
+            StoreError::Gap { .. } | StoreError::Violation(_) | StoreError::Options(_) => Code::Internal,
+        };
+        Self::new(code, error.to_string())
     }
 }

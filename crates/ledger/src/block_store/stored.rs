@@ -22,8 +22,7 @@ impl StoredSegment {
     pub(super) fn read(&self, index: u64, location: Location) -> Result<Entry, StoreError> {
         let offset = u64::from(location.offset);
         let mut bytes = vec![0; location.bytes as usize];
-        let count =
-            self.file.read_at(&mut bytes, offset).map_err(|error| StoreError::io("read", &self.name, error))?;
+        let count = self.file.read_at(&mut bytes, offset).map_err(|error| StoreError::io("read", &self.name, error))?;
         let corrupt = |what: &str| StoreError::corrupt(&self.name, offset, what, index);
         if count < bytes.len() {
             return Err(corrupt("the file ends inside of a record"));

@@ -104,8 +104,7 @@ impl Writer {
             let offset = u32::try_from(at)
                 .map_err(|_| Failure::Fatal(StoreError::Violation(format!("{} is too long", segment.name))))?;
             let durable_upto = self.durable();
-            run.previous =
-                encode_record(&record, segment.salt, offset, run.previous, durable_upto, &mut self.buffer);
+            run.previous = encode_record(&record, segment.salt, offset, run.previous, durable_upto, &mut self.buffer);
             if let Record::Entry(Entry { index, .. }) = record {
                 let location = Location { sequence: segment.sequence, offset, bytes: bytes as u32 };
                 run.entries.push((index, location));
@@ -118,10 +117,9 @@ impl Writer {
     /// Everything before this is on disk.
     fn durable(&self) -> LogPosition {
         let end = u32::try_from(self.end).unwrap_or(u32::MAX);
-        self.active.as_ref().map_or_else(LogPosition::default, |segment| LogPosition {
-            sequence: segment.sequence,
-            offset: end,
-        })
+        self.active
+            .as_ref()
+            .map_or_else(LogPosition::default, |segment| LogPosition { sequence: segment.sequence, offset: end })
     }
 
     fn continue_segment(&mut self) -> Run {

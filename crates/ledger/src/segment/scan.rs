@@ -111,17 +111,7 @@ pub fn scan(disk: &dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan, StoreEr
         }
         segments.push(segment);
     }
-    Ok(Scan {
-        segments,
-        ignored,
-        at: 0,
-        offset: 0,
-        previous: 0,
-        proven: 0,
-        next_index: 1,
-        window: None,
-        done: false,
-    })
+    Ok(Scan { segments, ignored, at: 0, offset: 0, previous: 0, proven: 0, next_index: 1, window: None, done: false })
 }
 
 fn open_segment(disk: &dyn Disk, name: &str, first_index: u64) -> Result<ScannedSegment, StoreError> {
@@ -212,7 +202,8 @@ impl Scan {
             return Err(StoreError::corrupt(&segment.name, 72, what, self.next_index));
         }
         if segment.header.first_index != self.next_index {
-            let what = format!("the header says entry {} comes next, found {}", segment.header.first_index, self.next_index);
+            let what =
+                format!("the header says entry {} comes next, found {}", segment.header.first_index, self.next_index);
             return Err(StoreError::corrupt(&segment.name, 48, what, self.next_index));
         }
         self.offset = HEADER_BYTES;

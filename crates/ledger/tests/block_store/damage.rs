@@ -100,7 +100,10 @@ fn a_flipped_bit_is_refused_with_its_place_or_was_in_the_last_flush() {
     let (disk, expected) = small_store();
     let records = records(&disk);
     let durable = records.last().unwrap().3;
-    let acknowledged = records.iter().filter(|record| LogPosition { offset: record.1 as u32, ..durable } < durable || record.0 == segments(&disk)[0]).count();
+    let acknowledged = records
+        .iter()
+        .filter(|record| LogPosition { offset: record.1 as u32, ..durable } < durable || record.0 == segments(&disk)[0])
+        .count();
     for name in segments(&disk) {
         let bytes = disk.contents(&name).unwrap();
         for at in 0..bytes.len() {
@@ -110,7 +113,8 @@ fn a_flipped_bit_is_refused_with_its_place_or_was_in_the_last_flush() {
                 flipped[at] ^= mask;
                 damaged.set_contents(&name, &flipped);
                 let context = format!("{name} byte {at} mask {mask}");
-                let record = records.iter().find(|record| record.0 == name && (record.1..record.2).contains(&(at as u64)));
+                let record =
+                    records.iter().find(|record| record.0 == name && (record.1..record.2).contains(&(at as u64)));
                 let last_flush = name == segments(&disk)[1] && at >= durable.offset as usize;
                 if last_flush {
                     let recovery = check_prefix(&damaged, &expected, acknowledged, &context);

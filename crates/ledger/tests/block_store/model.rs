@@ -9,10 +9,15 @@ use super::*;
 #[derive(Debug, Clone)]
 enum Step {
     /// Append entries of these sizes, this many below the end of the log.
-    Append { back: u64, sizes: Vec<usize> },
+    Append {
+        back: u64,
+        sizes: Vec<usize>,
+    },
     Commit,
     Flush,
-    FailingFlush { sync: bool },
+    FailingFlush {
+        sync: bool,
+    },
     Prepare,
     Crash,
     Kill,
@@ -52,7 +57,9 @@ impl Model {
         let possible = read == self.flushed || self.since.iter().any(|log| is_between(&self.flushed, log, &read));
         assert!(possible, "flushed {:?}, read {:?}", numbers(&self.flushed), numbers(&read));
         let hard_state = store.hard_state();
-        assert!(hard_state == self.flushed_hard_state || hard_state == self.hard_state || !crashed || hard_state.term > 0);
+        assert!(
+            hard_state == self.flushed_hard_state || hard_state == self.hard_state || !crashed || hard_state.term > 0
+        );
         assert!(hard_state.commit >= self.flushed_hard_state.commit && hard_state.commit <= read.len() as u64);
         assert!(store.durable_index() == read.len() as u64);
         self.log.clone_from(&read);
@@ -127,7 +134,11 @@ fn run(seed: u64, steps: Vec<Step>) {
             }
             Step::Crash | Step::Kill => {
                 let crash = matches!(step, Step::Crash);
-                if crash { disk.crash() } else { disk.kill() }
+                if crash {
+                    disk.crash()
+                } else {
+                    disk.kill()
+                }
                 store = open_with(&disk, SEGMENT_BYTES).unwrap().0;
                 model.restarted(&store, crash);
             }

@@ -1,0 +1,111 @@
+//! The function table of the chaincode, and its hooks.
+
+use crate::arguments::Arguments;
+use crate::authorize::{self, Decider};
+use crate::nearest::did_you_mean;
+use crate::{grant, policies, publish, revoke, robot, service, store};
+use ledger::{Bytes, Chaincode, Context, Event, Rejection, Revocation};
+
+/// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
+/// JSON.
+///
+/// | function | who | answer |
+/// |---|---|---|
+/// | `setup ROBOT_JSON...` | an admin of the owner | the assets |
+/// | `remove ROBOT` | an admin of the owner | the grants it ended |
+/// | `acquire SERVICE [LEASE_MS]` | whom policies permit | [`crate::Grant`] |
+/// | `renew SERVICE [LEASE_MS]` | the holder | [`crate::Grant`] |
+/// | `release SERVICE [HOLDER]` | the holder, an admin of the owner | the grants it ended |
+/// | `set SERVICE EPOCH FIRST_SEQ PAYLOAD...` | the holder; in open mode whom policies permit | [`crate::Published`] |
+/// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
+/// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
+/// | `robots`, `robot NAME` | anybody | [`crate::RobotAsset`] |
+/// | `service SERVICE` | anybody | [`crate::ServiceState`] |
+/// | `grants [SERVICE]` | anybody | [`crate::Grant`]s |
+/// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
+/// | `policies` | anybody | [`crate::PolicyEntry`]s |
+///
+/// A service is named `Turtlebot4/cmd_vel`, or `Turtlebot4` while that robot has only one.
+///
+/// Events: `granted` and `renewed` with the [`crate::Grant`], `released` with [`crate::Released`], `message` with
+/// [`crate::MessageEvent`], all with the service as subject; `robot` with [`crate::RobotEvent`] and the robot as
+/// subject; `policy` with [`crate::PolicyChange`] and the organisation as subject.
+pub struct AccessControl {
+    decider: Decider,
+}
+
+/// Every function, for whoever mistypes one.
+const FUNCTIONS: [&str; 14] = [
+    "GetSubmittingClientIdentity",
+    "acquire",
+    "authorize",
+    "grants",
+    "policies",
+    "policy",
+    "release",
+    "remove",
+    "renew",
+    "robot",
+    "robots",
+    "service",
+    "set",
+    "setup",
+];
+
+impl AccessControl {
+    /// The chaincode, with the thread on which it evaluates policies.
+    ///
+    /// # Errors
+    /// [`ledger::Code::Internal`] if the operating system gives no thread.
+    pub fn new() -> Result<Self, Rejection> {
+        Ok(Self { decider: Decider::new()? })
+    }
+}
+
+impl Chaincode for AccessControl {
+    fn name(&self) -> &'static str {
+        "abac"
+    }
+
+    fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        let decider = &self.decider;
+        match function {
+            "set" => publish::set(ctx, decider, args),
+            "acquire" => grant::acquire(ctx, decider, args),
+            "renew" => grant::renew(ctx, decider, args),
+            "release" => grant::release(ctx, args),
+            "authorize" => authorize::authorize(ctx, decider, args),
+            "GetSubmittingClientIdentity" => authorize::caller(ctx, args),
+            "setup" => robot::setup(ctx, decider, args),
+            "remove" => robot::remove(ctx, args),
+            "robots" => robot::list(ctx, args),
+            "robot" => robot::show(ctx, args),
+            "service" => {
+                let args = Arguments::new("service SERVICE", args, 1, 1)?;
+                store::json(&service::resolve(ctx, args.text(0, "SERVICE")?)?.state(ctx)?)
+            }
+            "grants" => grant::list(ctx, args),
+            "policy" => policies::change(ctx, decider, args),
+            "policies" => policies::list(ctx, args),
+            _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
+                .next(did_you_mean(function, FUNCTIONS, ""))),
+        }
+    }
+
+    // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
+    fn begin_block(&self, ctx: &mut Context<'_>) {
+        let _ = revoke::sweep(ctx);
+    }
+
+    fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
+        revoke::next_deadline(ctx)
+    }
+
+    fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {
+        let _ = revoke::identity_revoked(ctx, revoked);
+    }
+
+    fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {
+        authorize::may_read(ctx, &self.decider, event)
+    }
+}

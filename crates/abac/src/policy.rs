@@ -1,0 +1,351 @@
+//! Cedar: what a policy may look like, and what a set of them decides.
+//!
+//! Policies are hostile input. Their size and nesting are limited before anything parses them, they are validated
+//! strictly against the schema, and all of Cedar's recursion, parsing, validating, evaluating and dropping, runs on
+//! one thread with a stack of fixed size: on a small stack deep recursion aborts the process, and because Cedar
+//! looks at the stack that is left, stacks of different sizes would decide differently on different nodes.
+
+use crate::arguments::shown;
+use cedar_policy::{
+    Authorizer, Context, Decision, Entities, Entity, EntityId, EntityTypeName, EntityUid, PolicyId, PolicySet, Request,
+    RestrictedExpression, Schema, ValidationMode, Validator,
+};
+use ledger::{Code, Hash, Rejection};
+use std::collections::{BTreeMap, HashSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+
+/// The Cedar schema that every policy is checked against.
+pub const SCHEMA: &str = include_str!("schema.cedarschema");
+/// The rule of the paper, in force for an organisation that has put no policy of its own.
+pub const DEFAULT_POLICY: &str = include_str!("default.cedar");
+/// Longest text of one policy, in bytes.
+pub const POLICY_BYTES_MAX: usize = 8 * 1024;
+/// Deepest nesting of brackets, and most `if`s of one policy: both nest.
+const NESTING_MAX: usize = 32;
+/// Stack of the thread that runs Cedar, in bytes. Only what is used of it takes memory. Sized for chains such as
+/// `a && b && …`, which nest inside Cedar although they do not look it, over the whole of `POLICY_BYTES_MAX`.
+const STACK_BYTES: usize = 64 * 1024 * 1024;
+/// Most parsed policy sets that are kept.
+const PARSED_SETS_MAX: usize = 64;
+/// Most questions that wait for the thread; more wait for their turn to wait.
+const QUEUE_MAX: usize = 64;
+/// Most faults of a policy that are reported at once.
+const FAULTS_SHOWN_MAX: usize = 3;
+
+/// Texts of policies with their ids, in order of the ids.
+pub(crate) type Texts = Vec<(String, String)>;
+
+/// A question to a set of policies.
+pub(crate) struct Question {
+    /// Names the set: a hash over `texts`, never a counter. Calls are also simulated and thrown away, and a counter
+    /// would then name another set than the one that is executed later.
+    pub(crate) version: Hash,
+    /// The policies.
+    pub(crate) texts: Texts,
+    /// `User`: id, attributes, tags, organisation.
+    pub(crate) user: User,
+    /// `acquire`, `publish` or `subscribe`.
+    pub(crate) action: &'static str,
+    /// `Service`: id, robot, owner, and its attributes.
+    pub(crate) service: Resource,
+    /// Block time, milliseconds.
+    pub(crate) time_ms: i64,
+}
+
+/// Who asks.
+pub(crate) struct User {
+    pub(crate) organisation: String,
+    pub(crate) name: String,
+    pub(crate) role: &'static str,
+    pub(crate) attributes: BTreeMap<String, String>,
+}
+
+/// What they ask for.
+pub(crate) struct Resource {
+    pub(crate) id: String,
+    pub(crate) robot: String,
+    pub(crate) owner: String,
+    /// Attributes of text, as in the schema.
+    pub(crate) texts: Vec<(&'static str, String)>,
+    pub(crate) trusted: Vec<String>,
+}
+
+/// What a set of policies decides.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Verdict {
+    /// A policy permits it and none forbids it.
+    Permit,
+    /// No policy permits it.
+    NotPermitted,
+    /// These policies forbid it.
+    Forbidden(Vec<String>),
+    /// A policy could not be evaluated. Cedar would skip it, were it a `forbid`; here it denies.
+    Fault(String),
+}
+
+/// A verdict, and whether it holds whatever the time is.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Answer {
+    pub(crate) verdict: Verdict,
+    pub(crate) timeless: bool,
+}
+
+enum Job {
+    Check(String, SyncSender<Result<(), Vec<String>>>),
+    Decide(Box<Question>, SyncSender<Answer>),
+}
+
+/// The thread that runs Cedar. It ends with its last handle.
+pub(crate) struct Engine {
+    jobs: SyncSender<Job>,
+}
+
+impl Engine {
+    /// Starts the thread.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if the operating system gives no thread, or the built-in schema is broken.
+    pub(crate) fn start() -> Result<Self, Rejection> {
+        let internal = |fault: String| Rejection::new(Code::Internal, "policies cannot be evaluated").found(fault);
+        let (schema, _) = Schema::from_cedarschema_str(SCHEMA).map_err(|fault| internal(fault.to_string()))?;
+        let (jobs, queue) = sync_channel(QUEUE_MAX);
+        std::thread::Builder::new()
+            .name("policies".to_owned())
+            .stack_size(STACK_BYTES)
+            .spawn(move || serve(&queue, &Validator::new(schema)))
+            .map_err(|fault| internal(fault.to_string()))?;
+        Ok(Self { jobs })
+    }
+
+    /// Is this text acceptable as a policy?
+    ///
+    /// # Errors
+    /// [`Code::PolicyInvalid`] with the first faults.
+    pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
+        check_limits(text)?;
+        let (reply, answer) = sync_channel(1);
+        let faults = self.jobs.send(Job::Check(text.to_owned(), reply)).ok().and_then(|()| answer.recv().ok());
+        let Err(mut faults) = faults.unwrap_or_else(|| Err(vec!["the policy thread is gone".to_owned()])) else {
+            return Ok(());
+        };
+        // Cedar finds faults in no particular order; the text becomes part of a verdict.
+        faults.sort();
+        faults.dedup();
+        let more = faults.len().saturating_sub(FAULTS_SHOWN_MAX);
+        faults.truncate(FAULTS_SHOWN_MAX);
+        if more > 0 {
+            faults.push(format!("{more} more"));
+        }
+        Err(invalid("policy is not acceptable", faults.join("; "), "Cedar policies that validate against the schema"))
+    }
+
+    /// What do these policies decide? A fault of the machinery denies.
+    pub(crate) fn decide(&self, question: Question) -> Answer {
+        let (reply, answer) = sync_channel(1);
+        let answer = self.jobs.send(Job::Decide(Box::new(question), reply)).ok().and_then(|()| answer.recv().ok());
+        answer.unwrap_or_else(|| fault("the policy thread is gone".to_owned()))
+    }
+}
+
+fn fault(text: String) -> Answer {
+    Answer { verdict: Verdict::Fault(text), timeless: false }
+}
+
+fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
+    Rejection::new(Code::PolicyInvalid, message)
+        .found(found)
+        .wanted(wanted)
+        .next("see the schema and the default policy: ledgerctl policy show default")
+}
+
+/// What can be checked before anything parses the text: length, and the nesting of brackets and `if`s.
+fn check_limits(text: &str) -> Result<(), Rejection> {
+    if text.len() > POLICY_BYTES_MAX {
+        return Err(invalid(
+            "policy is too long",
+            format!("{} bytes", text.len()),
+            &format!("at most {POLICY_BYTES_MAX} bytes; split it into several"),
+        ));
+    }
+    let nesting = nesting(text);
+    if nesting > NESTING_MAX {
+        let wanted = format!("at most {NESTING_MAX} brackets within each other, and as many ifs in one policy");
+        return Err(invalid("policy is nested too deeply", format!("nesting of {nesting}"), &wanted));
+    }
+    Ok(())
+}
+
+/// The deepest nesting of brackets, or the largest number of `if`s between semicolons, if that is more. Strings and
+/// comments do not count.
+fn nesting(text: &str) -> usize {
+    let (mut depth, mut ifs, mut deepest) = (0_usize, 0_usize, 0_usize);
+    let mut rest = text;
+    while let Some(first) = rest.chars().next() {
+        let mut skip = first.len_utf8();
+        match first {
+            '(' | '[' | '{' => depth += 1,
+            ')' | ']' | '}' => depth = depth.saturating_sub(1),
+            ';' => ifs = 0,
+            '"' => skip = string_bytes(rest),
+            '/' if rest.starts_with("//") => skip = rest.find(['\n', '\r']).unwrap_or(rest.len()),
+            _ if first.is_alphanumeric() || first == '_' => {
+                skip = rest.find(|c: char| !(c.is_alphanumeric() || c == '_')).unwrap_or(rest.len());
+                ifs += usize::from(rest.get(..skip) == Some("if"));
+            }
+            _ => {}
+        }
+        deepest = deepest.max(depth).max(ifs);
+        rest = rest.get(skip..).unwrap_or_default();
+    }
+    deepest
+}
+
+/// Length of the string literal that the text starts with; an unterminated one reaches to the end.
+fn string_bytes(text: &str) -> usize {
+    let mut escaped = false;
+    for (at, c) in text.char_indices().skip(1) {
+        match c {
+            _ if escaped => escaped = false,
+            '\\' => escaped = true,
+            '"' => return at + 1,
+            _ => {}
+        }
+    }
+    text.len()
+}
+
+/// A parsed set. It never leaves the thread: dropping it recurses as well.
+struct Parsed {
+    policies: Result<PolicySet, String>,
+    timeless: bool,
+}
+
+fn serve(queue: &Receiver<Job>, validator: &Validator) {
+    let mut parsed: BTreeMap<Hash, Parsed> = BTreeMap::new();
+    while let Ok(job) = queue.recv() {
+        // A caller that has given up waiting is no fault of ours.
+        match job {
+            Job::Check(text, reply) => {
+                let outcome = catch_unwind(|| validate(validator, &text));
+                let _ = reply.send(outcome.unwrap_or_else(|_| Err(vec!["Cedar panicked on it".to_owned()])));
+            }
+            Job::Decide(question, reply) => {
+                let outcome = catch_unwind(AssertUnwindSafe(|| {
+                    if !parsed.contains_key(&question.version) {
+                        if parsed.len() >= PARSED_SETS_MAX {
+                            parsed.clear();
+                        }
+                        parsed.insert(question.version, parse_all(&question.texts));
+                    }
+                    parsed.get(&question.version).map(|set| decide(set, &question))
+                }));
+                let answer = outcome.ok().flatten();
+                let _ = reply.send(answer.unwrap_or_else(|| fault("Cedar panicked on the policies".to_owned())));
+            }
+        }
+    }
+}
+
+fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
+    let policies: PolicySet = text
+        .parse()
+        .map_err(|fault: cedar_policy::ParseErrors| fault.iter().map(|fault| fault.to_string()).collect::<Vec<_>>())?;
+    if policies.num_of_templates() > 0 {
+        return Err(vec!["a template with ?principal or ?resource, which nothing here fills in".to_owned()]);
+    }
+    if policies.is_empty() {
+        return Err(vec!["no policy in the text".to_owned()]);
+    }
+    let result = validator.validate(&policies, ValidationMode::Strict);
+    if result.validation_passed() {
+        return Ok(());
+    }
+    Err(result.validation_errors().map(|fault| fault.to_string()).collect())
+}
+
+fn parse_all(texts: &[(String, String)]) -> Parsed {
+    let timeless = !texts.iter().any(|(_, text)| text.contains("context"));
+    let mut all = PolicySet::new();
+    for (id, text) in texts {
+        let set: PolicySet = match text.parse() {
+            Ok(set) => set,
+            Err(fault) => return Parsed { policies: Err(format!("policy {id}: {fault}")), timeless },
+        };
+        let only = set.num_of_policies() == 1;
+        for policy in set.policies() {
+            let name = if only { id.clone() } else { format!("{id}.{}", policy.id()) };
+            if let Err(fault) = all.add(policy.new_id(PolicyId::new(name))) {
+                return Parsed { policies: Err(format!("policy {id}: {fault}")), timeless };
+            }
+        }
+    }
+    Parsed { policies: Ok(all), timeless }
+}
+
+fn decide(set: &Parsed, question: &Question) -> Answer {
+    let timeless = set.timeless;
+    let verdict = match &set.policies {
+        Ok(policies) => evaluate(policies, question).unwrap_or_else(Verdict::Fault),
+        Err(fault) => Verdict::Fault(fault.clone()),
+    };
+    Answer { verdict, timeless }
+}
+
+fn evaluate(policies: &PolicySet, question: &Question) -> Result<Verdict, String> {
+    let (user, service) = (&question.user, &question.service);
+    let principal = uid("User", &format!("{}/{}", user.organisation, user.name))?;
+    let resource = uid("Service", &service.id)?;
+    let robot = uid("Robot", &service.robot)?;
+    let (home, owner) = (uid("Organisation", &user.organisation)?, uid("Organisation", &service.owner)?);
+    let text = |value: &str| RestrictedExpression::new_string(value.to_owned());
+    let pair = |key: &str, value: &str| (key.to_owned(), text(value));
+
+    let user_attributes = [pair("organisation", &user.organisation), pair("name", &user.name), pair("role", user.role)];
+    let tags = user.attributes.iter().map(|(key, value)| pair(key, value));
+    let robot_attributes = [pair("name", &service.robot), pair("owner", &service.owner)];
+    let trusted = RestrictedExpression::new_set(service.trusted.iter().map(|name| text(name)));
+    let service_attributes = service.texts.iter().map(|(key, value)| pair(key, value)).chain([
+        ("trusted".to_owned(), trusted),
+        pair("robot", &service.robot),
+        pair("owner", &service.owner),
+    ]);
+
+    let mut entities = vec![
+        Entity::new_with_tags(principal.clone(), user_attributes, [home.clone()], tags).map_err(display)?,
+        Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], []).map_err(display)?,
+        Entity::new_with_tags(resource.clone(), service_attributes, [robot], []).map_err(display)?,
+        Entity::new_no_attrs(home.clone(), HashSet::new()),
+    ];
+    if owner != home {
+        entities.push(Entity::new_no_attrs(owner, HashSet::new()));
+    }
+    let entities = Entities::from_entities(entities, None).map_err(display)?;
+    let context = Context::from_pairs([("time".to_owned(), RestrictedExpression::new_long(question.time_ms))])
+        .map_err(display)?;
+    let request = Request::new(principal, uid("Action", question.action)?, resource, context, None).map_err(display)?;
+
+    let response = Authorizer::new().is_authorized(&request, policies, &entities);
+    let mut faults: Vec<String> = response.diagnostics().errors().map(ToString::to_string).collect();
+    if !faults.is_empty() {
+        faults.sort();
+        faults.truncate(FAULTS_SHOWN_MAX);
+        return Ok(Verdict::Fault(faults.join("; ")));
+    }
+    let mut reasons: Vec<String> = response.diagnostics().reason().map(ToString::to_string).collect();
+    reasons.sort();
+    Ok(match response.decision() {
+        Decision::Allow => Verdict::Permit,
+        Decision::Deny if reasons.is_empty() => Verdict::NotPermitted,
+        Decision::Deny => Verdict::Forbidden(reasons),
+    })
+}
+
+fn uid(kind: &str, id: &str) -> Result<EntityUid, String> {
+    let kind: EntityTypeName = kind.parse().map_err(|fault| format!("{}: {fault}", shown(kind)))?;
+    Ok(EntityUid::from_type_name_and_id(kind, EntityId::new(id)))
+}
+
+fn display(fault: impl std::fmt::Display) -> String {
+    fault.to_string()
+}

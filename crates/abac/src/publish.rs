@@ -1,0 +1,127 @@
+//! `set`: publishing messages on a service.
+//!
+//! The messages themselves stay in the transaction; the state keeps only where the last one is. A held grant is
+//! checked by comparing numbers, without asking any policy.
+
+use crate::arguments::Arguments;
+use crate::authorize::{self, Decider};
+use crate::grant::{self, Principal};
+use crate::service::{self, Target};
+use crate::store;
+use ledger::{Bytes, Code, Context, Rejection};
+use serde::{Deserialize, Serialize};
+
+/// Most messages of one `set`.
+pub const MESSAGES_PER_CALL_MAX: usize = 1024;
+/// Bytes of the CDR encapsulation header before every message: two of representation, two of options.
+const CDR_HEADER_BYTES: usize = 4;
+
+/// Where the last message of a service is: key `last/…`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Last {
+    /// The epoch it was published under; 0 without a grant.
+    epoch: u64,
+    /// Its sequence number.
+    seq: u64,
+    /// The block it is in.
+    height: u64,
+    /// Who published it.
+    publisher: String,
+    /// How many messages its transaction holds; their sequence numbers end with `seq`.
+    count: u64,
+}
+
+/// Answer of `set`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Published {
+    /// The epoch the messages were published under; 0 without a grant.
+    pub epoch: u64,
+    /// The smallest sequence number that the next `set` may start with.
+    pub next_seq: u64,
+}
+
+/// Payload of the event `message`, whose subject is the service; the messages are arguments of the transaction.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct MessageEvent {
+    /// The epoch they were published under; 0 without a grant.
+    pub epoch: u64,
+    /// Sequence number of the first one.
+    pub first_seq: u64,
+    /// How many they are.
+    pub count: u64,
+}
+
+/// `set SERVICE EPOCH FIRST_SEQ PAYLOAD...`
+pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let usage = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
+    let args = Arguments::new(usage, args, 4, 3 + MESSAGES_PER_CALL_MAX)?;
+    let (epoch, first_seq) = (args.number(1, "EPOCH")?, args.number(2, "FIRST_SEQ")?);
+    let count = check_payloads(args)?;
+    let last_seq = first_seq
+        .checked_add(count - 1)
+        .filter(|last| *last < u64::MAX)
+        .ok_or_else(|| args.bad(2, "FIRST_SEQ", first_seq.to_string(), "room for all messages below 2^64 - 1"))?;
+    let principal = Principal::of(ctx.submitter()?);
+    let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
+    let own = authorize::may_publish(ctx, decider, &principal, &target, Some(epoch))?;
+
+    let publisher = principal.id();
+    let next_seq = next_sequence(ctx, &target, epoch, &publisher)?;
+    if first_seq < next_seq {
+        return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
+            .found(format!("sequence number {first_seq}"))
+            .wanted(format!("at least {next_seq}"))
+            .next("number messages upwards; after a restart, acquire again and go on from next_seq"));
+    }
+    if let Some(own) = &own {
+        grant::used(ctx, decider, &target, own)?;
+    }
+    let key = last_message_key(&target, &publisher);
+    let last = Last { epoch, seq: last_seq, height: ctx.height(), publisher, count };
+    store::write(ctx, &key, &last)?;
+    ctx.emit("message", &target.id, store::json(&MessageEvent { epoch, first_seq, count })?);
+    store::json(&Published { epoch, next_seq: last_seq + 1 })
+}
+
+/// The smallest sequence number that `set` accepts. An exclusive service counts within an epoch, since every epoch
+/// has one publisher; an open one counts for each publisher, whatever the epoch.
+pub(crate) fn next_sequence(ctx: &Context<'_>, target: &Target, epoch: u64, publisher: &str) -> Result<u64, Rejection> {
+    let last: Option<Last> = store::read(ctx, &last_message_key(target, publisher))?;
+    let counts_on = |last: &Last| last.epoch == epoch || !target.service.mode.rule().publishing_needs_grant();
+    Ok(last.filter(counts_on).map_or(0, |last| last.seq + 1))
+}
+
+fn last_message_key(target: &Target, publisher: &str) -> Vec<u8> {
+    let shared = target.service.mode.rule().publishing_needs_grant();
+    store::last_key(&target.id, (!shared).then_some(publisher))
+}
+
+/// Checks that every payload starts as CDR does; returns how many they are.
+fn check_payloads(args: Arguments<'_>) -> Result<u64, Rejection> {
+    let payloads = args.rest(3);
+    for (index, payload) in payloads.iter().enumerate() {
+        let wanted = "CDR with its encapsulation header: 00 00 to 00 03 or 00 06 to 00 0b, and two bytes of options";
+        match payload.get(..CDR_HEADER_BYTES) {
+            Some([0, 0..=3 | 6..=11, ..]) => {}
+            Some(header) => return Err(args.bad(3 + index, "PAYLOAD", hex::encode(header), wanted)),
+            None => return Err(args.bad(3 + index, "PAYLOAD", format!("{} bytes", payload.len()), wanted)),
+        }
+    }
+    Ok(payloads.len() as u64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Arguments, Bytes, check_payloads};
+
+    #[test]
+    fn only_known_encapsulations_pass() {
+        for id in 0..=u8::MAX {
+            for high in [0, 1] {
+                let payload = [Bytes::new(), Bytes::new(), Bytes::new(), Bytes::from(vec![high, id, 0, 0])];
+                let outcome = Arguments::new("", &payload, 4, 4).and_then(check_payloads);
+                assert_eq!(outcome.is_ok(), high == 0 && (id <= 3 || (6..=11).contains(&id)), "{high} {id}");
+            }
+        }
+    }
+}

@@ -1,0 +1,132 @@
+//! How rights end without their holder's doing: expiry, revocation, a change of policy or of the robot.
+//!
+//! A right that ends at a height has no effect after it. But a block may tell of a bounded number of events, so when
+//! very many grants end at once, those beyond the bound are marked as ended (which no check overlooks) and made due
+//! at once; the following blocks sweep them up and tell why they ended.
+
+use crate::authorize::{self, Decider};
+use crate::conflict::Outcome;
+use crate::grant::{self, Holding, Reason, Released};
+use crate::robot::{self, Robot, SERVICES_MAX};
+use crate::service::Target;
+use crate::store;
+use ledger::{Context, Rejection, Revocation};
+
+/// Most grants that one call or the start of one block ends with an event each.
+const ENDINGS_MAX: usize = 256;
+
+/// Ends grants now; returns those whose event was emitted now.
+pub(crate) fn end_all(ctx: &mut Context<'_>, ending: Vec<(Holding, Reason)>) -> Result<Vec<Released>, Rejection> {
+    let mut released = Vec::new();
+    for (holding, reason) in ending {
+        if released.len() < ENDINGS_MAX {
+            released.push(grant::end(ctx, &holding, reason)?);
+        } else {
+            let mut marked = holding.clone();
+            marked.ending = Some(reason);
+            marked.grant.expires = ctx.block_time().min(holding.grant.expires);
+            grant::replace(ctx, &holding, &marked)?;
+        }
+    }
+    Ok(released)
+}
+
+/// Ends what is due at the start of a block.
+pub(crate) fn sweep(ctx: &mut Context<'_>) -> Result<(), Rejection> {
+    let now = ctx.block_time();
+    for (key, _) in ctx.range(b"due/", ENDINGS_MAX) {
+        let Some((expires, service, holder)) = store::parse_due_key(&key) else {
+            ctx.delete(&key);
+            continue;
+        };
+        if expires > now {
+            break;
+        }
+        match store::read::<Holding>(ctx, &store::grant_key(service, holder))? {
+            Some(holding) if holding.grant.expires == expires => {
+                grant::end(ctx, &holding, holding.reason())?;
+            }
+            _ => ctx.delete(&key),
+        }
+    }
+    Ok(())
+}
+
+/// When the next grant is due (block time, microseconds).
+pub(crate) fn next_deadline(ctx: &Context<'_>) -> Option<u64> {
+    let due = ctx.range(b"due/", 1);
+    let (key, _) = due.first()?;
+    store::parse_due_key(key).map(|(expires, ..)| expires)
+}
+
+/// Ends the grants of a certificate that was revoked.
+pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> Result<(), Rejection> {
+    let prefix = store::certificate_prefix(&revoked.issuer, &revoked.serial);
+    let mut ending = Vec::new();
+    for (key, _) in ctx.range(&prefix, robot::ROBOTS_MAX * SERVICES_MAX) {
+        if let Some((service, holder)) = store::parse_certificate_key(&key, &prefix)
+            && let Some(holding) = store::read::<Holding>(ctx, &store::grant_key(service, holder))?
+            && holding.ending.is_none()
+        {
+            ending.push((holding, Reason::Revoked));
+        }
+    }
+    end_all(ctx, ending).map(drop)
+}
+
+/// Ends the grants that an organisation's policies no longer permit, on all its robots.
+pub(crate) fn policies_changed(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    organisation: &str,
+) -> Result<Vec<Released>, Rejection> {
+    let mut ending = Vec::new();
+    for robot in robot::all(ctx)?.iter().filter(|robot| robot.organisation == organisation) {
+        for service in &robot.services {
+            ending.extend(unfit(ctx, decider, &Target::of(robot, service))?);
+        }
+    }
+    end_all(ctx, ending)
+}
+
+/// Ends the grants that a changed robot no longer offers, permits or has room for.
+pub(crate) fn robot_changed(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    before: &Robot,
+    after: &Robot,
+) -> Result<(), Rejection> {
+    let mut ending = Vec::new();
+    for service in &before.services {
+        match after.services.iter().find(|kept| kept.topic == service.topic) {
+            Some(kept) => ending.extend(unfit(ctx, decider, &Target::of(after, kept))?),
+            None => {
+                let gone = grant::live(ctx, &after.service_id(service))?;
+                ending.extend(gone.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
+            }
+        }
+    }
+    end_all(ctx, ending).map(drop)
+}
+
+/// The live grants of a service that policies deny now, or that its mode has no room for: the oldest stay.
+fn unfit(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<Vec<(Holding, Reason)>, Rejection> {
+    let mut stay: Vec<Holding> = Vec::new();
+    let mut ending = Vec::new();
+    for holding in grant::live(ctx, &target.id)? {
+        let grants: Vec<_> = stay.iter().map(|holding| &holding.grant).collect();
+        if authorize::may_hold(ctx, decider, &holding.principal, target).is_err() {
+            ending.push((holding, Reason::Policy));
+        } else if matches!(target.service.mode.rule().resolve(&holding.principal, &grants), Outcome::Held(_)) {
+            ending.push((holding, Reason::Taken));
+        } else {
+            if holding.grant.mode != target.service.mode {
+                let mut changed = holding.clone();
+                changed.grant.mode = target.service.mode;
+                grant::replace(ctx, &holding, &changed)?;
+            }
+            stay.push(holding);
+        }
+    }
+    Ok(ending)
+}

@@ -1,0 +1,269 @@
+//! Services: the right to publish or subscribe on one topic of a robot.
+
+use crate::arguments::shown;
+use crate::grant::{self, Grant};
+use crate::nearest::did_you_mean;
+use crate::robot::{self, Robot};
+use ledger::{Code, Context, Rejection};
+use serde::{Deserialize, Serialize};
+
+/// Longest topic or type name, in bytes: what DDS allows.
+const NAME_BYTES_MAX: usize = 255;
+/// Age (milliseconds) beyond which a robot drops a message, unless the service says otherwise.
+const AGE_MS_DEFAULT: u64 = 1_000;
+/// Longest age (milliseconds) that a service may ask for.
+const AGE_MS_MAX: u64 = 3_600_000;
+/// Lease (milliseconds) of a grant, unless the service says otherwise.
+const LEASE_MS_DEFAULT: u64 = 10_000;
+/// Longest lease (milliseconds) that may be asked for, unless the service says otherwise.
+const LEASE_MS_MAX_DEFAULT: u64 = 600_000;
+/// Shortest lease (milliseconds): below it a grant would expire before its first use.
+pub(crate) const LEASE_MS_MIN: u64 = 100;
+/// Longest lease (milliseconds) of any service.
+const LEASE_MS_MAX: u64 = 86_400_000;
+/// Longest stop message, in bytes.
+const STOP_BYTES_MAX: usize = 64 * 1024;
+
+const _: () = assert!(LEASE_MS_MIN < LEASE_MS_DEFAULT && LEASE_MS_DEFAULT < LEASE_MS_MAX_DEFAULT);
+const _: () = assert!(LEASE_MS_MAX_DEFAULT < LEASE_MS_MAX && AGE_MS_DEFAULT < AGE_MS_MAX);
+
+/// How many may use a service at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Everybody whom policies permit.
+    Open,
+    /// One holder of a grant at a time.
+    Exclusive,
+}
+
+/// Which way messages go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// Users publish, the robot subscribes, e.g. `/cmd_vel`.
+    #[default]
+    Command,
+    /// The robot publishes, users subscribe, e.g. the poses of a motion capture system.
+    Feed,
+}
+
+/// A service as its owner describes it in `setup`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServiceSpec {
+    /// The ROS 2 topic with its leading slash.
+    pub topic: String,
+    /// The ROS 2 type, e.g. `geometry_msgs/msg/Twist`.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// How many may use it at once; by default `exclusive` for commands and `open` for feeds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mode: Option<Mode>,
+    /// Which way messages go.
+    #[serde(default)]
+    pub direction: Direction,
+    /// Age (milliseconds) beyond which the robot drops a message; 1000 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_age_ms: Option<u64>,
+    /// Lease (milliseconds) of a grant that asks for none; 10000 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lease_ms: Option<u64>,
+    /// Longest lease (milliseconds) that may be asked for; ten minutes, or `lease_ms` if that is longer.
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "lease_max")]
+    pub lease_ms_max: Option<u64>,
+    /// The message, CDR with its encapsulation header, in hexadecimal digits, that stops the robot; the bridge
+    /// knows those of common types.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stop_hex: Option<String>,
+}
+
+/// A registered service: a [`ServiceSpec`] with every default filled in.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Service {
+    pub(crate) topic: String,
+    #[serde(rename = "type")]
+    pub(crate) type_name: String,
+    pub(crate) mode: Mode,
+    pub(crate) direction: Direction,
+    pub(crate) max_age_ms: u64,
+    pub(crate) lease_ms: u64,
+    pub(crate) lease_ms_max: u64,
+    pub(crate) stop_hex: Option<String>,
+}
+
+/// A service and who holds it: the answer of `service`, and part of [`crate::RobotAsset`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ServiceState {
+    /// Its id, e.g. `Turtlebot4/cmd_vel`.
+    pub service: String,
+    /// The robot that offers it.
+    pub robot: String,
+    /// The organisation that owns the robot.
+    pub organisation: String,
+    /// The ROS 2 topic.
+    pub topic: String,
+    /// The ROS 2 type.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// How many may use it at once.
+    pub mode: Mode,
+    /// Which way messages go.
+    pub direction: Direction,
+    /// Age (milliseconds) beyond which the robot drops a message.
+    pub max_age_ms: u64,
+    /// Lease (milliseconds) of a grant that asks for none.
+    pub lease_ms: u64,
+    /// Longest lease (milliseconds) that may be asked for.
+    pub lease_ms_max: u64,
+    /// The message that stops the robot, if the owner gave one.
+    pub stop_hex: Option<String>,
+    /// The oldest holder, e.g. `Org1/Salma`; empty if there is none.
+    pub holder: String,
+    /// All holders, oldest grant first.
+    pub holders: Vec<String>,
+    /// The newest epoch ever given; 0 before the first grant.
+    pub epoch: u64,
+    /// When the grant of `holder` expires (block time, microseconds); 0 if there is none.
+    pub expires: u64,
+}
+
+impl ServiceSpec {
+    /// Checks everything and fills in the defaults.
+    pub(crate) fn check(self) -> Result<Service, Rejection> {
+        check_topic(&self.topic)?;
+        check_type(&self.type_name)?;
+        let topic = &self.topic;
+        let within = |field: &str, value: u64, min: u64, max: u64| {
+            if (min..=max).contains(&value) {
+                return Ok(value);
+            }
+            Err(Rejection::new(Code::BadArgument, format!("{field} of service {topic} is out of range"))
+                .found(format!("{value} ms"))
+                .wanted(format!("{min} to {max} ms")))
+        };
+        let max_age_ms = within("max_age_ms", self.max_age_ms.unwrap_or(AGE_MS_DEFAULT), 1, AGE_MS_MAX)?;
+        let lease_ms = self.lease_ms.or(self.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));
+        let lease_ms = within("lease_ms", lease_ms.unwrap_or(LEASE_MS_DEFAULT), LEASE_MS_MIN, LEASE_MS_MAX)?;
+        let longest = self.lease_ms_max.unwrap_or(LEASE_MS_MAX_DEFAULT.max(lease_ms));
+        let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX)?;
+        if let Some(stop) = &self.stop_hex {
+            let length = hex::decode(stop).map(|bytes| bytes.len()).unwrap_or_default();
+            if !(4..=STOP_BYTES_MAX).contains(&length) {
+                return Err(Rejection::new(Code::BadArgument, format!("stop_hex of service {topic} is no message"))
+                    .found(shown(stop))
+                    .wanted(format!("4 to {STOP_BYTES_MAX} bytes of CDR in hexadecimal digits")));
+            }
+        }
+        let mode = self.mode.unwrap_or(match self.direction {
+            Direction::Command => Mode::Exclusive,
+            Direction::Feed => Mode::Open,
+        });
+        Ok(Service {
+            topic: self.topic,
+            type_name: self.type_name,
+            mode,
+            direction: self.direction,
+            max_age_ms,
+            lease_ms,
+            lease_ms_max,
+            stop_hex: self.stop_hex,
+        })
+    }
+}
+
+/// A service with the robot that offers it.
+#[derive(Clone, Debug)]
+pub(crate) struct Target {
+    pub(crate) robot: Robot,
+    pub(crate) service: Service,
+    /// `<robot><topic>`.
+    pub(crate) id: String,
+}
+
+impl Target {
+    /// One of the robot's services.
+    pub(crate) fn of(robot: &Robot, service: &Service) -> Self {
+        Self { id: robot.service_id(service), robot: robot.clone(), service: service.clone() }
+    }
+
+    /// The service with who holds it now.
+    pub(crate) fn state(&self, ctx: &Context<'_>) -> Result<ServiceState, Rejection> {
+        let grants: Vec<Grant> = grant::live(ctx, &self.id)?.into_iter().map(|holding| holding.grant).collect();
+        let service = self.service.clone();
+        Ok(ServiceState {
+            service: self.id.clone(),
+            robot: self.robot.name.clone(),
+            organisation: self.robot.organisation.clone(),
+            topic: service.topic,
+            type_name: service.type_name,
+            mode: service.mode,
+            direction: service.direction,
+            max_age_ms: service.max_age_ms,
+            lease_ms: service.lease_ms,
+            lease_ms_max: service.lease_ms_max,
+            stop_hex: service.stop_hex,
+            holder: grants.first().map(|grant| grant.holder.clone()).unwrap_or_default(),
+            epoch: grant::newest_epoch(ctx, &self.id)?,
+            expires: grants.first().map_or(0, |grant| grant.expires),
+            holders: grants.into_iter().map(|grant| grant.holder).collect(),
+        })
+    }
+}
+
+/// The service of an id such as `Turtlebot4/cmd_vel`, or of just `Turtlebot4` if that robot has exactly one.
+///
+/// # Errors
+/// [`Code::UnknownRobot`] or [`Code::UnknownService`], with the nearest name or the names that exist.
+pub(crate) fn resolve(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
+    let (name, topic) = id.find('/').map_or((id, ""), |slash| id.split_at(slash));
+    let robot = robot::find(ctx, name)?;
+    let found = match (topic, robot.services.as_slice()) {
+        ("", [only]) => Some(only),
+        (topic, services) => services.iter().find(|service| service.topic == topic),
+    };
+    if let Some(service) = found {
+        return Ok(Target::of(&robot, service));
+    }
+    let ids: Vec<String> = robot.services.iter().map(|service| robot.service_id(service)).collect();
+    let (message, wanted) = if topic.is_empty() {
+        (format!("robot {name} has {} services", ids.len()), format!("one of {}", ids.join(", ")))
+    } else {
+        (format!("robot {name} offers no service {}", shown(topic)), format!("one of {}", ids.join(", ")))
+    };
+    let next = did_you_mean(id, ids.iter().map(String::as_str), format!("ledgerctl robot show {name}"));
+    Err(Rejection::new(Code::UnknownService, message).found(shown(id)).wanted(wanted).next(next))
+}
+
+fn check_topic(topic: &str) -> Result<(), Rejection> {
+    let valid =
+        topic.len() <= NAME_BYTES_MAX && topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_ros_name));
+    if valid {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadName, "topic is not a ROS 2 name")
+        .found(shown(topic))
+        .wanted("a leading slash and names of letters, digits and \"_\" between slashes, e.g. /cmd_vel"))
+}
+
+fn check_type(type_name: &str) -> Result<(), Rejection> {
+    let parts: Vec<&str> = type_name.split('/').collect();
+    if type_name.len() <= NAME_BYTES_MAX
+        && matches!(parts.as_slice(), [package, "msg", name] if is_ros_name(package) && is_ros_name(name))
+    {
+        return Ok(());
+    }
+    let next = match parts.as_slice() {
+        [package, name] if is_ros_name(package) && is_ros_name(name) => format!("did you mean {package}/msg/{name}?"),
+        _ => String::new(),
+    };
+    Err(Rejection::new(Code::BadName, "type is not a ROS 2 message type")
+        .found(shown(type_name))
+        .wanted("PACKAGE/msg/NAME, e.g. geometry_msgs/msg/Twist")
+        .next(next))
+}
+
+fn is_ros_name(name: &str) -> bool {
+    name.bytes().next().is_some_and(|first| first.is_ascii_alphabetic() || first == b'_')
+        && name.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'_')
+}

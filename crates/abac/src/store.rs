@@ -1,0 +1,109 @@
+//! The keys of this chaincode and the JSON behind them.
+//!
+//! | key | value |
+//! |---|---|
+//! | `robot/<name>` | the registered robot |
+//! | `epoch/<service>` | newest epoch given, decimal; outlives grants and robots, so that no epoch comes twice |
+//! | `grant/<service>␀<holder>` | who holds it |
+//! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
+//! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
+//! | `last/<service>` | last message of an exclusive service |
+//! | `last/<service>␀<publisher>` | last message of a publisher of an open service |
+//! | `policy/<organisation>/<id>` | Cedar text |
+//! | `version/<organisation>` | hash over the organisation's policies; absent while it has none of its own |
+//!
+//! ␀ is a NUL byte: topics and identities contain `/`, so a `/` could not tell where one ends.
+
+use ledger::{Bytes, Code, Context, Rejection};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// The key of a robot.
+pub(crate) fn robot_key(name: &str) -> Vec<u8> {
+    format!("robot/{name}").into_bytes()
+}
+
+/// The key of the newest epoch of a service.
+pub(crate) fn epoch_key(service: &str) -> Vec<u8> {
+    format!("epoch/{service}").into_bytes()
+}
+
+/// The prefix of the grants of a service.
+pub(crate) fn grants_prefix(service: &str) -> Vec<u8> {
+    format!("grant/{service}\0").into_bytes()
+}
+
+/// The key of one grant.
+pub(crate) fn grant_key(service: &str, holder: &str) -> Vec<u8> {
+    format!("grant/{service}\0{holder}").into_bytes()
+}
+
+/// The key that orders a grant by its expiry (microseconds).
+pub(crate) fn due_key(expires: u64, service: &str, holder: &str) -> Vec<u8> {
+    format!("due/{expires:016x}/{service}\0{holder}").into_bytes()
+}
+
+/// Reads [`due_key`]: expiry, service, holder.
+pub(crate) fn parse_due_key(key: &[u8]) -> Option<(u64, &str, &str)> {
+    let (expires, rest) = std::str::from_utf8(key).ok()?.strip_prefix("due/")?.split_once('/')?;
+    let (service, holder) = rest.split_once('\0')?;
+    Some((u64::from_str_radix(expires, 16).ok()?, service, holder))
+}
+
+/// The prefix of the grants that a certificate holds.
+pub(crate) fn certificate_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
+    format!("certificate/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
+/// Reads what follows [`certificate_prefix`]: service, holder.
+pub(crate) fn parse_certificate_key<'k>(key: &'k [u8], prefix: &[u8]) -> Option<(&'k str, &'k str)> {
+    std::str::from_utf8(key.strip_prefix(prefix)?).ok()?.split_once('\0')
+}
+
+/// The key of the last message of an exclusive service, or of one publisher of an open one.
+pub(crate) fn last_key(service: &str, publisher: Option<&str>) -> Vec<u8> {
+    publisher.map_or_else(|| format!("last/{service}"), |who| format!("last/{service}\0{who}")).into_bytes()
+}
+
+/// The prefix of an organisation's policies.
+pub(crate) fn policies_prefix(organisation: &str) -> Vec<u8> {
+    format!("policy/{organisation}/").into_bytes()
+}
+
+/// The key of a policy.
+pub(crate) fn policy_key(organisation: &str, id: &str) -> Vec<u8> {
+    format!("policy/{organisation}/{id}").into_bytes()
+}
+
+/// The key of the hash over an organisation's policies.
+pub(crate) fn version_key(organisation: &str) -> Vec<u8> {
+    format!("version/{organisation}").into_bytes()
+}
+
+/// JSON of a response, an event or a value.
+pub(crate) fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
+    serde_json::to_vec(value)
+        .map(Bytes::from)
+        .map_err(|fault| Rejection::new(Code::Internal, "a value cannot be written as JSON").found(fault.to_string()))
+}
+
+/// Reads the JSON of a value that this chaincode wrote.
+pub(crate) fn parse<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, Rejection> {
+    serde_json::from_slice(value).map_err(|fault| {
+        Rejection::new(Code::Corrupt, format!("value of key {:?} is not readable", String::from_utf8_lossy(key)))
+            .found(fault.to_string())
+            .next("stop the node and delete its state directory; it is rebuilt from the blocks")
+    })
+}
+
+/// Reads a key.
+pub(crate) fn read<T: DeserializeOwned>(ctx: &Context<'_>, key: &[u8]) -> Result<Option<T>, Rejection> {
+    ctx.get(key).map(|value| parse(key, &value)).transpose()
+}
+
+/// Writes a key.
+pub(crate) fn write(ctx: &mut Context<'_>, key: &[u8], value: &impl Serialize) -> Result<(), Rejection> {
+    let value = json(value)?;
+    ctx.put(key, value);
+    Ok(())
+}

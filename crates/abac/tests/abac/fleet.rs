@@ -1,0 +1,275 @@
+//! The network of the paper in memory: two organisations, their people, three robots, and a block at a time.
+
+use ledger::identity::{Identity, Role};
+use ledger::key::PublicKey;
+use ledger::state::MemoryState;
+use ledger::{
+    Bytes, Chaincode, Code, Context, Environment, Event, Hash, Overlay, Registry, Rejection, Revocation, WriteSet,
+};
+use ledger_abac::AccessControl;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+
+/// Block time of the first block: 2026-11-21T00:00:00Z.
+pub(crate) const START: u64 = 1_795_219_200_000_000;
+pub(crate) const SECOND: u64 = 1_000_000;
+pub(crate) const TURTLEBOT: &str = "Turtlebot4/cmd_vel";
+pub(crate) const HUSKY: &str = "Husky/cmd_vel";
+/// A Twist that stands still.
+pub(crate) const TWIST: [u8; 52] = {
+    let mut message = [0; 52];
+    message[1] = 1;
+    message
+};
+
+/// Stands in for the membership chaincode: knows the names of the organisations.
+pub(crate) struct Members(pub(crate) Mutex<Vec<&'static str>>);
+
+impl Chaincode for Members {
+    fn name(&self) -> &'static str {
+        "msp"
+    }
+
+    fn invoke(&self, _ctx: &mut Context<'_>, function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
+        assert_eq!(function, "organisations");
+        Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into())
+    }
+}
+
+/// A ledger with the chaincode installed. Every call is a block of its own, a millisecond after the one before.
+pub(crate) struct Fleet {
+    pub(crate) abac: Arc<AccessControl>,
+    pub(crate) members: Arc<Members>,
+    registry: Registry,
+    state: Arc<MemoryState>,
+    pub(crate) height: u64,
+    pub(crate) time: u64,
+    /// Everything that was ever emitted.
+    pub(crate) events: Vec<Event>,
+    /// What each block wrote.
+    pub(crate) writes: Vec<WriteSet>,
+}
+
+pub(crate) fn identity(organisation: &str, name: &str, role: Role, attributes: &[&str], serial: u8) -> Identity {
+    let attributes: BTreeMap<String, String> =
+        attributes.iter().map(|key| ((*key).to_owned(), "true".to_owned())).collect();
+    Identity {
+        organisation: organisation.to_owned(),
+        name: name.to_owned(),
+        role,
+        attributes,
+        issuer: Hash::of(&[organisation.as_bytes()]).0,
+        serial: vec![serial],
+        fingerprint: Hash::of(&[organisation.as_bytes(), name.as_bytes(), &[serial]]).0,
+        public_key: public_key(),
+        not_before: 0,
+        not_after: START + 365 * 86_400 * SECOND,
+    }
+}
+
+/// Any key: nothing here verifies signatures. Algorithm Ed25519, then the base point of its curve.
+fn public_key() -> PublicKey {
+    let mut spki = hex::decode("302a300506032b6570032100").unwrap();
+    spki.push(0x58);
+    spki.extend([0x66; 31]);
+    PublicKey::from_spki(&spki).unwrap()
+}
+
+pub(crate) fn salma() -> Identity {
+    identity("Org1", "Salma", Role::Member, &["Turtlebot4", "Husky", "OptiTrack"], 1)
+}
+
+pub(crate) fn farhad() -> Identity {
+    identity("Org1", "Farhad", Role::Member, &["Turtlebot4"], 2)
+}
+
+pub(crate) fn admin1() -> Identity {
+    identity("Org1", "admin", Role::Admin, &[], 3)
+}
+
+pub(crate) fn owner() -> Identity {
+    identity("Org2", "admin", Role::Admin, &[], 4)
+}
+
+pub(crate) fn camera() -> Identity {
+    identity("Org2", "OptiTrack", Role::Robot, &[], 5)
+}
+
+/// The JSON of a robot with one command service on `/cmd_vel`.
+pub(crate) fn robot(name: &str, mode: &str) -> String {
+    format!(
+        r#"{{"name":"{name}","attribute_required":"{name}",
+            "services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"{mode}"}}]}}"#
+    )
+}
+
+pub(crate) const OPTITRACK: &str = r#"{"name":"OptiTrack","attribute_required":"OptiTrack","services":
+    [{"topic":"/poses","type":"geometry_msgs/msg/PoseStamped","direction":"feed"}]}"#;
+
+/// Text and bytes as arguments.
+pub(crate) fn bytes(args: &[&str]) -> Vec<Bytes> {
+    args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect()
+}
+
+impl Fleet {
+    /// A network of Org1 and Org2 without robots.
+    pub(crate) fn empty() -> Self {
+        let mut fleet = Self {
+            abac: Arc::new(AccessControl::new().unwrap()),
+            members: Arc::new(Members(Mutex::new(vec!["Org1", "Org2"]))),
+            registry: Registry::new(),
+            state: Arc::new(MemoryState::default()),
+            height: 0,
+            time: START,
+            events: vec![],
+            writes: vec![],
+        };
+        fleet.forget();
+        fleet
+    }
+
+    /// The network of the paper: Org2 registered its three robots.
+    pub(crate) fn of_the_paper() -> Self {
+        let mut fleet = Self::empty();
+        let (turtlebot, husky) = (robot("Turtlebot4", "exclusive"), robot("Husky", "exclusive"));
+        fleet.ok(&owner(), "setup", &[&turtlebot, &husky, OPTITRACK]);
+        fleet
+    }
+
+    /// Replaces the chaincode by a new instance, as a restart does: its caches are cold.
+    pub(crate) fn forget(&mut self) {
+        self.abac = Arc::new(AccessControl::new().unwrap());
+        self.registry = Registry::new();
+        self.registry.install(self.abac.clone()).unwrap();
+        self.registry.install(self.members.clone()).unwrap();
+    }
+
+    /// Executes one block with one call; returns its outcome. Events of this block are the last of `events`.
+    pub(crate) fn call(&mut self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        self.block(|fleet, overlay, events| {
+            Registry::invoke(fleet.environment(Some(who)), overlay, events, "abac", function, args)
+        })
+    }
+
+    /// A call that must succeed and whose answer is thrown away.
+    #[track_caller]
+    pub(crate) fn ok(&mut self, who: &Identity, function: &str, args: &[&str]) {
+        self.call(who, function, &bytes(args)).unwrap();
+    }
+
+    /// A call that must succeed, with its answer.
+    #[track_caller]
+    pub(crate) fn get<T: DeserializeOwned>(&mut self, who: &Identity, function: &str, args: &[&str]) -> T {
+        serde_json::from_slice(&self.call(who, function, &bytes(args)).unwrap()).unwrap()
+    }
+
+    /// A call that must be refused with that code.
+    #[track_caller]
+    pub(crate) fn refused(&mut self, who: &Identity, code: Code, function: &str, args: &[&str]) -> Rejection {
+        let rejection = self.call(who, function, &bytes(args)).unwrap_err();
+        assert_eq!(rejection.code, code, "{rejection}");
+        rejection
+    }
+
+    /// `set` with messages that stand still.
+    pub(crate) fn set(
+        &mut self,
+        who: &Identity,
+        service: &str,
+        epoch: u64,
+        first_seq: u64,
+        count: usize,
+    ) -> Result<Bytes, Rejection> {
+        let mut args = bytes(&[service, &epoch.to_string(), &first_seq.to_string()]);
+        args.extend(std::iter::repeat_n(Bytes::from_static(&TWIST), count));
+        self.call(who, "set", &args)
+    }
+
+    /// Publishing must be refused with that code.
+    #[track_caller]
+    pub(crate) fn set_refused(&mut self, who: &Identity, code: Code, service: &str, epoch: u64, seq: u64) -> Rejection {
+        let rejection = self.set(who, service, epoch, seq, 1).unwrap_err();
+        assert_eq!(rejection.code, code, "{rejection}");
+        rejection
+    }
+
+    /// An empty block, as the leader orders when a deadline passes.
+    pub(crate) fn tick(&mut self) {
+        self.block(|_, _, _| Ok(Bytes::new())).unwrap();
+    }
+
+    /// A block that revokes a certificate.
+    pub(crate) fn revoke(&mut self, who: &Identity) {
+        let revoked = Revocation { issuer: who.issuer, serial: who.serial.clone() };
+        self.block(|fleet, overlay, events| {
+            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
+            fleet.abac.identity_revoked(&mut ctx, &revoked);
+            Ok(Bytes::new())
+        })
+        .unwrap();
+    }
+
+    /// When the leader should tick next.
+    pub(crate) fn next_deadline(&self) -> Option<u64> {
+        self.look(None, |ctx, abac| abac.next_deadline(ctx))
+    }
+
+    /// May that identity read this event?
+    pub(crate) fn may_read(&self, who: &Identity, event: &Event) -> Result<(), Rejection> {
+        self.look(Some(who), |ctx, abac| abac.may_read(ctx, event))
+    }
+
+    /// Names and subjects of the events of the last block.
+    pub(crate) fn told(&self, since: usize) -> Vec<(&str, &str)> {
+        self.events[since..].iter().map(|event| (event.name.as_str(), event.subject.as_str())).collect()
+    }
+
+    /// The payload of the newest event of that name.
+    #[track_caller]
+    pub(crate) fn newest<T: DeserializeOwned>(&self, name: &str) -> T {
+        let event = self.events.iter().rev().find(|event| event.name == name).expect("no such event");
+        serde_json::from_slice(&event.payload).unwrap()
+    }
+
+    /// Executes on the committed state and throws the writes away, as gateways do before they order a call.
+    pub(crate) fn simulate(&self, who: &Identity, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        let mut overlay = Overlay::new(self.state.clone());
+        Registry::invoke(self.environment(Some(who)), &mut overlay, &mut vec![], "abac", function, args)
+    }
+
+    fn look<T>(&self, who: Option<&Identity>, body: impl FnOnce(&Context<'_>, &AccessControl) -> T) -> T {
+        let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
+        body(&Context::new(self.environment(who), "abac", &mut overlay, &mut events), &self.abac)
+    }
+
+    fn environment<'a>(&'a self, submitter: Option<&'a Identity>) -> Environment<'a> {
+        Environment {
+            registry: &self.registry,
+            submitter,
+            network: Hash::ZERO,
+            height: self.height,
+            time: self.time,
+            transaction: Hash::ZERO,
+        }
+    }
+
+    fn block(
+        &mut self,
+        body: impl FnOnce(&Self, &mut Overlay, &mut Vec<Event>) -> Result<Bytes, Rejection>,
+    ) -> Result<Bytes, Rejection> {
+        self.height += 1;
+        self.time += 1000;
+        let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
+        {
+            let mut ctx = Context::new(self.environment(None), "abac", &mut overlay, &mut events);
+            self.abac.begin_block(&mut ctx);
+        }
+        let outcome = body(self, &mut overlay, &mut events);
+        let writes = overlay.finish().unwrap();
+        self.state.apply(&writes);
+        self.writes.push(writes);
+        self.events.append(&mut events);
+        outcome
+    }
+}

@@ -1,0 +1,18 @@
+//! The access-control chaincode, called as a node calls it: through the registry, block by block.
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    reason = "tests stop at the first surprise"
+)]
+
+mod arguments;
+mod fleet;
+mod grants;
+mod open;
+mod paper;
+mod policies;
+mod properties;
+mod publishing;
+mod robots;

@@ -1,0 +1,167 @@
+//! Registering robots: who may, and whom a robot trusts.
+
+use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, identity, owner, robot, salma};
+use ledger::Code;
+use ledger::identity::Role;
+use ledger_abac::{Direction, Mode, Reason, Released, RobotAsset, RobotEvent};
+
+#[test]
+fn only_an_admin_registers_robots() {
+    let mut fleet = Fleet::empty();
+    for role in [Role::Member, Role::Node, Role::Robot] {
+        let who = identity("Org2", "Maria", role, &[], 30);
+        let refusal = fleet.refused(&who, Code::NotAdmin, "setup", &[&robot("Spot", "open")]);
+        assert!(refusal.next.contains("an admin of Org2"), "{refusal}");
+    }
+    fleet.ok(&owner(), "setup", &[&robot("Spot", "open")]);
+    let event: RobotEvent = fleet.newest("robot");
+    assert_eq!((event.robot.as_str(), event.change.as_str()), ("Spot", "registered"));
+    let who = identity("Org2", "Maria", Role::Member, &[], 30);
+    fleet.refused(&who, Code::NotAdmin, "remove", &["Spot"]);
+}
+
+#[test]
+fn a_robot_belongs_to_the_organisation_that_registered_it() {
+    let mut fleet = Fleet::of_the_paper();
+    let refusal = fleet.refused(&admin1(), Code::NotOwner, "setup", &[&robot("Husky", "open")]);
+    assert!(refusal.message.contains("belongs to Org2"), "{refusal}");
+    fleet.refused(&admin1(), Code::NotOwner, "remove", &["Husky"]);
+    let asset: RobotAsset = fleet.get(&salma(), "robot", &["Husky"]);
+    assert_eq!((asset.organisation.as_str(), asset.services[0].mode), ("Org2", Mode::Exclusive));
+}
+
+#[test]
+fn one_bad_robot_undoes_the_whole_setup() {
+    let mut fleet = Fleet::empty();
+    fleet.refused(&owner(), Code::BadArgument, "setup", &[&robot("Spot", "open"), "{}"]);
+    assert_eq!(fleet.get::<Vec<RobotAsset>>(&owner(), "robots", &[]), []);
+    assert!(fleet.events.is_empty());
+}
+
+#[test]
+fn an_organisation_that_joins_later_is_not_trusted_until_the_owner_says_so() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.members.0.lock().unwrap().push("Org3");
+    let mallory = identity("Org3", "Mallory", Role::Member, &["Turtlebot4", "Husky"], 66);
+    let refusal = fleet.refused(&mallory, Code::DeniedByPolicy, "acquire", &[HUSKY]);
+    assert_eq!((refusal.found.as_str(), refusal.wanted.as_str()), ("organisation Org3", "one of Org1, Org2"));
+    // Updating the robot does not let it in by accident.
+    fleet.ok(&owner(), "setup", &[&robot("Husky", "exclusive")]);
+    fleet.refused(&mallory, Code::DeniedByPolicy, "acquire", &[HUSKY]);
+    let trusting = robot("Husky", "exclusive").replacen('{', r#"{"trusted":["Org3"],"#, 1);
+    fleet.ok(&owner(), "setup", &[&trusting]);
+    fleet.ok(&mallory, "acquire", &[HUSKY]);
+    fleet.ok(&mallory, "release", &[HUSKY]);
+    fleet.refused(&salma(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
+}
+
+#[test]
+fn a_trusted_organisation_must_exist() {
+    let mut fleet = Fleet::empty();
+    let spec = robot("Husky", "open").replacen('{', r#"{"trusted":["Org1","Org22"],"#, 1);
+    let refusal = fleet.refused(&owner(), Code::BadArgument, "setup", &[&spec]);
+    assert_eq!(refusal.next, r#"did you mean "Org2"?"#);
+}
+
+#[test]
+fn a_stricter_robot_ends_the_grants_it_no_longer_permits() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    fleet.ok(&owner(), "setup", &[&robot("Husky", "exclusive")]);
+    fleet.set(&salma(), HUSKY, 1, 1, 1).unwrap();
+    let stricter = robot("Husky", "exclusive").replace("\"Husky\",\n", "\"licence\",\n");
+    fleet.ok(&owner(), "setup", &[&stricter]);
+    assert_eq!(fleet.newest::<Released>("released").reason, Reason::Policy);
+    fleet.set_refused(&salma(), Code::MissingAttribute, HUSKY, 1, 2);
+}
+
+#[test]
+fn a_service_that_is_gone_ends_its_grants() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    fleet.ok(&owner(), "setup", &[&robot("Husky", "exclusive").replace("/cmd_vel", "/arm")]);
+    assert_eq!(fleet.newest::<Released>("released").reason, Reason::RobotRemoved);
+    let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &[HUSKY]);
+    assert_eq!(refusal.wanted, "one of Husky/arm");
+}
+
+#[test]
+fn an_unknown_name_is_answered_with_the_nearest_one() {
+    let mut fleet = Fleet::of_the_paper();
+    let refusal = fleet.refused(&salma(), Code::UnknownRobot, "acquire", &["turtelbot4"]);
+    assert_eq!(refusal.next, r#"did you mean "Turtlebot4"?"#);
+    let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &["Turtlebot4/cmdvel"]);
+    assert_eq!(refusal.next, r#"did you mean "Turtlebot4/cmd_vel"?"#);
+    let refusal = fleet.refused(&salma(), Code::UnknownRobot, "robot", &["Atlas"]);
+    assert_eq!(refusal.next, "ledgerctl robot list");
+    let refusal = fleet.refused(&salma(), Code::UnknownFunction, "aquire", &[TURTLEBOT]);
+    assert_eq!(refusal.next, r#"did you mean "acquire"?"#);
+}
+
+#[test]
+fn the_name_of_a_robot_stands_for_its_only_service() {
+    let mut fleet = Fleet::of_the_paper();
+    let two = r#"{"name":"Husky","attribute_required":"Husky","services":[
+        {"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"},{"topic":"/arm/joint","type":"std_msgs/msg/Float64"}]}"#;
+    fleet.ok(&owner(), "setup", &[two]);
+    let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &["Husky"]);
+    assert_eq!(refusal.wanted, "one of Husky/cmd_vel, Husky/arm/joint");
+    fleet.ok(&salma(), "acquire", &["Husky/arm/joint"]);
+    fleet.ok(&salma(), "acquire", &["Turtlebot4"]);
+    let asset: RobotAsset = fleet.get(&salma(), "robot", &["Husky"]);
+    assert_eq!((asset.sub_topic.as_str(), asset.operator.as_str()), ("/cmd_vel,/arm/joint", "Org1/Salma"));
+}
+
+#[test]
+fn defaults_are_filled_in_and_kept() {
+    let mut fleet = Fleet::of_the_paper();
+    let robots: Vec<RobotAsset> = fleet.get(&salma(), "robots", &[]);
+    let (husky, camera) = (&robots[0].services[0], &robots[1].services[0]);
+    assert_eq!(
+        (husky.direction, husky.max_age_ms, husky.lease_ms, husky.lease_ms_max),
+        (Direction::Command, 1000, 10_000, 600_000)
+    );
+    assert_eq!((camera.mode, camera.direction), (Mode::Open, Direction::Feed));
+    assert_eq!(robots[0].attribute_required, "Husky=true");
+}
+
+#[test]
+fn what_is_no_ros_name_or_out_of_range_is_refused() {
+    let mut fleet = Fleet::empty();
+    let good = robot("Husky", "exclusive");
+    let mode = r#""mode":"exclusive""#;
+    let cases = [
+        (good.replace("\"name\":\"Husky\"", "\"name\":\"a/b\""), Code::BadName),
+        (good.replace("\"name\":\"Husky\"", "\"name\":\"\""), Code::BadName),
+        (good.replace("\"name\":\"Husky\"", &format!("\"name\":\"{}\"", "x".repeat(65))), Code::BadName),
+        (good.replace("/cmd_vel", "cmd_vel"), Code::BadName),
+        (good.replace("/cmd_vel", "/cmd//vel"), Code::BadName),
+        (good.replace("/cmd_vel", "/1st"), Code::BadName),
+        (good.replace("/cmd_vel", "/größe"), Code::BadName),
+        (good.replace("/cmd_vel", &format!("/{}", "x".repeat(255))), Code::BadName),
+        (good.replace("geometry_msgs/msg/Twist", "geometry_msgs/Twist"), Code::BadName),
+        (good.replace("geometry_msgs/msg/Twist", "geometry_msgs/srv/Twist"), Code::BadName),
+        (good.replace("\"Husky\",\n", "\"\",\n"), Code::BadArgument),
+        (good.replace("\"Husky\",\n", "\"=x\",\n"), Code::BadArgument),
+        (good.replace(mode, r#""mode":"limited""#), Code::BadArgument),
+        (good.replace(mode, r#""lease_ms":99"#), Code::BadArgument),
+        (good.replace(mode, r#""lease_ms":86400001"#), Code::BadArgument),
+        (good.replace(mode, r#""lease_ms":20000,"lease_ms_max":10000"#), Code::BadArgument),
+        (good.replace(mode, r#""max_age_ms":0"#), Code::BadArgument),
+        (good.replace(mode, r#""stop_hex":"000100"#), Code::BadArgument),
+        (good.replace(mode, r#""stop_hex":"xyz""#), Code::BadArgument),
+        (good.replace(mode, r#""colour":"red""#), Code::BadArgument),
+        (good.replace("\"services\":[", "\"services\":[],\"x\":["), Code::BadArgument),
+        (r#"{"name":"Husky","attribute_required":"x","services":[]}"#.to_owned(), Code::BadArgument),
+    ];
+    for (spec, code) in cases {
+        assert_ne!(spec, good, "the case changes nothing");
+        fleet.refused(&owner(), code, "setup", &[&spec]);
+    }
+    let twice = good.replace("}]}", r#"},{"topic":"/cmd_vel","type":"std_msgs/msg/Empty"}]}"#);
+    fleet.refused(&owner(), Code::AlreadyExists, "setup", &[&twice]);
+    let near = fleet.refused(&owner(), Code::BadName, "setup", &[&good.replace("geometry_msgs/msg", "geometry_msgs")]);
+    assert_eq!(near.next, "did you mean geometry_msgs/msg/Twist?");
+    let stop = good.replace(mode, r#""stop_hex":"00010000""#);
+    fleet.ok(&owner(), "setup", &[&stop]);
+}

@@ -1,0 +1,153 @@
+//! The command line of `ledgerd`.
+
+use crate::config::{Config, Log};
+use crate::node::NodeBuilder;
+use crate::{demo, dev, setup, telemetry};
+use clap::{Parser, Subcommand};
+use ledger::{Class, Code, Rejection};
+use ledger_api::report;
+use std::future::Future;
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+/// A permissioned ledger for ROS 2 fleets in one binary.
+#[derive(Parser)]
+#[command(version, about, after_help = "Start with: ledgerd demo    (the whole story in a minute)\n       or: ledgerd dev     (a network for playing)")]
+struct Arguments {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Plays the paper's experiment for real: two organisations, two users, three robots, real ROS 2 messages.
+    Demo(demo::Options),
+    /// Starts a network of one node for playing, with both organisations and the robots of the paper.
+    Dev(dev::Options),
+    /// Starts a configured node.
+    Run(WithConfig),
+    /// Checks a configuration and names every fault at once.
+    Check(WithConfig),
+    /// Founds a network of one organisation with one node, in the directory that the configuration names.
+    Init(setup::InitOptions),
+    /// Joins a ROS 2 graph to the ledger through a remote gateway.
+    Bridge(WithConfig),
+    /// Verifies the data directory of a stopped node, with the chaincodes of this program.
+    Verify {
+        /// The data directory.
+        directory: PathBuf,
+    },
+}
+
+#[derive(clap::Args)]
+struct WithConfig {
+    /// The configuration file.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+}
+
+/// Runs the command line with a node that has these chaincodes; the whole of `main`.
+pub fn run(builder: NodeBuilder) -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => {
+            let _closed = error.print();
+            return if error.use_stderr() { ExitCode::from(64) } else { ExitCode::SUCCESS };
+        }
+    };
+    match execute(arguments.command, &builder) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(rejection) => {
+            eprint_line(&report(&rejection));
+            ExitCode::from(rejection.code.class().exit_code().max(Class::Failure.exit_code()))
+        }
+    }
+}
+
+fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
+    match command {
+        Command::Demo(options) => block_on(demo::run(options)),
+        Command::Dev(options) => block_on(dev::run(builder, options)),
+        Command::Run(WithConfig { config }) => {
+            let config = load(&config)?;
+            telemetry::start(&config.log);
+            block_on(async move {
+                let node = builder.start(&config).await?;
+                until_stopped(node).await
+            })
+        }
+        Command::Check(WithConfig { config: path }) => {
+            let config = load(&path)?;
+            print_line(&format!("{} is fine: data in {}, listens on {}", path.display(), config.data.display(), config.listen));
+            Ok(())
+        }
+        Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
+        Command::Bridge(WithConfig { config }) => {
+            telemetry::start(&Log::default());
+            block_on(ros_bridge::run(&config, stop_signal()))
+        }
+        Command::Verify { directory } => {
+            let report = ledger::verify::verify_directory(&directory, &builder.registry()?)?;
+            let text = serde_json::to_string_pretty(&report).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+            print_line(&text);
+            Ok(())
+        }
+    }
+}
+
+/// Waits for a signal to stop, or for the node to fail; ends the node in order either way.
+pub async fn until_stopped(node: crate::Node) -> Result<(), Rejection> {
+    let outcome = tokio::select! {
+        () = stop_signal() => Ok(()),
+        reason = node.failed() => Err(reason),
+    };
+    node.stop().await;
+    outcome
+}
+
+/// Ends when the process is asked to stop (SIGINT, SIGTERM).
+pub async fn stop_signal() {
+    use tokio::signal::unix::{SignalKind, signal};
+    match signal(SignalKind::terminate()) {
+        Ok(mut terminate) => tokio::select! {
+            _ = tokio::signal::ctrl_c() => {}
+            _ = terminate.recv() => {}
+        },
+        Err(error) => {
+            tracing::warn!(%error, "cannot wait for SIGTERM");
+            let _waited = tokio::signal::ctrl_c().await;
+        }
+    }
+}
+
+/// Every fault of a configuration, one below the other.
+fn load(path: &std::path::Path) -> Result<Config, Rejection> {
+    Config::load(path).map_err(|mut faults| {
+        let last = faults.pop().map_or_else(|| Rejection::new(Code::BadConfiguration, "configuration is not usable"), Rejection::from);
+        for fault in faults {
+            eprint_line(&report(&Rejection::from(fault)));
+        }
+        last
+    })
+}
+
+fn block_on(body: impl Future<Output = Result<(), Rejection>>) -> Result<(), Rejection> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|error| Rejection::new(Code::Internal, format!("cannot start the runtime: {error}")))?
+        .block_on(body)
+}
+
+/// Prints a line; that the reader has gone away is not our failure.
+pub fn print_line(text: &str) {
+    use std::io::Write;
+    let _closed = writeln!(std::io::stdout(), "{text}");
+}
+
+/// Prints a line on standard error.
+pub fn eprint_line(text: &str) {
+    use std::io::Write;
+    let _closed = writeln!(std::io::stderr(), "{text}");
+}

@@ -1,0 +1,309 @@
+//! A node: opens its stores, starts its roles, and ends them in order.
+
+use crate::blocks::Blocks;
+use crate::ca::CertificateAuthority;
+use crate::config::Config;
+use crate::denials::Denials;
+use crate::enrolment::EnrolmentService;
+use crate::gateway::{GatewayService, NodeView};
+use crate::housekeeping::Housekeeping;
+use crate::listen::accept;
+use crate::orderer::{Orderer, Shared};
+use crate::peers::{Member, PeerService, Peers};
+use crate::stores::Stores;
+use crate::waiters::Waiters;
+use ledger::block::PAYLOAD_BYTES_MAX;
+use ledger::identity::{Identity, Role};
+use ledger::msp::{Msps, Usage};
+use ledger::verify::GENESIS_FILE;
+use ledger::{Chaincode, Code, Ledger, Registry, Rejection};
+use ledger_abac::AccessControl;
+use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
+use ledger_api::v1::enrolment_server::EnrolmentServer;
+use ledger_api::v1::gateway_server::GatewayServer;
+use ledger_api::v1::peer_server::PeerServer;
+use ledger_raft::{Engine, EngineConfig, Input, PEER_MESSAGE_BYTES_MAX};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, PoisonError, RwLock};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use tokio::net::TcpListener;
+use tokio::sync::{Semaphore, watch};
+use tokio::task::JoinHandle;
+use tokio_rustls::TlsAcceptor;
+use tonic::transport::Server;
+
+/// The node's certificate, its CA behind it, in its data directory.
+pub const CERTIFICATE_FILE: &str = "node.pem";
+/// The node's key, in its data directory.
+pub const KEY_FILE: &str = "node.key";
+/// Bytes of one stream, and of one connection, that may be on their way: enough for a fast link's delay.
+const WINDOW_BYTES: (u32, u32) = (1 << 20, 4 << 20);
+/// Space around the payload in a message.
+const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
+/// Time that open calls have to end when the node stops.
+const STOP_TIME_MAX: Duration = Duration::from_millis(500);
+
+/// The machine's clock, microseconds since the UNIX epoch.
+pub fn clock() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
+}
+
+/// Collects what a node consists of. The chaincodes `msp` and `abac` are always installed.
+#[derive(Clone, Default)]
+pub struct NodeBuilder {
+    registry: Registry,
+    faults: Vec<Rejection>,
+}
+
+impl NodeBuilder {
+    /// Installs a chaincode. Every node of the network needs the same ones.
+    #[must_use]
+    pub fn chaincode(mut self, chaincode: impl Chaincode + 'static) -> Self {
+        if let Err(fault) = self.registry.install(Arc::new(chaincode)) {
+            self.faults.push(fault);
+        }
+        self
+    }
+
+    /// The chaincodes that a node will have besides `msp`.
+    ///
+    /// # Errors
+    /// If one of them cannot be installed.
+    pub fn registry(&self) -> Result<Registry, Rejection> {
+        if let Some(fault) = self.faults.first() {
+            return Err(fault.clone());
+        }
+        let mut registry = self.registry.clone();
+        registry.install(Arc::new(AccessControl::new()))?;
+        Ok(registry)
+    }
+
+    /// Starts a node in the directory that the configuration names.
+    ///
+    /// # Errors
+    /// What is missing or wrong, in words for the operator.
+    pub async fn start(&self, config: &Config) -> Result<Node, Rejection> {
+        Node::start(self.registry()?, config).await
+    }
+}
+
+/// A running node. Dropping it without [`Node::stop`] is like pulling the plug, which it survives.
+pub struct Node {
+    view: Arc<NodeView>,
+    address: SocketAddr,
+    failed: watch::Receiver<Option<Rejection>>,
+    housekeeping: Housekeeping,
+    server: JoinHandle<()>,
+    stop: watch::Sender<bool>,
+}
+
+impl Node {
+    /// Collects what a node consists of.
+    pub fn builder() -> NodeBuilder {
+        NodeBuilder::default()
+    }
+
+    async fn start(registry: Registry, config: &Config) -> Result<Self, Rejection> {
+        let started = Instant::now();
+        let genesis_bytes = read(&config.data.join(GENESIS_FILE))?;
+        let Stores { genesis, ledger, store } = Stores::open(config, &genesis_bytes, registry)?;
+        let trust: Arc<dyn TrustSource> = Arc::new(Trust { ledger: Arc::clone(&ledger) });
+        let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
+            .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+        let members: Vec<Member> = genesis.nodes.iter().map(Member::from).collect();
+        let me = own_membership(&tls, &ledger, &members)?;
+        let others: Vec<Member> = members.iter().filter(|member| member.id != me.id).cloned().collect();
+        let listener = listen(&config.listen).await?;
+        let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+
+        let (failed_sender, failed) = watch::channel(None);
+        let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
+        let waiters = Arc::new(Waiters::default());
+        let disk_full = Arc::new(AtomicBool::new(false));
+        let shared = Arc::new(Shared {
+            ledger: Arc::clone(&ledger),
+            store: Arc::clone(&store),
+            blocks: Arc::clone(&blocks),
+            waiters: Arc::clone(&waiters),
+            peers: Peers::connect(others.clone(), &tls, &trust),
+            clock,
+            fatal: Box::new(move |reason| {
+                tracing::error!(%reason, "the node cannot go on");
+                failed_sender.send_replace(Some(reason));
+            }),
+            disk_full: Arc::clone(&disk_full),
+        });
+        let engine = engine(config, &genesis, me.id, &ledger, &store)?;
+        let tick = Duration::from_millis(config.order.tick_ms);
+        let orderer = Orderer::start(engine, Arc::clone(&shared), tick)
+            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
+        let inbox = orderer.inbox();
+
+        let view = Arc::new(NodeView {
+            me,
+            label: genesis.label.clone(),
+            ledger: Arc::clone(&ledger),
+            blocks,
+            waiters,
+            denials: Denials::default(),
+            orderer: RwLock::new(Some(orderer)),
+            peers: Box::new(move || shared.peers.members().map(|(member, up)| (member.clone(), up)).collect()),
+            limits: config.limits.clone(),
+            in_flight: Arc::new(Semaphore::new(config.limits.in_flight_max)),
+            subscribers: Arc::new(AtomicU64::new(0)),
+            disk_full,
+            clock,
+            started,
+        });
+        let housekeeping = Housekeeping::start(Arc::clone(&view), store, config.data.clone())
+            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
+        let peer_service = PeerService::new(others, move |from, message| {
+            inbox.as_ref().is_some_and(|inbox| inbox.send(Input::Message { from, message }).is_ok())
+        });
+        let authorities = CertificateAuthority::open_all(&config.data)?;
+        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, clock);
+        let server_tls = server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+        let connections = accept(listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
+        let message_bytes_max = config.limits.payload_bytes_max.max(PAYLOAD_BYTES_MAX) + MESSAGE_EXTRA_BYTES;
+        let (stop, mut stopping) = watch::channel(false);
+        let server = Server::builder()
+            .tcp_nodelay(true)
+            .initial_stream_window_size(WINDOW_BYTES.0)
+            .initial_connection_window_size(WINDOW_BYTES.1)
+            .http2_keepalive_interval(Some(Duration::from_secs(5)))
+            .http2_keepalive_timeout(Some(Duration::from_secs(5)))
+            .add_service(GatewayServer::new(GatewayService { node: Arc::clone(&view) }).max_decoding_message_size(message_bytes_max))
+            .add_service(EnrolmentServer::new(enrolment))
+            .add_service(PeerServer::new(peer_service).max_decoding_message_size(PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES))
+            .serve_with_incoming_shutdown(connections, async move {
+                let _stopped = stopping.wait_for(|stop| *stop).await;
+            });
+        let server = tokio::spawn(async move {
+            if let Err(error) = server.await {
+                tracing::error!(%error, "the server ended");
+            }
+        });
+        tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
+        Ok(Self { view, address, failed, housekeeping, server, stop })
+    }
+
+    /// Where the node listens; the port is the real one where the configuration said 0.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The ledger, for looking into it in the same process.
+    pub fn ledger(&self) -> &Arc<Ledger> {
+        &self.view.ledger
+    }
+
+    /// Waits until the node cannot go on, and says why.
+    pub async fn failed(&self) -> Rejection {
+        let mut failed = self.failed.clone();
+        match failed.wait_for(Option::is_some).await {
+            Ok(reason) => reason.clone().unwrap_or_else(|| Rejection::new(Code::Internal, "the node failed")),
+            Err(_) => Rejection::new(Code::Internal, "the node ended without a reason"),
+        }
+    }
+
+    /// Ends the node: no new calls, the verdicts that are under way, then the stores.
+    pub async fn stop(self) {
+        self.view.in_flight.close();
+        self.stop.send_replace(true);
+        let orderer = self.view.orderer.write().unwrap_or_else(PoisonError::into_inner).take();
+        let mut server = self.server;
+        if tokio::time::timeout(STOP_TIME_MAX, &mut server).await.is_err() {
+            server.abort();
+            let _aborted = server.await;
+        }
+        let housekeeping = self.housekeeping;
+        let ended = tokio::task::spawn_blocking(move || {
+            if let Some(mut orderer) = orderer {
+                orderer.stop();
+            }
+            housekeeping.stop();
+        });
+        if ended.await.is_err() {
+            tracing::error!("a thread panicked while the node stopped");
+        }
+        tracing::info!(height = self.view.ledger.tip().height, "stopped");
+    }
+}
+
+/// Reads a file of the data directory.
+fn read(path: &Path) -> Result<Vec<u8>, Rejection> {
+    std::fs::read(path).map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot read {}: {error}", path.display()))
+            .wanted("the data directory of a node")
+            .next("ledgerd init --config ledgerd.toml makes one; ledgerd dev needs none")
+    })
+}
+
+async fn listen(address: &str) -> Result<TcpListener, Rejection> {
+    TcpListener::bind(address).await.map_err(|error| {
+        Rejection::new(Code::BadConfiguration, format!("cannot listen on {address}: {error}"))
+            .next("choose another address with the setting listen, or end the process that uses this one")
+    })
+}
+
+/// Which of the network's nodes this is: what its own certificate says, checked as the others will check it.
+fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Result<Member, Rejection> {
+    let (own, presented) = tls.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
+    let identity = ledger.msps().verify_for(Usage::Server, own, presented, clock())?;
+    if identity.role != Role::Node {
+        return Err(Rejection::new(Code::WrongRole, "the node's certificate is not a node's")
+            .found(format!("{} with role {}", identity.id(), identity.role))
+            .wanted("role node"));
+    }
+    members.iter().find(|member| member.organisation == identity.organisation && member.name == identity.name).cloned().ok_or_else(|| {
+        let known: Vec<_> = members.iter().map(|member| format!("{}/{}", member.organisation, member.name)).collect();
+        Rejection::new(Code::BadFile, "the node's certificate is of no node of the genesis")
+            .found(identity.id())
+            .wanted(format!("one of {}", known.join(", ")))
+    })
+}
+
+fn engine(
+    config: &Config,
+    genesis: &ledger::network::Genesis,
+    id: u64,
+    ledger: &Ledger,
+    store: &Arc<ledger::block_store::BlockStore>,
+) -> Result<Engine, Rejection> {
+    let ids = |voter| genesis.nodes.iter().filter(move |node| node.voter == voter).map(|node| node.id);
+    let membership = ledger_raft::Membership::new(ids(true), ids(false));
+    let mut settings = EngineConfig::new(id, membership, crate::random::number()?);
+    settings.applied = ledger.tip().height;
+    settings.election_tick = config.order.election_ticks;
+    settings.heartbeat_tick = (config.order.election_ticks / 5).max(1);
+    Engine::new(settings, Arc::clone(store)).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))
+}
+
+impl From<&ledger::network::FoundingNode> for Member {
+    fn from(node: &ledger::network::FoundingNode) -> Self {
+        let ledger::network::FoundingNode { id, name, organisation, address, voter } = node.clone();
+        Self { id, name, organisation, address, voter }
+    }
+}
+
+/// What the node trusts: the organisations on its ledger.
+struct Trust {
+    ledger: Arc<Ledger>,
+}
+
+impl TrustSource for Trust {
+    fn msps(&self) -> Arc<Msps> {
+        self.ledger.msps()
+    }
+
+    fn now(&self) -> u64 {
+        clock()
+    }
+
+    fn revoked(&self, identity: &Identity) -> bool {
+        self.ledger.check_revoked(identity).is_err()
+    }
+}

@@ -1,0 +1,16 @@
+//! Randomness of the operating system.
+
+use ledger::{Code, Rejection};
+use ring::rand::{SecureRandom, SystemRandom};
+
+/// A random number.
+///
+/// # Errors
+/// [`Code::Internal`] if the operating system gives none.
+pub fn number() -> Result<u64, Rejection> {
+    let mut bytes = [0; 8];
+    SystemRandom::new()
+        .fill(&mut bytes)
+        .map_err(|_| Rejection::new(Code::Internal, "the operating system gives no randomness"))?;
+    Ok(u64::from_be_bytes(bytes))
+}

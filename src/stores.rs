@@ -1,0 +1,111 @@
+//! Opening what a node keeps: blocks, which are the truth, and the world state, which is rebuilt if there is any doubt.
+
+use crate::config::Config;
+use crate::random;
+use ledger::block_store::{BlockStore, Options};
+use ledger::disk::RealDisk;
+use ledger::network::Genesis;
+use ledger::state::{SledStore, State};
+use ledger::verify::{BLOCKS_DIRECTORY, STATE_DIRECTORY};
+use ledger::{Code, Hash, Ledger, Registry, Rejection};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// Entries read at once while blocks are executed again.
+const REPLAY_BYTES: usize = 4 * 1024 * 1024;
+/// World state in memory that is moved to the store while blocks are executed again.
+const DIRTY_BYTES_MAX: usize = 16 * 1024 * 1024;
+
+/// The opened stores.
+pub struct Stores {
+    /// What the network began with.
+    pub genesis: Genesis,
+    /// The ledger; everything known to be committed is executed.
+    pub ledger: Arc<Ledger>,
+    /// The log.
+    pub store: Arc<BlockStore>,
+}
+
+impl Stores {
+    /// Opens the stores of a data directory and executes the blocks that the world state has not seen.
+    ///
+    /// # Errors
+    /// Damage that cannot be repaired, with file and byte; a directory in use; a full disk.
+    pub fn open(config: &Config, genesis_bytes: &[u8], registry: Registry) -> Result<Self, Rejection> {
+        let (genesis, network) = Genesis::from_bytes(genesis_bytes)?;
+        let store = Arc::new(open_blocks(config, network)?);
+        let directory = config.data.join(STATE_DIRECTORY);
+        let ledger = match open_ledger(&directory, genesis_bytes, &registry, &store) {
+            Ok(ledger) => ledger,
+            Err(fault) if fault.code == Code::Corrupt => {
+                let aside = set_aside(&directory)?;
+                tracing::warn!(reason = %fault, aside = %aside.display(), "world state is set aside and rebuilt from the blocks");
+                open_ledger(&directory, genesis_bytes, &registry, &store)?
+            }
+            Err(fault) => return Err(fault),
+        };
+        Ok(Self { genesis, ledger: Arc::new(ledger), store })
+    }
+}
+
+fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> {
+    let directory = config.data.join(BLOCKS_DIRECTORY);
+    let disk = RealDisk::open(&directory).map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot open {}: {error}", directory.display()))
+            .next("check that no other node uses this directory, and who may write it")
+    })?;
+    // One number from the system; each segment's salt follows from it, unknown to clients.
+    let (seed, mut segment) = (random::number()?, 0u64);
+    let mut options = Options::new(network.0, move || {
+        segment += 1;
+        let Hash(salt) = Hash::of(&[b"segment salt", &seed.to_be_bytes(), &segment.to_be_bytes()]);
+        salt.iter().take(8).fold(0, |number, byte| number << 8 | u64::from(*byte))
+    });
+    options.segment_bytes = u64::from(config.storage.segment_mib) << 20;
+    let (store, recovery) = BlockStore::open(Arc::new(disk), options)?;
+    if let Some(torn) = &recovery.torn {
+        tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a write that was cut off and never acknowledged");
+    }
+    for file in &recovery.ignored {
+        tracing::warn!(%file, "not a file of the block store; left alone");
+    }
+    Ok(store)
+}
+
+fn open_ledger(directory: &Path, genesis: &[u8], registry: &Registry, store: &BlockStore) -> Result<Ledger, Rejection> {
+    let state = Arc::new(State::open(Box::new(SledStore::open(directory)?))?);
+    let ledger = Ledger::open(genesis, registry.clone(), Arc::clone(&state))?;
+    let reached = ledger.tip();
+    if reached.height > store.last_index() || (reached.height > 0 && store.term(reached.height) != Some(reached.term)) {
+        return Err(Rejection::new(Code::Corrupt, "the world state has executed blocks that are not there")
+            .found(format!("height {} of term {}", reached.height, reached.term))
+            .wanted(format!("at most height {}", store.last_index())));
+    }
+    let committed = store.hard_state().commit;
+    let mut next = reached.height + 1;
+    while next <= committed {
+        for entry in store.entries(next..committed + 1, REPLAY_BYTES)? {
+            ledger.apply(&entry)?;
+            next += 1;
+        }
+        if state.dirty_bytes() > DIRTY_BYTES_MAX {
+            state.flush()?;
+            tracing::info!(height = next - 1, of = committed, "executing blocks again");
+        }
+    }
+    Ok(ledger)
+}
+
+/// Moves a directory out of the way; what was moved before is deleted.
+fn set_aside(directory: &Path) -> Result<PathBuf, Rejection> {
+    let aside = directory.with_extension("damaged");
+    let moved = match std::fs::remove_dir_all(&aside) {
+        Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+        _ => std::fs::rename(directory, &aside),
+    };
+    moved.map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot move {} aside: {error}", directory.display()))
+            .next("delete it by hand; it is rebuilt from the blocks")
+    })?;
+    Ok(aside)
+}
