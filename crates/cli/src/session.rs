@@ -5,14 +5,11 @@ use crate::context;
 use ledger::identity::Identity;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::{Client, Committed, Context};
-use std::time::Duration;
 
 /// The chaincode that keeps robots, grants and policies.
 pub(crate) const ABAC: &str = "abac";
 /// The chaincode that keeps organisations and revocations.
 pub(crate) const MSP: &str = "msp";
-/// How long a connection may take before the node counts as unreachable.
-const CONNECT_MAX: Duration = Duration::from_secs(3);
 
 /// A connection as the selected context.
 pub(crate) struct Session {
@@ -27,15 +24,9 @@ impl Session {
         Self::connect(context::selected(global)?).await
     }
 
-    /// Connects as this context.
+    /// Connects as this context, to the first of its nodes that answers within three seconds.
     pub(crate) async fn connect(context: Context) -> Result<Self, Rejection> {
-        match tokio::time::timeout(CONNECT_MAX, Client::connect(&context)).await {
-            Ok(client) => Ok(Self { client: client?, context }),
-            Err(_) => Err(Rejection::new(Code::Unreachable, format!("no answer from {}", context.nodes.join(", ")))
-                .found(format!("silence for {} s", CONNECT_MAX.as_secs()))
-                .wanted("a node that answers")
-                .next("check the address and that the node runs; `ledgerctl context show` prints what is tried")),
-        }
+        Ok(Self { client: Client::connect(&context).await?, context })
     }
 
     /// Calls a function in a transaction and waits for its verdict.
@@ -45,7 +36,7 @@ impl Session {
 
     /// Calls a function on the committed state.
     pub(crate) async fn ask(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Bytes, Rejection> {
-        self.client.query(chaincode, function, args).await
+        Ok(self.client.query(chaincode, function, args).await?.response)
     }
 
     /// As whom we are connected, read from our certificate.
@@ -58,15 +49,9 @@ impl Session {
         &self.context
     }
 
-    /// The address that a new member of our organisation can enrol at.
-    pub(crate) fn node(&self) -> String {
-        self.context.nodes.first().cloned().unwrap_or_default()
-    }
-
     /// SHA-256 of the root certificate of an organisation.
     pub(crate) fn ca_fingerprint(&self, organisation: &str) -> Result<Hash, Rejection> {
-        let msp = self.context.msps.get(organisation);
-        msp.and_then(|msp| msp.roots().next()).map(|root| Hash::of(&[root])).ok_or_else(|| {
+        self.context.ca_fingerprint(organisation).ok_or_else(|| {
             Rejection::new(Code::NotFound, format!("the context does not know the CA of {organisation}"))
                 .wanted(format!("a root certificate of {organisation}"))
                 .next("enrol again: the context was made before that organisation joined")

@@ -43,7 +43,7 @@ pub(crate) fn span(micros: u64) -> String {
     const UNITS: [(u64, &str); 5] =
         [(86_400_000_000, "days"), (3_600_000_000, "h"), (60_000_000, "min"), (1_000_000, "s"), (1_000, "ms")];
     for (size, name) in UNITS {
-        if micros >= 2 * size || (micros >= size && micros % size == 0) {
+        if micros >= 2 * size || (micros >= size && micros.is_multiple_of(size)) {
             let count = micros / size;
             return if count == 1 && name == "days" { "1 day".to_owned() } else { format!("{count} {name}") };
         }

@@ -2,7 +2,13 @@
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+use ledger::Hash;
+use ledger::key::SigningKey;
+use ledger::msp::{Msp, Msps};
+use ledger_api::Context;
+use rcgen::{BasicConstraints, CertificateParams, CustomExtension, DnType, IsCa, Issuer, KeyPair, KeyUsagePurpose};
 use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
 use tempfile::TempDir;
 
 const FINGERPRINT: &str = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08";
@@ -23,6 +29,40 @@ struct Transcript {
 impl Machine {
     fn new() -> Self {
         Self { home: tempfile::tempdir().unwrap() }
+    }
+
+    /// Stores a context as `enroll` would have: Org1 certified this name with the attribute Husky, and its node is
+    /// said to be at that address.
+    fn enrolled(&self, name: &str, node: &str) {
+        let mut params = CertificateParams::default();
+        params.distinguished_name.push(DnType::CommonName, "Org1 CA");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+        let ca_key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+        let ca = params.self_signed(&ca_key).unwrap();
+
+        let mut leaf = CertificateParams::default();
+        leaf.distinguished_name.push(DnType::CommonName, name);
+        leaf.distinguished_name.push(DnType::OrganizationalUnitName, "member");
+        leaf.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+        let attributes = br#"{"attrs":{"Husky":"true"}}"#.to_vec();
+        leaf.custom_extensions = vec![CustomExtension::from_oid_content(&[1, 2, 3, 4, 5, 6, 7, 8, 1], attributes)];
+        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+        let certificate = leaf.signed_by(&key, &Issuer::from_params(&params, &ca_key)).unwrap();
+
+        let mut msps = Msps::new();
+        msps.insert(Msp::new("Org1", &[ca.der()], &[] as &[&[u8]]).unwrap()).unwrap();
+        let context = Context {
+            name: name.to_owned(),
+            organisation: "Org1".to_owned(),
+            network: Hash::of(&[b"network"]),
+            label: "fleet".to_owned(),
+            nodes: vec![node.to_owned()],
+            chain: vec![certificate.der().clone()],
+            key: Arc::new(SigningKey::from_pkcs8_der(&key.serialize_der()).unwrap()),
+            msps: Arc::new(msps),
+        };
+        context.save(self.home.path()).unwrap();
     }
 
     fn command(&self, args: &[&str]) -> Command {
@@ -128,7 +168,7 @@ fn completions_exist_for_the_usual_shells() {
 fn without_a_context_people_are_told_how_to_get_one() {
     let machine = Machine::new();
     for args in [&["status"][..], &["whoami"], &["acquire", "Turtlebot4"], &["context", "show"]] {
-        machine.run(args).refused(3, "LGR-7003", &["no context is selected", "ledgerctl identity register"]);
+        machine.run(args).refused(3, "LGR-7003", &["no context is selected", "ledgerctl enroll NAME"]);
     }
     let list = machine.run(&["context", "list"]);
     assert_eq!((list.code, list.stdout.as_str()), (0, "no context yet; `ledgerctl enroll` makes one\n"));
@@ -198,4 +238,92 @@ fn output_that_cannot_be_written_is_an_error() {
     let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let output = Machine::new().command(&["explain", "HELD"]).stdout(full).output().unwrap();
     transcript(&output).refused(1, "LGR-5001", &["cannot write the output"]);
+}
+
+#[test]
+fn a_node_that_does_not_answer_ends_every_command_with_4() {
+    let (machine, address) = (Machine::new(), closed_address());
+    machine.enrolled("Salma", &address);
+    for args in [
+        &["status"][..],
+        &["acquire", "Turtlebot4", "--for", "30s"],
+        &["robot", "list"],
+        &["identity", "register", "Farhad", "--attr", "Turtlebot4"],
+        &["publish", "T/c", "--hex", "00010000"],
+        &["echo", "T/c"],
+        &["invoke", "abac", "robots"],
+        &["policy", "list"],
+        &["denials"],
+    ] {
+        machine.run(args).refused(4, "LGR-4001", &[&address, "  try     "]);
+    }
+}
+
+#[test]
+fn whoami_works_without_a_node() {
+    let (machine, address) = (Machine::new(), closed_address());
+    machine.enrolled("Salma", &address);
+    let said = machine.run(&["whoami"]);
+    assert_eq!((said.code, said.stderr.as_str()), (0, ""));
+    for part in ["Org1/Salma", "member", "Husky=true", "fleet", &address, "online       unknown: ", "[LGR-4001]"] {
+        assert!(said.stdout.contains(part), "{part:?} in {}", said.stdout);
+    }
+    let json: serde_json::Value = serde_json::from_str(&machine.run(&["whoami", "-o", "json"]).stdout).unwrap();
+    assert_eq!((&json["id"], &json["role"]), (&"Org1/Salma".into(), &"member".into()));
+    assert_eq!((&json["attributes"]["Husky"], &json["online"]["state"]), (&"true".into(), &"unreachable".into()));
+}
+
+#[test]
+fn contexts_are_listed_chosen_shown_and_deleted() {
+    let machine = Machine::new();
+    machine.enrolled("Salma", "127.0.0.1:1");
+    machine.enrolled("Farhad", "127.0.0.1:1");
+    let list = machine.run(&["context", "list"]);
+    assert_eq!(
+        list.stdout,
+        "   NAME    IDENTITY     NETWORK  NODES\n   Farhad  Org1/Farhad  fleet    127.0.0.1:1\n*  Salma   \
+         Org1/Salma   fleet    127.0.0.1:1\n"
+    );
+    assert_eq!(machine.run(&["context", "use", "Farhad"]).stdout, "context Farhad is in use\n");
+    let shown: serde_json::Value =
+        serde_json::from_str(&machine.run(&["-o", "json", "context", "show"]).stdout).unwrap();
+    assert_eq!(shown["id"], "Org1/Farhad");
+    let other = machine.command(&["context", "show"]).env("LEDGERCTL_CONTEXT", "Salma").output().unwrap();
+    assert!(transcript(&other).stdout.contains("Org1/Salma"), "the variable wins over the selected one");
+    let flag = machine.command(&["--context", "Farhad", "context", "show"]).env("LEDGERCTL_CONTEXT", "Salma").output();
+    assert!(transcript(&flag.unwrap()).stdout.contains("Org1/Farhad"), "the flag wins over the variable");
+    assert_eq!(machine.run(&["context", "delete", "Farhad"]).stdout, "context Farhad is deleted\n");
+    machine.run(&["whoami"]).refused(3, "LGR-7003", &["no context is selected", "Salma"]);
+}
+
+#[test]
+fn a_slip_in_a_context_name_is_answered_with_the_near_one() {
+    let machine = Machine::new();
+    machine.enrolled("Salma", "127.0.0.1:1");
+    machine.run(&["whoami", "--context", "Slama"]).refused(3, "LGR-7003", &["did you mean \"Salma\"?"]);
+}
+
+#[test]
+fn enrolling_never_replaces_a_context_unasked() {
+    let (machine, address) = (Machine::new(), closed_address());
+    machine.enrolled("Salma", &address);
+    let args = ["enroll", "Org1/Salma", "--node", &address, "--ca-fingerprint", FINGERPRINT, "--secret", "s"];
+    machine.run(&args).refused(3, "LGR-3011", &["Salma", "--force", "--context"]);
+    for more in [&["--force"][..], &["--context", "Salma2"]] {
+        machine.run(&[&args[..], more].concat()).refused(4, "LGR-4001", &[&address]);
+    }
+    // The variable chooses whom to act as, not where a new identity goes.
+    let output = machine.command(&args).env("LEDGERCTL_CONTEXT", "other").output().unwrap();
+    transcript(&output).refused(3, "LGR-3011", &["Salma"]);
+}
+
+#[test]
+fn a_damaged_context_is_listed_with_its_fault_and_not_used() {
+    let machine = Machine::new();
+    machine.enrolled("Salma", "127.0.0.1:1");
+    std::fs::write(machine.home.path().join("contexts/Salma/context.toml"), "nodes = 7").unwrap();
+    let list = machine.run(&["context", "list"]);
+    assert_eq!(list.code, 0);
+    assert!(list.stdout.contains("damaged: "), "{}", list.stdout);
+    machine.run(&["whoami"]).refused(3, "LGR-7002", &["context.toml"]);
 }

@@ -66,6 +66,8 @@ struct Invoked {
 
 #[derive(Serialize)]
 struct Queried {
+    /// Height of the state that answered.
+    height: u64,
     #[serde(flatten)]
     answer: Answer,
 }
@@ -106,8 +108,8 @@ impl Invoke {
 impl Query {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let (chaincode, function, args) = self.call.read()?;
-        let response = Session::open(global).await?.ask(&chaincode, &function, args).await?;
-        output.show(&Queried { answer: Answer::read(&response) })
+        let answer = Session::open(global).await?.client.query(&chaincode, &function, args).await?;
+        output.show(&Queried { height: answer.height, answer: Answer::read(&answer.response) })
     }
 }
 
@@ -129,7 +131,7 @@ mod tests {
     #[test]
     fn an_empty_response_prints_nothing() {
         let mut out = Vec::new();
-        Queried { answer: Answer::read(b"") }.text(&mut out).unwrap();
+        Queried { height: 0, answer: Answer::read(b"") }.text(&mut out).unwrap();
         assert!(out.is_empty());
     }
 }

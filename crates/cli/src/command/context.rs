@@ -63,13 +63,13 @@ impl Context {
             }
             Self::Show(command) => {
                 let loaded = match command.name {
-                    Some(name) => ledger_api::Context::load(&home, &name)?,
+                    Some(name) => ledger_api::Context::load(&home, Some(&name))?,
                     None => context::selected(global)?,
                 };
                 output.show(&Details::of(&loaded, &home)?)
             }
             Self::Delete(command) => {
-                context::delete(&home, &command.name)?;
+                ledger_api::Context::remove(&home, &command.name)?;
                 output.show(&Done { context: command.name, done: "deleted" })
             }
         }
@@ -112,7 +112,7 @@ impl Entry {
             nodes: Vec::new(),
             fault: String::new(),
         };
-        let read = ledger_api::Context::load(home, &entry.name)
+        let read = ledger_api::Context::load(home, Some(&entry.name))
             .and_then(|loaded| context::identity(&loaded).map(|identity| (loaded, identity)));
         match read {
             Ok((loaded, identity)) => {
@@ -173,7 +173,7 @@ impl Details {
             network: loaded.network,
             label: loaded.label.clone(),
             nodes: loaded.nodes.clone(),
-            directory: ledger_api::Context::directory(home, &loaded.name),
+            directory: context::directory(home, &loaded.name),
             authorities: loaded.msps.iter().map(authority).collect(),
         })
     }

@@ -82,7 +82,7 @@ impl Enroll {
         let home = context::home()?;
         if !self.force && Context::list(&home)?.iter().any(|known| known == name) {
             return Err(Rejection::new(Code::AlreadyExists, format!("there is a context {name:?} already"))
-                .found(format!("a key in {}", Context::directory(&home, name).display()))
+                .found(format!("a key in {}", context::directory(&home, name).display()))
                 .wanted("a name that is free: the key would be lost")
                 .next("choose another with --context NAME, or replace it with --force")
                 .into());
@@ -93,15 +93,14 @@ impl Enroll {
                 .wanted("SHA-256 of the CA's certificate: 64 hexadecimal digits")
                 .next("copy the whole command that `ledgerctl identity register` printed")
         })?;
-        let enrolment = Enrolment::new(&self.node, fingerprint);
-        let mut enrolled = enrolment.enrol(&self.name, &self.secret, self.key).await?;
+        let mut enrolled = Enrolment::new(&self.node, fingerprint).enrol(&self.name, &self.secret, self.key).await?;
         name.clone_into(&mut enrolled.name);
         enrolled.save(&home)?;
-        let selected = context::select_if_none(&home, name)?;
+        let selected = Context::current(&home)?.as_deref() == Some(name);
         let identity = context::identity(&enrolled)?;
         output.show(&Enrolled {
             context: name.to_owned(),
-            directory: Context::directory(&home, name),
+            directory: context::directory(&home, name),
             id: identity.id(),
             role: identity.role,
             attributes: identity.attributes,

@@ -59,13 +59,16 @@ pub(crate) struct Show {
 #[command(after_help = "\
 Example:
   ledgerctl identity revoke Salma
-  ledgerctl identity revoke Salma --serial 5ab3f0")]
+  ledgerctl identity revoke Salma --serial 5ab3f0 --reason 'laptop stolen'")]
 pub(crate) struct Revoke {
     /// The name
     name: String,
     /// Only the certificate with this serial number
     #[arg(long, value_name = "HEX")]
     serial: Option<String>,
+    /// Why; stays on the ledger
+    #[arg(long, value_name = "TEXT")]
+    reason: Option<String>,
 }
 
 fn role(text: &str) -> Result<Role, String> {
@@ -148,7 +151,7 @@ impl Register {
         }
         let session = Session::open(global).await?;
         let registered = session.client.register(&self.name, self.role, &wanted).await?;
-        let node = session.node();
+        let node = session.client.node().to_string();
         let ca_fingerprint = session.ca_fingerprint(&registered.organisation)?;
         let command = format!(
             "ledgerctl enroll {} --node {node} --ca-fingerprint {ca_fingerprint} --secret {}",
@@ -326,7 +329,8 @@ impl Revoke {
         }
         let mut certificates = Vec::new();
         for certificate in chosen {
-            let args = [&certificate.issuer, &certificate.serial].map(|text| Bytes::from(text.clone())).to_vec();
+            let args = [Some(&certificate.issuer), Some(&certificate.serial), self.reason.as_ref()];
+            let args = args.into_iter().flatten().cloned().map(Bytes::from).collect();
             let done = session.call(MSP, "revoke", args).await?;
             certificates.push(RevokedCertificate {
                 serial: certificate.serial.clone(),

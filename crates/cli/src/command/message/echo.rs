@@ -83,7 +83,8 @@ impl Echo {
         });
         let mut senders = Senders::new(&session);
         let mut left = self.count.unwrap_or(u64::MAX);
-        while let Some(delivery) = stream.next().await? {
+        loop {
+            let delivery = stream.next().await?;
             for event in &delivery.events {
                 for message in messages(&delivery, event, &mut senders)? {
                     output.show(&message)?;
@@ -94,7 +95,6 @@ impl Echo {
                 }
             }
         }
-        Ok(())
     }
 }
 
@@ -104,8 +104,8 @@ fn messages(
     event: &v1::EventRecord,
     senders: &mut Senders<'_>,
 ) -> Result<Vec<Message>, Rejection> {
-    let details: MessageEvent = answer::parse(&Bytes::copy_from_slice(&event.payload), "an event of messages")?;
-    let transaction = Transaction::decode(Bytes::copy_from_slice(&event.transaction))?;
+    let details: MessageEvent = answer::parse(&event.payload, "an event of messages")?;
+    let transaction = Transaction::decode(event.transaction.clone())?;
     let sender = senders.check(&transaction, &event.certificate)?;
     let body = transaction.body();
     // A chaincode of the user's own may publish on behalf of its caller; then its arguments are not ours to read.

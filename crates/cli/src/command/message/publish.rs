@@ -9,6 +9,7 @@ use crate::session::{ABAC, Session};
 use crate::time;
 use ledger::{Bytes, Hash, Rejection};
 use ledger_abac::Grant;
+use ledger_api::Call;
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -16,6 +17,8 @@ use std::time::Duration;
 
 /// Most messages per second that `--rate` may ask for: each waits for the verdict of the one before.
 const RATE_HZ_MAX: f64 = 1000.0;
+/// How long a message may wait to be executed: a command to a robot is worth nothing later.
+const COMMAND_TTL: Duration = Duration::from_secs(2);
 
 /// Publish a message on a service, under the grant that you hold.
 ///
@@ -107,7 +110,8 @@ impl Publish {
             let seq = next_seq.max(time::now());
             let text = |number: u64| Bytes::from(number.to_string());
             let args = vec![Bytes::from(self.service.clone()), text(epoch), text(seq), payload.clone()];
-            let done = session.call(ABAC, "set", args).await?;
+            let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
+            let done = session.client.submit(session.client.prepare(call)?).await?;
             next_seq = seq + 1;
             output.show(&Sent {
                 service: self.service.clone(),
