@@ -1,6 +1,39 @@
 //! The contract of a node: generated types of `proto/`, TLS, and the Rust client.
+//!
+//! - [`v1`]: the messages and services of `proto/ledgerd/v1`, which is where they are documented.
+//! - [`tls`]: who may connect to whom.
+//! - [`Context`]: who this machine is on which network, on disk. [`Enrolment`] makes one.
+//! - [`Client`]: signs, submits, queries and subscribes, through whichever node answers.
+//! - [`report`]: a refusal as people read it.
+//!
+//! It knows no chaincode: what functions there are and what their arguments mean is the caller's business.
+//!
+//! ```no_run
+//! # async fn example() -> Result<(), ledger::Rejection> {
+//! use ledger_api::{Client, Context};
+//! let context = Context::load(&ledger_api::home()?, None)?;
+//! let client = Client::connect(&context).await?;
+//! let grant = client.invoke("abac", "acquire", vec!["Turtlebot4".into()]).await?;
+//! println!("executed at height {}", grant.height);
+//! # Ok(())
+//! # }
+//! ```
 
+mod client;
+mod connect;
+pub mod context;
+mod enrol;
+mod report;
 pub mod tls;
+
+pub use client::{
+    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Options, Pending, Registered,
+    Subscription,
+};
+pub use connect::Credentials;
+pub use context::{Context, home};
+pub use enrol::Enrolment;
+pub use report::{accepted, from_status, report, to_status};
 
 /// Types generated from `proto/ledgerd/v1`.
 #[expect(missing_docs, unused_qualifications, reason = "generated")]

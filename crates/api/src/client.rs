@@ -1,0 +1,200 @@
+//! The client of a network: signs, submits, asks and subscribes, through whichever of its nodes answers.
+//!
+//! ```text
+//! client          the calls that a program makes
+//!   session       the one connection, and its replacement by another when it breaks
+//!     in_flight   transactions without a verdict yet; survives the connection
+//!     clock       the node's clock
+//!   reads         queries, status, blocks, registrations
+//!   events        subscriptions that resume where they were cut off
+//! ```
+
+mod clock;
+mod events;
+mod in_flight;
+mod reads;
+mod session;
+
+pub use events::{EventStream, Subscription};
+pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Pending};
+pub use reads::{Answer, Registered};
+
+use crate::connect::Credentials;
+use crate::context::Context;
+use ledger::transaction::{Body, NONCE_BYTES, Transaction};
+use ledger::{Bytes, Code, Hash, Rejection};
+use ring::rand::{SecureRandom, SystemRandom};
+use session::Session;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How patient a client is.
+#[derive(Clone, Copy, Debug)]
+pub struct Options {
+    /// How long a call is tried, through one node after another, until it fails.
+    pub deadline: Duration,
+    /// How long connecting to one node may take.
+    pub connect: Duration,
+    /// How long after now transactions of [`Client::invoke`] may still be executed, by the node's clock. Longer than
+    /// `deadline`, or a late retry expires instead of being answered.
+    pub ttl: Duration,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { deadline: Duration::from_secs(10), connect: Duration::from_secs(3), ttl: Duration::from_secs(30) }
+    }
+}
+
+/// A call of a chaincode function that is to be signed.
+#[derive(Clone, Debug)]
+pub struct Call {
+    /// Name of the chaincode.
+    pub chaincode: String,
+    /// Name of its function.
+    pub function: String,
+    /// Arguments in order.
+    pub args: Vec<Bytes>,
+    /// How long after now it may still be executed. Commands to a robot: a second or two.
+    pub ttl: Duration,
+}
+
+/// A transaction that was executed with verdict 0.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Committed {
+    /// Id of the transaction.
+    pub id: Hash,
+    /// Height of its block.
+    pub height: u64,
+    /// Its position in the block.
+    pub index: u32,
+    /// Block time, microseconds since the UNIX epoch.
+    pub time: u64,
+    /// What the function returned.
+    pub response: Bytes,
+}
+
+/// A connection to a network as one identity. Clones share it; it ends with the last clone.
+#[derive(Clone)]
+pub struct Client {
+    session: Arc<Session>,
+    credentials: Arc<Credentials>,
+    random: SystemRandom,
+}
+
+impl Client {
+    /// Connects as a stored identity.
+    ///
+    /// # Errors
+    /// [`Code::Unreachable`] if no node answers; what a node says if it refuses the identity, or we its certificate;
+    /// [`Code::WrongNetwork`].
+    pub async fn connect(context: &Context) -> Result<Self, Rejection> {
+        Self::connect_to(context.nodes.clone(), context.credentials()?).await
+    }
+
+    /// Connects to the first of these nodes (`HOST:PORT`) that answers; the others are for when it fails.
+    ///
+    /// # Errors
+    /// As [`Client::connect`].
+    pub async fn connect_to(nodes: Vec<String>, credentials: Credentials) -> Result<Self, Rejection> {
+        Self::connect_with(nodes, credentials, Options::default()).await
+    }
+
+    /// As [`Client::connect_to`], with another patience.
+    ///
+    /// # Errors
+    /// As [`Client::connect`].
+    pub async fn connect_with(
+        nodes: Vec<String>,
+        credentials: Credentials,
+        options: Options,
+    ) -> Result<Self, Rejection> {
+        let session = Session::start(nodes, &credentials, options).await?;
+        Ok(Self { session, credentials: Arc::new(credentials), random: SystemRandom::new() })
+    }
+
+    /// Signs a call now. The certificate comes along until the ledger is known to have it.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] or [`Code::TooLarge`] if the call cannot be a transaction.
+    pub fn prepare(&self, call: Call) -> Result<Transaction, Rejection> {
+        let mut nonce = [0; NONCE_BYTES];
+        self.random
+            .fill(&mut nonce)
+            .map_err(|_| Rejection::new(Code::Internal, "the system's source of randomness failed"))?;
+        let ttl = u64::try_from(call.ttl.as_micros()).unwrap_or(u64::MAX);
+        let body = Body {
+            network: Bytes::copy_from_slice(self.credentials.network.as_ref()),
+            creator: Bytes::copy_from_slice(self.session.in_flight.creator().as_ref()),
+            nonce: Bytes::copy_from_slice(&nonce),
+            not_after: self.now().saturating_add(ttl),
+            chaincode: call.chaincode,
+            function: call.function,
+            args: call.args,
+        };
+        let transaction = Transaction::sign(&body, &self.credentials.key)?;
+        if self.session.in_flight.introduced() {
+            return Ok(transaction);
+        }
+        transaction.with_certificate(self.credentials.certificate.clone())
+    }
+
+    /// Signs a call, submits it and waits for its verdict.
+    ///
+    /// # Errors
+    /// The verdict, if it is not 0. [`Code::Timeout`] if the outcome is unknown: the text has the id.
+    pub async fn invoke(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
+        let call = Call { chaincode: chaincode.into(), function: function.into(), args, ttl: self.session.options.ttl };
+        let first = self.submit(self.prepare(call.clone())?).await;
+        match first {
+            // Refused for its time before it was ordered, so it never will be: sign anew by the right clock.
+            Err(refused) if matches!(refused.code, Code::Expired | Code::NotAfterTooFar) => {
+                self.session.learn_clock().await?;
+                self.submit(self.prepare(call)?).await
+            }
+            done => done,
+        }
+    }
+
+    /// Submits a transaction and waits for its verdict. Waits also while too much is in flight.
+    ///
+    /// A lost connection, a timeout and "not now" are answered by sending the same bytes again, through another node
+    /// if there is one: the id makes sure that it is executed once. What is final is not repeated.
+    ///
+    /// # Errors
+    /// As [`Client::invoke`].
+    pub async fn submit(&self, transaction: Transaction) -> Result<Committed, Rejection> {
+        let room = self.session.in_flight.room(&transaction).await?;
+        self.session.send(&transaction, room).await
+    }
+
+    /// Submits a transaction at once and answers with its future verdict, which need not be awaited. If too much is
+    /// in flight, the verdict is [`Code::Overloaded`] and nothing was sent.
+    pub fn submit_nowait(&self, transaction: &Transaction) -> Pending {
+        match self.session.in_flight.room_now(transaction) {
+            Ok(room) => self.session.send(transaction, room),
+            Err(refused) => Pending::refused(refused),
+        }
+    }
+
+    /// The node's clock now, microseconds since the UNIX epoch: what transactions are dated by. Learnt when a
+    /// connection is made, and again when a transaction is refused for its time.
+    pub fn now(&self) -> u64 {
+        self.session.clock.now()
+    }
+
+    /// Address of the node that the client is connected to, or was last.
+    pub fn node(&self) -> Arc<str> {
+        self.session.address()
+    }
+
+    /// SHA-256 of the own certificate.
+    pub fn creator(&self) -> Hash {
+        self.session.in_flight.creator()
+    }
+
+    /// The largest height at which a transaction or a delivery of this client was.
+    pub fn height_seen(&self) -> u64 {
+        self.session.height_seen()
+    }
+}

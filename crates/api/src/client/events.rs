@@ -1,0 +1,159 @@
+//! Subscriptions that resume where they were cut off.
+
+use super::Client;
+use super::in_flight::RETRY_AFTER;
+use super::session::is_final;
+use crate::v1;
+use ledger::Rejection;
+use std::time::Duration;
+use tokio::time::{sleep, timeout};
+use tonic::Streaming;
+
+/// Heartbeats that may be missing before the connection counts as broken.
+const HEARTBEATS_MISSED_MAX: u32 = 3;
+/// Shortest heartbeat that nodes send, in milliseconds.
+const HEARTBEAT_MIN_MS: u32 = 50;
+/// No shorter silence counts as a broken connection.
+const SILENCE_MIN: Duration = Duration::from_millis(500);
+/// How long a node may take to accept a subscription.
+const ACCEPT_MAX: Duration = Duration::from_secs(3);
+
+/// Which events are wanted.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Subscription {
+    /// First height of interest; 0 = the next block.
+    pub from_height: u64,
+    /// Only events of this chaincode; empty = of all.
+    pub chaincode: String,
+    /// Only events about these subjects, such as the service `Turtlebot4/cmd_vel`; empty = all.
+    pub subjects: Vec<String>,
+    /// Only events of these names, such as `message`; empty = all.
+    pub names: Vec<String>,
+    /// The node sends a delivery without events when it sent nothing else for this long, in milliseconds; a silence
+    /// of three times as long makes the stream resume through another connection. 0 = never.
+    pub heartbeat: u32,
+}
+
+/// A stream of deliveries, in block order, each block at most once and none left out.
+pub struct EventStream {
+    client: Client,
+    wanted: Subscription,
+    /// The next height of interest; 0 = not known yet.
+    next_height: u64,
+    open: Option<Open>,
+}
+
+struct Open {
+    /// Number of the connection.
+    number: u64,
+    deliveries: Streaming<v1::Delivery>,
+}
+
+impl Client {
+    /// Subscribes to events. The connection is made at the first [`EventStream::next`].
+    pub fn subscribe(&self, wanted: Subscription) -> EventStream {
+        EventStream { client: self.clone(), next_height: wanted.from_height, wanted, open: None }
+    }
+}
+
+impl EventStream {
+    /// The next delivery: the events of one block, or a heartbeat without events. Waits as long as it takes, through
+    /// as many connections as it takes; a delivery counts as handled when the next one is asked for. Safe to cancel.
+    ///
+    /// # Errors
+    /// Why there will be no more: this identity may not read (any more), or no node accepts it.
+    pub async fn next(&mut self) -> Result<v1::Delivery, Rejection> {
+        loop {
+            if self.open.is_none() {
+                match self.subscribe().await {
+                    Ok(open) => self.open = Some(open),
+                    Err(refused) if is_final(&refused) => return Err(refused),
+                    Err(refused) => {
+                        tracing::debug!(reason = %refused.message, "subscription is tried again");
+                        sleep(RETRY_AFTER).await;
+                        continue;
+                    }
+                }
+            }
+            let Some(open) = &mut self.open else { continue };
+            let received = match silence_max(self.wanted.heartbeat) {
+                Some(silence) => timeout(silence, open.deliveries.message()).await,
+                None => Ok(open.deliveries.message().await),
+            };
+            let broken = match received {
+                Ok(Ok(Some(delivery))) => {
+                    if self.accept(&delivery) {
+                        return Ok(delivery);
+                    }
+                    continue;
+                }
+                // The node ends a stream of its own accord when its reader is too slow, or when it stops.
+                Ok(Ok(None)) => false,
+                Ok(Err(status)) => {
+                    let refused = crate::report::from_status(&self.client.node(), &status);
+                    if is_final(&refused) {
+                        return Err(refused);
+                    }
+                    true
+                }
+                Err(_silent) => true,
+            };
+            if broken {
+                self.client.session.leave(open.number);
+            }
+            self.open = None;
+            sleep(RETRY_AFTER).await;
+        }
+    }
+
+    /// The height from which this stream would be resumed: one after the last delivery.
+    pub fn next_height(&self) -> u64 {
+        self.next_height
+    }
+
+    /// Notes a delivery; false if its block was delivered before.
+    fn accept(&mut self, delivery: &v1::Delivery) -> bool {
+        self.client.session.see(delivery.height);
+        let repeated = delivery.height < self.next_height && !delivery.events.is_empty();
+        self.next_height = self.next_height.max(delivery.height.saturating_add(1));
+        !repeated
+    }
+
+    async fn subscribe(&mut self) -> Result<Open, Rejection> {
+        if self.next_height == 0 {
+            // Pinned down now: were the connection lost before the first delivery, "the next block" would be another.
+            self.next_height = self.client.status().await?.height.saturating_add(1);
+        }
+        let up = self.client.session.up().await?;
+        let request = v1::SubscribeRequest {
+            from_height: self.next_height,
+            chaincode: self.wanted.chaincode.clone(),
+            subjects: self.wanted.subjects.clone(),
+            names: self.wanted.names.clone(),
+            heartbeat_ms: match self.wanted.heartbeat {
+                0 => 0,
+                often => often.max(HEARTBEAT_MIN_MS),
+            },
+        };
+        let late = || crate::connect::unreachable(&up.connection.address, "no answer to a subscription");
+        let mut gateway = up.gateway();
+        let answer = timeout(ACCEPT_MAX, gateway.subscribe(request)).await.map_err(|_| late());
+        match answer.and_then(|answer| answer.map_err(|status| up.connection.refusal(&status))) {
+            Ok(answer) => Ok(Open { number: up.number, deliveries: answer.into_inner() }),
+            Err(refused) => {
+                if !is_final(&refused) {
+                    self.client.session.leave(up.number);
+                }
+                Err(refused)
+            }
+        }
+    }
+}
+
+/// How long a stream may be silent; half a second at least, because a node may be busy.
+fn silence_max(heartbeat: u32) -> Option<Duration> {
+    (heartbeat > 0).then(|| {
+        let heartbeat = Duration::from_millis(u64::from(heartbeat.max(HEARTBEAT_MIN_MS)));
+        (heartbeat * HEARTBEATS_MISSED_MAX).max(SILENCE_MIN)
+    })
+}

@@ -1,0 +1,359 @@
+//! Transactions that were given to the client and have no verdict yet.
+//!
+//! Everything is under one lock that is held for a few instructions: so no transaction falls between a connection
+//! that breaks and the next one, which sends all of them again in their order.
+
+use super::Committed;
+use super::session::Session;
+use crate::report::accepted;
+use crate::v1::{SubmitRequest, SubmitResponse};
+use ledger::transaction::{TRANSACTION_BYTES_MAX, Transaction};
+use ledger::{Bytes, Class, Code, Hash, Rejection};
+use std::collections::HashMap;
+use std::collections::hash_map;
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
+
+/// Most transactions of one client in flight.
+pub const IN_FLIGHT_MAX: usize = 8192;
+/// Most bytes of transactions of one client in flight.
+pub const IN_FLIGHT_BYTES_MAX: usize = 64 * 1024 * 1024;
+/// Room is counted in units of so many bytes; every transaction takes at least its share of [`IN_FLIGHT_MAX`].
+const UNIT_BYTES: usize = 1024;
+const UNITS: usize = IN_FLIGHT_BYTES_MAX / UNIT_BYTES;
+const UNITS_MIN: usize = UNITS / IN_FLIGHT_MAX;
+const _: () = assert!(UNITS_MIN > 0 && TRANSACTION_BYTES_MAX + UNIT_BYTES <= IN_FLIGHT_BYTES_MAX);
+const _: () = assert!(UNITS <= Semaphore::MAX_PERMITS);
+
+/// After this long without an answer the node counts as stuck, and another one is asked.
+pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
+/// How long a node that said "not now" is left in peace.
+pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
+
+pub(super) type Verdict = Result<Committed, Rejection>;
+type Outgoing = mpsc::UnboundedSender<SubmitRequest>;
+
+/// What an answer means for the connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Effect {
+    Nothing,
+    /// This node cannot serve now; perhaps another one can.
+    Leave,
+    /// The node disagrees with the transaction's dates.
+    DoubtClock,
+}
+
+/// Waiting transactions of one client.
+pub(super) struct InFlight {
+    table: Mutex<Table>,
+    room: Arc<Semaphore>,
+    creator: Hash,
+    certificate: Bytes,
+    /// Does the ledger know our certificate?
+    introduced: AtomicBool,
+    /// How long a transaction is tried.
+    patience: Duration,
+}
+
+#[derive(Default)]
+struct Table {
+    entries: HashMap<Hash, Entry>,
+    /// The open stream to the node, if there is one. Unbounded in form only: what is in it has room in the table.
+    outgoing: Option<Outgoing>,
+    /// Number of the next entry.
+    next: u64,
+}
+
+struct Entry {
+    /// The order in which transactions were submitted, and so are sent again.
+    number: u64,
+    encoded: Bytes,
+    waiter: oneshot::Sender<Verdict>,
+    /// Who else submitted the same transaction.
+    others: Vec<oneshot::Sender<Verdict>>,
+    deadline: Instant,
+    state: State,
+    /// How often it was sent.
+    attempts: u32,
+    /// Was it sent without any answer? Then it may have been executed, whatever a later attempt says.
+    uncertain: bool,
+    /// What a node said when it could not take it.
+    refused: Option<Rejection>,
+    _room: OwnedSemaphorePermit,
+}
+
+#[derive(Clone, Copy)]
+enum State {
+    /// Until there is a connection.
+    Waiting,
+    /// Since that moment.
+    Sent(Instant),
+    /// Until that moment.
+    Resting(Instant),
+}
+
+impl InFlight {
+    pub(super) fn new(creator: Hash, certificate: Bytes, patience: Duration) -> Self {
+        Self {
+            table: Mutex::default(),
+            room: Arc::new(Semaphore::new(UNITS)),
+            creator,
+            certificate,
+            introduced: AtomicBool::new(false),
+            patience,
+        }
+    }
+
+    pub(super) fn creator(&self) -> Hash {
+        self.creator
+    }
+
+    pub(super) fn introduced(&self) -> bool {
+        self.introduced.load(Ordering::Relaxed)
+    }
+
+    /// Room for a transaction; waits for it.
+    pub(super) async fn room(&self, transaction: &Transaction) -> Result<OwnedSemaphorePermit, Rejection> {
+        Arc::clone(&self.room)
+            .acquire_many_owned(units(transaction))
+            .await
+            .map_err(|_| Rejection::new(Code::ShuttingDown, "the client is closed"))
+    }
+
+    /// Room for a transaction, if there is some.
+    pub(super) fn room_now(&self, transaction: &Transaction) -> Result<OwnedSemaphorePermit, Rejection> {
+        Arc::clone(&self.room).try_acquire_many_owned(units(transaction)).map_err(|_| {
+            Rejection::new(Code::Overloaded, "too many transactions wait for their verdict")
+                .found(format!("{} waiting", self.lock().entries.len()))
+                .wanted(format!("at most {IN_FLIGHT_MAX} transactions with {IN_FLIGHT_BYTES_MAX} bytes"))
+                .next("submit less often, or several messages in one transaction")
+        })
+    }
+
+    /// Takes a transaction in and sends it, now or with the next connection.
+    pub(super) fn add(&self, transaction: &Transaction, room: OwnedSemaphorePermit) -> oneshot::Receiver<Verdict> {
+        let (waiter, verdict) = oneshot::channel();
+        let mut table = self.lock();
+        let table = &mut *table;
+        match table.entries.entry(transaction.id()) {
+            hash_map::Entry::Occupied(mut known) => known.get_mut().others.push(waiter),
+            hash_map::Entry::Vacant(place) => {
+                let now = Instant::now();
+                let entry = place.insert(Entry {
+                    number: table.next,
+                    encoded: transaction.encoded().clone(),
+                    waiter,
+                    others: Vec::new(),
+                    deadline: now + self.patience,
+                    state: State::Waiting,
+                    attempts: 0,
+                    uncertain: false,
+                    refused: None,
+                    _room: room,
+                });
+                table.next += 1;
+                entry.send(table.outgoing.as_ref(), now);
+            }
+        }
+        verdict
+    }
+
+    /// A connection is open: everything that waits goes there, in its order.
+    pub(super) fn attach(&self, outgoing: Outgoing) {
+        let mut table = self.lock();
+        let mut entries: Vec<_> = table.entries.values_mut().collect();
+        entries.sort_unstable_by_key(|entry| entry.number);
+        let now = Instant::now();
+        for entry in entries {
+            entry.send(Some(&outgoing), now);
+        }
+        table.outgoing = Some(outgoing);
+    }
+
+    /// The connection broke: what was sent over it may or may not be executed.
+    pub(super) fn detach(&self) {
+        let mut table = self.lock();
+        table.outgoing = None;
+        for entry in table.entries.values_mut() {
+            entry.uncertain |= matches!(entry.state, State::Sent(_));
+            entry.state = State::Waiting;
+        }
+    }
+
+    /// Takes an answer and tells those who wait for it, unless it calls for another attempt.
+    pub(super) fn answer(&self, answer: SubmitResponse) -> Effect {
+        let Some(id) = Hash::from_slice(&answer.id) else {
+            tracing::warn!(verdict = ?answer.verdict, "the node answered without an id");
+            return Effect::Nothing;
+        };
+        let mut table = self.lock();
+        let table = &mut *table;
+        let hash_map::Entry::Occupied(mut place) = table.entries.entry(id) else { return Effect::Nothing };
+        let entry = place.get_mut();
+        let verdict = accepted(answer.verdict.as_ref());
+        let mut effect = Effect::Nothing;
+        if let Err(refused) = &verdict
+            && answer.height == 0
+        {
+            if refused.code.class() == Class::Unreachable {
+                entry.rest(refused.clone());
+                let elsewhere = matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
+                return if elsewhere { Effect::Leave } else { Effect::Nothing };
+            }
+            if refused.code == Code::UnknownCreator && self.introduce(entry) {
+                entry.send(table.outgoing.as_ref(), Instant::now());
+                return Effect::Nothing;
+            }
+            if matches!(refused.code, Code::Expired | Code::NotAfterTooFar) {
+                effect = Effect::DoubtClock;
+            }
+        }
+        let entry = place.remove();
+        if verdict.is_ok() && !self.introduced() {
+            // A transaction of somebody else says nothing about our certificate.
+            let ours = Transaction::decode(entry.encoded.clone()).is_ok_and(|done| done.creator() == self.creator);
+            self.introduced.fetch_or(ours, Ordering::Relaxed);
+        }
+        // It expired while its fate was unknown: ids are forgotten after not_after, so it may have been executed.
+        let forgotten = entry.uncertain && answer.height == 0 && effect == Effect::DoubtClock;
+        let verdict = match verdict {
+            Ok(()) => Ok(Committed {
+                id,
+                height: answer.height,
+                index: answer.index,
+                time: answer.time,
+                response: answer.response,
+            }),
+            Err(_) if forgotten => Err(unknown(id, entry.attempts, "its time ran out while no node answered")),
+            Err(refused) => Err(refused),
+        };
+        entry.resolve(&verdict);
+        effect
+    }
+
+    /// Gives up what is too late and sends again what has rested. True if the node seems to be stuck.
+    pub(super) fn sweep(&self, now: Instant, broken: impl Fn() -> Option<Rejection>) -> bool {
+        let mut table = self.lock();
+        let table = &mut *table;
+        let mut stuck = false;
+        for (id, entry) in table.entries.extract_if(|_, entry| entry.deadline <= now) {
+            let verdict = Err(entry.give_up(id, broken()));
+            entry.resolve(&verdict);
+        }
+        for entry in table.entries.values_mut() {
+            match entry.state {
+                State::Resting(until) if until <= now => entry.send(table.outgoing.as_ref(), now),
+                State::Sent(since) if since + ATTEMPT_MAX <= now => {
+                    entry.uncertain = true;
+                    stuck = true;
+                }
+                _ => {}
+            }
+        }
+        stuck
+    }
+
+    /// Adds our certificate to a transaction of ours that came without. False if that is not what was missing.
+    fn introduce(&self, entry: &mut Entry) -> bool {
+        self.introduced.store(false, Ordering::Relaxed);
+        let Ok(transaction) = Transaction::decode(entry.encoded.clone()) else { return false };
+        if transaction.certificate().is_some() || transaction.creator() != self.creator {
+            return false;
+        }
+        let Ok(introduced) = transaction.with_certificate(self.certificate.clone()) else { return false };
+        entry.encoded = introduced.encoded().clone();
+        true
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Table> {
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Entry {
+    fn send(&mut self, outgoing: Option<&Outgoing>, now: Instant) {
+        let request = SubmitRequest { transaction: self.encoded.clone() };
+        if outgoing.is_some_and(|outgoing| outgoing.send(request).is_ok()) {
+            self.state = State::Sent(now);
+            self.attempts += 1;
+        } else {
+            self.state = State::Waiting;
+        }
+    }
+
+    /// The node did not take it: again in a moment.
+    fn rest(&mut self, refused: Rejection) {
+        // The node's own "outcome unknown" means that it did take it.
+        self.uncertain |= refused.code == Code::Timeout;
+        self.refused = Some(refused);
+        self.state = State::Resting(Instant::now() + RETRY_AFTER);
+    }
+
+    fn give_up(&self, id: Hash, broken: Option<Rejection>) -> Rejection {
+        let reason = broken.or_else(|| self.refused.clone());
+        if self.uncertain || matches!(self.state, State::Sent(_)) {
+            let why = reason.map_or_else(|| "the node did not answer".to_owned(), |reason| reason.message);
+            return unknown(id, self.attempts, &why);
+        }
+        reason.unwrap_or_else(|| Rejection::new(Code::Unreachable, "no node took the transaction"))
+    }
+
+    fn resolve(self, verdict: &Verdict) {
+        for waiter in self.others {
+            let _gone = waiter.send(verdict.clone());
+        }
+        let _gone = self.waiter.send(verdict.clone());
+    }
+}
+
+/// The outcome is unknown, and how to learn it.
+fn unknown(id: Hash, attempts: u32, why: &str) -> Rejection {
+    Rejection::new(Code::Timeout, format!("no verdict came in time; the outcome is unknown, the id is {id}"))
+        .found(format!("sent {attempts} times; {why}"))
+        .wanted("a verdict")
+        .next(format!("ledgerctl tx {id}"))
+}
+
+fn units(transaction: &Transaction) -> u32 {
+    let units = UNITS_MIN.max(transaction.encoded().len() / UNIT_BYTES + 1);
+    u32::try_from(units).unwrap_or(u32::MAX)
+}
+
+/// The future verdict on a submitted transaction. It may be dropped: the transaction is on its way.
+#[must_use = "the verdict is in it"]
+pub struct Pending(Wait);
+
+enum Wait {
+    /// With the session, which must not end while somebody waits for it.
+    Sent(oneshot::Receiver<Verdict>, Arc<Session>, Hash),
+    Refused(Option<Rejection>),
+}
+
+impl Pending {
+    pub(super) fn sent(verdict: oneshot::Receiver<Verdict>, session: Arc<Session>, id: Hash) -> Self {
+        Self(Wait::Sent(verdict, session, id))
+    }
+
+    pub(super) fn refused(refused: Rejection) -> Self {
+        Self(Wait::Refused(Some(refused)))
+    }
+}
+
+impl Future for Pending {
+    type Output = Verdict;
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Verdict> {
+        match &mut self.0 {
+            Wait::Sent(verdict, _, id) => Pin::new(verdict)
+                .poll(cx)
+                .map(|verdict| verdict.unwrap_or_else(|_| Err(unknown(*id, 1, "the client was closed")))),
+            Wait::Refused(refused) => Poll::Ready(Err(refused
+                .take()
+                .unwrap_or_else(|| Rejection::new(Code::Internal, "a verdict was asked for twice")))),
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! Connections to a node: TCP, mutual TLS, HTTP/2, and clear words when one of them fails.
+
+mod stream;
+
+use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
+use hyper_util::rt::TokioIo;
+use ledger::key::SigningKey;
+use ledger::{Bytes, Code, Hash, Rejection};
+use rustls::pki_types::ServerName;
+use rustls::{AlertDescription, ClientConfig};
+use std::error::Error as StdError;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use stream::{Fault, Watched};
+use tokio::net::TcpStream;
+use tokio::time::timeout;
+use tokio_rustls::TlsConnector;
+use tonic::transport::{Channel, Endpoint};
+use tonic::{Status, codegen::http::Uri};
+
+/// How often a silent connection is probed, and how long the answer may take.
+const KEEP_ALIVE: Duration = Duration::from_secs(2);
+/// How much a node may send ahead on one stream and on a connection, in bytes.
+const STREAM_WINDOW_BYTES: u32 = 1024 * 1024;
+const CONNECTION_WINDOW_BYTES: u32 = 4 * 1024 * 1024;
+/// Most that a name in TLS must hold; the name is not checked (see [`crate::tls`]).
+const SERVER_NAME: &str = "node.ledgerd.internal";
+
+/// What connections as an identity need: who one is, on which network, and which nodes are accepted.
+#[derive(Clone)]
+pub struct Credentials {
+    /// Name of the network.
+    pub network: Hash,
+    /// Signs transactions.
+    pub key: Arc<SigningKey>,
+    /// The own certificate in DER.
+    pub certificate: Bytes,
+    /// The settings of every connection.
+    pub(crate) tls: Arc<ClientConfig>,
+}
+
+impl Credentials {
+    /// Takes identity, key and trust together.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if certificate and key cannot be used together.
+    pub fn new(
+        network: Hash,
+        identity: TlsIdentity,
+        key: Arc<SigningKey>,
+        trust: ServerTrust,
+    ) -> Result<Self, Rejection> {
+        let certificate = identity.chain.first().map(|own| Bytes::copy_from_slice(own)).unwrap_or_default();
+        let tls = client_config(Some(identity), trust).map_err(|error| unusable(&error))?;
+        Ok(Self { network, key, certificate, tls: Arc::new(tls) })
+    }
+
+    /// SHA-256 of the own certificate: the creator in transactions.
+    pub fn creator(&self) -> Hash {
+        Hash::of(&[&self.certificate])
+    }
+}
+
+pub(crate) fn unusable(error: &TlsError) -> Rejection {
+    Rejection::new(Code::BadFile, error.to_string()).next("enrol again for a new certificate")
+}
+
+/// An open connection to one node.
+#[derive(Clone, Debug)]
+pub(crate) struct Connection {
+    /// Carries any number of calls at once.
+    pub(crate) channel: Channel,
+    /// `HOST:PORT` of the node.
+    pub(crate) address: Arc<str>,
+    /// Why the connection broke, if it did.
+    fault: Arc<Mutex<Option<Fault>>>,
+}
+
+impl Connection {
+    /// Connects to a node within `patience`.
+    ///
+    /// # Errors
+    /// [`Code::Unreachable`] with address and reason; the code of the fault if the node's certificate is not accepted;
+    /// [`Code::BadArgument`] if the address is none.
+    pub(crate) async fn open(address: &str, tls: Arc<ClientConfig>, patience: Duration) -> Result<Self, Rejection> {
+        let origin = origin(address)?;
+        match timeout(patience, Self::establish(address, origin, tls)).await {
+            Ok(done) => done,
+            Err(_) => Err(unreachable(address, &format!("no answer within {} ms", patience.as_millis()))),
+        }
+    }
+
+    async fn establish(address: &str, origin: Uri, tls: Arc<ClientConfig>) -> Result<Self, Rejection> {
+        let tcp = TcpStream::connect(address).await.map_err(|error| unreachable(address, &error.to_string()))?;
+        tcp.set_nodelay(true).map_err(|error| unreachable(address, &error.to_string()))?;
+        let name = ServerName::try_from(SERVER_NAME)
+            .map_err(|error| Rejection::new(Code::Internal, format!("the name for TLS is wrong: {error}")))?;
+        let secured = TlsConnector::from(tls).connect(name, tcp).await.map_err(|error| handshake(address, &error))?;
+        let fault = Arc::new(Mutex::new(None));
+        let watched = Watched::new(secured, Arc::clone(&fault));
+        // The one stream there is: when it breaks, whoever owns the connection opens another, perhaps elsewhere.
+        let mut once = Some(TokioIo::new(watched));
+        let connector = tower::service_fn(move |_: Uri| {
+            let stream = once.take().ok_or_else(|| std::io::Error::other("the connection is closed"));
+            std::future::ready(stream)
+        });
+        let channel = Endpoint::from(origin)
+            .initial_stream_window_size(STREAM_WINDOW_BYTES)
+            .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
+            .http2_keep_alive_interval(KEEP_ALIVE)
+            .keep_alive_timeout(KEEP_ALIVE)
+            .keep_alive_while_idle(true)
+            .connect_with_connector(connector)
+            .await
+            .map_err(|error| unreachable(address, &chain(&error)))?;
+        Ok(Self { channel, address: address.into(), fault })
+    }
+
+    /// The refusal behind a failed call. A node that refuses our certificate only closes the connection with an
+    /// alert, after the handshake is over for us: hence the look at how the connection broke.
+    pub(crate) fn refusal(&self, status: &Status) -> Rejection {
+        let fault = self.fault.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        match fault {
+            Some(Fault::Alert(alert)) => alerted(&self.address, alert),
+            Some(Fault::Broken(reason)) if status.source().is_some() => unreachable(&self.address, &reason),
+            _ => crate::report::from_status(&self.address, status),
+        }
+    }
+}
+
+/// No node at this address, and why.
+pub(crate) fn unreachable(address: &str, reason: &str) -> Rejection {
+    Rejection::new(Code::Unreachable, format!("cannot reach a node at {address}"))
+        .found(reason)
+        .wanted("a running node that accepts connections")
+        .next(format!(
+            "check that ledgerd runs there and that nothing blocks the port: nc -vz {}",
+            address.replace(':', " ")
+        ))
+}
+
+fn origin(address: &str) -> Result<Uri, Rejection> {
+    let wrong = || {
+        Rejection::new(Code::BadArgument, "an address of a node cannot be read")
+            .found(format!("{address:?}"))
+            .wanted("HOST:PORT, such as 192.168.1.20:7450 or [::1]:7450")
+            .next("add the port that `ledgerd` printed when it started")
+    };
+    let (host, port) = address.rsplit_once(':').ok_or_else(wrong)?;
+    if host.is_empty() || !port.parse::<u16>().is_ok_and(|port| port > 0) {
+        return Err(wrong());
+    }
+    format!("http://{address}").parse().map_err(|_| wrong())
+}
+
+/// The TLS handshake failed.
+fn handshake(address: &str, error: &std::io::Error) -> Rejection {
+    if let Some(refused) = refusal(error) {
+        let mut rejection = Rejection::from(refused.clone());
+        rejection.message = format!("the node at {address} is not accepted: {}", rejection.message);
+        return rejection;
+    }
+    match Fault::of(error) {
+        Fault::Alert(alert) => alerted(address, alert),
+        Fault::Broken(reason) => unreachable(address, &format!("no TLS 1.3 connection: {reason}")),
+    }
+}
+
+/// The node ended the connection with an alert, which nearly always means our certificate.
+fn alerted(address: &str, alert: AlertDescription) -> Rejection {
+    let (code, what, next) = match alert {
+        AlertDescription::CertificateExpired => (
+            Code::CertificateExpired,
+            "has expired, or is not valid yet",
+            "enrol again, and check the clocks of both machines",
+        ),
+        AlertDescription::UnknownCA => (
+            Code::Untrusted,
+            "is not of an organisation of its network",
+            "check that the context is of this node's network",
+        ),
+        AlertDescription::CertificateRevoked => (Code::Revoked, "was revoked", "ask an admin of your organisation"),
+        AlertDescription::CertificateRequired => {
+            (Code::CertificateRequired, "is missing", "enrol first: ledgerctl enroll")
+        }
+        AlertDescription::BadCertificate
+        | AlertDescription::CertificateUnknown
+        | AlertDescription::UnsupportedCertificate
+        | AlertDescription::AccessDenied => {
+            (Code::Untrusted, "is not accepted", "look into the node's log for the reason, then enrol again")
+        }
+        other => return unreachable(address, &format!("the other side ended the TLS connection with {other:?}")),
+    };
+    Rejection::new(code, format!("the node at {address} refuses the connection: our certificate {what}"))
+        .found(format!("TLS alert {alert:?}"))
+        .wanted("a valid certificate of an organisation of the network")
+        .next(next)
+}
+
+fn chain(error: &dyn StdError) -> String {
+    let mut text = error.to_string();
+    let mut next = error.source();
+    while let Some(source) = next {
+        text.push_str(&format!(": {source}"));
+        next = source.source();
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_needs_host_and_port() {
+        for wrong in ["", "host", "host:", ":7450", "host:0", "host:70000", "ho st:1", "host:7450/x"] {
+            assert!(origin(wrong).is_err(), "{wrong}");
+        }
+        for right in ["host:7450", "10.0.0.4:1", "[::1]:7450"] {
+            assert!(origin(right).is_ok(), "{right}");
+        }
+    }
+}

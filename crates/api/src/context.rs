@@ -1,0 +1,162 @@
+//! Contexts: who this machine is on which network, as `ledgerctl enroll` stores it.
+//!
+//! ```text
+//! <home>/current                       name of the selected context
+//! <home>/contexts/<NAME>/context.toml  name, organisation, network, label, nodes
+//!                        certificate.pem  the own certificate, then its issuers
+//!                        key.pem          PKCS#8, readable by its owner only
+//!                        msps.json        all organisations of the network with their roots
+//! ```
+//! `<home>` is `$LEDGERD_HOME`, else `$XDG_CONFIG_HOME/ledgerd`, else `~/.config/ledgerd`.
+
+mod files;
+mod home;
+mod organisations;
+
+pub use home::home;
+
+use crate::connect::Credentials;
+use crate::tls::{ServerTrust, TlsIdentity};
+use crate::v1;
+use files::bad_file;
+use ledger::certificate::Certificate;
+use ledger::key::SigningKey;
+use ledger::msp::Msps;
+use ledger::{Code, Hash, Rejection};
+use rustls_pki_types::CertificateDer;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Longest name of a context, in bytes.
+pub const CONTEXT_NAME_BYTES_MAX: usize = 64;
+
+/// Who this machine is on which network, and how to reach it.
+#[derive(Clone, Debug)]
+pub struct Context {
+    /// Name of the context: the name of its directory.
+    pub name: String,
+    /// Organisation of the identity.
+    pub organisation: String,
+    /// Name of the network: the hash of its genesis.
+    pub network: Hash,
+    /// Name of the network for people.
+    pub label: String,
+    /// Addresses (`HOST:PORT`) of nodes, the preferred one first.
+    pub nodes: Vec<String>,
+    /// The own certificate, then its issuers.
+    pub chain: Vec<CertificateDer<'static>>,
+    /// The private key of the own certificate.
+    pub key: Arc<SigningKey>,
+    /// All organisations of the network, as they were at enrolment.
+    pub msps: Arc<Msps>,
+}
+
+/// What `context.toml` holds.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Settings {
+    name: String,
+    organisation: String,
+    network: Hash,
+    #[serde(default)]
+    label: String,
+    nodes: Vec<String>,
+}
+
+impl Context {
+    /// Reads the context of this name; without a name, the selected one.
+    ///
+    /// # Errors
+    /// [`Code::NoContext`] if there is none, with the nearest name; [`Code::BadFile`] with the file and its fault.
+    pub fn load(home: &Path, name: Option<&str>) -> Result<Self, Rejection> {
+        let name = match name {
+            Some(name) => name.to_owned(),
+            None => Self::current(home)?.ok_or_else(|| home::none_selected(home))?,
+        };
+        let directory = home::directory_of(home, &name)?;
+        let path = directory.join(files::SETTINGS);
+        let text = files::read(&path)?;
+        let settings: Settings =
+            toml::from_str(&text).map_err(|error| bad_file(&path, error.to_string().trim_end().replace('\n', " ")))?;
+        if settings.name != name || settings.nodes.is_empty() {
+            return Err(bad_file(&path, format!("name {:?} and {} nodes", settings.name, settings.nodes.len()))
+                .wanted(format!("name = {name:?}, as its directory is called, and at least one node")));
+        }
+        let chain_path = directory.join(files::CERTIFICATE);
+        let chain = files::certificates(&chain_path, &files::read(&chain_path)?)?;
+        let key_path = directory.join(files::KEY);
+        let key = SigningKey::from_pkcs8_pem(&files::read_secret(&key_path)?)
+            .map_err(|error| bad_file(&key_path, error.to_string()))?;
+        let msps_path = directory.join(files::MSPS);
+        let msps =
+            organisations::from_json(&files::read(&msps_path)?).map_err(|reason| bad_file(&msps_path, reason))?;
+        // That the key belongs to the certificate is known here, not at the first connection.
+        TlsIdentity::new(chain.clone(), &key).map_err(|error| bad_file(&chain_path, error.to_string()))?;
+        let Settings { name, organisation, network, label, nodes } = settings;
+        Ok(Self { name, organisation, network, label, nodes, chain, key: Arc::new(key), msps: Arc::new(msps) })
+    }
+
+    /// Writes the context below `home`, replacing one of the same name: all of it or nothing, and the key is never
+    /// readable by others. The first context that is stored becomes the selected one.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if something cannot be written, [`Code::NoContext`] if the name is not usable.
+    pub fn save(&self, home: &Path) -> Result<(), Rejection> {
+        home::check_name(&self.name)?;
+        let settings = Settings {
+            name: self.name.clone(),
+            organisation: self.organisation.clone(),
+            network: self.network,
+            label: self.label.clone(),
+            nodes: self.nodes.clone(),
+        };
+        let settings = toml::to_string(&settings)
+            .map_err(|error| Rejection::new(Code::Internal, format!("context.toml cannot be written: {error}")))?;
+        files::replace_directory(
+            &home.join(home::CONTEXTS),
+            &self.name,
+            &[
+                (files::SETTINGS, settings),
+                (files::CERTIFICATE, files::pem(&self.chain)),
+                (files::KEY, self.key.to_pkcs8_pem()),
+                (files::MSPS, organisations::to_json(&self.msps)?),
+            ],
+        )?;
+        if Self::current(home)?.is_none() {
+            Self::select(home, &self.name)?;
+        }
+        Ok(())
+    }
+
+    /// What connections as this identity need.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if certificate and key do not belong together.
+    pub fn credentials(&self) -> Result<Credentials, Rejection> {
+        let identity = TlsIdentity::new(self.chain.clone(), &self.key)
+            .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))?;
+        Credentials::new(self.network, identity, Arc::clone(&self.key), ServerTrust::Roots(Arc::clone(&self.msps)))
+    }
+
+    /// What the own certificate says: name, role, attributes, validity. Nothing of it is verified.
+    ///
+    /// # Errors
+    /// [`Code::CertificateMalformed`].
+    pub fn certificate(&self) -> Result<Certificate, Rejection> {
+        Ok(Certificate::parse(self.chain.first().map(AsRef::as_ref).unwrap_or_default())?)
+    }
+
+    /// SHA-256 of the first root of an organisation: what `ledgerctl enroll --ca-fingerprint` wants.
+    pub fn ca_fingerprint(&self, organisation: &str) -> Option<Hash> {
+        self.msps.get(organisation)?.roots().next().map(|root| Hash::of(&[root]))
+    }
+}
+
+/// The organisations of a network, as a node describes them.
+///
+/// # Errors
+/// [`Code::CertificateMalformed`] if a root is not usable.
+pub fn msps_of(organisations: &[v1::Organisation]) -> Result<Msps, Rejection> {
+    organisations::from_wire(organisations)
+}

@@ -1,0 +1,167 @@
+//! Reading and replacing the files of contexts.
+//!
+//! A context is written as a new directory `.NAME.new`, synced, and then renamed into place; the one it replaces
+//! waits as `.NAME.old` in between. Whatever a crash leaves behind, [`finish_replacement`] sees one complete context.
+
+use ledger::{Code, Rejection};
+use rustls_pki_types::CertificateDer;
+use rustls_pki_types::pem::PemObject;
+use std::fs::{self, DirBuilder, File, OpenOptions};
+use std::io::{ErrorKind, Read, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::path::Path;
+
+pub(super) const SETTINGS: &str = "context.toml";
+pub(super) const CERTIFICATE: &str = "certificate.pem";
+pub(super) const KEY: &str = "key.pem";
+pub(super) const MSPS: &str = "msps.json";
+
+/// Largest file of a context that is read, in bytes.
+const FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
+/// Readable by their owner only. The files are small and few: no exception for those that are not secret.
+const FILE_MODE: u32 = 0o600;
+const DIRECTORY_MODE: u32 = 0o700;
+/// The permissions of others.
+const OTHERS: u32 = 0o077;
+
+/// A file that cannot be used, and what is wrong with it.
+pub(super) fn bad_file(path: &Path, found: impl Into<String>) -> Rejection {
+    Rejection::new(Code::BadFile, format!("cannot use {}", path.display())).found(found)
+}
+
+/// Reads a text file of limited size.
+pub(super) fn read(path: &Path) -> Result<String, Rejection> {
+    let fault = |error: std::io::Error| {
+        bad_file(path, error.to_string())
+            .wanted("the file of a stored context")
+            .next("enrol again, or restore the file")
+    };
+    let mut text = String::new();
+    let mut file = File::open(path).map_err(fault)?.take(FILE_BYTES_MAX + 1);
+    let length = file.read_to_string(&mut text).map_err(fault)?;
+    if u64::try_from(length).unwrap_or(u64::MAX) > FILE_BYTES_MAX {
+        return Err(bad_file(path, format!("more than {FILE_BYTES_MAX} bytes")).wanted("a file of a context"));
+    }
+    Ok(text)
+}
+
+/// Reads a file that only its owner may read; refuses one that others can.
+pub(super) fn read_secret(path: &Path) -> Result<String, Rejection> {
+    if let Ok(metadata) = fs::metadata(path) {
+        let mode = metadata.permissions().mode() & 0o777;
+        if mode & OTHERS != 0 {
+            return Err(bad_file(path, format!("mode {mode:04o}: others can read or change the key"))
+                .wanted(format!("mode {FILE_MODE:04o}"))
+                .next(format!("chmod 600 {}, and enrol again if somebody may have read it", path.display())));
+        }
+    }
+    read(path)
+}
+
+/// The certificates of a PEM text; at least one.
+pub(super) fn certificates(path: &Path, text: &str) -> Result<Vec<CertificateDer<'static>>, Rejection> {
+    let found = CertificateDer::pem_slice_iter(text.as_bytes()).collect::<Result<Vec<_>, _>>();
+    match found {
+        Ok(chain) if !chain.is_empty() => Ok(chain),
+        Ok(_) => Err(bad_file(path, "no certificate").wanted("PEM with \"BEGIN CERTIFICATE\"")),
+        Err(error) => Err(bad_file(path, error.to_string()).wanted("PEM with \"BEGIN CERTIFICATE\"")),
+    }
+}
+
+/// Certificates as PEM text.
+pub(super) fn pem(chain: &[CertificateDer<'_>]) -> String {
+    let sections: Vec<_> = chain.iter().map(|der| pem::Pem::new("CERTIFICATE", der.as_ref())).collect();
+    pem::encode_many_config(&sections, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF))
+}
+
+/// The context that a directory entry stands for: itself, or one whose replacement was cut off.
+pub(super) fn finished_name(entry: &str) -> Option<&str> {
+    match entry.strip_prefix('.') {
+        None => Some(entry),
+        Some(rest) => rest.strip_suffix(".old"),
+    }
+}
+
+/// Brings a context back whose replacement was cut off between the two renames.
+pub(super) fn finish_replacement(contexts: &Path, name: &str) -> Result<(), Rejection> {
+    let (current, old) = (contexts.join(name), contexts.join(format!(".{name}.old")));
+    if !current.exists() && old.exists() {
+        fs::rename(&old, &current).map_err(|error| bad_file(&old, error.to_string()))?;
+    }
+    Ok(())
+}
+
+/// Writes the directory `name` below `contexts` with these files: all of them or none.
+pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, String)]) -> Result<(), Rejection> {
+    let at = |path: &Path| {
+        let path = path.to_owned();
+        move |error: std::io::Error| unwritable(&path, &error)
+    };
+    create_directories(contexts)?;
+    finish_replacement(contexts, name)?;
+    let current = contexts.join(name);
+    let (new, old) = (contexts.join(format!(".{name}.new")), contexts.join(format!(".{name}.old")));
+    for leftover in [&new, &old] {
+        remove_directory(leftover)?;
+    }
+    DirBuilder::new().mode(DIRECTORY_MODE).create(&new).map_err(at(&new))?;
+    for (file, content) in files {
+        write_new(&new.join(file), content)?;
+    }
+    sync_directory(&new)?;
+    if current.exists() {
+        fs::rename(&current, &old).map_err(at(&current))?;
+    }
+    fs::rename(&new, &current).map_err(at(&current))?;
+    sync_directory(contexts)?;
+    remove_directory(&old)
+}
+
+/// Writes one file: the new content or the old one, never a part.
+pub(super) fn replace_file(directory: &Path, name: &str, content: &str) -> Result<(), Rejection> {
+    create_directories(directory)?;
+    let (new, path) = (directory.join(format!(".{name}.new")), directory.join(name));
+    match fs::remove_file(&new) {
+        Err(error) if error.kind() != ErrorKind::NotFound => return Err(unwritable(&new, &error)),
+        _ => {}
+    }
+    write_new(&new, content)?;
+    fs::rename(&new, &path).map_err(|error| unwritable(&path, &error))?;
+    sync_directory(directory)
+}
+
+/// Creates a file that must not exist, private from its first moment, and syncs it.
+fn write_new(path: &Path, content: &str) -> Result<(), Rejection> {
+    OpenOptions::new()
+        .write(true)
+        .create_new(true)
+        .mode(FILE_MODE)
+        .open(path)
+        .and_then(|mut file| {
+            file.write_all(content.as_bytes())?;
+            file.sync_all()
+        })
+        .map_err(|error| unwritable(path, &error))
+}
+
+fn create_directories(path: &Path) -> Result<(), Rejection> {
+    DirBuilder::new().recursive(true).mode(DIRECTORY_MODE).create(path).map_err(|error| unwritable(path, &error))
+}
+
+fn remove_directory(path: &Path) -> Result<(), Rejection> {
+    match fs::remove_dir_all(path) {
+        Err(error) if error.kind() != ErrorKind::NotFound => Err(unwritable(path, &error)),
+        _ => Ok(()),
+    }
+}
+
+fn sync_directory(path: &Path) -> Result<(), Rejection> {
+    File::open(path).and_then(|directory| directory.sync_all()).map_err(|error| unwritable(path, &error))
+}
+
+fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
+    Rejection::new(Code::BadFile, format!("cannot write {}", path.display()))
+        .found(error.to_string())
+        .wanted("a place to store a context")
+        .next("check the owner and the free space of the directory, or set LEDGERD_HOME to another")
+}

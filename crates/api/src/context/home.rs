@@ -1,0 +1,153 @@
+//! Where contexts lie, which there are, and which is selected.
+
+use super::CONTEXT_NAME_BYTES_MAX;
+use super::Context;
+use super::files::{self, bad_file};
+use ledger::{Code, Rejection};
+use std::fs;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+
+/// Directory of the contexts below the home.
+pub(super) const CONTEXTS: &str = "contexts";
+/// File that names the selected context.
+const CURRENT: &str = "current";
+/// How alike two names must be (Jaro-Winkler) for one to be suggested for the other.
+const ALIKE: f64 = 0.7;
+
+/// The directory of this user's contexts: `$LEDGERD_HOME`, else `$XDG_CONFIG_HOME/ledgerd`, else `~/.config/ledgerd`.
+///
+/// # Errors
+/// [`Code::BadFile`] if none of `LEDGERD_HOME`, `XDG_CONFIG_HOME` and `HOME` is set.
+pub fn home() -> Result<PathBuf, Rejection> {
+    let set = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    set("LEDGERD_HOME")
+        .or_else(|| set("XDG_CONFIG_HOME").map(|path| path.join("ledgerd")))
+        .or_else(|| set("HOME").map(|path| path.join(".config").join("ledgerd")))
+        .ok_or_else(|| {
+            Rejection::new(Code::BadFile, "there is no place for contexts")
+                .found("neither LEDGERD_HOME nor XDG_CONFIG_HOME nor HOME is set")
+                .wanted("a directory for them")
+                .next("set LEDGERD_HOME to one")
+        })
+}
+
+impl Context {
+    /// The names of all stored contexts, in order.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if the directory cannot be read; a missing one is empty.
+    pub fn list(home: &Path) -> Result<Vec<String>, Rejection> {
+        let path = home.join(CONTEXTS);
+        let entries = match fs::read_dir(&path) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(bad_file(&path, error.to_string())),
+        };
+        let mut names: Vec<_> = entries
+            .filter_map(|entry| entry.ok()?.file_name().into_string().ok())
+            .filter_map(|name| files::finished_name(&name).map(str::to_owned))
+            .filter(|name| check_name(name).is_ok())
+            .collect();
+        names.sort_unstable();
+        names.dedup();
+        Ok(names)
+    }
+
+    /// The name of the selected context, if one is selected.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if the file cannot be read.
+    pub fn current(home: &Path) -> Result<Option<String>, Rejection> {
+        let path = home.join(CURRENT);
+        if !path.exists() {
+            return Ok(None);
+        }
+        let name = files::read(&path)?.trim().to_owned();
+        Ok(Some(name).filter(|name| !name.is_empty()))
+    }
+
+    /// Selects the context that commands use without `--context`.
+    ///
+    /// # Errors
+    /// [`Code::NoContext`] if there is none of this name, [`Code::BadFile`].
+    pub fn select(home: &Path, name: &str) -> Result<(), Rejection> {
+        directory_of(home, name)?;
+        files::replace_file(home, CURRENT, &format!("{name}\n"))
+    }
+
+    /// Removes a context with its key; if it was selected, none is afterwards.
+    ///
+    /// # Errors
+    /// [`Code::NoContext`] if there is none of this name, [`Code::BadFile`].
+    pub fn remove(home: &Path, name: &str) -> Result<(), Rejection> {
+        let directory = directory_of(home, name)?;
+        if Self::current(home)?.as_deref() == Some(name) {
+            let path = home.join(CURRENT);
+            fs::remove_file(&path).map_err(|error| bad_file(&path, error.to_string()))?;
+        }
+        fs::remove_dir_all(&directory).map_err(|error| bad_file(&directory, error.to_string()))
+    }
+}
+
+/// The directory of an existing context.
+pub(super) fn directory_of(home: &Path, name: &str) -> Result<PathBuf, Rejection> {
+    check_name(name)?;
+    let contexts = home.join(CONTEXTS);
+    files::finish_replacement(&contexts, name)?;
+    let directory = contexts.join(name);
+    if directory.is_dir() { Ok(directory) } else { Err(unknown(home, name)) }
+}
+
+/// A name is 1 to 64 letters, digits, `-`, `_` and `.`, and does not start with `.` or `-`.
+pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
+    let usable = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let fits = !name.is_empty() && name.len() <= CONTEXT_NAME_BYTES_MAX;
+    if fits && name.chars().all(usable) && !name.starts_with(['.', '-']) {
+        return Ok(());
+    }
+    let shown: String = name.chars().take(CONTEXT_NAME_BYTES_MAX).collect();
+    Err(Rejection::new(Code::NoContext, "a context cannot have this name")
+        .found(format!("{shown:?}"))
+        .wanted(format!("1 to {CONTEXT_NAME_BYTES_MAX} bytes of letters, digits, \"-\", \"_\" and \".\""))
+        .next("choose another name"))
+}
+
+/// There are contexts, but none is selected; or there are none.
+pub(super) fn none_selected(home: &Path) -> Rejection {
+    let names = Context::list(home).unwrap_or_default();
+    let refused = Rejection::new(Code::NoContext, "no context is selected").found(listed(home, &names));
+    match names.first() {
+        Some(first) => {
+            refused.wanted("one of them").next(format!("add --context {first}, or: ledgerctl context use {first}"))
+        }
+        None => refused
+            .wanted("the context of an enrolled identity")
+            .next("ledgerctl enroll NAME --node HOST:PORT --ca-fingerprint SHA256 --secret S"),
+    }
+}
+
+fn unknown(home: &Path, name: &str) -> Rejection {
+    let names = Context::list(home).unwrap_or_default();
+    let near = names
+        .iter()
+        .map(|known| (strsim::jaro_winkler(&known.to_lowercase(), &name.to_lowercase()), known))
+        .filter(|(alike, _)| *alike > ALIKE)
+        .max_by(|a, b| a.0.total_cmp(&b.0));
+    let next = match near {
+        Some((_, near)) => format!("did you mean {near:?}?"),
+        None if names.is_empty() => "ledgerctl enroll NAME --node HOST:PORT --ca-fingerprint SHA256 --secret S".into(),
+        None => "ledgerctl context list".into(),
+    };
+    Rejection::new(Code::NoContext, format!("there is no context {name:?}"))
+        .found(listed(home, &names))
+        .wanted("the name of a stored context")
+        .next(next)
+}
+
+fn listed(home: &Path, names: &[String]) -> String {
+    match names {
+        [] => format!("no contexts in {}", home.join(CONTEXTS).display()),
+        names => format!("contexts {}", names.join(", ")),
+    }
+}

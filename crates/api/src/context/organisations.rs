@@ -1,0 +1,66 @@
+//! The organisations of a network as a file and as a message.
+
+use super::files;
+use crate::v1;
+use ledger::msp::{Msp, Msps};
+use ledger::{Code, Rejection};
+use rustls_pki_types::CertificateDer;
+use rustls_pki_types::pem::PemObject;
+use serde::{Deserialize, Serialize};
+
+/// Most organisations that are read.
+const ORGANISATIONS_MAX: usize = 256;
+
+/// One organisation in `msps.json`; certificates are PEM texts.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Stored {
+    organisation: String,
+    roots: Vec<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    intermediates: Vec<String>,
+}
+
+pub(super) fn to_json(msps: &Msps) -> Result<String, Rejection> {
+    let pem = |der: &[u8]| files::pem(&[CertificateDer::from(der)]);
+    let stored: Vec<_> = msps
+        .iter()
+        .map(|msp| Stored {
+            organisation: msp.organisation().to_owned(),
+            roots: msp.roots().map(pem).collect(),
+            intermediates: msp.intermediates().map(pem).collect(),
+        })
+        .collect();
+    serde_json::to_string_pretty(&stored)
+        .map_err(|error| Rejection::new(Code::Internal, format!("msps.json cannot be written: {error}")))
+}
+
+/// Reads `msps.json`; the error is the reason alone.
+pub(super) fn from_json(text: &str) -> Result<Msps, String> {
+    let stored: Vec<Stored> = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    let ders = |texts: &[String]| {
+        texts.iter().map(|text| CertificateDer::from_pem_slice(text.as_bytes())).collect::<Result<Vec<_>, _>>()
+    };
+    let mut msps = Msps::new();
+    for Stored { organisation, roots, intermediates } in stored {
+        let wrong = |error: String| format!("organisation {organisation:?}: {error}");
+        let roots = ders(&roots).map_err(|error| wrong(error.to_string()))?;
+        let intermediates = ders(&intermediates).map_err(|error| wrong(error.to_string()))?;
+        let msp = Msp::new(&organisation, &roots, &intermediates).map_err(|error| wrong(error.to_string()))?;
+        msps.insert(msp).map_err(|error| wrong(error.to_string()))?;
+    }
+    Ok(msps)
+}
+
+pub(super) fn from_wire(organisations: &[v1::Organisation]) -> Result<Msps, Rejection> {
+    if organisations.len() > ORGANISATIONS_MAX {
+        return Err(Rejection::new(Code::TooLarge, "the network has too many organisations")
+            .found(organisations.len().to_string())
+            .wanted(format!("at most {ORGANISATIONS_MAX}")));
+    }
+    let mut msps = Msps::new();
+    for organisation in organisations {
+        msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
+    }
+    Ok(msps)
+}

@@ -1,0 +1,146 @@
+//! Enrolment: a one-time secret becomes a certificate, with a key that never leaves this machine.
+
+use crate::connect::Connection;
+use crate::context::{Context, msps_of};
+use crate::report::accepted;
+use crate::tls::{ServerTrust, client_config};
+use crate::v1;
+use crate::v1::enrolment_client::EnrolmentClient;
+use ledger::identity::Identity;
+use ledger::key::{KeyKind, SigningKey};
+use ledger::msp::{Msp, Msps, ROOTS_MAX};
+use ledger::{Bytes, Code, Hash, Rejection};
+use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
+use ring::rand::SystemRandom;
+use rustls::ClientConfig;
+use rustls_pki_types::{CertificateDer, PrivatePkcs8KeyDer};
+use std::sync::Arc;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// How long connecting may take.
+const CONNECT_MAX: Duration = Duration::from_secs(3);
+
+/// First contact with a node, whose CA is known by its fingerprint only.
+#[derive(Clone, Debug)]
+pub struct Enrolment {
+    node: String,
+    ca_fingerprint: Hash,
+}
+
+impl Enrolment {
+    /// Enrolment at the node at `HOST:PORT`, whose organisation's CA certificate has this SHA-256.
+    pub fn new(node: impl Into<String>, ca_fingerprint: Hash) -> Self {
+        Self { node: node.into(), ca_fingerprint }
+    }
+
+    /// What the node says of its network. Nothing but the CA is verified.
+    ///
+    /// # Errors
+    /// [`Code::Unreachable`], [`Code::Untrusted`] if the fingerprint is another.
+    pub async fn network(&self) -> Result<v1::NetworkResponse, Rejection> {
+        let connection = self.connect().await?;
+        let answer = EnrolmentClient::new(connection.channel.clone()).network(v1::NetworkRequest {}).await;
+        answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))
+    }
+
+    /// Makes a key here, has it certified, and checks what came back: the certificate must be of our key and of the
+    /// organisation with the pinned CA. The context is named after the identity; store it with [`Context::save`].
+    ///
+    /// # Errors
+    /// [`Code::EnrolmentRefused`] if name or secret is wrong, [`Code::Unreachable`], [`Code::Untrusted`].
+    pub async fn enrol(&self, name: &str, secret: &str, kind: KeyKind) -> Result<Context, Rejection> {
+        let key = SigningKey::generate(kind, &SystemRandom::new())
+            .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        // The name may be ORGANISATION/NAME; only its last part can be in a certificate.
+        let own_name = name.rsplit('/').next().unwrap_or(name);
+        let request = v1::EnrolRequest { name: name.into(), secret: secret.into(), request: request(own_name, &key)? };
+        let connection = self.connect().await?;
+        let answer = EnrolmentClient::new(connection.channel.clone()).enrol(request).await;
+        let answer = answer.map_err(|status| connection.refusal(&status))?.into_inner();
+        accepted(answer.verdict.as_ref())?;
+        self.check(own_name, key, answer)
+    }
+
+    fn check(&self, name: &str, key: SigningKey, answer: v1::EnrolResponse) -> Result<Context, Rejection> {
+        let unfit = |found: String| {
+            Rejection::new(
+                Code::Untrusted,
+                format!("the node at {} certified something else than was asked", self.node),
+            )
+            .found(found)
+            .wanted(format!("a certificate of {name:?} with our key, issued below CA {}", self.ca_fingerprint))
+            .next("enrol at another node of the organisation, and tell its admin")
+        };
+        let network = answer.network.ok_or_else(|| unfit("no description of the network".into()))?;
+        let msps = msps_of(&network.organisations)?;
+        let organisation = msps
+            .get(&answer.organisation)
+            .ok_or_else(|| unfit(format!("organisation {:?}, which the network does not have", answer.organisation)))?;
+        let identity = self.verify(organisation, &answer.certificate, &answer.chain)?;
+        if identity.public_key != key.public_key() {
+            return Err(unfit(format!("the key {:?}", identity.public_key)));
+        }
+        if identity.name != name {
+            return Err(unfit(format!("the name {:?}", identity.name)));
+        }
+        let id = Hash::from_slice(&network.network)
+            .ok_or_else(|| unfit(format!("a network name of {} bytes", network.network.len())))?;
+        let der = |bytes: &Bytes| CertificateDer::from(bytes.to_vec());
+        let own = network.organisations.iter().find(|found| found.name == answer.organisation);
+        let others = own.into_iter().flat_map(|own| &own.addresses).filter(|address| **address != self.node);
+        let nodes = std::iter::once(&self.node).chain(others).cloned().collect();
+        Ok(Context {
+            name: identity.name,
+            organisation: answer.organisation,
+            network: id,
+            label: network.label,
+            nodes,
+            chain: std::iter::once(&answer.certificate).chain(&answer.chain).map(der).collect(),
+            key: Arc::new(key),
+            msps: Arc::new(msps),
+        })
+    }
+
+    /// The identity in the certificate, verified against the pinned root alone.
+    fn verify(&self, organisation: &Msp, certificate: &[u8], chain: &[Bytes]) -> Result<Identity, Rejection> {
+        let pinned = organisation.roots().take(ROOTS_MAX).find(|root| Hash::of(&[root]) == self.ca_fingerprint);
+        let pinned = pinned.ok_or_else(|| {
+            let roots: Vec<_> = organisation.roots().map(|root| Hash::of(&[root]).to_string()).collect();
+            Rejection::new(Code::Untrusted, format!("the CA of {} is another", organisation.organisation()))
+                .found(format!("SHA-256 {}", roots.join(", ")))
+                .wanted(self.ca_fingerprint.to_string())
+                .next("ask the operator of the node for the fingerprint of its CA")
+        })?;
+        let intermediates: Vec<_> = organisation.intermediates().collect();
+        let mut msps = Msps::new();
+        msps.insert(Msp::new(organisation.organisation(), &[pinned], &intermediates)?)?;
+        let chain: Vec<_> = chain.iter().map(|der| CertificateDer::from(der.as_ref())).collect();
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        Ok(msps.verify(certificate, &chain, u64::try_from(now.as_micros()).unwrap_or(u64::MAX))?)
+    }
+
+    async fn connect(&self) -> Result<Connection, Rejection> {
+        Connection::open(&self.node, self.tls()?, CONNECT_MAX).await
+    }
+
+    fn tls(&self) -> Result<Arc<ClientConfig>, Rejection> {
+        let trust = ServerTrust::Fingerprint(self.ca_fingerprint.0);
+        Ok(Arc::new(client_config(None, trust).map_err(|error| crate::connect::unusable(&error))?))
+    }
+}
+
+/// A certificate signing request (PKCS #10) in DER.
+fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> {
+    let fault =
+        |error: rcgen::Error| Rejection::new(Code::Internal, format!("no signing request can be made: {error}"));
+    let algorithm = match key.kind() {
+        KeyKind::Ed25519 => &PKCS_ED25519,
+        KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
+    };
+    let pair = KeyPair::from_pkcs8_der_and_sign_algo(&PrivatePkcs8KeyDer::from(key.to_pkcs8_der()), algorithm);
+    let mut parameters = CertificateParams::default();
+    parameters.distinguished_name = DistinguishedName::new();
+    parameters.distinguished_name.push(DnType::CommonName, name);
+    let request = parameters.serialize_request(&pair.map_err(fault)?).map_err(fault)?;
+    Ok(Bytes::copy_from_slice(request.der()))
+}

@@ -1,0 +1,176 @@
+//! Refusals as people read them, and as the wire carries them.
+
+use crate::v1;
+use ledger::{Code, Rejection};
+use prost::Message;
+use std::error::Error as _;
+use tonic::Status;
+
+/// Column at which the code of a one-line message is printed, if the message leaves room.
+const CODE_COLUMN: usize = 88;
+
+/// The four lines that `ledgerctl` and `ledgerd` print: what failed with its code, what was found, what was wanted,
+/// and what to try. Lines that would be empty are left out; the text ends without a newline.
+///
+/// ```
+/// use ledger::{Code, Rejection};
+/// let refused = Rejection::new(Code::Held, "Turtlebot4/cmd_vel is held").found("held by Org1/Salma");
+/// let text = ledger_api::report(&refused);
+/// assert!(text.starts_with("error: Turtlebot4/cmd_vel is held"));
+/// assert!(text.ends_with("[LGR-3005]\n  found   held by Org1/Salma"));
+/// ```
+pub fn report(rejection: &Rejection) -> String {
+    let first = format!("error: {}", rejection.message);
+    let mut text = format!("{first:<CODE_COLUMN$}  [{}]", rejection.code);
+    for (label, line) in [("found", &rejection.found), ("wanted", &rejection.wanted), ("try", &rejection.next)] {
+        if !line.is_empty() {
+            text.push_str(&format!("\n  {label:<6}  {line}"));
+        }
+    }
+    text
+}
+
+impl From<&Rejection> for v1::Verdict {
+    fn from(rejection: &Rejection) -> Self {
+        Self {
+            code: u32::from(rejection.code.number()),
+            message: rejection.message.clone(),
+            found: rejection.found.clone(),
+            wanted: rejection.wanted.clone(),
+            next: rejection.next.clone(),
+        }
+    }
+}
+
+/// The refusal in a verdict; `Ok` if the call was executed.
+///
+/// # Errors
+/// The refusal. A number that this version does not know becomes [`Code::Internal`] with the number in its text.
+pub fn accepted(verdict: Option<&v1::Verdict>) -> Result<(), Rejection> {
+    let Some(verdict) = verdict else {
+        return Err(Rejection::new(Code::Internal, "the node answered without a verdict")
+            .next("check that the address is a node's, and that its version is not older than this program's"));
+    };
+    if verdict.code == 0 {
+        return Ok(());
+    }
+    let code = u16::try_from(verdict.code).ok().and_then(Code::from_number);
+    let message = match code {
+        Some(_) => verdict.message.clone(),
+        None => format!("{} (code {}, which this version does not know)", verdict.message, verdict.code),
+    };
+    Err(Rejection::new(code.unwrap_or(Code::Internal), message)
+        .found(verdict.found.clone())
+        .wanted(verdict.wanted.clone())
+        .next(verdict.next.clone()))
+}
+
+/// A refusal of a whole call as gRPC carries it: readable text for clients in any language, and the same as an encoded
+/// `Verdict` in the details.
+pub fn to_status(rejection: &Rejection) -> Status {
+    use ledger::Class;
+    let code = match rejection.code.class() {
+        Class::Ok | Class::Failure => tonic::Code::Internal,
+        Class::Denied if rejection.code == Code::CertificateRequired => tonic::Code::Unauthenticated,
+        Class::Denied => tonic::Code::PermissionDenied,
+        Class::Invalid if rejection.code == Code::NotFound => tonic::Code::NotFound,
+        Class::Invalid => tonic::Code::InvalidArgument,
+        Class::Unreachable => tonic::Code::Unavailable,
+        Class::Conflict => tonic::Code::FailedPrecondition,
+    };
+    let details = v1::Verdict::from(rejection).encode_to_vec();
+    Status::with_details(code, rejection.to_string(), details.into())
+}
+
+/// The refusal in the status of a failed call to the node at `address`. A broken connection is
+/// [`Code::Unreachable`].
+pub fn from_status(address: &str, status: &Status) -> Rejection {
+    if !status.details().is_empty()
+        && let Ok(verdict) = v1::Verdict::decode(status.details())
+        && let Err(rejection) = accepted(Some(&verdict))
+    {
+        return rejection;
+    }
+    if let Some(rejection) = parse(status.message()) {
+        return rejection;
+    }
+    let said = format!("{:?}: {}", status.code(), status.message());
+    let (code, next) = match status.code() {
+        _ if status.source().is_some() => (Code::Unreachable, "try again, or another node"),
+        tonic::Code::Unavailable | tonic::Code::Unknown | tonic::Code::Cancelled | tonic::Code::Aborted => {
+            (Code::Unreachable, "try again, or another node")
+        }
+        tonic::Code::DeadlineExceeded => (Code::Timeout, "try again, or another node"),
+        tonic::Code::Unauthenticated => (Code::CertificateRequired, "enrol first: ledgerctl enroll"),
+        tonic::Code::PermissionDenied => (Code::Untrusted, "ask an admin of your organisation"),
+        tonic::Code::NotFound => (Code::NotFound, "check what was asked for"),
+        tonic::Code::ResourceExhausted => (Code::Overloaded, "send less, or wait"),
+        tonic::Code::OutOfRange => (Code::TooLarge, "send it in several parts"),
+        tonic::Code::InvalidArgument => (Code::Malformed, "check what was sent"),
+        tonic::Code::Unimplemented => (Code::Internal, "upgrade the node: it does not know this call"),
+        _ => (Code::Internal, "look into the log of the node"),
+    };
+    Rejection::new(code, format!("the call to {address} failed")).found(said).next(next)
+}
+
+/// Reads back what `Rejection` prints: for nodes that send the text only.
+fn parse(text: &str) -> Option<Rejection> {
+    let mut lines = text.lines();
+    let (message, code) = lines.next()?.rsplit_once(" [LGR-")?;
+    let code = Code::from_number(code.strip_suffix(']')?.parse().ok()?)?;
+    let mut rejection = Rejection::new(code, message.trim_start_matches("error: ").trim_end());
+    for line in lines {
+        match line.trim_start().split_once(' ') {
+            Some(("found", rest)) => rejection.found = rest.trim_start().to_owned(),
+            Some(("wanted", rest)) => rejection.wanted = rest.trim_start().to_owned(),
+            Some(("try", rest)) => rejection.next = rest.trim_start().to_owned(),
+            _ => {}
+        }
+    }
+    Some(rejection)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> Rejection {
+        Rejection::new(Code::Untrusted, "cannot join network \"fleet\"")
+            .found("issuer \"CN=acme-ca\"")
+            .wanted("one of the roots")
+            .next("ledgerctl network add-org acme")
+    }
+
+    #[test]
+    fn a_report_has_four_lines_in_this_order() {
+        let text = report(&example());
+        let lines: Vec<_> = text.lines().collect();
+        assert!(
+            matches!(
+                lines.as_slice(),
+                [first, "  found   issuer \"CN=acme-ca\"", "  wanted  one of the roots", "  try     ledgerctl network add-org acme"]
+                    if first.starts_with("error: cannot join network \"fleet\"  ") && first.ends_with("  [LGR-2001]")
+            ),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn a_refusal_survives_the_wire_with_and_without_details() {
+        let status = to_status(&example());
+        assert_eq!(from_status("node:1", &status), example());
+        assert_eq!(from_status("node:1", &Status::new(status.code(), status.message())), example());
+    }
+
+    #[test]
+    fn a_code_of_a_newer_node_is_named_by_its_number() {
+        let verdict = v1::Verdict { code: 3999, message: "no".into(), ..v1::Verdict::default() };
+        let found = accepted(Some(&verdict));
+        assert!(matches!(found, Err(refused) if refused.code == Code::Internal && refused.message.contains("3999")));
+    }
+
+    #[test]
+    fn a_broken_connection_is_unreachable() {
+        assert_eq!(from_status("node:1", &Status::unavailable("gone")).code, Code::Unreachable);
+    }
+}
