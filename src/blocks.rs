@@ -86,9 +86,21 @@ impl Blocks {
             BlockKind::Transactions => Payload::from_bytes(entry.data).unwrap_or_default().transactions,
             BlockKind::Membership | BlockKind::Genesis => Vec::new(),
         };
-        let ids = transactions.iter().map(|bytes| Transaction::decode(bytes.clone()).map_or(Hash::ZERO, |t| t.id())).collect();
+        let ids = transactions
+            .iter()
+            .map(|bytes| Transaction::decode(bytes.clone()).map_or(Hash::ZERO, |t| t.id()))
+            .collect();
         let (hash, digest, kind) = (header.hash(), result.digest(), result.kind());
-        Ok(Some(Outcome { header, hash, digest, kind, transactions, ids, results: result.results, events: result.events }))
+        Ok(Some(Outcome {
+            header,
+            hash,
+            digest,
+            kind,
+            transactions,
+            ids,
+            results: result.results,
+            events: result.events,
+        }))
     }
 }
 

@@ -15,8 +15,8 @@ use ledger::identity::Identity;
 use ledger::{Code, Ledger};
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
-    Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, QueryRequest, QueryResponse,
-    StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
+    Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, QueryRequest,
+    QueryResponse, StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
 };
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, AtomicU64};
@@ -69,11 +69,13 @@ impl GatewayService {
     /// The caller's identity, which must not have been revoked since it connected.
     #[expect(clippy::result_large_err, reason = "tonic's error type")]
     fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Status> {
-        let identity = request
-            .extensions()
-            .get::<Caller>()
-            .and_then(|caller| caller.identity.clone())
-            .ok_or_else(|| status(&ledger::Rejection::new(Code::CertificateRequired, "this call needs a client certificate").next("enrol first: ledgerctl enroll")))?;
+        let identity =
+            request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
+                status(
+                    &ledger::Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
+                        .next("enrol first: ledgerctl enroll"),
+                )
+            })?;
         self.node.check(&identity)?;
         Ok(identity)
     }
@@ -115,7 +117,10 @@ impl Gateway for GatewayService {
 
     type SubmitStreamStream = UnboundedReceiverStream<Result<SubmitResponse, Status>>;
 
-    async fn submit_stream(&self, request: Request<Streaming<SubmitRequest>>) -> Result<Response<Self::SubmitStreamStream>, Status> {
+    async fn submit_stream(
+        &self,
+        request: Request<Streaming<SubmitRequest>>,
+    ) -> Result<Response<Self::SubmitStreamStream>, Status> {
         self.caller(&request)?;
         Ok(Response::new(submit::stream(self.clone(), request.into_inner())))
     }
@@ -143,9 +148,15 @@ impl Gateway for GatewayService {
         self.node.block(&caller, request.into_inner().height).map(Response::new).map_err(|rejection| status(&rejection))
     }
 
-    async fn get_transaction(&self, request: Request<GetTransactionRequest>) -> Result<Response<TransactionRecord>, Status> {
+    async fn get_transaction(
+        &self,
+        request: Request<GetTransactionRequest>,
+    ) -> Result<Response<TransactionRecord>, Status> {
         let caller = self.caller(&request)?;
-        self.node.transaction(&caller, &request.into_inner().id).map(Response::new).map_err(|rejection| status(&rejection))
+        self.node
+            .transaction(&caller, &request.into_inner().id)
+            .map(Response::new)
+            .map_err(|rejection| status(&rejection))
     }
 
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {

@@ -99,7 +99,9 @@ impl Rounds {
     fn set_full(&self, full: bool) {
         if self.node.disk_full.swap(full, Ordering::Relaxed) != full {
             match full {
-                true => tracing::error!(data = %self.data.display(), "the disk is almost full; nothing more is accepted"),
+                true => {
+                    tracing::error!(data = %self.data.display(), "the disk is almost full; nothing more is accepted")
+                }
                 false => tracing::info!("there is space on the disk again"),
             }
         }

@@ -42,7 +42,11 @@ pub struct Connection {
 }
 
 /// Accepts connections until the receiver is dropped. A failed handshake is logged and costs nobody else anything.
-pub fn accept(listener: TcpListener, tls: TlsAcceptor, trust: Arc<dyn TrustSource>) -> ReceiverStream<io::Result<Connection>> {
+pub fn accept(
+    listener: TcpListener,
+    tls: TlsAcceptor,
+    trust: Arc<dyn TrustSource>,
+) -> ReceiverStream<io::Result<Connection>> {
     let (established, connections) = mpsc::channel(ESTABLISHED_MAX);
     tokio::spawn(async move {
         let handshakes = Arc::new(Semaphore::new(HANDSHAKES_MAX));
@@ -75,10 +79,16 @@ pub fn accept(listener: TcpListener, tls: TlsAcceptor, trust: Arc<dyn TrustSourc
     ReceiverStream::new(connections)
 }
 
-async fn handshake(socket: TcpStream, address: SocketAddr, tls: &TlsAcceptor, trust: &dyn TrustSource) -> Result<Connection, String> {
+async fn handshake(
+    socket: TcpStream,
+    address: SocketAddr,
+    tls: &TlsAcceptor,
+    trust: &dyn TrustSource,
+) -> Result<Connection, String> {
     socket.set_nodelay(true).map_err(|error| error.to_string())?;
     let stream = tls.accept(socket).await.map_err(|error| error.to_string())?;
-    let identity = client_identity(stream.get_ref().1.peer_certificates(), trust).map_err(|refusal| refusal.to_string())?;
+    let identity =
+        client_identity(stream.get_ref().1.peer_certificates(), trust).map_err(|refusal| refusal.to_string())?;
     Ok(Connection { stream, caller: Caller { identity: identity.map(Arc::new), address } })
 }
 
@@ -101,7 +111,11 @@ impl AsyncWrite for Connection {
         Pin::new(&mut self.get_mut().stream).poll_write(cx, buf)
     }
 
-    fn poll_write_vectored(self: Pin<&mut Self>, cx: &mut Context<'_>, bufs: &[io::IoSlice<'_>]) -> Poll<io::Result<usize>> {
+    fn poll_write_vectored(
+        self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bufs: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
         Pin::new(&mut self.get_mut().stream).poll_write_vectored(cx, bufs)
     }
 

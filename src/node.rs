@@ -77,7 +77,7 @@ impl NodeBuilder {
             return Err(fault.clone());
         }
         let mut registry = self.registry.clone();
-        registry.install(Arc::new(AccessControl::new()))?;
+        registry.install(Arc::new(AccessControl::new()?))?;
         Ok(registry)
     }
 
@@ -152,7 +152,7 @@ impl Node {
             orderer: RwLock::new(Some(orderer)),
             peers: Box::new(move || shared.peers.members().map(|(member, up)| (member.clone(), up)).collect()),
             limits: config.limits.clone(),
-            in_flight: Arc::new(Semaphore::new(config.limits.in_flight_max)),
+            in_flight: Arc::new(Semaphore::new(count(config.limits.in_flight_max).min(Semaphore::MAX_PERMITS))),
             subscribers: Arc::new(AtomicU64::new(0)),
             disk_full,
             clock,
@@ -165,9 +165,11 @@ impl Node {
         });
         let authorities = CertificateAuthority::open_all(&config.data)?;
         let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, clock);
-        let server_tls = server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+        let server_tls =
+            server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
         let connections = accept(listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
-        let message_bytes_max = config.limits.payload_bytes_max.max(PAYLOAD_BYTES_MAX) + MESSAGE_EXTRA_BYTES;
+        // More than is accepted: what is a little too large gets an answer that says so.
+        let message_bytes_max = count(config.limits.payload_bytes_max).max(PAYLOAD_BYTES_MAX) + MESSAGE_EXTRA_BYTES;
         let (stop, mut stopping) = watch::channel(false);
         let server = Server::builder()
             .tcp_nodelay(true)
@@ -175,9 +177,14 @@ impl Node {
             .initial_connection_window_size(WINDOW_BYTES.1)
             .http2_keepalive_interval(Some(Duration::from_secs(5)))
             .http2_keepalive_timeout(Some(Duration::from_secs(5)))
-            .add_service(GatewayServer::new(GatewayService { node: Arc::clone(&view) }).max_decoding_message_size(message_bytes_max))
+            .add_service(
+                GatewayServer::new(GatewayService { node: Arc::clone(&view) })
+                    .max_decoding_message_size(message_bytes_max),
+            )
             .add_service(EnrolmentServer::new(enrolment))
-            .add_service(PeerServer::new(peer_service).max_decoding_message_size(PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES))
+            .add_service(
+                PeerServer::new(peer_service).max_decoding_message_size(PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES),
+            )
             .serve_with_incoming_shutdown(connections, async move {
                 let _stopped = stopping.wait_for(|stop| *stop).await;
             });
@@ -233,6 +240,11 @@ impl Node {
     }
 }
 
+/// A number of the configuration as a count of things in memory.
+fn count(number: u64) -> usize {
+    usize::try_from(number).unwrap_or(usize::MAX)
+}
+
 /// Reads a file of the data directory.
 fn read(path: &Path) -> Result<Vec<u8>, Rejection> {
     std::fs::read(path).map_err(|error| {
@@ -251,19 +263,25 @@ async fn listen(address: &str) -> Result<TcpListener, Rejection> {
 
 /// Which of the network's nodes this is: what its own certificate says, checked as the others will check it.
 fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Result<Member, Rejection> {
-    let (own, presented) = tls.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
+    let (own, presented) =
+        tls.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
     let identity = ledger.msps().verify_for(Usage::Server, own, presented, clock())?;
     if identity.role != Role::Node {
         return Err(Rejection::new(Code::WrongRole, "the node's certificate is not a node's")
             .found(format!("{} with role {}", identity.id(), identity.role))
             .wanted("role node"));
     }
-    members.iter().find(|member| member.organisation == identity.organisation && member.name == identity.name).cloned().ok_or_else(|| {
-        let known: Vec<_> = members.iter().map(|member| format!("{}/{}", member.organisation, member.name)).collect();
-        Rejection::new(Code::BadFile, "the node's certificate is of no node of the genesis")
-            .found(identity.id())
-            .wanted(format!("one of {}", known.join(", ")))
-    })
+    members
+        .iter()
+        .find(|member| member.organisation == identity.organisation && member.name == identity.name)
+        .cloned()
+        .ok_or_else(|| {
+            let known: Vec<_> =
+                members.iter().map(|member| format!("{}/{}", member.organisation, member.name)).collect();
+            Rejection::new(Code::BadFile, "the node's certificate is of no node of the genesis")
+                .found(identity.id())
+                .wanted(format!("one of {}", known.join(", ")))
+        })
 }
 
 fn engine(
@@ -277,8 +295,8 @@ fn engine(
     let membership = ledger_raft::Membership::new(ids(true), ids(false));
     let mut settings = EngineConfig::new(id, membership, crate::random::number()?);
     settings.applied = ledger.tip().height;
-    settings.election_tick = config.order.election_ticks;
-    settings.heartbeat_tick = (config.order.election_ticks / 5).max(1);
+    settings.election_tick = count(config.order.election_ticks);
+    settings.heartbeat_tick = (settings.election_tick / 5).max(1);
     Engine::new(settings, Arc::clone(store)).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))
 }
 

@@ -61,7 +61,8 @@ impl Peers {
         let links = members.into_iter().map(|member| {
             let (waiting, messages) = mpsc::channel(WAITING_MAX);
             let connected = Arc::new(AtomicBool::new(false));
-            let task = keep_connected(member.clone(), identity.clone(), Arc::clone(trust), messages, Arc::clone(&connected));
+            let task =
+                keep_connected(member.clone(), identity.clone(), Arc::clone(trust), messages, Arc::clone(&connected));
             tokio::spawn(task);
             (member.id, Link { member, waiting, connected })
         });
@@ -117,7 +118,8 @@ async fn keep_connected(
 async fn channel(member: &Member, identity: &TlsIdentity, trust: &Arc<dyn TrustSource>) -> Result<Channel, String> {
     let expected = format!("{}/{}", member.organisation, member.name);
     let trust = ServerTrust::Network(Arc::clone(trust));
-    let config = client_config_expecting(Some(identity.clone()), trust, &expected).map_err(|error| error.to_string())?;
+    let config =
+        client_config_expecting(Some(identity.clone()), trust, &expected).map_err(|error| error.to_string())?;
     let tls = TlsConnector::from(Arc::new(config));
     let address = member.address.clone();
     let connect = tower::service_fn(move |_: Uri| {
@@ -188,7 +190,10 @@ impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
         let identity = caller
             .and_then(|caller| caller.identity.as_ref())
             .ok_or_else(|| Status::unauthenticated("found no certificate, wanted one of a node of this network"))?;
-        let member = self.members.iter().find(|member| member.organisation == identity.organisation && member.name == identity.name);
+        let member = self
+            .members
+            .iter()
+            .find(|member| member.organisation == identity.organisation && member.name == identity.name);
         match member {
             Some(member) if identity.role == Role::Node => Ok(member),
             _ => Err(Status::permission_denied(format!(

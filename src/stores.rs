@@ -61,7 +61,7 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
         let Hash(salt) = Hash::of(&[b"segment salt", &seed.to_be_bytes(), &segment.to_be_bytes()]);
         salt.iter().take(8).fold(0, |number, byte| number << 8 | u64::from(*byte))
     });
-    options.segment_bytes = u64::from(config.storage.segment_mib) << 20;
+    options.segment_bytes = config.storage.segment_mib << 20;
     let (store, recovery) = BlockStore::open(Arc::new(disk), options)?;
     if let Some(torn) = &recovery.torn {
         tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a write that was cut off and never acknowledged");
@@ -76,10 +76,21 @@ fn open_ledger(directory: &Path, genesis: &[u8], registry: &Registry, store: &Bl
     let state = Arc::new(State::open(Box::new(SledStore::open(directory)?))?);
     let ledger = Ledger::open(genesis, registry.clone(), Arc::clone(&state))?;
     let reached = ledger.tip();
-    if reached.height > store.last_index() || (reached.height > 0 && store.term(reached.height) != Some(reached.term)) {
-        return Err(Rejection::new(Code::Corrupt, "the world state has executed blocks that are not there")
+    if reached.height > store.last_index() {
+        // Not a doubt about the state: the log has lost blocks that were promised. Rebuilding would hide it.
+        return Err(Rejection::new(Code::ChainInvalid, "the log has lost committed blocks")
+            .found(format!(
+                "blocks up to height {}, and a world state that has executed {}",
+                store.last_index(),
+                reached.height
+            ))
+            .wanted(format!("blocks up to height {}", reached.height))
+            .next("restore the directory blocks/ from a copy, or join the network again as a new node"));
+    }
+    if reached.height > 0 && store.term(reached.height) != Some(reached.term) {
+        return Err(Rejection::new(Code::Corrupt, "the world state does not belong to these blocks")
             .found(format!("height {} of term {}", reached.height, reached.term))
-            .wanted(format!("at most height {}", store.last_index())));
+            .wanted(format!("term {:?}", store.term(reached.height))));
     }
     let committed = store.hard_state().commit;
     let mut next = reached.height + 1;

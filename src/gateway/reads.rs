@@ -6,7 +6,8 @@ use ledger::identity::{Identity, Role};
 use ledger::result::{BlockKind, EmittedEvent};
 use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
 use ledger_api::v1::{
-    Block, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse, TransactionRecord, Verdict,
+    Block, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse, TransactionRecord,
+    Verdict,
 };
 use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
@@ -50,8 +51,8 @@ impl NodeView {
         let orderer = self.orderer.read().unwrap_or_else(PoisonError::into_inner);
         let orderer = orderer.as_ref().ok_or_else(|| Rejection::new(Code::ShuttingDown, "the node is stopping"))?;
         let ordering = orderer.status();
-        let matched = |id| ordering.peers.iter().find(|peer| peer.id == id).map_or(0, |peer| peer.matched);
-        let role = match ordering.role {
+        let matched = |id| ordering.peers.iter().find(|peer| peer.node == id).map_or(0, |peer| peer.matched);
+        let role = match ordering.role.role {
             ledger_raft::Role::Follower if !self.me.voter => "learner",
             ledger_raft::Role::Follower => "follower",
             ledger_raft::Role::Candidate => "candidate",
@@ -74,8 +75,8 @@ impl NodeView {
             node_name: self.me.name.clone(),
             organisation: self.me.organisation.clone(),
             role: role.into(),
-            leader_id: ordering.leader.unwrap_or_default(),
-            term: ordering.term,
+            leader_id: ordering.role.leader.unwrap_or_default(),
+            term: ordering.role.term,
             height: tip.height,
             block_hash: tip.hash.0.to_vec().into(),
             block_time: tip.time,
@@ -89,7 +90,7 @@ impl NodeView {
             executed: orderer.executed(),
             peers: peers.collect(),
             subscribers: self.subscribers.load(Ordering::Relaxed),
-            payload_bytes_max: self.limits.payload_bytes_max as u64,
+            payload_bytes_max: self.limits.payload_bytes_max,
             resident_bytes: resident_bytes(),
         })
     }
@@ -146,9 +147,12 @@ impl NodeView {
 
     pub(super) fn denied(&self, caller: &Identity, limit: u32) -> Result<DenialsResponse, Rejection> {
         if caller.role != Role::Admin {
-            return Err(Rejection::new(Code::NotAdmin, format!("{} may not see what others were refused", caller.id()))
-                .found(format!("role {}", caller.role))
-                .wanted("role admin"));
+            return Err(Rejection::new(
+                Code::NotAdmin,
+                format!("{} may not see what others were refused", caller.id()),
+            )
+            .found(format!("role {}", caller.role))
+            .wanted("role admin"));
         }
         let limit = if limit == 0 { DENIALS_DEFAULT } else { limit };
         Ok(DenialsResponse { denials: self.denials.latest(limit as usize) })

@@ -53,7 +53,8 @@ impl NodeView {
         };
         let id = transaction.id();
         let body = transaction.body();
-        let urgent = self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
+        let urgent =
+            self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
         self.waiters.add(id, waiter);
         let orderer = self.orderer.read().unwrap_or_else(PoisonError::into_inner);
@@ -72,7 +73,7 @@ impl NodeView {
             refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection)
         };
         let limit = self.limits.payload_bytes_max;
-        if request.transaction.len() > limit {
+        if request.transaction.len() as u64 > limit {
             let rejection = Rejection::new(Code::TooLarge, "transaction is larger than this node accepts")
                 .found(format!("{} bytes", request.transaction.len()))
                 .wanted(format!("at most {limit} bytes (limits.payload_bytes_max)"))
@@ -80,8 +81,9 @@ impl NodeView {
             return Err(refuse(Refusal { who: None, transaction: None, rejection }));
         }
         if self.disk_full.load(Ordering::Relaxed) {
-            let rejection = Rejection::new(Code::DiskFull, "the node's disk is almost full, so it accepts nothing more")
-                .next("free space on the node's disk; it goes on by itself");
+            let rejection =
+                Rejection::new(Code::DiskFull, "the node's disk is almost full, so it accepts nothing more")
+                    .next("free space on the node's disk; it goes on by itself");
             return Err(refuse(Refusal { who: None, transaction: None, rejection }));
         }
         match self.ledger.admit(request.transaction, (self.clock)()) {

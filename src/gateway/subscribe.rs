@@ -36,7 +36,7 @@ pub(super) fn start(
                 .wanted(format!("at most {FILTER_MAX} of each")),
         ));
     }
-    if node.subscribers.load(Ordering::Relaxed) >= node.limits.subscribers_max as u64 {
+    if node.subscribers.load(Ordering::Relaxed) >= node.limits.subscribers_max {
         return Err(status(
             &Rejection::new(Code::Overloaded, "the node has as many subscribers as it accepts")
                 .wanted(format!("at most {} (limits.subscribers_max)", node.limits.subscribers_max))
@@ -54,7 +54,8 @@ pub(super) fn start(
     let (deliveries, stream) = mpsc::channel(WAITING_MAX);
     let head = node.blocks.head();
     let counted = Counted::new(Arc::clone(&node.subscribers));
-    let subscription = Subscription { node, reader, request, next, deliveries, shown: HashSet::new(), _counted: counted };
+    let subscription =
+        Subscription { node, reader, request, next, deliveries, shown: HashSet::new(), _counted: counted };
     tokio::spawn(subscription.run(head, heartbeat));
     Ok(ReceiverStream::new(stream))
 }
@@ -146,7 +147,8 @@ impl Subscription {
     }
 
     async fn progress(&self) -> bool {
-        let delivery = Delivery { height: self.next.saturating_sub(1), time: self.node.ledger.tip().time, ..Delivery::default() };
+        let delivery =
+            Delivery { height: self.next.saturating_sub(1), time: self.node.ledger.tip().time, ..Delivery::default() };
         self.deliveries.send(Ok(delivery)).await.is_ok()
     }
 
@@ -167,7 +169,9 @@ impl Subscription {
         let events = wanted.into_iter().map(|emitted| {
             // A transaction with several events is sent with the first of them.
             let transaction = match emitted.index {
-                Some(index) if last != Some(index) => outcome.transactions.get(index as usize).cloned().unwrap_or_default(),
+                Some(index) if last != Some(index) => {
+                    outcome.transactions.get(index as usize).cloned().unwrap_or_default()
+                }
                 _ => Bytes::new(),
             };
             last = emitted.index;

@@ -299,13 +299,13 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
             return Rejection::new(Code::PolicyError, format!("{refused}: a policy of {owner} cannot be evaluated"))
                 .found(fault)
                 .wanted("policies that evaluate without errors")
-                .next(format!("{ask_owner} to correct it: ledgerctl policy list"));
+                .next(format!("{ask_owner} to correct it: ledgerctl query abac policies"));
         }
         Verdict::Forbidden(ids) => {
             return Rejection::new(Code::DeniedByPolicy, format!("{refused}: a policy of {owner} forbids it"))
                 .found(format!("forbidden by {}", ids.join(", ")))
                 .wanted("no policy that forbids it")
-                .next(format!("{ask_owner}, or read it: ledgerctl policy list"));
+                .next(format!("{ask_owner}, or read it: ledgerctl query abac policies"));
         }
         Verdict::Permit | Verdict::NotPermitted => {}
     }
@@ -335,7 +335,7 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits it"))
         .found(format!("role {}, attribute {attribute}={value}", principal.role))
         .wanted("a policy that permits it")
-        .next(format!("{ask_owner}, or read the policies: ledgerctl policy list"))
+        .next(format!("{ask_owner}, or read the policies: ledgerctl query abac policies"))
 }
 
 /// The name of a direction, as in JSON and policies.

@@ -76,7 +76,7 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
                 return Err(Rejection::new(Code::NotFound, format!("{organisation} has no policy {}", shown(id)))
                     .found(shown(id))
                     .wanted("the id of one of its own policies")
-                    .next("ledgerctl policy list"));
+                    .next("ledgerctl query abac policies"));
             }
             ctx.delete(&key);
             "removed"

@@ -23,9 +23,13 @@ pub const DEFAULT_POLICY: &str = include_str!("default.cedar");
 pub const POLICY_BYTES_MAX: usize = 8 * 1024;
 /// Deepest nesting of brackets, and most `if`s of one policy: both nest.
 const NESTING_MAX: usize = 32;
-/// Stack of the thread that runs Cedar, in bytes. Only what is used of it takes memory. Sized for chains such as
-/// `a && b && …`, which nest inside Cedar although they do not look it, over the whole of `POLICY_BYTES_MAX`.
+/// Most operators of one policy that can be chained: `a && b && …` nests inside Cedar although it does not look it.
+const CHAIN_MAX: usize = 1024;
+/// Stack of the thread that runs Cedar, in bytes. Only what is used of it takes memory. A level of nesting takes up
+/// to 16 KiB in a debug build, so the limits above stay far from its end: where Cedar gives up for want of stack
+/// would depend on the build and the processor.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
+const _: () = assert!((CHAIN_MAX + 2 * NESTING_MAX) * 16 * 1024 * 2 < STACK_BYTES);
 /// Most parsed policy sets that are kept.
 const PARSED_SETS_MAX: usize = 64;
 /// Most questions that wait for the thread; more wait for their turn to wait.
@@ -156,10 +160,10 @@ fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
     Rejection::new(Code::PolicyInvalid, message)
         .found(found)
         .wanted(wanted)
-        .next("see the schema and the default policy: ledgerctl policy show default")
+        .next("see the default policy: ledgerctl query abac policies")
 }
 
-/// What can be checked before anything parses the text: length, and the nesting of brackets and `if`s.
+/// What can be checked before anything parses the text: its length and how deep it can nest.
 fn check_limits(text: &str) -> Result<(), Rejection> {
     if text.len() > POLICY_BYTES_MAX {
         return Err(invalid(
@@ -168,27 +172,35 @@ fn check_limits(text: &str) -> Result<(), Rejection> {
             &format!("at most {POLICY_BYTES_MAX} bytes; split it into several"),
         ));
     }
-    let nesting = nesting(text);
+    let (nesting, chain) = nesting(text);
     if nesting > NESTING_MAX {
         let wanted = format!("at most {NESTING_MAX} brackets within each other, and as many ifs in one policy");
         return Err(invalid("policy is nested too deeply", format!("nesting of {nesting}"), &wanted));
     }
+    if chain > CHAIN_MAX {
+        let wanted = format!("at most {CHAIN_MAX} operators before a semicolon; split it into several");
+        return Err(invalid("policy is too long a chain", format!("{chain} operators"), &wanted));
+    }
     Ok(())
 }
 
-/// The deepest nesting of brackets, or the largest number of `if`s between semicolons, if that is more. Strings and
-/// comments do not count.
-fn nesting(text: &str) -> usize {
-    let (mut depth, mut ifs, mut deepest) = (0_usize, 0_usize, 0_usize);
+/// How deep a text can nest: the deepest nesting of brackets or, if more, the largest number of `if`s in one policy;
+/// and the largest number of operators in one policy that can be chained. Strings and comments do not count.
+fn nesting(text: &str) -> (usize, usize) {
+    let (mut depth, mut ifs, mut operators) = (0_usize, 0_usize, 0_usize);
+    let (mut deepest, mut longest) = (0, 0);
     let mut rest = text;
     while let Some(first) = rest.chars().next() {
         let mut skip = first.len_utf8();
         match first {
-            '(' | '[' | '{' => depth += 1,
+            '(' | '{' => depth += 1,
+            '[' => (depth, operators) = (depth + 1, operators + 1),
             ')' | ']' | '}' => depth = depth.saturating_sub(1),
-            ';' => ifs = 0,
+            ';' => (ifs, operators) = (0, 0),
             '"' => skip = string_bytes(rest),
             '/' if rest.starts_with("//") => skip = rest.find(['\n', '\r']).unwrap_or(rest.len()),
+            '+' | '-' | '*' | '.' => operators += 1,
+            '&' | '|' if rest.starts_with("&&") || rest.starts_with("||") => (skip, operators) = (2, operators + 1),
             _ if first.is_alphanumeric() || first == '_' => {
                 skip = rest.find(|c: char| !(c.is_alphanumeric() || c == '_')).unwrap_or(rest.len());
                 ifs += usize::from(rest.get(..skip) == Some("if"));
@@ -196,9 +208,10 @@ fn nesting(text: &str) -> usize {
             _ => {}
         }
         deepest = deepest.max(depth).max(ifs);
+        longest = longest.max(operators);
         rest = rest.get(skip..).unwrap_or_default();
     }
-    deepest
+    (deepest, longest)
 }
 
 /// Length of the string literal that the text starts with; an unterminated one reaches to the end.

@@ -9,7 +9,7 @@ use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
 use crate::identities::{Identities, check_revoked};
 use crate::identity::Identity;
-use crate::membership::{Membership, ORGANISATION_KEYS, certificate_key};
+use crate::membership::{Membership, ORGANISATION_KEYS, certificate_key, revoked_key};
 use crate::msp::Msps;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
@@ -220,6 +220,14 @@ impl Ledger {
     /// [`Code::Revoked`].
     pub fn check_revoked(&self, caller: &Identity) -> Result<(), Rejection> {
         check_revoked(caller, &self.overlay())
+    }
+
+    /// Was the certificate with this serial number revoked? The issuer is the SHA-256 of its distinguished name.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn is_revoked(&self, issuer: &Hash, serial: &[u8]) -> Result<bool, Rejection> {
+        Ok(self.state.get(&revoked_key(&[&issuer.0, serial].concat()))?.is_some())
     }
 
     /// May this identity see this event? Decided on the committed state.

@@ -1,1 +1,45 @@
-//! ledger-raft.
+//! Ordering: which transaction comes when, agreed by a majority of the voters.
+//!
+//! The [`Engine`] is a synchronous state machine around the Raft of the `raft` crate. It owns no thread, socket, clock
+//! or random source: the driver hands it an [`Input`] and the time, and carries out the [`Output`]s. So a whole
+//! cluster runs in a deterministic simulator as it runs in nodes. One voter goes through the same code as five.
+//!
+//! ```text
+//! Submit -> queues (two lanes) -> block -> raft log = block store -> Send to the others, Flush on the own disk
+//!                                                  Persisted, messages -> majority -> Commit in order, once
+//! ```
+//!
+//! What it is not: it verifies no signature, executes nothing and knows no addresses. A transaction is bytes.
+//!
+//! The driver's duties, all of them:
+//! - call [`Engine::step`] with [`Input::Tick`] at a steady pace, and once at the start;
+//! - on [`Output::Flush`], call `flush` of the block store on the disk thread and answer [`Input::Persisted`]; several
+//!   flushes may be served by one, answered with the largest number;
+//! - on [`Output::Commit`], execute the blocks in order and answer [`Input::Applied`];
+//! - send [`Output::Send`] over a connection whose peer is authenticated; hand in what comes with that peer's id.
+//!   Messages may be lost, repeated and reordered.
+//!
+//! The `raft` crate panics when its invariants are broken (a committed entry lost, a disk that forgot). That is
+//! left so: the process ends and the disk is the truth. What peers send cannot reach those panics: see
+//! `engine/guard.rs`.
+//!
+//! Only `engine`, `log` and `message` name the `raft` crate, so that it can be replaced.
+
+mod engine;
+mod interface;
+mod log;
+mod membership;
+mod message;
+mod queue;
+
+pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Status};
+pub use interface::{Input, Lane, Output, Role, RoleChange};
+pub use membership::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
+pub use message::{
+    CONTEXT_BYTES_MAX, ENTRIES_MAX, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
+    Transactions, WireEntry,
+};
+pub use queue::{
+    CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX, DATA_QUEUE_TRANSACTIONS_MAX,
+    QueueStatus,
+};

@@ -189,30 +189,33 @@ fn brackets_and_ifs_in_strings_and_comments_do_not_nest() {
 }
 
 #[test]
-fn chains_as_long_as_a_policy_may_be_end_without_overflowing_a_stack() {
+fn chains_are_limited_to_what_every_stack_has_room_for() {
     let mut fleet = Fleet::of_the_paper();
     let condition = |text: &str| format!("permit (principal, action, resource) when {{ {text} }};");
-    let room = POLICY_BYTES_MAX - condition("").len();
-    let chain =
-        |first: &str, link: &str| condition(&format!("{first}{}", link.repeat((room - first.len()) / link.len())));
-    for text in [
-        chain("true", "&&true"),
-        chain("true", "||true"),
-        chain("1", "+1"),
-        chain("1", "*1"),
-        chain("1", "-1"),
-        chain("principal", ".a"),
-        chain("principal", "[\"a\"]"),
-        chain("principal has a", ".a"),
-    ] {
-        let outcome = fleet.call(&owner(), "policy", &crate::fleet::bytes(&["put", "p", &text]));
-        if let Err(refusal) = outcome {
-            assert_eq!(refusal.code, Code::PolicyInvalid, "{refusal}");
-        }
-        if let Err(refusal) = fleet.call(&farhad(), "acquire", &crate::fleet::bytes(&[HUSKY])) {
-            assert_ne!(refusal.code, Code::ChaincodePanic, "{refusal}");
-        }
+    let chains = |links: usize| {
+        [
+            format!("true{}", "&&true".repeat(links)),
+            format!("false{}||true", "||false".repeat(links - 1)),
+            format!("principal.role!=\"x\"{}", "&&true".repeat(links - 1)),
+            format!("1{} > 0", "+1".repeat(links)),
+            format!("1{} > 0", "*1".repeat(links)),
+            format!("1{} < 9", "-1".repeat(links)),
+            format!("{}true", "true&&(true||".repeat(16)) + &")".repeat(16) + &"&&true".repeat(links - 32),
+        ]
+    };
+    for chain in chains(1024) {
+        fleet.ok(&owner(), "policy", &["put", "p", &condition(&chain)]);
+        fleet.ok(&farhad(), "acquire", &[HUSKY]);
+        fleet.ok(&farhad(), "release", &[HUSKY]);
     }
+    let attributes = [format!("principal{}", ".a".repeat(1025)), format!("principal{}", "[\"a\"]".repeat(1025))];
+    for chain in chains(1025).into_iter().chain(attributes) {
+        let refusal = fleet.refused(&owner(), Code::PolicyInvalid, "policy", &["put", "p", &condition(&chain)]);
+        assert_eq!(refusal.found, "1025 operators", "{}", &chain[..40]);
+    }
+    // Strict validation has an end as well.
+    let attributes = condition(&format!("principal{}", ".a".repeat(1024)));
+    fleet.refused(&owner(), Code::PolicyInvalid, "policy", &["put", "p", &attributes]);
 }
 
 #[test]

@@ -195,7 +195,7 @@ mod tests {
     #[test]
     fn a_directory_open_for_reading_is_not_changed() {
         let dir = tempfile::tempdir().unwrap();
-        std::fs::write(dir.path().join("a"), b"x").unwrap();
+        fs::write(dir.path().join("a"), b"x").unwrap();
         let disk = RealDisk::open_read_only(dir.path()).unwrap();
         assert!(disk.create("b").is_err() && disk.remove("a").is_err() && disk.rename("a", "b").is_err());
         assert!(disk.open("a").unwrap().write_at(b"y", 0).is_err());

@@ -344,11 +344,10 @@ impl DiskFile for SimFile {
                 None if grown > room => ((buf.len() as u64).saturating_sub(grown - room) as usize, Err(full)),
                 None => (buf.len(), Ok(())),
             };
-            if let (Some(file), Some(piece)) = (inner.files.get_mut(self.id), buf.get(..count.min(buf.len()))) {
-                if !piece.is_empty() {
-                    put(&mut file.cache, piece, offset);
-                    file.pending.push(Change::Write(offset, piece.to_vec()));
-                }
+            let piece = buf.get(..count).unwrap_or(buf);
+            if let Some(file) = inner.files.get_mut(self.id).filter(|_| !piece.is_empty()) {
+                put(&mut file.cache, piece, offset);
+                file.pending.push(Change::Write(offset, piece.to_vec()));
             }
             result
         })

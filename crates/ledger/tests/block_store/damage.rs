@@ -6,14 +6,14 @@ use ledger::segment::{Found, LogPosition, scan};
 
 use super::*;
 
-/// Two segments; the last flush wrote entries 7 and 8 and a hard state.
+/// Two segments; the last flush wrote entries 9 and 10 and a hard state, in the middle of the second.
 fn small_store() -> (SimDisk, Vec<Entry>) {
     let disk = SimDisk::new(1);
     let (store, _) = open_with(&disk, 500).unwrap();
-    for index in 1..=6 {
+    for index in 1..=8 {
         flush_entry(&store, plain(index, 1));
     }
-    store.append(&[plain(7, 1), plain(8, 2)], Some(&HardState { term: 2, vote: 1, commit: 6 })).unwrap();
+    store.append(&[plain(9, 1), plain(10, 2)], Some(&HardState { term: 2, vote: 1, commit: 8 })).unwrap();
     store.flush().unwrap();
     assert_eq!(segments(&disk).len(), 2);
     let entries = all(&store);
@@ -123,7 +123,6 @@ fn a_flipped_bit_is_refused_with_its_place_or_was_in_the_last_flush() {
                 }
                 let error = open_with(&damaged, 500).err().unwrap_or_else(|| panic!("{context}: opened"));
                 let StoreError::Corrupt { file, offset, .. } = &error else { panic!("{context}: {error}") };
-                // Damage to the first header's link shows where the link ends.
                 assert_eq!(*file, name, "{context}");
                 assert!(*offset <= at as u64, "{context}: {error}");
                 if let Some(record) = record {
@@ -164,7 +163,7 @@ fn a_missing_renamed_or_doubled_segment_is_refused() {
             0 => damaged.remove(&first).unwrap(),
             1 => damaged.rename(&second, "0000000003-00000000000000000007.seg").unwrap(),
             2 => damaged.set_contents("0000000002-00000000000000000099.seg", &contents),
-            _ => damaged.set_contents("0000000003-00000000000000000009.seg", &contents),
+            _ => damaged.set_contents("0000000003-00000000000000000011.seg", &contents),
         }
         assert!(matches!(open_with(&damaged, 500), Err(StoreError::Corrupt { .. })), "change {change}");
     }
@@ -181,4 +180,24 @@ fn rot_that_appears_while_the_store_is_open_is_named_when_read() {
     let error = store.entry(1).unwrap_err();
     assert!(matches!(error, StoreError::Corrupt { offset: 96, index: 1, .. }), "{error}");
     assert_eq!(store.entry(2).unwrap(), Some(plain(2, 1)));
+}
+
+#[test]
+fn what_another_attempt_left_behind_never_continues_the_log() {
+    // Two histories with the same salts and sizes: the second record of one is valid by itself in the other.
+    let [ours, other] = [b"ours_", b"other"].map(|data| {
+        let disk = SimDisk::new(1);
+        let (store, _) = open(&disk);
+        flush_entry(&store, entry(1, 1, data));
+        let end = disk.contents(&segments(&disk)[0]).unwrap().len();
+        flush_entry(&store, plain(2, 1));
+        (disk, end)
+    });
+    let name = segments(&ours.0)[0].clone();
+    let mut bytes = ours.0.contents(&name).unwrap();
+    bytes[ours.1..].copy_from_slice(&other.0.contents(&name).unwrap()[other.1..]);
+    ours.0.set_contents(&name, &bytes);
+    let (store, recovery) = open(&ours.0);
+    assert_eq!((recovery.last_index, recovery.torn.unwrap().offset), (1, ours.1 as u64));
+    assert_eq!(all(&store), [entry(1, 1, b"ours_")]);
 }

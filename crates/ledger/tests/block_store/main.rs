@@ -132,7 +132,8 @@ fn what_is_committed_is_never_superseded() {
 
 #[test]
 fn broken_rules_of_the_log_poison_the_store() {
-    let break_rule: [fn(&BlockStore) -> Result<(), StoreError>; 4] = [
+    type Rule = fn(&BlockStore) -> Result<(), StoreError>;
+    let break_rule: [Rule; 4] = [
         |store| store.append(&[plain(2, 1)], None),
         |store| store.append(&[plain(2, 3), plain(3, 2)], None),
         |store| store.append(&[], Some(&HardState { term: 2, vote: 0, commit: 2 })),

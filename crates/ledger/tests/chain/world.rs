@@ -1,0 +1,204 @@
+//! A network of two organisations, and a node's ledger without a node.
+
+use ledger::block::Payload;
+use ledger::entry::{Entry, EntryKind};
+use ledger::key::{KeyKind, SigningKey};
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::state::{MemoryState, State};
+use ledger::transaction::{Body, Transaction};
+use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Outcome, Registry, Rejection, Revocation};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use ring::rand::SystemRandom;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// 2030-01-01, in microseconds since the UNIX epoch.
+pub(crate) const NOW: u64 = 1_893_456_000_000_000;
+pub(crate) const SECOND: u64 = 1_000_000;
+
+/// An organisation's CA.
+pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
+
+fn params(name: &str, unit: &str) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = rcgen::DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
+    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
+    params
+}
+
+impl Ca {
+    pub(crate) fn new(name: &str) -> Self {
+        let mut params = params(name, "ca");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+        Self(CertifiedIssuer::self_signed(params, key).unwrap())
+    }
+
+    pub(crate) fn user(&self, name: &str, unit: &str, kind: KeyKind) -> User {
+        let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
+        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+        let certificate = params(name, unit).signed_by(&public, &self.0).unwrap();
+        User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
+    }
+}
+
+/// Somebody with a certificate and its key.
+pub(crate) struct User {
+    pub(crate) key: SigningKey,
+    pub(crate) certificate: Bytes,
+}
+
+static NONCE: AtomicU64 = AtomicU64::new(1);
+
+impl User {
+    pub(crate) fn body(&self, network: Hash, function: &str, args: &[&str]) -> Body {
+        let nonce = [&NONCE.fetch_add(1, Ordering::Relaxed).to_be_bytes()[..], &[0; 8]].concat();
+        Body {
+            network: Bytes::copy_from_slice(&network.0),
+            creator: Bytes::copy_from_slice(&Hash::of(&[&self.certificate]).0),
+            nonce: nonce.into(),
+            not_after: NOW + 60 * SECOND,
+            chaincode: "notes".into(),
+            function: function.into(),
+            args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
+        }
+    }
+
+    pub(crate) fn sign(&self, body: &Body) -> Transaction {
+        Transaction::sign(body, &self.key).unwrap().with_certificate(self.certificate.clone()).unwrap()
+    }
+}
+
+/// A chaincode that does what a test asks for.
+pub(crate) struct Notes;
+
+impl Chaincode for Notes {
+    fn name(&self) -> &'static str {
+        "notes"
+    }
+
+    fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        match (function, args) {
+            ("put", [key, value]) => {
+                ctx.put(key, value.clone());
+                ctx.emit("noted", std::str::from_utf8(key).unwrap(), value.clone());
+                Ok(ctx.submitter()?.id().into())
+            }
+            ("get", [key]) => Ok(ctx.get(key).unwrap_or_default()),
+            ("put-then-panic", [key]) => {
+                ctx.put(key, "never");
+                ctx.emit("noted", "never", "");
+                panic!("as the test asked");
+            }
+            ("put-then-refuse", [key]) => {
+                ctx.put(key, "never");
+                Err(Rejection::new(Code::Refused, "as the test asked"))
+            }
+            ("nested-failure", [key]) => {
+                ctx.put(key, "outer");
+                let inner = ctx.call("notes", "put-then-refuse", &[Bytes::from_static(b"inner")]);
+                assert_eq!(inner.unwrap_err().code, Code::Refused);
+                Ok(Bytes::new())
+            }
+            ("forever", []) => ctx.call("notes", "forever", &[]),
+            ("too-much", []) => {
+                ctx.put(b"k", vec![0; 1024 * 1024 + 1]);
+                Ok(Bytes::new())
+            }
+            _ => Err(Rejection::unknown_function("notes", function, &["put", "get"])),
+        }
+    }
+
+    fn begin_block(&self, ctx: &mut Context<'_>) {
+        if ctx.get(b"alarm").is_some() {
+            ctx.delete(b"alarm");
+            ctx.emit("rang", "alarm", "");
+        }
+    }
+
+    fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
+        ctx.get(b"alarm").map(|_| 42)
+    }
+
+    fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {
+        ctx.put(b"last-revoked", hex::encode(&revoked.serial));
+    }
+
+    fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {
+        if event.subject == "secret" && ctx.submitter()?.organisation != "Org1" {
+            return Err(Rejection::new(Code::DeniedByPolicy, "secret"));
+        }
+        Ok(())
+    }
+}
+
+pub(crate) struct World {
+    pub(crate) org1: Ca,
+    pub(crate) org2: Ca,
+    pub(crate) genesis: Bytes,
+    pub(crate) network: Hash,
+}
+
+impl World {
+    pub(crate) fn new() -> Self {
+        let (org1, org2) = (Ca::new("org1-ca"), Ca::new("org2-ca"));
+        let organisation = |name: &str, ca: &Ca| FoundingOrganisation {
+            name: name.into(),
+            roots: vec![Bytes::copy_from_slice(ca.0.der())],
+            intermediates: Vec::new(),
+        };
+        let genesis = Genesis {
+            rules: RULES_VERSION,
+            label: "test".into(),
+            created: NOW - SECOND,
+            salt: Hash::ZERO,
+            organisations: vec![organisation("Org1", &org1), organisation("Org2", &org2)],
+            nodes: vec![FoundingNode {
+                id: 1,
+                name: "node1".into(),
+                organisation: "Org1".into(),
+                address: "127.0.0.1:1".into(),
+                voter: true,
+            }],
+        };
+        let genesis = genesis.to_bytes().unwrap();
+        let (_, network) = Genesis::from_bytes(&genesis).unwrap();
+        Self { org1, org2, genesis, network }
+    }
+
+    pub(crate) fn ledger(&self) -> Ledger {
+        self.ledger_on(Arc::new(State::open(Box::new(MemoryState::default())).unwrap()))
+    }
+
+    pub(crate) fn ledger_on(&self, state: Arc<State>) -> Ledger {
+        let mut registry = Registry::new();
+        registry.install(Arc::new(Notes)).unwrap();
+        Ledger::open(&self.genesis, registry, state).unwrap()
+    }
+}
+
+/// The entry that follows what the ledger has executed.
+pub(crate) fn entry(ledger: &Ledger, time: u64, transactions: &[&Transaction]) -> Entry {
+    let transactions = transactions.iter().map(|transaction| transaction.encoded().clone()).collect();
+    let data = Payload { time, transactions }.to_bytes();
+    Entry { index: ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data }
+}
+
+/// Orders and executes a block.
+pub(crate) fn block(ledger: &Ledger, time: u64, transactions: &[&Transaction]) -> Outcome {
+    ledger.apply(&entry(ledger, time, transactions)).unwrap()
+}
+
+pub(crate) fn codes(outcome: &Outcome) -> Vec<Code> {
+    outcome.results.iter().map(ledger::result::TransactionResult::code).collect()
+}
+
+pub(crate) fn note(ledger: &Ledger, reader: &User, key: &str) -> String {
+    let identity = ledger.msps().verify(&reader.certificate, &[], NOW).unwrap();
+    let answer = ledger.query(&identity, NOW, "notes", "get", &[Bytes::copy_from_slice(key.as_bytes())]);
+    String::from_utf8(answer.unwrap().0.to_vec()).unwrap()
+}

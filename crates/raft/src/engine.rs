@@ -1,0 +1,294 @@
+//! The pump around the `raft` crate: inputs in, outputs out, nothing else.
+
+mod config;
+mod guard;
+mod logger;
+mod pump;
+mod request;
+mod status;
+mod submit;
+
+pub use config::{EngineConfig, EngineError};
+pub use status::{PeerStatus, Replication, Status};
+
+use crate::interface::{Input, Output, Role, RoleChange};
+use crate::log::Log;
+use crate::membership::Membership;
+use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
+use crate::queue::Queues;
+use ledger::block::Payload;
+use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
+use ledger::entry::EntryKind;
+use ledger::{Code, Rejection};
+use raft::{RawNode, StateRole};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Entries committed but not executed beyond which a node does not stand for election: it could not order before it
+/// has caught up, and counting changes of members among them would cost it the election timeout.
+const CAMPAIGN_LAG_MAX: u64 = 10_000;
+/// Entries looked at, from the end of the log, for the newest block time. Blocks without a time are the empty ones
+/// that open a term; more of them in a row than this loses only the guarantee that a new leader's *proposed* time
+/// is not older, which the executor makes good.
+const TIME_SCAN_ENTRIES_MAX: u64 = 64;
+/// Bytes of entries that wait for the own disk beyond which a follower takes no more; the leader sends them again.
+/// With the longest message on top it stays below what the block store stages.
+const UNPERSISTED_BYTES_MAX: usize = 64 * 1024 * 1024;
+/// Bytes read from the store at once.
+const READ_BYTES: usize = 4 * 1024 * 1024;
+
+const _: () = assert!(UNPERSISTED_BYTES_MAX + PEER_MESSAGE_BYTES_MAX < STAGED_BYTES_MAX);
+
+/// A ready of the `raft` crate whose consequences wait for the disk.
+struct PendingReady {
+    number: u64,
+    needs_flush: bool,
+    /// Of its entries.
+    bytes: usize,
+    messages: Vec<raft::eraftpb::Message>,
+}
+
+/// A block this leader proposed, until it is committed and persisted.
+struct OwnBlock {
+    index: u64,
+    bytes: usize,
+}
+
+/// The orderer of one node. See the crate's documentation for the duties of its driver.
+pub struct Engine {
+    config: EngineConfig,
+    raw: RawNode<Log>,
+    store: Arc<BlockStore>,
+    /// What waits to be ordered, or to be forwarded to the leader.
+    queues: Queues,
+    /// In order of number; the first always needs a flush.
+    pending: VecDeque<PendingReady>,
+    /// Bytes of entries in `pending`.
+    unpersisted_bytes: usize,
+    /// Own blocks under way, in order of index.
+    own: VecDeque<OwnBlock>,
+    /// Members as of `emitted`.
+    membership: Membership,
+    /// Last height handed out as committed.
+    emitted: u64,
+    /// Heights and bytes handed out and not yet applied.
+    unapplied: VecDeque<(u64, usize)>,
+    unapplied_bytes: usize,
+    /// Last height that the driver has executed.
+    applied: u64,
+    /// A leader proposes once everything up to here is applied: the end of the log when it was elected.
+    barrier: u64,
+    /// Newest block time this leader knows; the next is not older.
+    last_time: u64,
+    /// A deadline passed: order a block even if nothing waits.
+    wants_empty: bool,
+    /// What was last told.
+    told: RoleChange,
+    /// Elections this node has started; varies its timeouts within a term.
+    attempts: u64,
+    /// Ticks since a leader was last known.
+    leaderless_ticks: usize,
+    /// Set once the store has failed.
+    failed: bool,
+}
+
+impl Engine {
+    /// Starts from what the store holds. Nothing is sent before the first [`Engine::step`].
+    ///
+    /// # Errors
+    /// [`EngineError`] when the store, the state machine's height and the configuration do not fit together.
+    pub fn new(config: EngineConfig, store: Arc<BlockStore>) -> Result<Self, EngineError> {
+        let (applied, last, stored) = (config.applied, store.last_index(), store.hard_state());
+        if applied > last {
+            return Err(EngineError::StateAhead { applied, last });
+        }
+        if stored.commit > last {
+            return Err(EngineError::LogLost { last, commit: stored.commit });
+        }
+        let membership = config::recover_members(&config, &store)?;
+        let log = Log::new(Arc::clone(&store), &membership, applied);
+        let settings = raft::Config {
+            id: config.id,
+            election_tick: config.election_tick,
+            heartbeat_tick: config.heartbeat_tick,
+            applied,
+            max_size_per_msg: config.message_bytes as u64,
+            max_inflight_msgs: config.max_inflight_msgs,
+            check_quorum: true,
+            pre_vote: true,
+            // Learners deliver commands to robots: they hear of a commit at once, not with the next block.
+            skip_bcast_commit: false,
+            // Would join messages without any limit; `pump.rs` joins them within one.
+            batch_append: false,
+            max_committed_size_per_ready: READ_BYTES as u64,
+            ..raft::Config::default()
+        };
+        if config.id == 0 {
+            return Err(EngineError::Config("found node id 0, wanted 1 or more".to_owned()));
+        }
+        if config.blocks_unpersisted == 0 || config.blocks_uncommitted == 0 || config.unapplied_bytes == 0 {
+            return Err(EngineError::Config("limits of blocks under way must be 1 or more".to_owned()));
+        }
+        let raw = RawNode::new(&settings, log, &logger::to_tracing())
+            .map_err(|error| EngineError::Config(error.to_string()))?;
+        let told = RoleChange { leader: None, term: raw.raft.term, role: Role::Follower };
+        let mut engine = Self {
+            raw,
+            store,
+            queues: Queues::new(),
+            pending: VecDeque::new(),
+            unpersisted_bytes: 0,
+            own: VecDeque::new(),
+            membership,
+            emitted: applied,
+            unapplied: VecDeque::new(),
+            unapplied_bytes: 0,
+            applied,
+            barrier: 0,
+            last_time: 0,
+            wants_empty: false,
+            told,
+            attempts: 0,
+            leaderless_ticks: 0,
+            failed: false,
+            config,
+        };
+        engine.store.set_committed(engine.raw.raft.raft_log.committed);
+        engine.draw_timeout();
+        Ok(engine)
+    }
+
+    /// Takes one input at wall-clock time `now` (microseconds since the UNIX epoch; only proposed as block time) and
+    /// appends what the driver must do to `out`.
+    pub fn step(&mut self, now: u64, input: Input, out: &mut Vec<Output>) {
+        if self.failed {
+            return;
+        }
+        match input {
+            Input::Tick => self.tick(out),
+            Input::Message { from, message } => self.receive(from, message, out),
+            Input::Submit { lane, transaction } => self.submit(lane, transaction, out),
+            Input::ProposeEmpty => self.wants_empty = self.is_leader(),
+            Input::Persisted { ready } => self.persisted(ready, out),
+            Input::Applied { height } => self.set_applied(height),
+            Input::ReadIndex { context } => self.read_index(context, out),
+            Input::TransferLeadership { .. } | Input::ChangeMembership(_) => self.administer(input, out),
+            Input::Campaign => self.campaign(),
+            Input::Unreachable { peer } => self.raw.report_unreachable(peer),
+        }
+        if self.membership.is_alone(self.config.id) && !self.is_leader() {
+            // Nobody else can lead, so there is nothing to wait for.
+            self.campaign();
+        }
+        if let Err(error) = self.pump(now, out) {
+            self.failed = true;
+            tracing::error!(%error, "block store failed; ordering stops");
+            let reason = Rejection::new(Code::DiskFailed, format!("block store failed: {error}"))
+                .next("see the log; restart the node when the disk is in order");
+            out.push(Output::Failed(reason));
+        }
+        self.draw_timeout();
+    }
+
+    fn tick(&mut self, out: &mut Vec<Output>) {
+        let raft = &mut self.raw.raft;
+        let due = raft.election_elapsed + 1 >= raft.randomized_election_timeout();
+        if raft.state != StateRole::Leader && due && !self.may_campaign() {
+            // Time goes on (a dead leader's lease must end, so that this node votes for another), but no election.
+            self.raw.raft.election_elapsed += 1;
+        } else {
+            self.raw.tick();
+            let raft = &self.raw.raft;
+            if raft.state != StateRole::Leader && raft.election_elapsed == 0 {
+                self.attempts += 1;
+            }
+        }
+        self.leaderless_ticks = if self.told.leader.is_some() { 0 } else { self.leaderless_ticks + 1 };
+        if self.leaderless_ticks > 2 * self.config.election_tick {
+            self.drop_waiting(out);
+        }
+    }
+
+    fn receive(&mut self, from: u64, message: PeerMessage, out: &mut Vec<Output>) {
+        match message {
+            PeerMessage::Raft(message) => match self.admit(from, message) {
+                Ok(message) => {
+                    if let Err(error) = self.raw.step(message) {
+                        tracing::debug!(from, %error, "message has no effect");
+                    }
+                }
+                Err(reason) => tracing::warn!(from, reason, "message of a peer is ignored"),
+            },
+            PeerMessage::Forward(transactions) => self.forwarded(from, transactions, out),
+            PeerMessage::Returned(transactions) => self.returned(transactions, out),
+        }
+    }
+
+    fn campaign(&mut self) {
+        if self.may_campaign() && !self.is_leader() {
+            self.attempts += 1;
+            if let Err(error) = self.raw.campaign() {
+                tracing::debug!(%error, "cannot stand for election");
+            }
+        }
+    }
+
+    /// Standing for election needs a vote of one's own (the crate forgets to ask when told to), a log that is on the own
+    /// disk, and a state machine that is not far behind.
+    fn may_campaign(&self) -> bool {
+        let raft = &self.raw.raft;
+        let log = &raft.raft_log;
+        raft.promotable()
+            && log.persisted == log.last_index()
+            && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
+    }
+
+    /// Who leads, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
+    /// for election itself; here a leader that was not heard of for the longest election timeout is unknown.
+    fn leader(&self) -> Option<u64> {
+        let raft = &self.raw.raft;
+        let silent = !self.is_leader() && raft.election_elapsed > 2 * self.config.election_tick;
+        (raft.leader_id != raft::INVALID_ID && !silent).then_some(raft.leader_id)
+    }
+
+    fn is_leader(&self) -> bool {
+        self.raw.raft.state == StateRole::Leader
+    }
+
+    /// The `raft` crate draws timeouts from a thread's random source whenever it resets one. We replace them by a
+    /// function of seed, term and attempt, always, so that a run can be repeated.
+    fn draw_timeout(&mut self) {
+        let ticks = self.config.election_tick as u64;
+        let drawn = mix(self.config.seed ^ mix(self.raw.raft.term) ^ mix(mix(self.attempts))) % ticks;
+        let timeout = usize::try_from(ticks + drawn).unwrap_or(self.config.election_tick);
+        self.raw.raft.set_randomized_election_timeout(timeout);
+    }
+
+    /// Time of the newest block that has one.
+    fn newest_time(&self) -> u64 {
+        let last = self.store.last_index();
+        let from = last.saturating_sub(TIME_SCAN_ENTRIES_MAX).max(self.store.first_index());
+        for index in (from..=last).rev() {
+            if let Ok(Some(entry)) = self.store.entry(index)
+                && entry.kind == EntryKind::Normal
+                && let Ok(payload) = Payload::from_bytes(entry.data)
+                && payload.time > 0
+            {
+                return payload.time;
+            }
+        }
+        0
+    }
+}
+
+/// A well-mixed function of a number (splitmix64).
+fn mix(number: u64) -> u64 {
+    let mut z = number.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
+mod tests;

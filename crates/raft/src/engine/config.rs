@@ -1,0 +1,122 @@
+//! How an engine is set up, and what keeps it from starting.
+
+use super::READ_BYTES;
+use crate::membership::Membership;
+use ledger::block_store::BlockStore;
+
+/// How an engine is set up. Times are counted in ticks.
+#[derive(Clone, Debug)]
+pub struct EngineConfig {
+    /// This node; never 0.
+    pub id: u64,
+    /// The members as of `membership_height`: those of the genesis at height 0, or a pair that
+    /// [`Output::Membership`] told. Later changes up to `applied` are read from the log.
+    pub membership: Membership,
+    /// See `membership`.
+    pub membership_height: u64,
+    /// Last height that the state machine holds. Blocks after it come as [`Output::Commit`].
+    pub applied: u64,
+    /// Ticks without a leader after which a node stands for election; the real timeout is drawn from once to twice.
+    pub election_tick: usize,
+    /// Ticks between a leader's heartbeats; less than `election_tick`.
+    pub heartbeat_tick: usize,
+    /// Messages of entries on their way to one peer.
+    pub max_inflight_msgs: usize,
+    /// Bytes of entries in one message; a single larger block still goes, alone.
+    pub message_bytes: usize,
+    /// Bytes after which a block is closed although more waits. A larger block delays what comes behind it.
+    pub block_bytes: usize,
+    /// Own blocks that may be on their way to the own disk. One would leave the disk idle while the next block is
+    /// formed; more would only cut what waits into smaller blocks.
+    pub blocks_unpersisted: usize,
+    /// Own blocks that may wait for a majority. Bounds memory when the others are slow or gone.
+    pub blocks_uncommitted: usize,
+    /// Bytes of own blocks that may wait for a majority.
+    pub uncommitted_bytes: usize,
+    /// Bytes of committed blocks handed out and not yet executed.
+    pub unapplied_bytes: usize,
+    /// Randomness: election timeouts and the names of reads. Different on every node and at every start.
+    pub seed: u64,
+}
+
+impl EngineConfig {
+    /// The defaults, for ticks of about 10 ms.
+    pub fn new(id: u64, membership: Membership, seed: u64) -> Self {
+        Self {
+            id,
+            membership,
+            membership_height: 0,
+            applied: 0,
+            election_tick: 20,
+            heartbeat_tick: 4,
+            max_inflight_msgs: 64,
+            message_bytes: 1024 * 1024,
+            block_bytes: 1024 * 1024,
+            blocks_unpersisted: 2,
+            blocks_uncommitted: 256,
+            uncommitted_bytes: 64 * 1024 * 1024,
+            unapplied_bytes: 32 * 1024 * 1024,
+            seed,
+        }
+    }
+}
+
+/// Why an engine cannot start.
+#[derive(Debug, thiserror::Error)]
+pub enum EngineError {
+    /// The state machine holds blocks that the log does not.
+    #[error(
+        "state is ahead of the log: found state at height {applied}, wanted at most {last}; move the state aside so that it is rebuilt"
+    )]
+    StateAhead {
+        /// Height of the state.
+        applied: u64,
+        /// Last height of the log.
+        last: u64,
+    },
+    /// The log lost what it knew to be committed.
+    #[error(
+        "log has lost committed blocks: found last height {last}, wanted at least {commit}; restore the disk, or join again as a new node"
+    )]
+    LogLost {
+        /// Last height of the log.
+        last: u64,
+        /// Height known to be committed.
+        commit: u64,
+    },
+    /// Members cannot be recovered.
+    #[error("members are known at height {height} only: found the log starting at {first}, wanted at most {}", height + 1)]
+    MembersUnknown {
+        /// Height of the members given.
+        height: u64,
+        /// First height of the log.
+        first: u64,
+    },
+    /// A block cannot be read.
+    #[error("log cannot be read: {0}")]
+    Store(String),
+    /// The configuration contradicts itself.
+    #[error("ordering cannot be configured so: {0}")]
+    Config(String),
+}
+
+/// Folds the changes after the known height into the members.
+pub(super) fn recover_members(config: &EngineConfig, store: &BlockStore) -> Result<Membership, EngineError> {
+    let (known, first) = (config.membership_height, store.first_index());
+    if known < config.applied && first > known + 1 {
+        return Err(EngineError::MembersUnknown { height: known, first });
+    }
+    let mut members = config.membership.clone();
+    let mut next = known + 1;
+    while next <= config.applied {
+        let entries = store
+            .entries(next..config.applied + 1, READ_BYTES)
+            .map_err(|error| EngineError::Store(error.to_string()))?;
+        let Some(last) = entries.last().map(|entry| entry.index) else {
+            return Err(EngineError::Store(format!("block {next} is missing")));
+        };
+        members = members.fold(&entries);
+        next = last + 1;
+    }
+    Ok(members)
+}

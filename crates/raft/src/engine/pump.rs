@@ -1,0 +1,256 @@
+//! The ready loop: from the `raft` crate's state to outputs.
+//!
+//! Order matters here. A leader's messages go out before its own disk has the entries (the majority may be others).
+//! Everybody else's messages promise something (a vote, an acknowledgement), so they wait until what they promise is
+//! on the disk: [`PendingReady`].
+
+use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
+use crate::interface::{Output, Role, RoleChange};
+use crate::log::membership;
+use crate::membership::MembershipChange;
+use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
+use crate::message::{ENTRIES_MAX, PeerMessage, RaftMessage};
+use ledger::block::Payload;
+use ledger::block_store::StoreError;
+use ledger::entry::{Entry, EntryKind, HardState};
+use raft::eraftpb::{Message, MessageType};
+use raft::{INVALID_ID, StateRole};
+
+impl Engine {
+    /// Runs until nothing is left to do.
+    pub(super) fn pump(&mut self, now: u64, out: &mut Vec<Output>) -> Result<(), StoreError> {
+        loop {
+            self.tell_role(out);
+            self.propose(now);
+            self.commit(out)?;
+            if !self.raw.has_ready() {
+                break;
+            }
+            self.handle_ready(out)?;
+        }
+        self.forward(out);
+        Ok(())
+    }
+
+    /// Notices a change of leadership and prepares for it.
+    fn tell_role(&mut self, out: &mut Vec<Output>) {
+        let raft = &self.raw.raft;
+        let role = match raft.state {
+            StateRole::Leader => Role::Leader,
+            StateRole::Candidate | StateRole::PreCandidate => Role::Candidate,
+            StateRole::Follower => Role::Follower,
+        };
+        let change = RoleChange { leader: self.leader(), term: raft.term, role };
+        if change == self.told {
+            return;
+        }
+        let was_leader = (self.told.role == Role::Leader).then_some(self.told.term);
+        let leads = role == Role::Leader && was_leader != Some(change.term);
+        if leads {
+            // The empty entry of the new term included: once it is applied, term and vote are on this disk too. So a
+            // voter that elected itself alone, and lost the write of its term, can never order two different blocks
+            // at the same height and term.
+            self.barrier = raft.raft_log.last_index();
+            self.last_time = self.newest_time();
+        }
+        if leads || role != Role::Leader {
+            self.own.clear();
+            self.wants_empty = false;
+        }
+        self.told = change;
+        tracing::debug!(node = self.config.id, ?change, "leadership");
+        out.push(Output::Role(change));
+    }
+
+    /// This node leads, has executed everything that was there before, and is not handing over.
+    pub(super) fn may_propose(&self) -> bool {
+        let raft = &self.raw.raft;
+        raft.state == StateRole::Leader
+            && self.told.role == Role::Leader
+            && self.told.term == raft.term
+            && self.applied >= self.barrier
+            && raft.lead_transferee.is_none()
+            && self.membership.is_voter(self.config.id)
+    }
+
+    /// What waits becomes one block, as soon as the previous write is under way.
+    fn propose(&mut self, now: u64) {
+        if !self.may_propose() {
+            return;
+        }
+        loop {
+            let log = &self.raw.raft.raft_log;
+            let (committed, persisted) = (log.committed, log.persisted);
+            while self.own.front().is_some_and(|block| block.index <= committed.min(persisted)) {
+                self.own.pop_front();
+            }
+            let unpersisted = self.own.iter().filter(|block| block.index > persisted).count();
+            let uncommitted = self.own.iter().filter(|block| block.index > committed).count();
+            let bytes: usize = self.own.iter().map(|block| block.bytes).sum();
+            let full = unpersisted >= self.config.blocks_unpersisted
+                || uncommitted >= self.config.blocks_uncommitted
+                || bytes >= self.config.uncommitted_bytes;
+            if full || (self.queues.is_empty() && !self.wants_empty) {
+                return;
+            }
+            let cut = self.queues.cut(self.config.block_bytes);
+            let time = now.max(self.last_time);
+            let data = Payload { time, transactions: self.queues.peek(cut) }.to_bytes();
+            let bytes = data.len();
+            if let Err(error) = self.raw.step(proposal(self.config.id, EntryKind::Normal, data)) {
+                // Nothing is taken out of the queues, so nothing is lost.
+                tracing::debug!(%error, "cannot propose now");
+                return;
+            }
+            drop(self.queues.take(cut));
+            self.own.push_back(OwnBlock { index: self.raw.raft.raft_log.last_index(), bytes });
+            self.last_time = time;
+            self.wants_empty = false;
+        }
+    }
+
+    /// Hands out what is committed and on the own disk, as far as the executor keeps up.
+    fn commit(&mut self, out: &mut Vec<Output>) -> Result<(), StoreError> {
+        loop {
+            let log = &self.raw.raft.raft_log;
+            let until = log.committed.min(log.persisted);
+            if self.emitted >= until || self.unapplied_bytes >= self.config.unapplied_bytes {
+                return Ok(());
+            }
+            let entries = self.store.entries(self.emitted + 1..until + 1, READ_BYTES)?;
+            let Some(last) = entries.last().map(|entry| entry.index) else { return Ok(()) };
+            let bytes = entries.iter().map(|entry| entry.data.len() + 64).sum();
+            self.emitted = last;
+            self.unapplied.push_back((last, bytes));
+            self.unapplied_bytes += bytes;
+            let changes: Vec<Entry> =
+                entries.iter().filter(|entry| entry.kind == EntryKind::ConfChangeV2).cloned().collect();
+            out.push(Output::Commit(entries));
+            for entry in changes {
+                self.change_members(&entry, out);
+            }
+        }
+    }
+
+    /// A committed change takes effect on every node at the same height.
+    fn change_members(&mut self, entry: &Entry, out: &mut Vec<Output>) {
+        let Some(next) = self.membership.after(entry) else { return };
+        let Ok(change) = MembershipChange::from_bytes(&entry.data) else { return };
+        match self.raw.apply_conf_change(&change_into_raft(&change)) {
+            Ok(state) => assert_eq!(membership(&state), next, "members at height {} differ", entry.index),
+            Err(error) => {
+                tracing::error!(height = entry.index, %error, "change of members refused by the engine");
+                return;
+            }
+        }
+        self.membership = next.clone();
+        if !next.is_voter(self.config.id) && self.raw.raft.state != StateRole::Follower {
+            // The crate would go on leading (or win the election) without a vote of its own, and once it has no place
+            // among the members it fails on its own progress.
+            let term = self.raw.raft.term;
+            self.raw.raft.become_follower(term, INVALID_ID);
+        }
+        out.push(Output::Membership { height: entry.index, membership: next });
+    }
+
+    /// The driver has executed blocks.
+    pub(super) fn set_applied(&mut self, height: u64) {
+        let height = height.min(self.emitted);
+        if height <= self.applied {
+            return;
+        }
+        self.applied = height;
+        while let Some((last, bytes)) = self.unapplied.front().copied()
+            && last <= height
+        {
+            self.unapplied.pop_front();
+            self.unapplied_bytes -= bytes;
+        }
+        let last = self.raw.raft.raft_log.last_index();
+        self.raw.advance_apply_to(height);
+        if self.raw.raft.raft_log.last_index() > last {
+            // The crate has appended the end of a joint change; without this it would wait for a heartbeat.
+            self.raw.raft.bcast_append();
+        }
+    }
+
+    fn handle_ready(&mut self, out: &mut Vec<Output>) -> Result<(), StoreError> {
+        let mut ready = self.raw.ready();
+        for state in ready.take_read_states() {
+            if let Some(context) = self.read_context(&state.request_ctx) {
+                out.push(Output::ReadReady { context, index: state.index });
+            }
+        }
+        let entries: Vec<Entry> = ready.take_entries().into_iter().map(entry_from_raft).collect();
+        let hard_state = ready.hs().map(|state| HardState { term: state.term, vote: state.vote, commit: state.commit });
+        if !entries.is_empty() || hard_state.is_some() {
+            self.store.append(&entries, hard_state.as_ref())?;
+        }
+        self.store.set_committed(self.raw.raft.raft_log.committed);
+        self.send(ready.take_messages(), out);
+        let (number, needs_flush) = (ready.number(), ready.must_sync());
+        let messages = ready.take_persisted_messages();
+        let bytes = entries.iter().map(|entry| entry.data.len()).sum();
+        self.unpersisted_bytes += bytes;
+        self.pending.push_back(PendingReady { number, needs_flush, bytes, messages });
+        self.raw.advance_append_async(ready);
+        if needs_flush {
+            out.push(Output::Flush { ready: number });
+        }
+        // What needs no flush and waits for none is done.
+        self.persisted(0, out);
+        Ok(())
+    }
+
+    /// The flush of this ready, and so of all before it, has returned.
+    pub(super) fn persisted(&mut self, number: u64, out: &mut Vec<Output>) {
+        let mut done = None;
+        while let Some(ready) = self.pending.pop_front() {
+            if ready.needs_flush && ready.number > number {
+                self.pending.push_front(ready);
+                break;
+            }
+            done = Some(ready.number);
+            self.unpersisted_bytes -= ready.bytes;
+            self.send(ready.messages, out);
+        }
+        if let Some(number) = done {
+            self.raw.on_persist_ready(number);
+        }
+    }
+
+    /// Puts messages out. Appends to one peer that follow each other become one message, within the limits.
+    fn send(&self, messages: Vec<Message>, out: &mut Vec<Output>) {
+        let first = out.len();
+        for message in messages {
+            let joined = message.get_msg_type() == MessageType::MsgAppend
+                && out.iter_mut().skip(first).rev().any(|output| self.join(output, &message));
+            if joined {
+                continue;
+            }
+            let to = message.to;
+            if let Some(message) = RaftMessage::from_raft(message) {
+                out.push(Output::Send { to, message: PeerMessage::Raft(message) });
+            }
+        }
+    }
+
+    /// Adds an append to an earlier one to the same peer, if it follows it and both fit one message.
+    fn join(&self, output: &mut Output, message: &Message) -> bool {
+        let Output::Send { to, message: PeerMessage::Raft(earlier) } = output else { return false };
+        let follows = *to == message.to
+            && earlier.kind == i32::from(crate::RaftKind::Append)
+            && earlier.term == message.term
+            && earlier.index + earlier.entries.len() as u64 == message.index;
+        let bytes: usize = earlier.entries.iter().map(|entry| entry.data.len()).sum::<usize>()
+            + message.entries.iter().map(|entry| entry.data.len()).sum::<usize>();
+        let fits = earlier.entries.len() + message.entries.len() <= ENTRIES_MAX && bytes <= self.config.message_bytes;
+        if !follows || !(fits || message.entries.is_empty()) {
+            return false;
+        }
+        let Some(later) = RaftMessage::from_raft(message.clone()) else { return false };
+        earlier.commit = earlier.commit.max(later.commit);
+        earlier.entries.extend(later.entries);
+        true
+    }
+}

@@ -1,0 +1,86 @@
+//! What is asked of the engine besides ordering: reads, transfers of leadership, changes of members.
+
+use super::Engine;
+use crate::interface::{Input, Output};
+use crate::membership::MembershipChange;
+use crate::message::convert::proposal;
+use ledger::entry::EntryKind;
+use ledger::{Code, Rejection};
+
+/// Reads that wait for a majority to confirm the leader.
+pub(super) const READS_PENDING_MAX: usize = 4096;
+
+impl Engine {
+    /// Names of reads: node, start, the caller's context. A late answer to a read of an earlier start must not
+    /// answer one of this start.
+    pub(super) fn read_name(&self, context: u64) -> Vec<u8> {
+        [self.config.id, self.config.seed, context].iter().flat_map(|part| part.to_be_bytes()).collect()
+    }
+
+    /// The context in the name of a read, if it is of this start of this node.
+    pub(super) fn read_context(&self, name: &[u8]) -> Option<u64> {
+        let (_, context) = name.split_at_checked(16)?;
+        let context = u64::from_be_bytes(context.try_into().ok()?);
+        (self.read_name(context) == name).then_some(context)
+    }
+
+    pub(super) fn read_index(&mut self, context: u64, out: &mut Vec<Output>) {
+        let raft = &self.raw.raft;
+        let reason = if self.leader().is_none() {
+            Rejection::new(Code::NoLeader, "no leader is known, so nobody can confirm a read").next("ask again later")
+        } else if self.is_leader() && !raft.commit_to_current_term() {
+            Rejection::new(Code::NoLeader, "the leader is new and has committed nothing yet").next("ask again later")
+        } else if raft.pending_read_count() >= READS_PENDING_MAX {
+            Rejection::new(Code::Overloaded, "too many reads wait for confirmation")
+                .found(raft.pending_read_count().to_string())
+                .wanted(format!("at most {READS_PENDING_MAX}"))
+                .next("ask again later")
+        } else {
+            let name = self.read_name(context);
+            return self.raw.read_index(name);
+        };
+        out.push(Output::Refused { input: Box::new(Input::ReadIndex { context }), reason });
+    }
+
+    /// Transfers of leadership and changes of members: both only by a leader that is ready to order.
+    pub(super) fn administer(&mut self, input: Input, out: &mut Vec<Output>) {
+        let result = if !self.may_propose() {
+            Err(Rejection::new(Code::NoLeader, "this node is not the leader, or not ready to order")
+                .found(format!("leader {:?}", self.told.leader))
+                .next("ask the leader, or again later"))
+        } else {
+            match &input {
+                Input::TransferLeadership { to } if !self.membership.is_voter(*to) => {
+                    Err(Rejection::new(Code::BadArgument, format!("node {to} is not a voter"))
+                        .wanted(format!("one of {:?}", self.membership.voters)))
+                }
+                Input::TransferLeadership { to } => {
+                    self.raw.transfer_leader(*to);
+                    Ok(())
+                }
+                Input::ChangeMembership(change) => self.change_membership(change),
+                _ => Ok(()),
+            }
+        };
+        if let Err(reason) = result {
+            out.push(Output::Refused { input: Box::new(input), reason });
+        }
+    }
+
+    fn change_membership(&mut self, change: &MembershipChange) -> Result<(), Rejection> {
+        let bad = |error: String| Rejection::new(Code::BadArgument, error);
+        if self.raw.raft.has_pending_conf() {
+            return Err(Rejection::new(Code::Overloaded, "another change of members is not complete")
+                .next("ask again when it is"));
+        }
+        let data = change.to_bytes();
+        MembershipChange::from_bytes(&data).map_err(|error| bad(error.to_string()))?;
+        let next = self.membership.apply(change).map_err(|error| bad(error.to_string()))?;
+        if !next.voters.contains(&self.config.id) {
+            return Err(bad("the leader cannot take away its own vote".to_owned())
+                .next("transfer the leadership to another voter first"));
+        }
+        let proposal = proposal(self.config.id, EntryKind::ConfChangeV2, data);
+        self.raw.step(proposal).map_err(|error| bad(error.to_string()))
+    }
+}

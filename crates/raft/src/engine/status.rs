@@ -1,0 +1,101 @@
+//! How an engine stands.
+
+use super::Engine;
+use crate::interface::RoleChange;
+use crate::membership::Membership;
+use crate::queue::QueueStatus;
+use raft::{ProgressState, StateRole};
+
+impl Engine {
+    /// How things stand.
+    pub fn status(&self) -> Status {
+        let raft = &self.raw.raft;
+        let replication = |state| match state {
+            ProgressState::Probe => Replication::Probing,
+            ProgressState::Replicate => Replication::Streaming,
+            ProgressState::Snapshot => Replication::Snapshot,
+        };
+        let mut peers: Vec<_> = match raft.state {
+            StateRole::Leader => raft
+                .prs()
+                .iter()
+                .filter(|(node, _)| **node != self.config.id)
+                .map(|(node, progress)| PeerStatus {
+                    node: *node,
+                    matched: progress.matched,
+                    next: progress.next_idx,
+                    replication: replication(progress.state),
+                    recently_active: progress.recent_active,
+                })
+                .collect(),
+            _ => Vec::new(),
+        };
+        peers.sort_by_key(|peer| peer.node);
+        Status {
+            id: self.config.id,
+            role: self.told,
+            commit: raft.raft_log.committed,
+            applied: self.applied,
+            persisted: raft.raft_log.persisted,
+            last: raft.raft_log.last_index(),
+            may_propose: self.may_propose(),
+            membership: self.membership.clone(),
+            peers,
+            control: self.queues.control.status(),
+            data: self.queues.data.status(),
+        }
+    }
+}
+
+/// How an engine stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Status {
+    /// This node.
+    pub id: u64,
+    /// Who leads, in which term, and what this node is.
+    pub role: RoleChange,
+    /// Last height known to be committed.
+    pub commit: u64,
+    /// Last height executed.
+    pub applied: u64,
+    /// Last height on the own disk.
+    pub persisted: u64,
+    /// Last height of the log.
+    pub last: u64,
+    /// It leads and has executed everything that was there when it was elected.
+    pub may_propose: bool,
+    /// The members as of the last height handed out.
+    pub membership: Membership,
+    /// The others, as a leader sees them; empty elsewhere. In order of node.
+    pub peers: Vec<PeerStatus>,
+    /// The control lane.
+    pub control: QueueStatus,
+    /// The data lane.
+    pub data: QueueStatus,
+}
+
+/// One peer as the leader sees it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PeerStatus {
+    /// The peer.
+    pub node: u64,
+    /// Its log is known to be equal up to here.
+    pub matched: u64,
+    /// The next height it will be sent.
+    pub next: u64,
+    /// How entries are sent to it.
+    pub replication: Replication,
+    /// It was heard of within the last election timeout.
+    pub recently_active: bool,
+}
+
+/// How entries are sent to a peer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Replication {
+    /// One message at a time, to find where its log ends.
+    Probing,
+    /// As they come.
+    Streaming,
+    /// It needs blocks that the log does not hold any more.
+    Snapshot,
+}

@@ -1,0 +1,317 @@
+//! What can only be seen from inside: progress of peers, and what the crate would have done.
+
+use super::*;
+use crate::message::{RaftKind, RaftMessage, WireEntry};
+use ledger::block_store::Options;
+use ledger::disk::SimDisk;
+
+fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
+    let disk = SimDisk::new(id);
+    let mut options = Options::new([7; 32], || 1);
+    options.segment_bytes = 1 << 16;
+    let (store, _) = BlockStore::open(Arc::new(disk), options).unwrap();
+    let members = Membership::new(voters.iter().copied(), learners.iter().copied());
+    Engine::new(EngineConfig::new(id, members, id), Arc::new(store)).unwrap()
+}
+
+/// Steps, with a disk that is done at once and an executor that keeps up.
+fn step(engine: &mut Engine, input: Input) -> Vec<Output> {
+    let (mut all, mut inputs) = (Vec::new(), vec![input]);
+    while let Some(input) = inputs.pop() {
+        let mut out = Vec::new();
+        engine.step(1000, input, &mut out);
+        for output in &out {
+            match output {
+                Output::Flush { ready } => {
+                    engine.store.flush().unwrap();
+                    inputs.push(Input::Persisted { ready: *ready });
+                }
+                Output::Commit(entries) => {
+                    inputs.push(Input::Applied { height: entries.last().unwrap().index });
+                }
+                _ => {}
+            }
+        }
+        all.extend(out);
+    }
+    all
+}
+
+fn message(from: u64, kind: RaftKind, change: impl FnOnce(&mut RaftMessage)) -> Input {
+    let mut message = RaftMessage { kind: kind.into(), term: 1, ..RaftMessage::default() };
+    change(&mut message);
+    Input::Message { from, message: PeerMessage::Raft(message) }
+}
+
+/// Node 1 of three leads in term 1 with `blocks` blocks, all of which node 2 holds.
+fn leader(blocks: u64) -> Engine {
+    let mut engine = engine(1, &[1, 2, 3], &[]);
+    step(&mut engine, Input::Campaign);
+    step(&mut engine, message(2, RaftKind::PreVoteResponse, |_| {}));
+    step(&mut engine, message(2, RaftKind::VoteResponse, |_| {}));
+    assert!(engine.is_leader());
+    step(&mut engine, message(2, RaftKind::AppendResponse, |message| message.index = 1));
+    for nth in 0..blocks {
+        let transaction = vec![0; 10].into();
+        step(&mut engine, Input::Submit { lane: crate::Lane::Data, transaction });
+        step(&mut engine, message(2, RaftKind::AppendResponse, |message| message.index = 2 + nth));
+    }
+    assert_eq!(engine.raw.raft.raft_log.committed, 1 + blocks);
+    engine
+}
+
+fn progress(engine: &Engine, node: u64) -> (u64, u64) {
+    let progress = engine.raw.raft.prs().get(node).unwrap();
+    (progress.matched, progress.next_idx)
+}
+
+/// A refusal of the probe that starts at `index`, which points back to `hint`.
+fn refusal(index: u64, hint: u64) -> RaftMessage {
+    RaftMessage {
+        kind: RaftKind::AppendResponse.into(),
+        term: 1,
+        index,
+        reject: true,
+        reject_hint: hint,
+        log_term: u64::from(hint > 0),
+        ..RaftMessage::default()
+    }
+}
+
+/// raft-rs #557 / #555: node 2 held everything, became unreachable (so it is probed from `matched`), and a refusal
+/// from before comes late.
+#[test]
+fn a_late_refusal_never_makes_a_probe_start_below_what_the_peer_holds() {
+    for (index, hint) in [(6, 2), (6, 0), (6, 5), (7, 2), (7, 0), (7, 1)] {
+        let mut engine = leader(5);
+        assert_eq!(progress(&engine, 2), (6, 7));
+        step(&mut engine, Input::Unreachable { peer: 2 });
+        if index == 7 {
+            // A block that node 2 was sent before it was probed, so that a probe may start above `matched`.
+            engine.raw.raft.mut_prs().get_mut(2).unwrap().next_idx = 8;
+            step(&mut engine, Input::Submit { lane: crate::Lane::Data, transaction: vec![1].into() });
+        }
+        let message = PeerMessage::Raft(refusal(index, hint));
+        step(&mut engine, Input::Message { from: 2, message });
+        let (matched, next) = progress(&engine, 2);
+        assert!(next > matched, "refusal of {index} with hint {hint}: matched {matched}, next {next}");
+    }
+}
+
+#[test]
+fn without_the_guard_the_crate_has_the_fault_of_557() {
+    let mut engine = leader(5);
+    step(&mut engine, Input::Unreachable { peer: 2 });
+    let message = refusal(6, 2).into_raft(2, 1).unwrap();
+    engine.raw.step(message).unwrap();
+    let (matched, next) = progress(&engine, 2);
+    assert!(next <= matched, "the crate is repaired: the guard can go");
+}
+
+#[test]
+fn a_true_refusal_still_leads_the_probe_back() {
+    let mut engine = leader(5);
+    // Node 3 has said nothing yet and holds nothing; it was probed from index 0 at the election, and again here.
+    engine.raw.raft.mut_prs().get_mut(3).unwrap().next_idx = 5;
+    step(&mut engine, Input::Message { from: 3, message: PeerMessage::Raft(refusal(4, 1)) });
+    assert_eq!(progress(&engine, 3), (0, 2));
+}
+
+#[test]
+fn hostile_messages_change_nothing_and_never_panic() {
+    let huge = u64::MAX;
+    let entry = |index| WireEntry { index, term: 1, kind: 1, data: ledger::Bytes::new() };
+    let hostile = [
+        message(2, RaftKind::Heartbeat, |message| message.commit = huge),
+        message(2, RaftKind::Append, |message| {
+            message.index = 100;
+            message.entries = vec![entry(101)];
+        }),
+        message(2, RaftKind::Append, |message| message.commit = huge),
+        message(2, RaftKind::AppendResponse, |message| message.index = huge),
+        message(2, RaftKind::AppendResponse, |message| message.index = 100),
+        message(2, RaftKind::AppendResponse, |message| {
+            message.reject = true;
+            message.reject_hint = huge;
+            message.index = 6;
+        }),
+        message(2, RaftKind::ReadIndex, |message| message.term = 0),
+        message(2, RaftKind::ReadIndexResponse, |message| message.index = huge),
+        message(1, RaftKind::Append, |message| message.index = 6),
+        message(0, RaftKind::Heartbeat, |_| {}),
+        message(9, RaftKind::AppendResponse, |message| message.index = 6),
+        message(2, RaftKind::Vote, |message| {
+            message.commit = huge;
+            message.commit_term = 1;
+        }),
+        message(2, RaftKind::TimeoutNow, |_| {}),
+    ];
+    for input in hostile {
+        for mut engine in [leader(5), follower()] {
+            let before = engine.raw.raft.raft_log.committed;
+            step(&mut engine, input.clone());
+            for _ in 0..100 {
+                step(&mut engine, Input::Tick);
+            }
+            assert_eq!(engine.raw.raft.raft_log.committed, before, "{input:?}");
+            assert!(engine.store.last_index() < 50, "{input:?}");
+        }
+    }
+}
+
+/// Node 1 follows node 2 and holds one committed entry.
+fn follower() -> Engine {
+    let mut engine = engine(1, &[1, 2, 3], &[]);
+    step(
+        &mut engine,
+        message(2, RaftKind::Append, |message| {
+            message.entries = vec![WireEntry { index: 1, term: 1, kind: 1, data: ledger::Bytes::new() }];
+            message.commit = 1;
+        }),
+    );
+    assert_eq!((engine.emitted, engine.applied), (1, 1));
+    engine
+}
+
+#[test]
+fn nothing_that_promises_goes_out_before_it_is_on_disk() {
+    let mut engine = engine(1, &[1, 2, 3], &[]);
+    let mut out = Vec::new();
+    let vote = message(2, RaftKind::Vote, |message| message.term = 3);
+    engine.step(0, vote, &mut out);
+    let [Output::Role(_), Output::Flush { ready }] = out[..] else { panic!("found {out:?}") };
+    out.clear();
+    let append = message(2, RaftKind::Append, |message| {
+        message.term = 3;
+        message.entries = vec![WireEntry { index: 1, term: 3, kind: 1, data: ledger::Bytes::new() }];
+    });
+    engine.step(0, append.clone(), &mut out);
+    let flushed: Vec<_> = out.iter().filter(|output| matches!(output, Output::Flush { .. })).cloned().collect();
+    assert_eq!(flushed.len(), 1, "found {out:?}");
+    // The same once more needs no write of its own, but what it acknowledges is still not on disk.
+    engine.step(0, append, &mut out);
+    assert!(!out.iter().any(|output| matches!(output, Output::Send { .. })), "found {out:?}");
+    out.clear();
+    engine.step(0, Input::Persisted { ready }, &mut out);
+    assert_eq!(sent(&out), [RaftKind::VoteResponse]);
+    out.clear();
+    engine.step(0, Input::Persisted { ready: ready + 1 }, &mut out);
+    assert_eq!(sent(&out), [RaftKind::AppendResponse, RaftKind::AppendResponse]);
+}
+
+fn sent(out: &[Output]) -> Vec<RaftKind> {
+    out.iter()
+        .filter_map(|output| match output {
+            Output::Send { message: PeerMessage::Raft(message), .. } => RaftKind::try_from(message.kind).ok(),
+            _ => None,
+        })
+        .collect()
+}
+
+#[test]
+fn a_leader_sends_before_its_own_disk_is_done_and_does_not_count_itself_until_then() {
+    let mut engine = leader(0);
+    let mut out = Vec::new();
+    engine.step(0, Input::Submit { lane: crate::Lane::Data, transaction: vec![1].into() }, &mut out);
+    assert!(sent(&out).contains(&RaftKind::Append), "found {out:?}");
+    let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
+    let ready = *ready;
+    assert_eq!(engine.raw.raft.prs().get(1).unwrap().matched, 1);
+    // One other of three is no majority without the leader itself.
+    engine.step(0, message(3, RaftKind::AppendResponse, |message| message.index = 2), &mut out);
+    assert_eq!(engine.raw.raft.raft_log.committed, 1);
+    engine.store.flush().unwrap();
+    engine.step(0, Input::Persisted { ready }, &mut out);
+    assert_eq!(engine.raw.raft.raft_log.committed, 2);
+}
+
+#[test]
+fn a_leader_alone_counts_its_entry_only_when_it_is_on_disk() {
+    let mut engine = engine(1, &[1], &[]);
+    let mut out = Vec::new();
+    engine.step(0, Input::Tick, &mut out);
+    assert!(engine.is_leader());
+    assert!(!out.iter().any(|output| matches!(output, Output::Commit(_))), "found {out:?}");
+    let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
+    let ready = *ready;
+    out.clear();
+    engine.step(0, Input::Persisted { ready }, &mut out);
+    assert!(matches!(&out[..], [Output::Commit(entries)] if entries.len() == 1), "found {out:?}");
+}
+
+#[test]
+fn a_commit_reaches_a_learner_at_once_although_nothing_follows() {
+    let mut engine = engine(1, &[1], &[9]);
+    step(&mut engine, Input::Tick);
+    step(&mut engine, message(9, RaftKind::AppendResponse, |message| message.index = 1));
+    let mut out = Vec::new();
+    engine.step(0, Input::Submit { lane: crate::Lane::Data, transaction: vec![1].into() }, &mut out);
+    let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
+    let ready = *ready;
+    out.clear();
+    engine.step(0, Input::Persisted { ready }, &mut out);
+    let commit = out.iter().find_map(|output| match output {
+        Output::Send { to: 9, message: PeerMessage::Raft(message) } => Some(message.commit),
+        _ => None,
+    });
+    assert_eq!(commit, Some(2), "found {out:?}");
+}
+
+#[test]
+fn timeouts_come_from_the_seed_alone() {
+    let run = |seed: u64| {
+        let mut engine = engine(1, &[1, 2, 3], &[]);
+        engine.config.seed = seed;
+        engine.draw_timeout();
+        let mut timeouts = Vec::new();
+        for _ in 0..400 {
+            step(&mut engine, Input::Tick);
+            timeouts.push(engine.raw.raft.randomized_election_timeout());
+        }
+        timeouts
+    };
+    assert_eq!(run(5), run(5));
+    assert_ne!(run(5), run(6));
+    let mut drawn = run(5);
+    drawn.dedup();
+    assert!(drawn.len() > 5, "found {drawn:?}");
+}
+
+#[test]
+fn a_node_far_behind_does_not_stand_for_election_but_votes() {
+    let mut engine = follower();
+    engine.applied = 0;
+    engine.raw.raft.raft_log.committed = 1;
+    let due = |engine: &Engine| engine.may_campaign();
+    assert!(due(&engine), "one block is not far");
+    // Entries that are not on disk yet: winning alone with those would break the crate's assumption.
+    engine.raw.raft.raft_log.persisted = 0;
+    assert!(!due(&engine));
+    for _ in 0..200 {
+        let mut out = Vec::new();
+        engine.step(0, Input::Tick, &mut out);
+        assert!(sent(&out).is_empty(), "found {out:?}");
+    }
+    let out = step(
+        &mut engine,
+        message(3, RaftKind::PreVote, |message| {
+            message.term = 2;
+            message.index = 1;
+            message.log_term = 1;
+        }),
+    );
+    assert_eq!(sent(&out), [RaftKind::PreVoteResponse]);
+}
+
+#[test]
+fn a_read_of_an_earlier_start_is_not_answered() {
+    let engine = engine(1, &[1], &[]);
+    assert_eq!(engine.read_context(&engine.read_name(77)), Some(77));
+    let mut other = EngineConfig::new(1, Membership::new([1], []), 99);
+    other.seed = 99;
+    let mut later = engine;
+    let name = later.read_name(77);
+    later.config = other;
+    assert_eq!(later.read_context(&name), None);
+    assert_eq!(later.read_context(b"short"), None);
+}

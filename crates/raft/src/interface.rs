@@ -1,0 +1,142 @@
+//! What goes into the engine and what comes out.
+
+use crate::membership::{Membership, MembershipChange};
+use crate::message::PeerMessage;
+use ledger::entry::Entry;
+use ledger::{Bytes, Rejection};
+
+/// How urgent a transaction is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Lane {
+    /// Release, preempt, revoke, stop, grants: never waits behind data.
+    Control,
+    /// Everything else.
+    Data,
+}
+
+/// What happened, told to the engine.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Input {
+    /// One step of the logical clock. Timeouts are counted in these.
+    Tick,
+    /// A message came from the authenticated peer `from`.
+    Message {
+        /// Who sent it: from the connection's certificate, never from the message.
+        from: u64,
+        /// What it says.
+        message: PeerMessage,
+    },
+    /// A client wants this transaction ordered.
+    Submit {
+        /// How urgent it is.
+        lane: Lane,
+        /// The signed bytes.
+        transaction: Bytes,
+    },
+    /// A deadline has passed: a leader orders an empty block if nothing else is waiting. Others ignore it.
+    ProposeEmpty,
+    /// The flush that [`Output::Flush`] asked for has returned; also counts for every smaller number.
+    Persisted {
+        /// The number of [`Output::Flush`].
+        ready: u64,
+    },
+    /// Every block up to this height is executed.
+    Applied {
+        /// The height.
+        height: u64,
+    },
+    /// A linearizable read wants to know how far this node must be. Answered by [`Output::ReadReady`] or
+    /// [`Output::Refused`], or, when the leader changes meanwhile, not at all: ask again after a timeout.
+    ReadIndex {
+        /// Comes back with the answer; must not repeat while the engine lives.
+        context: u64,
+    },
+    /// A leader hands over to this voter. Proposals pause until it is done or an election timeout has passed.
+    TransferLeadership {
+        /// The voter that shall lead.
+        to: u64,
+    },
+    /// A leader orders a change of the members.
+    ChangeMembership(MembershipChange),
+    /// Stand for election now, without waiting for the timeout.
+    Campaign,
+    /// A message to this peer could not be delivered; replication to it becomes careful.
+    Unreachable {
+        /// The peer.
+        peer: u64,
+    },
+}
+
+/// What the driver must do. In the order given.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Output {
+    /// Send this message; losing it is allowed, holding it back is not needed.
+    Send {
+        /// The peer.
+        to: u64,
+        /// The message.
+        message: PeerMessage,
+    },
+    /// Make everything that is staged in the block store durable, then answer [`Input::Persisted`].
+    Flush {
+        /// The number to answer with.
+        ready: u64,
+    },
+    /// These blocks are committed: execute them. Each comes exactly once, in order of height.
+    Commit(Vec<Entry>),
+    /// Who leads has changed.
+    Role(RoleChange),
+    /// The members have changed with the block of this height. [`crate::EngineConfig`] takes this pair at the next
+    /// start, which then needs not read the log from its beginning.
+    Membership {
+        /// Height of the change.
+        height: u64,
+        /// The members from there on.
+        membership: Membership,
+    },
+    /// A read with this context may be answered once this node has executed everything up to `index`.
+    ReadReady {
+        /// From [`Input::ReadIndex`].
+        context: u64,
+        /// The height to wait for.
+        index: u64,
+    },
+    /// This transaction was not ordered. It may be submitted again, unchanged.
+    Dropped {
+        /// The signed bytes.
+        transaction: Bytes,
+        /// Why.
+        reason: Rejection,
+    },
+    /// A read, transfer or change of members cannot be done now.
+    Refused {
+        /// What was asked.
+        input: Box<Input>,
+        /// Why.
+        reason: Rejection,
+    },
+    /// The block store failed. The engine does nothing any more; the process should end.
+    Failed(Rejection),
+}
+
+/// What a node is to the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Role {
+    /// Follows, and may vote if it is a voter.
+    Follower,
+    /// Asks for votes.
+    Candidate,
+    /// Orders.
+    Leader,
+}
+
+/// Who leads, as far as this node knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct RoleChange {
+    /// The leader, if one is known.
+    pub leader: Option<u64>,
+    /// The term; grows with every election.
+    pub term: u64,
+    /// This node's own role.
+    pub role: Role,
+}

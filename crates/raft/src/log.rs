@@ -1,0 +1,203 @@
+//! The block store as the `raft` crate's log.
+
+use crate::membership::Membership;
+use crate::message::ENTRIES_MAX;
+use crate::message::convert::entry_into_raft;
+use ledger::block_store::{BlockStore, StoreError};
+use raft::eraftpb::{ConfState, Entry, HardState, Snapshot};
+use raft::{GetEntriesContext, RaftState, Result, Storage, StorageError};
+use std::sync::Arc;
+
+/// Entries in one reply to the crate. Half of what a message may hold, so that what is not yet in the store still
+/// fits beside it.
+const ENTRIES_PER_READ: u64 = ENTRIES_MAX as u64 / 2;
+
+/// The log of one node: a view of its block store, and what the crate asks for once at the start.
+pub(crate) struct Log {
+    store: Arc<BlockStore>,
+    state: RaftState,
+}
+
+impl Log {
+    /// `applied` is the last height that the state machine holds. It is committed, whatever the hard state says: the
+    /// commit index is not flushed for its own sake and may lag behind.
+    pub(crate) fn new(store: Arc<BlockStore>, members: &Membership, applied: u64) -> Self {
+        let stored = store.hard_state();
+        let hard_state = HardState {
+            term: stored.term,
+            vote: stored.vote,
+            commit: stored.commit.max(applied),
+            ..HardState::default()
+        };
+        let state = RaftState { hard_state, conf_state: conf_state(members) };
+        Self { store, state }
+    }
+
+    fn unavailable(index: u64, error: Option<StoreError>) -> raft::Error {
+        match error {
+            Some(error) => StorageError::Other(Box::new(error)).into(),
+            None => {
+                tracing::error!(index, "entry is not in the block store");
+                StorageError::Unavailable.into()
+            }
+        }
+    }
+}
+
+impl Storage for Log {
+    fn initial_state(&self) -> Result<RaftState> {
+        Ok(self.state.clone())
+    }
+
+    /// The crate asks for three reasons, told apart by its arguments:
+    /// - to send them (`can_async`): whole entries;
+    /// - to hand out committed ones (a size limit): we read those from the store ourselves, see `engine/pump.rs`, so
+    ///   index and term are enough;
+    /// - to look for changes of members before an election (no size limit): the kind is needed, the data is not.
+    fn entries(
+        &self,
+        low: u64,
+        high: u64,
+        max_size: impl Into<Option<u64>>,
+        context: GetEntriesContext,
+    ) -> Result<Vec<Entry>> {
+        if low < self.store.first_index() {
+            return Err(StorageError::Compacted.into());
+        }
+        match (context.can_async(), max_size.into()) {
+            (true, max_size) => {
+                let high = high.min(low.saturating_add(ENTRIES_PER_READ));
+                let bytes = max_size.map_or(usize::MAX, |bytes| usize::try_from(bytes).unwrap_or(usize::MAX));
+                match self.store.entries(low..high, bytes) {
+                    Ok(entries) => Ok(entries.into_iter().map(entry_into_raft).collect()),
+                    Err(error) => {
+                        // A peer that needs damaged old blocks must not bring down the leader: it serves the others.
+                        tracing::error!(low, high, %error, "cannot read blocks that a peer needs");
+                        Err(StorageError::LogTemporarilyUnavailable.into())
+                    }
+                }
+            }
+            (false, Some(_)) => {
+                let high = high.min(low.saturating_add(ENTRIES_PER_READ));
+                (low..high).map(|index| Ok(Entry { index, term: self.term(index)?, ..Entry::default() })).collect()
+            }
+            (false, None) => (low..high)
+                .map(|index| match self.store.entry(index) {
+                    Ok(Some(mut entry)) => {
+                        entry.data = ledger::Bytes::new();
+                        Ok(entry_into_raft(entry))
+                    }
+                    Ok(None) => Err(Self::unavailable(index, None)),
+                    Err(error) => Err(Self::unavailable(index, Some(error))),
+                })
+                .collect(),
+        }
+    }
+
+    fn term(&self, index: u64) -> Result<u64> {
+        if index == 0 {
+            return Ok(0);
+        }
+        self.store.term(index).ok_or_else(|| {
+            let reason =
+                if index < self.store.first_index() { StorageError::Compacted } else { StorageError::Unavailable };
+            reason.into()
+        })
+    }
+
+    fn first_index(&self) -> Result<u64> {
+        Ok(self.store.first_index())
+    }
+
+    fn last_index(&self) -> Result<u64> {
+        Ok(self.store.last_index())
+    }
+
+    /// Catch-up by snapshot does not go through the log.
+    fn snapshot(&self, _request_index: u64, _to: u64) -> Result<Snapshot> {
+        Err(StorageError::SnapshotTemporarilyUnavailable.into())
+    }
+}
+
+/// The members as the crate wants them.
+pub(crate) fn conf_state(members: &Membership) -> ConfState {
+    let mut state = ConfState::default();
+    state.set_voters(members.voters.iter().copied().collect());
+    state.set_learners(members.learners.iter().copied().collect());
+    state.set_voters_outgoing(members.outgoing.iter().copied().collect());
+    state.set_learners_next(members.learners_next.iter().copied().collect());
+    state.auto_leave = members.auto_leave;
+    state
+}
+
+/// The members as the crate has them.
+pub(crate) fn membership(state: &ConfState) -> Membership {
+    Membership {
+        voters: state.get_voters().iter().copied().collect(),
+        learners: state.get_learners().iter().copied().collect(),
+        outgoing: state.get_voters_outgoing().iter().copied().collect(),
+        learners_next: state.get_learners_next().iter().copied().collect(),
+        auto_leave: state.auto_leave,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::membership::{Change, MembershipChange};
+    use crate::message::convert::change_into_raft;
+    use proptest::prelude::*;
+    use raft::{Changer, ProgressTracker};
+
+    /// The crate's own answer to a change: what `Raft::apply_conf_change` does.
+    fn by_the_crate(tracker: &mut ProgressTracker, change: &MembershipChange) -> bool {
+        let change = change_into_raft(change);
+        let mut changer = Changer::new(tracker);
+        let result = if change.leave_joint() {
+            changer.leave_joint()
+        } else if let Some(auto_leave) = change.enter_joint() {
+            changer.enter_joint(auto_leave, change.get_changes())
+        } else {
+            changer.simple(change.get_changes())
+        };
+        let Ok((configuration, changes)) = result else { return false };
+        tracker.apply_conf(configuration, changes, 1);
+        true
+    }
+
+    fn changes() -> impl Strategy<Value = MembershipChange> {
+        let change = (0..3, 1..6u64).prop_map(|(kind, node)| match kind {
+            0 => Change::AddVoter(node),
+            1 => Change::AddLearner(node),
+            _ => Change::Remove(node),
+        });
+        (0..3u32, prop::collection::vec(change, 0..4)).prop_map(|(transition, changes)| {
+            let mut change = MembershipChange::new(changes);
+            change.transition = if change.changes.is_empty() { 0 } else { transition };
+            change
+        })
+    }
+
+    proptest! {
+        #[test]
+        fn our_rules_for_members_are_those_of_the_crate(changes in prop::collection::vec(changes(), 1..20)) {
+            let mut ours = Membership::new([1, 2, 3], [4]);
+            let mut tracker = ProgressTracker::new(8);
+            raft_restore(&mut tracker, &ours);
+            for change in changes {
+                let next = ours.apply(&change);
+                prop_assert_eq!(next.is_ok(), by_the_crate(&mut tracker, &change), "{:?} on {:?}", change, ours);
+                ours = next.unwrap_or(ours);
+                prop_assert_eq!(&membership(&tracker.conf().to_conf_state()), &ours);
+            }
+        }
+    }
+
+    fn raft_restore(tracker: &mut ProgressTracker, members: &Membership) {
+        let voters = members.voters.iter().map(|node| Change::AddVoter(*node));
+        let learners = members.learners.iter().map(|node| Change::AddLearner(*node));
+        for change in voters.chain(learners) {
+            assert!(by_the_crate(tracker, &MembershipChange::new([change])));
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! What nodes say to each other about ordering, in our own protobuf types.
+//!
+//! ```text
+//! message PeerMessage { oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; } }
+//! message Raft {
+//!   uint32 kind        = 1;   // RaftKind; there is no 0
+//!   uint64 term        = 2;   // 1 or more, except in read_index
+//!   uint64 log_term    = 3;   // append: term of the entry before the first; votes: of the last
+//!   uint64 index       = 4;   // append: the entry before the first; responses: the last that matches
+//!   uint64 commit      = 5;   // what the sender knows to be committed
+//!   uint64 commit_term = 6;   // term of that entry, in votes
+//!   bool   reject      = 7;   // responses: refused
+//!   uint64 reject_hint = 8;   // append_response: where the logs may still agree
+//!   bytes  context     = 9;   // heartbeats and reads: names the reads that wait; vote: a transfer of leadership
+//!   repeated Entry entries = 10;   // append only
+//! }
+//! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
+//! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
+//! ```
+//! Sender and receiver are not in the message: they are the two ends of an authenticated connection. What the engine
+//! could also say, but must not come from a peer (proposals, transfers, snapshots, local events), has no number.
+
+pub(crate) mod convert;
+
+use ledger::Bytes;
+use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
+use ledger::entry::EntryKind;
+use prost::Message as _;
+use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
+
+/// Longest message between nodes: one full block and its framing. Longer batches are cut by the sender.
+pub const PEER_MESSAGE_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + TRANSACTIONS_MAX * 8 + 64 * 1024;
+/// Most entries in one message. Bounds what a message of many empty entries costs in memory.
+pub const ENTRIES_MAX: usize = 1024;
+/// Longest context: names of reads and transfers are shorter.
+pub const CONTEXT_BYTES_MAX: usize = 64;
+/// Largest term. Leaves room to count on without overflow after a hostile peer named one.
+const TERM_MAX: u64 = 1 << 62;
+/// Most fields in a message: every repeated one at its limit, and the others.
+const FIELDS_MAX: usize = ENTRIES_MAX + TRANSACTIONS_MAX + 16;
+
+/// A message between two nodes.
+#[derive(Clone, PartialEq, prost::Oneof)]
+pub enum PeerMessage {
+    /// Raft.
+    #[prost(message, tag = "1")]
+    Raft(RaftMessage),
+    /// To the leader: please order these.
+    #[prost(message, tag = "2")]
+    Forward(Transactions),
+    /// From the leader, or from a node that is not the leader any more: these were not ordered.
+    #[prost(message, tag = "3")]
+    Returned(Transactions),
+}
+
+#[derive(Clone, PartialEq, prost::Message)]
+struct Envelope {
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3")]
+    kind: Option<PeerMessage>,
+}
+
+/// Transactions on their way to the leader, or back.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Transactions {
+    /// Of the control lane.
+    #[prost(bytes = "bytes", repeated, tag = "1")]
+    pub control: Vec<Bytes>,
+    /// Of the data lane.
+    #[prost(bytes = "bytes", repeated, tag = "2")]
+    pub data: Vec<Bytes>,
+    /// Returned only: the number of the [`ledger::Code`] that says why.
+    #[prost(uint32, tag = "3")]
+    pub code: u32,
+}
+
+/// A message of Raft; which fields count depends on its kind.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct RaftMessage {
+    /// What it is.
+    #[prost(enumeration = "RaftKind", tag = "1")]
+    pub kind: i32,
+    /// The sender's term.
+    #[prost(uint64, tag = "2")]
+    pub term: u64,
+    /// Term of the entry at `index`, or of the last entry.
+    #[prost(uint64, tag = "3")]
+    pub log_term: u64,
+    /// The entry that the message is about.
+    #[prost(uint64, tag = "4")]
+    pub index: u64,
+    /// What the sender knows to be committed.
+    #[prost(uint64, tag = "5")]
+    pub commit: u64,
+    /// Term of the entry at `commit`.
+    #[prost(uint64, tag = "6")]
+    pub commit_term: u64,
+    /// A response that refuses.
+    #[prost(bool, tag = "7")]
+    pub reject: bool,
+    /// Where the logs may still agree.
+    #[prost(uint64, tag = "8")]
+    pub reject_hint: u64,
+    /// Names reads, or a transfer.
+    #[prost(bytes = "bytes", tag = "9")]
+    pub context: Bytes,
+    /// The entries after `index`.
+    #[prost(message, repeated, tag = "10")]
+    pub entries: Vec<WireEntry>,
+}
+
+/// An entry on the wire.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct WireEntry {
+    /// Its height.
+    #[prost(uint64, tag = "1")]
+    pub index: u64,
+    /// Its term.
+    #[prost(uint64, tag = "2")]
+    pub term: u64,
+    /// The code of its [`EntryKind`].
+    #[prost(uint32, tag = "3")]
+    pub kind: u32,
+    /// Its content.
+    #[prost(bytes = "bytes", tag = "4")]
+    pub data: Bytes,
+}
+
+/// The kinds of Raft messages.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, prost::Enumeration)]
+#[repr(i32)]
+pub enum RaftKind {
+    /// No message; never sent.
+    Unspecified = 0,
+    /// Leader: here are entries, and what is committed.
+    Append = 1,
+    /// Answer to it.
+    AppendResponse = 2,
+    /// Leader: I am here.
+    Heartbeat = 3,
+    /// Answer to it.
+    HeartbeatResponse = 4,
+    /// Candidate: vote for me.
+    Vote = 5,
+    /// Answer to it.
+    VoteResponse = 6,
+    /// Would you vote for me? Disturbs nobody.
+    PreVote = 7,
+    /// Answer to it.
+    PreVoteResponse = 8,
+    /// Leader: stand for election now, I hand over.
+    TimeoutNow = 9,
+    /// How far must I be to answer a read?
+    ReadIndex = 10,
+    /// Leader: this far.
+    ReadIndexResponse = 11,
+}
+
+/// Why bytes are no message.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum MessageError {
+    /// Longer than any message can be.
+    #[error("message of a peer is too large: found {found} {unit}, wanted at most {max}")]
+    TooLarge {
+        /// How many.
+        found: usize,
+        /// How many are allowed.
+        max: usize,
+        /// Of what.
+        unit: &'static str,
+    },
+    /// Not in the format, or of an unknown kind.
+    #[error("message of a peer cannot be read: {0}")]
+    Malformed(String),
+}
+
+impl PeerMessage {
+    /// The bytes on the wire.
+    pub fn to_bytes(&self) -> Bytes {
+        let mut bytes = Vec::with_capacity(self.encoded_len());
+        self.encode(&mut bytes);
+        bytes.into()
+    }
+
+    /// Reads a message. The content of entries and transactions is not copied. Never panics; allocates a small
+    /// multiple of the input, whatever the input.
+    ///
+    /// # Errors
+    /// [`MessageError`] if the bytes are not exactly one message within its limits.
+    pub fn decode(bytes: Bytes) -> Result<Self, MessageError> {
+        check_shape(&bytes)?;
+        let envelope = Envelope::decode(bytes).map_err(|error| MessageError::Malformed(error.to_string()))?;
+        let message = envelope.kind.ok_or_else(|| MessageError::Malformed("unknown kind".to_owned()))?;
+        message.check()?;
+        Ok(message)
+    }
+
+    fn check(&self) -> Result<(), MessageError> {
+        match self {
+            Self::Raft(raft) => raft.check(),
+            Self::Forward(sent) | Self::Returned(sent) => {
+                limit(sent.control.len() + sent.data.len(), TRANSACTIONS_MAX, "transactions")
+            }
+        }
+    }
+}
+
+impl RaftMessage {
+    fn check(&self) -> Result<(), MessageError> {
+        limit(self.entries.len(), ENTRIES_MAX, "entries")?;
+        limit(self.context.len(), CONTEXT_BYTES_MAX, "bytes of context")?;
+        let malformed = |what: &str| Err(MessageError::Malformed(what.to_owned()));
+        let kind = match RaftKind::try_from(self.kind) {
+            Ok(RaftKind::Unspecified) | Err(_) => return malformed("unknown kind of Raft message"),
+            Ok(kind) => kind,
+        };
+        if (self.term == 0) != (kind == RaftKind::ReadIndex) || self.term > TERM_MAX {
+            return malformed("term out of range");
+        }
+        if !self.entries.is_empty() && kind != RaftKind::Append {
+            return malformed("entries in a message that carries none");
+        }
+        let (mut index, mut term) = (self.index, self.log_term);
+        for entry in &self.entries {
+            let known = u8::try_from(entry.kind).ok().and_then(EntryKind::from_code);
+            if known.is_none() {
+                return malformed("unknown kind of entry");
+            }
+            if Some(entry.index) != index.checked_add(1) || entry.term < term || entry.term > self.term {
+                return malformed("entries do not follow each other");
+            }
+            (index, term) = (entry.index, entry.term);
+        }
+        Ok(())
+    }
+}
+
+fn limit(found: usize, max: usize, unit: &'static str) -> Result<(), MessageError> {
+    if found > max { Err(MessageError::TooLarge { found, max, unit }) } else { Ok(()) }
+}
+
+/// Counts fields without allocating: decoding allocates per element, and an element may be two bytes long.
+fn check_shape(mut bytes: &[u8]) -> Result<(), MessageError> {
+    let malformed = |what: &str| MessageError::Malformed(what.to_owned());
+    let unreadable = |error: prost::DecodeError| MessageError::Malformed(error.to_string());
+    limit(bytes.len(), PEER_MESSAGE_BYTES_MAX, "bytes")?;
+    let (_, wire) = decode_key(&mut bytes).map_err(unreadable)?;
+    if wire != WireType::LengthDelimited {
+        return Err(malformed("unknown kind"));
+    }
+    let length = decode_varint(&mut bytes).map_err(unreadable)?;
+    if length != bytes.len() as u64 {
+        return Err(malformed("not exactly one message"));
+    }
+    let mut fields = 0;
+    while !bytes.is_empty() {
+        fields += 1;
+        limit(fields, FIELDS_MAX, "fields")?;
+        let (tag, wire) = decode_key(&mut bytes).map_err(unreadable)?;
+        if !matches!(wire, WireType::Varint | WireType::LengthDelimited) {
+            return Err(malformed("field of a type that is not used"));
+        }
+        skip_field(wire, tag, &mut bytes, DecodeContext::default()).map_err(unreadable)?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+mod tests;

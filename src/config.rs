@@ -1,0 +1,261 @@
+//! The configuration of a node: `ledgerd.toml`. Every setting has a default; `ledgerd.toml` in the repository lists
+//! them all.
+//!
+//! All faults of a file are found at once, each with its line: settings are read one by one from the parsed text
+//! (which keeps the place of each value), because serde would stop at the first fault.
+
+mod reader;
+#[cfg(test)]
+mod tests;
+
+use crate::ca::CertificateAuthority;
+use crate::ca::durable;
+use ledger::block::PAYLOAD_BYTES_MAX;
+use ledger::transaction::TRANSACTION_BYTES_MAX;
+use ledger::{Code, Rejection};
+use reader::{Reader, Section};
+use std::fmt;
+use std::path::{Path, PathBuf};
+use tracing_subscriber::filter::LevelFilter;
+
+/// Largest configuration file, in bytes.
+pub const CONFIG_BYTES_MAX: usize = 1024 * 1024;
+/// Longest time without a leader before a new one is elected, in milliseconds.
+const ELECTION_MS_MAX: u64 = 60_000;
+/// Shortest such time: below it a slow disk looks like a dead leader.
+const ELECTION_MS_MIN: u64 = 100;
+
+/// The configuration of a node.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// `data`: the directory with everything that the node keeps.
+    pub data: PathBuf,
+    /// `listen`: `HOST:PORT` at which it accepts connections.
+    pub listen: String,
+    /// `[limits]`
+    pub limits: Limits,
+    /// `[storage]`
+    pub storage: Storage,
+    /// `[order]`
+    pub order: Order,
+    /// `[ca]`
+    pub ca: Ca,
+    /// `[log]`
+    pub log: Log,
+    /// `[bridge]`, read by the bridge itself; none if the node runs no bridge.
+    pub bridge: Option<toml::Table>,
+}
+
+/// What a node accepts at most.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Bytes of one transaction.
+    pub payload_bytes_max: u64,
+    /// Transactions that are accepted and not answered yet.
+    pub in_flight_max: u64,
+    /// Subscriptions that are open at a time.
+    pub subscribers_max: u64,
+}
+
+/// How blocks are kept.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Storage {
+    /// Size of a segment file, in MiB.
+    pub segment_mib: u64,
+}
+
+/// Ordering.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Order {
+    /// Length of a tick, in milliseconds; leaders are heard once in a tick.
+    pub tick_ms: u64,
+    /// Ticks without a leader after which a new one is elected.
+    pub election_ticks: u64,
+}
+
+/// The enrolment CA, if the node carries one.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Ca {
+    /// Days for which certificates are valid.
+    pub certificate_days: u32,
+    /// Days for which one-time secrets can be used.
+    pub secret_days: u32,
+}
+
+/// What is logged, and how.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Log {
+    /// What is less important than this is left out.
+    pub level: LevelFilter,
+    /// For people or for machines.
+    pub format: LogFormat,
+}
+
+/// The form of log lines.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LogFormat {
+    /// `text`: one line for people.
+    Text,
+    /// `json`: one object a line.
+    Json,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            data: PathBuf::from("data"),
+            listen: "127.0.0.1:7450".into(),
+            limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
+            storage: Storage { segment_mib: 64 },
+            order: Order { tick_ms: 50, election_ticks: 10 },
+            ca: Ca {
+                certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
+                secret_days: CertificateAuthority::SECRET_DAYS,
+            },
+            log: Log { level: LevelFilter::INFO, format: LogFormat::Text },
+            bridge: None,
+        }
+    }
+}
+
+/// Something wrong with a configuration file. Prints as the four lines of an error, of which the first names the file
+/// and the line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Fault {
+    /// The file.
+    pub file: PathBuf,
+    /// The line, from 1; none if it is about the whole file.
+    pub line: Option<usize>,
+    /// What is wrong, what was wanted, what to do.
+    pub rejection: Rejection,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}:", self.file.display())?;
+        if let Some(line) = self.line {
+            write!(f, "{line}:")?;
+        }
+        write!(f, " {}", self.rejection)
+    }
+}
+
+impl std::error::Error for Fault {}
+
+impl Config {
+    /// Reads a file. Relative paths in it are relative to it.
+    ///
+    /// # Errors
+    /// Every fault of the file, in the order of its lines.
+    pub fn load(path: &Path) -> Result<Self, Vec<Fault>> {
+        let whole = |rejection| vec![Fault { file: path.to_owned(), line: None, rejection }];
+        let content = durable::read(path, CONFIG_BYTES_MAX).map_err(|mut rejection| {
+            if rejection.code == Code::BadFile {
+                rejection.next = "give the path of a configuration with --config; \
+                                  ledgerd.toml of the distribution lists every setting"
+                    .into();
+            }
+            whole(rejection)
+        })?;
+        let text = String::from_utf8(content).map_err(|error| {
+            whole(
+                Rejection::new(Code::BadConfiguration, "the file is not text")
+                    .found(format!(
+                        "{:#04x?} at byte {}",
+                        error.as_bytes().get(error.utf8_error().valid_up_to()),
+                        error.utf8_error().valid_up_to()
+                    ))
+                    .wanted("TOML in UTF-8"),
+            )
+        })?;
+        Self::parse(&text, path)
+    }
+
+    /// Reads the text of a file; the path is for messages, and what relative paths in it are relative to.
+    ///
+    /// # Errors
+    /// As [`Config::load`].
+    pub fn parse(text: &str, path: &Path) -> Result<Self, Vec<Fault>> {
+        let mut config = Self::default();
+        let mut reader = Reader::parse(text, path);
+        reader.root(|root| config.read(root));
+        config.data = path.parent().unwrap_or(Path::new("")).join(&config.data);
+        reader.finish().map(|()| config)
+    }
+
+    /// Each setting in one line: its name, its range, where it goes.
+    fn read(&mut self, root: &mut Section<'_, '_>) {
+        let Self { data, listen, limits, storage, order, ca, log, bridge } = self;
+        root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
+        root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
+            is_address(text).then(|| text.to_owned())
+        });
+        root.section("limits", |s| {
+            s.integer("payload_bytes_max", 1024..=TRANSACTION_BYTES_MAX as u64, &mut limits.payload_bytes_max);
+            s.integer("in_flight_max", 1..=1_000_000, &mut limits.in_flight_max);
+            s.integer("subscribers_max", 1..=100_000, &mut limits.subscribers_max);
+        });
+        root.section("storage", |s| s.integer("segment_mib", 1..=1024, &mut storage.segment_mib));
+        root.section("order", |s| {
+            s.integer("tick_ms", 1..=10_000, &mut order.tick_ms);
+            s.integer("election_ticks", 2..=1000, &mut order.election_ticks);
+        });
+        root.section("ca", |s| {
+            s.integer("certificate_days", 1..=3650, &mut ca.certificate_days);
+            s.integer("secret_days", 1..=365, &mut ca.secret_days);
+        });
+        root.section("log", |s| {
+            s.text("level", "off, error, warn, info, debug or trace", &mut log.level, level);
+            s.text("format", "text or json", &mut log.format, |text| match text {
+                "text" => Some(LogFormat::Text),
+                "json" => Some(LogFormat::Json),
+                _ => None,
+            });
+        });
+        root.table("bridge", bridge);
+
+        let election_ms = order.tick_ms.saturating_mul(order.election_ticks);
+        if !(ELECTION_MS_MIN..=ELECTION_MS_MAX).contains(&election_ms) {
+            root.conflict(
+                ["order.tick_ms", "order.election_ticks"],
+                format!(
+                    "{} ms x {} ticks = {election_ms} ms until a new leader is elected",
+                    order.tick_ms, order.election_ticks
+                ),
+                format!("{ELECTION_MS_MIN} to {ELECTION_MS_MAX} ms"),
+            );
+        }
+        let (payload, segment) = (limits.payload_bytes_max, storage.segment_mib.saturating_mul(1024 * 1024));
+        if payload.saturating_mul(2) > segment {
+            root.conflict(
+                ["limits.payload_bytes_max", "storage.segment_mib"],
+                format!("transactions of {payload} bytes and segments of {segment} bytes"),
+                "segments that hold at least two transactions of the largest size".into(),
+            );
+        }
+    }
+}
+
+fn level(text: &str) -> Option<LevelFilter> {
+    match text {
+        "off" => Some(LevelFilter::OFF),
+        "error" => Some(LevelFilter::ERROR),
+        "warn" => Some(LevelFilter::WARN),
+        "info" => Some(LevelFilter::INFO),
+        "debug" => Some(LevelFilter::DEBUG),
+        "trace" => Some(LevelFilter::TRACE),
+        _ => None,
+    }
+}
+
+/// Is it `HOST:PORT`? Port 0 lets the system choose. An IPv6 address stands in brackets.
+fn is_address(text: &str) -> bool {
+    let Some((host, port)) = text.rsplit_once(':') else { return false };
+    let host = match host.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+        Some(inner) => inner.parse::<std::net::Ipv6Addr>().is_ok(),
+        None => !host.is_empty() && !host.contains([':', '[', ']', '/', ' ']),
+    };
+    host && port.parse::<u16>().is_ok()
+}
+
+const _: () = assert!(TRANSACTION_BYTES_MAX * 2 <= PAYLOAD_BYTES_MAX, "a block must hold the largest transaction");

@@ -1,0 +1,195 @@
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+
+use super::*;
+
+fn parse(text: &str) -> Result<Config, Vec<Fault>> {
+    Config::parse(text, Path::new("ledgerd.toml"))
+}
+
+fn faults(text: &str) -> Vec<String> {
+    parse(text).unwrap_err().iter().map(ToString::to_string).collect()
+}
+
+/// The one fault of a text.
+fn fault(text: &str) -> String {
+    let faults = faults(text);
+    assert_eq!(faults.len(), 1, "{faults:#?}");
+    faults[0].clone()
+}
+
+const SHIPPED: &str = include_str!("../../ledgerd.toml");
+
+#[test]
+fn an_empty_file_is_the_default() {
+    assert_eq!(parse("").unwrap(), Config::default());
+    assert_eq!(parse(SHIPPED).unwrap(), Config::default());
+}
+
+#[test]
+fn the_shipped_file_lists_every_setting_with_its_default() {
+    let uncomment = |line: &str| match line.strip_prefix('#') {
+        Some(setting) if !setting.starts_with([' ', '#']) => setting.to_owned(),
+        _ => line.to_owned(),
+    };
+    let uncommented = SHIPPED.lines().map(uncomment).collect::<Vec<_>>().join("\n");
+    assert_eq!(parse(&uncommented).unwrap(), Config::default());
+
+    // Settings that exist are those that an unknown one is compared with.
+    for section in ["", "limits", "storage", "order", "ca", "log"] {
+        let text = if section.is_empty() { "zzz = 1".into() } else { format!("{section}.zzz = 1") };
+        let told = fault(&text);
+        let known = told.lines().find_map(|line| line.trim().strip_prefix("wanted  one of ")).unwrap();
+        let table = uncommented.parse::<toml::Table>().unwrap();
+        let table = if section.is_empty() { &table } else { table[section].as_table().unwrap() };
+        for name in known.split(", ").filter(|name| *name != "bridge") {
+            assert!(table.contains_key(name), "{section}.{name} is missing in ledgerd.toml");
+        }
+    }
+}
+
+#[test]
+fn settings_replace_defaults() {
+    let config = parse(
+        "data = '/var/lib/ledgerd'\nlisten = '[::]:0'\n[limits]\npayload_bytes_max = 2_048\n\
+         [log]\nlevel = 'debug'\nformat = 'json'\n[ca]\ncertificate_days = 0x10\n",
+    )
+    .unwrap();
+    assert_eq!(config.data, Path::new("/var/lib/ledgerd"));
+    assert_eq!(config.listen, "[::]:0");
+    assert_eq!(config.limits.payload_bytes_max, 2048);
+    assert_eq!(config.limits.in_flight_max, 65_536);
+    assert_eq!((config.log.level, config.log.format), (LevelFilter::DEBUG, LogFormat::Json));
+    assert_eq!(config.ca.certificate_days, 16);
+}
+
+#[test]
+fn relative_paths_start_at_the_file() {
+    let config = Config::parse("data = 'here'", Path::new("/etc/ledgerd/ledgerd.toml")).unwrap();
+    assert_eq!(config.data, Path::new("/etc/ledgerd/here"));
+    let config = Config::parse("", Path::new("/etc/ledgerd/ledgerd.toml")).unwrap();
+    assert_eq!(config.data, Path::new("/etc/ledgerd/data"));
+}
+
+#[test]
+fn all_faults_are_told_at_once_with_their_lines_and_the_nearest_names() {
+    let told = faults(
+        "lisen = '0.0.0.0:7450'\n\
+         data = 5\n\
+         [limits]\n\
+         payload_bytes_max = 99999999999\n\
+         subscriber_max = 7\n\
+         in_flight_max = -1\n\
+         [storge]\n\
+         segment_mib = 1\n\
+         [log]\n\
+         level = 'loud'\n\
+         [order]\n\
+         tick_ms = 'fast'\n",
+    );
+    let all = told.join("\n");
+    assert_eq!(told.len(), 8, "{all}");
+    for (i, (line, name, hint)) in [
+        (1, "\"lisen\"", "did you mean listen?"),
+        (2, "data has a wrong value", "a path"),
+        (4, "limits.payload_bytes_max", "from 1024 to 4194304"),
+        (5, "\"subscriber_max\"", "did you mean limits.subscribers_max?"),
+        (6, "limits.in_flight_max", "-1"),
+        (7, "\"storge\"", "did you mean storage?"),
+        (10, "log.level", "off, error, warn, info, debug or trace"),
+        (12, "order.tick_ms", "'fast'"),
+    ]
+    .iter()
+    .enumerate()
+    {
+        assert!(told[i].starts_with(&format!("ledgerd.toml:{line}: ")), "{}", told[i]);
+        assert!(told[i].contains(name) && told[i].contains(hint), "{}", told[i]);
+    }
+}
+
+#[test]
+fn a_fault_prints_as_four_lines() {
+    let told = fault("listen = 7450");
+    let lines: Vec<_> = told.lines().collect();
+    assert_eq!(
+        lines,
+        [
+            "ledgerd.toml:1: listen has a wrong value [LGR-7001]",
+            "  found   7450",
+            "  wanted  HOST:PORT, for example \"0.0.0.0:7450\"",
+            "  try     correct it, or leave the setting out for its default",
+        ]
+    );
+}
+
+#[test]
+fn a_name_unlike_any_setting_gets_no_suggestion() {
+    let told = fault("[limits]\nzzz = 1");
+    assert!(!told.contains("did you mean") && told.contains("[limits] has no setting \"zzz\""), "{told}");
+}
+
+#[test]
+fn settings_that_do_not_go_together_are_both_named() {
+    let told = fault("[order]\ntick_ms = 1\nelection_ticks = 2");
+    assert!(told.contains("order.tick_ms") && told.contains("order.election_ticks"), "{told}");
+    let told = fault("[limits]\npayload_bytes_max = 1048576\n[storage]\nsegment_mib = 1");
+    assert!(told.contains("limits.payload_bytes_max") && told.contains("storage.segment_mib"), "{told}");
+}
+
+#[test]
+fn what_is_not_toml_is_told_with_its_line_and_the_rest_is_still_read() {
+    let told = faults("data = \n[limits]\nin_flight = 5\n");
+    assert!(told[0].starts_with("ledgerd.toml:1: this is not TOML"), "{told:#?}");
+    assert!(told.iter().any(|fault| fault.contains("limits.in_flight_max")), "{told:#?}");
+}
+
+#[test]
+fn a_setting_given_twice_is_a_fault() {
+    assert!(faults("data = 'a'\ndata = 'b'")[0].starts_with("ledgerd.toml:2:"));
+}
+
+#[test]
+fn a_section_that_is_a_value_and_a_value_that_is_a_section_are_faults() {
+    assert!(fault("limits = 5").contains("wanted  a section"));
+    assert!(fault("bridge = 5").contains("wanted  a section"));
+    assert!(fault("[data]\nx = 1").contains("wanted  a path"));
+}
+
+#[test]
+fn the_bridge_is_handed_on_as_it_is() {
+    let config = parse("[bridge]\ndomain = 7\n[[bridge.route]]\ntopic = '/cmd_vel'").unwrap();
+    let bridge = config.bridge.unwrap();
+    assert_eq!(bridge["domain"].as_integer(), Some(7));
+    assert_eq!(bridge["route"].as_array().unwrap().len(), 1);
+}
+
+#[test]
+fn only_host_and_port_are_an_address() {
+    for good in ["0.0.0.0:7450", "localhost:0", "[::1]:7450", "robot-1.fleet.example:65535"] {
+        assert!(parse(&format!("listen = '{good}'")).is_ok(), "{good}");
+    }
+    for bad in ["", "7450", ":7450", "localhost", "localhost:65536", "::1:7450", "[::1]", "http://a:1", "a b:1"] {
+        assert!(fault(&format!("listen = '{bad}'")).contains("wanted  HOST:PORT"), "{bad}");
+    }
+}
+
+#[test]
+fn a_file_that_is_missing_too_large_or_not_text_is_a_fault_of_the_file() {
+    let place = tempfile::TempDir::new().unwrap();
+    let path = place.path().join("ledgerd.toml");
+    let code = || Config::load(&path).unwrap_err()[0].rejection.code;
+    assert_eq!(code(), Code::BadFile);
+    std::fs::write(&path, "#".repeat(CONFIG_BYTES_MAX + 1)).unwrap();
+    assert_eq!(code(), Code::BadFile);
+    std::fs::write(&path, b"data = '\xff'").unwrap();
+    assert_eq!(code(), Code::BadConfiguration);
+    std::fs::write(&path, "data = 'd'").unwrap();
+    assert_eq!(Config::load(&path).unwrap().data, place.path().join("d"));
+}
+
+#[test]
+fn many_faults_and_deep_nesting_are_bounded() {
+    let many: String = (0..1000).map(|i| format!("x{i} = 1\n")).collect();
+    assert_eq!(faults(&many).len(), 100);
+    let deep = format!("data = {}", "[".repeat(100_000));
+    assert!(!faults(&deep).is_empty());
+}

@@ -1,0 +1,169 @@
+//! The ROS 2 nodes of the demo: operators that publish `/cmd_vel`, and the robot that listens to it. They know nothing
+//! of any ledger.
+
+use bytes::Bytes;
+use ledger::{Code, Rejection};
+use ros_bridge::dds::{Participant, Reader, Writer};
+use ros_bridge::names::{TopicName, TypeName};
+use ros_bridge::qos::Qos;
+use ros_bridge::queue::Limits;
+use ros_bridge::sample::{CDR_LE, Sample};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::task::JoinHandle;
+use tokio::time::{MissedTickBehavior, interval};
+
+/// Time for two participants to find each other.
+const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
+/// Bytes of a Twist: two vectors of three doubles.
+const TWIST_BYTES: usize = 48;
+
+/// What an operator writes into `linear.z`, so that the robot's side can tell whose message it got.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operator {
+    /// Salma.
+    Salma = 1,
+    /// Farhad.
+    Farhad = 2,
+}
+
+/// A Twist that the robot received.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Received {
+    /// Who published it; none for a stop message.
+    pub operator: Option<Operator>,
+    /// Its number.
+    pub number: usize,
+    /// When.
+    pub at: Instant,
+}
+
+fn failed(error: &ros_bridge::Error) -> Rejection {
+    Rejection::new(Code::MiddlewareFailed, error.to_string())
+}
+
+fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
+    let topic = TopicName::parse("/cmd_vel").map_err(|error| failed(&error))?;
+    let kind = TypeName::parse("geometry_msgs/msg/Twist").map_err(|error| failed(&error))?;
+    Ok((topic, kind))
+}
+
+/// A node that publishes `/cmd_vel` at a steady rate.
+pub struct Publisher {
+    _participant: Participant,
+    writer: Writer,
+    operator: Operator,
+    next: usize,
+}
+
+impl Publisher {
+    /// Joins a ROS 2 domain.
+    pub async fn open(domain: u16, operator: Operator) -> Result<Self, Rejection> {
+        let (topic, kind) = cmd_vel()?;
+        let name = format!("{operator:?}_teleop").to_lowercase();
+        let participant = Participant::open(domain, &name).await.map_err(|error| failed(&error))?;
+        let writer = participant.writer(&topic, &kind, &Qos::default()).map_err(|error| failed(&error))?;
+        Ok(Self { _participant: participant, writer, operator, next: 0 })
+    }
+
+    /// Waits until somebody listens.
+    pub async fn matched(&mut self) -> Result<(), Rejection> {
+        let mut matched = self.writer.matched();
+        tokio::time::timeout(DISCOVERY_TIME_MAX, matched.at_least(1)).await.map(drop).map_err(|_| nobody_there("the operator's bridge"))
+    }
+
+    /// Publishes at `hz` for a while, on a fixed schedule; answers with the time of each message, by number.
+    pub async fn publish(&mut self, hz: u32, how_long: Duration) -> Result<Vec<Instant>, Rejection> {
+        let period = Duration::from_secs(1) / hz;
+        let count = usize::try_from(how_long.as_nanos() / period.as_nanos()).unwrap_or(usize::MAX);
+        let mut schedule = interval(period);
+        schedule.set_missed_tick_behavior(MissedTickBehavior::Burst);
+        let mut times = Vec::with_capacity(count);
+        for _ in 0..count {
+            schedule.tick().await;
+            let sample = twist(0.2, self.next, self.operator);
+            times.push(Instant::now());
+            self.writer.write(&sample).map_err(|error| failed(&error))?;
+            self.next += 1;
+        }
+        Ok(times)
+    }
+
+    /// The number that the next message will have.
+    pub fn next_number(&self) -> usize {
+        self.next
+    }
+}
+
+/// The robot: keeps every Twist that it receives.
+pub struct Robot {
+    _participant: Participant,
+    matched: ros_bridge::dds::Matched,
+    received: Arc<Mutex<Vec<Received>>>,
+    task: JoinHandle<()>,
+}
+
+impl Robot {
+    /// Joins a ROS 2 domain and listens to `/cmd_vel`.
+    pub async fn open(domain: u16) -> Result<Self, Rejection> {
+        let (topic, kind) = cmd_vel()?;
+        let participant = Participant::open(domain, "turtlebot4_base").await.map_err(|error| failed(&error))?;
+        let mut reader: Reader =
+            participant.reader(&topic, &kind, &Qos::default(), Limits::default()).map_err(|error| failed(&error))?;
+        let matched = reader.matched();
+        let received = Arc::new(Mutex::new(Vec::new()));
+        let kept = Arc::clone(&received);
+        let task = tokio::spawn(async move {
+            while let Some(incoming) = reader.next().await {
+                if let Some(received) = read(&incoming.sample.body(), incoming.received) {
+                    kept.lock().unwrap_or_else(PoisonError::into_inner).push(received);
+                }
+            }
+        });
+        Ok(Self { _participant: participant, matched, received, task })
+    }
+
+    /// Waits until the robot's bridge is there.
+    pub async fn matched(&mut self) -> Result<(), Rejection> {
+        tokio::time::timeout(DISCOVERY_TIME_MAX, self.matched.at_least(1)).await.map(drop).map_err(|_| nobody_there("the robot's bridge"))
+    }
+
+    /// What was received so far; starts anew.
+    pub fn take(&self) -> Vec<Received> {
+        std::mem::take(&mut *self.received.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Drop for Robot {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+fn nobody_there(who: &str) -> Rejection {
+    Rejection::new(Code::MiddlewareFailed, format!("{who} was not discovered on the ROS 2 graph"))
+        .wanted(format!("a match on /cmd_vel within {DISCOVERY_TIME_MAX:?}"))
+        .next("check that UDP traffic on the loopback interface is allowed")
+}
+
+/// `linear = (speed, number, operator)`, `angular = 0`, as little-endian CDR.
+fn twist(speed: f64, number: usize, operator: Operator) -> Sample {
+    let mut body = Vec::with_capacity(TWIST_BYTES);
+    for value in [speed, number as f64, f64::from(operator as u8), 0.0, 0.0, 0.0] {
+        body.extend_from_slice(&value.to_le_bytes());
+    }
+    Sample::new(CDR_LE, &body)
+}
+
+fn read(body: &Bytes, at: Instant) -> Option<Received> {
+    let double = |index: usize| {
+        let bytes = body.get(index * 8..index * 8 + 8)?;
+        Some(f64::from_le_bytes(bytes.try_into().ok()?))
+    };
+    let operator = match double(2)? {
+        1.0 => Some(Operator::Salma),
+        2.0 => Some(Operator::Farhad),
+        _ => None,
+    };
+    Some(Received { operator, number: double(1)? as usize, at })
+}
