@@ -35,10 +35,11 @@ pub(crate) struct Cli {
 #[derive(Debug, clap::Args)]
 pub(crate) struct Global {
     /// Act as this context; otherwise LEDGERCTL_CONTEXT, otherwise the one of `context use`
-    #[arg(long, global = true, value_name = "NAME")]
+    #[arg(long, global = true, value_name = "NAME", help_heading = "For every command")]
     pub(crate) context: Option<String>,
-    /// How results and errors are written
-    #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "FORMAT")]
+    /// table for people; json for programs: one object or array on one line, errors as one object on standard error
+    #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "table|json")]
+    #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
     pub(crate) output: Format,
 }
 
