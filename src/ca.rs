@@ -306,7 +306,7 @@ impl CertificateAuthority {
     }
 
     /// Registers and enrols at once, with a key made here: for a node's own identity and a founder's first admins. A
-    /// name that is registered already gets a new certificate, in the role that it has.
+    /// name that is registered with this role already receives another certificate, with these attributes.
     ///
     /// # Errors
     /// As [`CertificateAuthority::register`] and [`CertificateAuthority::enrol`].
@@ -320,8 +320,8 @@ impl CertificateAuthority {
     ) -> Result<Issued, Rejection> {
         let key = SigningKey::generate(kind, &SystemRandom::new()).map_err(key_failed)?;
         let secret = match self.identity(name) {
-            None => self.register(name, role, attributes, now)?,
-            Some(_) => self.reissue(name, Some(attributes), now)?,
+            Some(known) if known.role == role => self.reissue(name, Some(attributes), now)?,
+            _ => self.register(name, role, attributes, now)?,
         };
         let certificate = self.enrol(name, &secret, &request::make(&key, name)?, now)?;
         Ok(Issued { certificate, chain: vec![self.root.clone()], key })

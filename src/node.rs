@@ -163,7 +163,10 @@ impl Node {
         let peer_service = PeerService::new(others, move |from, message| {
             inbox.as_ref().is_some_and(|inbox| inbox.send(Input::Message { from, message }).is_ok())
         });
-        let authorities = CertificateAuthority::open_all(&config.data)?;
+        let mut authorities = CertificateAuthority::open_all(&config.data)?;
+        for authority in &mut authorities {
+            authority.set_days(config.ca.certificate_days, config.ca.secret_days);
+        }
         let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, clock);
         let server_tls =
             server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;

@@ -4,6 +4,7 @@ use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
 use crate::ca::CertificateAuthority;
 use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::config::{Config, is_address};
+use crate::node::clock;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::{Code, Rejection};
@@ -11,7 +12,6 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What is written where no configuration is yet: every setting with its default, commented out.
 const SHIPPED_CONFIG: &str = include_str!("../../ledgerd.toml");
@@ -47,10 +47,8 @@ pub struct InitOptions {
 /// # Errors
 /// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
 pub fn init(options: &InitOptions) -> Result<String, Rejection> {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_micros();
-    let now = u64::try_from(now).unwrap_or(u64::MAX);
     let written = write_config(options)?;
-    init_at(options, now).inspect_err(|_| {
+    init_at(options, clock()).inspect_err(|_| {
         if written {
             let _ = fs::remove_file(&options.config);
         }

@@ -1,12 +1,12 @@
 //! Identities made beside a CA, before its node runs: admins of a network for playing, robots of the demo.
 
-use super::GENESIS_FILE;
-use crate::ca::{self, CertificateAuthority};
+use crate::ca::{self, CertificateAuthority, durable};
+use ledger::Rejection;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::msp::{Msp, Msps};
-use ledger::network::Genesis;
-use ledger::{Code, Rejection};
+use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger::verify::GENESIS_FILE;
 use ledger_api::Context;
 use rustls_pki_types::CertificateDer;
 use std::collections::BTreeMap;
@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// named like the identity that connects to `node` (`HOST:PORT`). The node must not be running: it owns its CAs then.
 ///
 /// # Errors
-/// As [`CertificateAuthority::issue`]; [`Code::BadFile`] if the directory is no node's.
+/// As [`CertificateAuthority::issue`]; [`ledger::Code::BadFile`] if the directory is no node's.
 pub fn issue(
     data: &Path,
     organisation: &str,
@@ -26,17 +26,14 @@ pub fn issue(
     node: &str,
     now: u64,
 ) -> Result<Context, Rejection> {
-    let path = data.join(GENESIS_FILE);
-    let document = std::fs::read(&path)
-        .map_err(|error| Rejection::new(Code::BadFile, format!("cannot read {}: {error}", path.display())))?;
-    let (genesis, network) = Genesis::from_bytes(&document)?;
+    let (genesis, network) = Genesis::from_bytes(&durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
     let mut msps = Msps::new();
     for founder in &genesis.organisations {
         msps.insert(Msp::new(&founder.name, &founder.roots, &founder.intermediates)?)?;
     }
     let mut authority = CertificateAuthority::open(&data.join(ca::DIRECTORY).join(organisation))?;
     let issued = authority.issue(name, role, attributes, KeyKind::Ed25519, now)?;
-    let chain = std::iter::once(issued.certificate).chain(issued.chain).map(|der| CertificateDer::from(der.to_vec()));
+    let chain = std::iter::once(issued.certificate).chain(issued.chain).map(CertificateDer::from);
     Ok(Context {
         name: name.to_owned(),
         organisation: organisation.to_owned(),
