@@ -26,6 +26,7 @@ use ledger_raft::{Engine, EngineConfig, Input, PEER_MESSAGE_BYTES_MAX};
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::mpsc::TrySendError;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::net::TcpListener;
@@ -161,7 +162,9 @@ impl Node {
         let housekeeping = Housekeeping::start(Arc::clone(&view), store, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let peer_service = PeerService::new(others, move |from, message| {
-            inbox.as_ref().is_some_and(|inbox| inbox.send(Input::Message { from, message }).is_ok())
+            // A full inbox drops the message, as a network might: ordering repeats what matters.
+            let sent = inbox.as_ref().map(|inbox| inbox.try_send(Input::Message { from, message }));
+            matches!(sent, Some(Ok(()) | Err(TrySendError::Full(_))))
         });
         let mut authorities = CertificateAuthority::open_all(&config.data)?;
         for authority in &mut authorities {
