@@ -149,8 +149,10 @@ impl Client {
         match first {
             // Refused for its time before it was ordered, so it never will be: sign anew by the right clock.
             Err(refused) if matches!(refused.code, Code::Expired | Code::NotAfterTooFar) => {
-                self.session.learn_clock().await?;
-                self.submit(self.prepare(call)?).await
+                match self.session.learn_clock().await {
+                    Ok(()) => self.submit(self.prepare(call)?).await,
+                    Err(_) => Err(refused),
+                }
             }
             done => done,
         }

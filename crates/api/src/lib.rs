@@ -36,7 +36,13 @@ pub use enrol::Enrolment;
 pub use report::{accepted, from_status, report, to_status};
 
 /// Types generated from `proto/ledgerd/v1`.
-#[expect(missing_docs, unused_qualifications, reason = "generated")]
+#[expect(
+    missing_docs,
+    unused_qualifications,
+    clippy::allow_attributes,
+    clippy::allow_attributes_without_reason,
+    reason = "generated"
+)]
 pub mod v1 {
     tonic::include_proto!("ledgerd.v1");
 }

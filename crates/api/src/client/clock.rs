@@ -9,7 +9,7 @@ use std::time::Instant;
 pub(crate) struct Clock {
     /// Where our own time starts.
     base: Instant,
-    /// The node's clock at `base`, microseconds since the UNIX epoch.
+    /// The node's clock at `base`, modulo 2^64 (a node may start before us): microseconds since the UNIX epoch.
     node: AtomicU64,
     /// A node disagreed with our dates since we asked.
     doubted: AtomicBool,
@@ -25,20 +25,24 @@ impl Clock {
         self.node.load(Ordering::Relaxed).wrapping_add(micros(self.base, Instant::now()))
     }
 
-    /// Learns that the node's clock was `clock` at some moment between `asked` and now; the middle is assumed.
-    pub(crate) fn learn(&self, clock: u64, asked: Instant) {
-        let middle = asked + asked.elapsed() / 2;
-        self.node.store(clock.wrapping_sub(micros(self.base, middle)), Ordering::Relaxed);
-        self.doubted.store(false, Ordering::Relaxed);
+    /// Learns that the node's clock showed `clock`, microseconds since the UNIX epoch, at a moment.
+    pub(crate) fn learn(&self, clock: u64, moment: Instant) {
+        self.node.store(clock.wrapping_sub(micros(self.base, moment)), Ordering::Relaxed);
     }
 
     pub(crate) fn doubt(&self) {
         self.doubted.store(true, Ordering::Relaxed);
     }
 
-    pub(crate) fn doubted(&self) -> bool {
-        self.doubted.load(Ordering::Relaxed)
+    /// Was there doubt since this was asked?
+    pub(crate) fn take_doubt(&self) -> bool {
+        self.doubted.swap(false, Ordering::Relaxed)
     }
+}
+
+/// The middle between asking and now, when the answer came: about when the node looked at its clock.
+pub(crate) fn middle(asked: Instant) -> Instant {
+    asked + asked.elapsed() / 2
 }
 
 fn micros(from: Instant, to: Instant) -> u64 {

@@ -2,9 +2,9 @@
 
 use super::Client;
 use super::in_flight::RETRY_AFTER;
-use super::session::is_final;
+use super::session::{Up, is_final};
 use crate::v1;
-use ledger::Rejection;
+use ledger::{Code, Rejection};
 use std::time::Duration;
 use tokio::time::{sleep, timeout};
 use tonic::Streaming;
@@ -44,8 +44,8 @@ pub struct EventStream {
 }
 
 struct Open {
-    /// Number of the connection.
-    number: u64,
+    /// The connection.
+    up: Up,
     deliveries: Streaming<v1::Delivery>,
 }
 
@@ -80,7 +80,7 @@ impl EventStream {
                 Some(silence) => timeout(silence, open.deliveries.message()).await,
                 None => Ok(open.deliveries.message().await),
             };
-            let broken = match received {
+            let leave = match received {
                 Ok(Ok(Some(delivery))) => {
                     if self.accept(&delivery) {
                         return Ok(delivery);
@@ -90,16 +90,17 @@ impl EventStream {
                 // The node ends a stream of its own accord when its reader is too slow, or when it stops.
                 Ok(Ok(None)) => false,
                 Ok(Err(status)) => {
-                    let refused = crate::report::from_status(&self.client.node(), &status);
+                    let refused = open.up.connection.refusal(&status);
                     if is_final(&refused) {
                         return Err(refused);
                     }
-                    true
+                    refused.code == Code::ShuttingDown
                 }
                 Err(_silent) => true,
             };
-            if broken {
-                self.client.session.leave(open.number);
+            // A connection that broke is replaced without our asking.
+            if leave {
+                self.client.session.leave(open.up.number);
             }
             self.open = None;
             sleep(RETRY_AFTER).await;
@@ -135,16 +136,13 @@ impl EventStream {
                 often => often.max(HEARTBEAT_MIN_MS),
             },
         };
-        let late = || crate::connect::unreachable(&up.connection.address, "no answer to a subscription");
         let mut gateway = up.gateway();
-        let answer = timeout(ACCEPT_MAX, gateway.subscribe(request)).await.map_err(|_| late());
-        match answer.and_then(|answer| answer.map_err(|status| up.connection.refusal(&status))) {
-            Ok(answer) => Ok(Open { number: up.number, deliveries: answer.into_inner() }),
-            Err(refused) => {
-                if !is_final(&refused) {
-                    self.client.session.leave(up.number);
-                }
-                Err(refused)
+        match timeout(ACCEPT_MAX, gateway.subscribe(request)).await {
+            Ok(Ok(answer)) => Ok(Open { up, deliveries: answer.into_inner() }),
+            Ok(Err(status)) => Err(up.connection.refusal(&status)),
+            Err(_) => {
+                self.client.session.leave(up.number);
+                Err(crate::connect::unreachable(&up.connection.address, "no answer to a subscription"))
             }
         }
     }

@@ -4,7 +4,7 @@
 //! that breaks and the next one, which sends all of them again in their order.
 
 use super::Committed;
-use super::session::Session;
+use super::session::{Session, is_final};
 use crate::report::accepted;
 use crate::v1::{SubmitRequest, SubmitResponse};
 use ledger::transaction::{TRANSACTION_BYTES_MAX, Transaction};
@@ -235,13 +235,15 @@ impl InFlight {
         effect
     }
 
-    /// Gives up what is too late and sends again what has rested. True if the node seems to be stuck.
-    pub(super) fn sweep(&self, now: Instant, broken: impl Fn() -> Option<Rejection>) -> bool {
+    /// Gives up what is too late and sends again what has rested. True if the node seems to be stuck. `broken` is why
+    /// there is no connection, if there is none; if that is final, everything is given up.
+    pub(super) fn sweep(&self, now: Instant, broken: Option<&Rejection>) -> bool {
+        let hopeless = broken.is_some_and(is_final);
         let mut table = self.lock();
         let table = &mut *table;
         let mut stuck = false;
-        for (id, entry) in table.entries.extract_if(|_, entry| entry.deadline <= now) {
-            let verdict = Err(entry.give_up(id, broken()));
+        for (id, entry) in table.entries.extract_if(|_, entry| hopeless || entry.deadline <= now) {
+            let verdict = Err(entry.give_up(id, broken));
             entry.resolve(&verdict);
         }
         for entry in table.entries.values_mut() {
@@ -293,8 +295,8 @@ impl Entry {
         self.state = State::Resting(Instant::now() + RETRY_AFTER);
     }
 
-    fn give_up(&self, id: Hash, broken: Option<Rejection>) -> Rejection {
-        let reason = broken.or_else(|| self.refused.clone());
+    fn give_up(&self, id: Hash, broken: Option<&Rejection>) -> Rejection {
+        let reason = broken.or(self.refused.as_ref()).cloned();
         if self.uncertain || matches!(self.state, State::Sent(_)) {
             let why = reason.map_or_else(|| "the node did not answer".to_owned(), |reason| reason.message);
             return unknown(id, self.attempts, &why);
@@ -328,14 +330,18 @@ fn units(transaction: &Transaction) -> u32 {
 pub struct Pending(Wait);
 
 enum Wait {
-    /// With the session, which must not end while somebody waits for it.
-    Sent(oneshot::Receiver<Verdict>, Arc<Session>, Hash),
+    Sent {
+        id: Hash,
+        verdict: oneshot::Receiver<Verdict>,
+        /// The session must not end while somebody waits for it.
+        _session: Arc<Session>,
+    },
     Refused(Option<Rejection>),
 }
 
 impl Pending {
     pub(super) fn sent(verdict: oneshot::Receiver<Verdict>, session: Arc<Session>, id: Hash) -> Self {
-        Self(Wait::Sent(verdict, session, id))
+        Self(Wait::Sent { id, verdict, _session: session })
     }
 
     pub(super) fn refused(refused: Rejection) -> Self {
@@ -348,7 +354,7 @@ impl Future for Pending {
 
     fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Verdict> {
         match &mut self.0 {
-            Wait::Sent(verdict, _, id) => Pin::new(verdict)
+            Wait::Sent { id, verdict, .. } => Pin::new(verdict)
                 .poll(cx)
                 .map(|verdict| verdict.unwrap_or_else(|_| Err(unknown(*id, 1, "the client was closed")))),
             Wait::Refused(refused) => Poll::Ready(Err(refused

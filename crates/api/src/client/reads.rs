@@ -164,21 +164,26 @@ impl Client {
             let up = up?;
             let (number, connection) = (up.number, up.connection.clone());
             let until = deadline.min(Instant::now() + ATTEMPT_MAX);
-            let refused = match timeout_at(until.into(), call(up)).await {
+            let (refused, leave) = match timeout_at(until.into(), call(up)).await {
                 Ok(Ok(answer)) => {
                     let answer = answer.into_inner();
                     match check(&answer) {
                         Ok(()) => return Ok(answer),
-                        Err(refused) => refused,
+                        Err(refused) => (refused, false),
                     }
                 }
-                Ok(Err(status)) => connection.refusal(&status),
-                Err(_) => crate::connect::unreachable(&connection.address, "no answer to a question"),
+                Ok(Err(status)) => {
+                    let refused = connection.refusal(&status);
+                    let stops = refused.code == Code::ShuttingDown;
+                    (refused, stops)
+                }
+                Err(_) => (crate::connect::unreachable(&connection.address, "no answer to a question"), true),
             };
             if is_final(&refused) {
                 return Err(refused);
             }
-            if matches!(refused.code, Code::Unreachable | Code::ShuttingDown) {
+            // A connection that broke is replaced without our asking.
+            if leave {
                 self.session.leave(number);
             }
             last = Some(refused);

@@ -4,7 +4,7 @@
 //! wanting, opens another one to the next node. A second task wakes ten times a second for deadlines and retries.
 
 use super::Options;
-use super::clock::Clock;
+use super::clock::{Clock, middle};
 use super::in_flight::{Effect, InFlight, Pending};
 use crate::connect::{Connection, Credentials};
 use crate::v1::enrolment_client::EnrolmentClient;
@@ -41,6 +41,8 @@ pub(super) struct Session {
     link: watch::Sender<Link>,
     /// Number of the newest connection that somebody found wanting.
     unwanted: watch::Sender<u64>,
+    /// Is there another node to go to?
+    several: bool,
     /// Largest height seen in an answer or delivery.
     seen: AtomicU64,
 }
@@ -93,6 +95,7 @@ impl Session {
             options,
             link,
             unwanted,
+            several: dialer.nodes.len() > 1,
             seen: AtomicU64::new(0),
         });
         let answers = session.install(1, opened);
@@ -154,7 +157,7 @@ impl Session {
         let answer = timeout(self.options.connect, up.enrolment().network(NetworkRequest {})).await;
         let answer = answer.map_err(|_| self.no_connection())?;
         let clock = answer.map_err(|status| up.connection.refusal(&status))?.into_inner().clock;
-        self.clock.learn(clock, asked);
+        self.clock.learn(clock, middle(asked));
         Ok(())
     }
 
@@ -168,8 +171,8 @@ impl Session {
 
     /// Puts a new connection into use; what waits goes out over it.
     fn install(&self, number: u64, opened: Opened) -> Streaming<SubmitResponse> {
-        let Opened { connection, requests, answers, clock, asked } = opened;
-        self.clock.learn(clock, asked);
+        let Opened { connection, requests, answers, clock, at } = opened;
+        self.clock.learn(clock, at);
         self.in_flight.attach(requests);
         self.link.send_replace(Link { number, connection, broken: None });
         answers
@@ -185,8 +188,8 @@ impl Session {
     fn answer(&self, answer: SubmitResponse, number: u64) {
         self.see(answer.height);
         match self.in_flight.answer(answer) {
-            Effect::Nothing => {}
-            Effect::Leave => self.leave(number),
+            Effect::Leave if self.several => self.leave(number),
+            Effect::Nothing | Effect::Leave => {}
             Effect::DoubtClock => self.clock.doubt(),
         }
     }
@@ -212,9 +215,9 @@ struct Opened {
     connection: Connection,
     requests: mpsc::UnboundedSender<SubmitRequest>,
     answers: Streaming<SubmitResponse>,
-    /// The node's clock, some time after `asked`.
+    /// What the node's clock showed at a moment.
     clock: u64,
-    asked: Instant,
+    at: Instant,
 }
 
 impl Dialer {
@@ -241,9 +244,7 @@ impl Dialer {
         let asked = Instant::now();
         let network = timeout(self.patience, up.enrolment().network(NetworkRequest {})).await.map_err(|_| late())?;
         let network = network.map_err(|status| up.connection.refusal(&status))?.into_inner();
-        let clock = network.clock;
-        // Half of the time in between is the way back; the stream must not count.
-        let asked = asked + asked.elapsed() / 2;
+        let (clock, at) = (network.clock, middle(asked));
         if network.network != self.network.as_ref() {
             return Err(Rejection::new(Code::WrongNetwork, format!("the node at {address} is of another network"))
                 .found(format!("network {} {:?}", hex::encode(&network.network), network.label))
@@ -251,26 +252,27 @@ impl Dialer {
                 .next("check the address, or select the context of that network"));
         }
         let (requests, outgoing) = mpsc::unbounded_channel();
-        let answers = up.gateway().submit_stream(UnboundedReceiverStream::new(outgoing)).await;
-        let answers = answers.map_err(|status| up.connection.refusal(&status))?.into_inner();
-        Ok(Opened { connection: up.connection, requests, answers, clock, asked })
+        let mut gateway = up.gateway();
+        let answers = timeout(self.patience, gateway.submit_stream(UnboundedReceiverStream::new(outgoing))).await;
+        let answers = answers.map_err(|_| late())?.map_err(|status| up.connection.refusal(&status))?.into_inner();
+        Ok(Opened { connection: up.connection, requests, answers, clock, at })
     }
 }
 
-/// One refusal for those of all nodes. A reason that waiting does not cure counts more than a node that is down.
+/// One refusal for those of all nodes: final only if each of them is.
 fn summary(refusals: Vec<Rejection>) -> Rejection {
     let found: Vec<_> = refusals.iter().map(|refused| format!("{} ({})", refused.message, refused.found)).collect();
     let count = refusals.len();
-    let worst = refusals.into_iter().reduce(|worst, next| if is_final(&worst) { worst } else { next });
-    match worst {
+    let hopeless = refusals.iter().all(is_final);
+    match refusals.into_iter().next() {
         None => Rejection::new(Code::BadArgument, "there is no node to connect to")
             .wanted("at least one address, HOST:PORT")
             .next("add one to `nodes` in context.toml"),
-        Some(only) if count == 1 || is_final(&only) => only,
-        Some(last) => Rejection::new(Code::Unreachable, format!("none of {count} nodes can be reached"))
+        Some(first) if count == 1 || hopeless => first,
+        Some(first) => Rejection::new(Code::Unreachable, format!("none of {count} nodes can be reached"))
             .found(found.join("; "))
-            .wanted(last.wanted)
-            .next(last.next),
+            .wanted(first.wanted)
+            .next(first.next),
     }
 }
 
@@ -343,14 +345,16 @@ async fn sweep(session: Weak<Session>) {
     loop {
         ticks.tick().await;
         let Some(session) = session.upgrade() else { return };
-        let number = session.link.borrow().number;
-        if session.in_flight.sweep(Instant::now(), || session.broken()) {
+        let (number, broken) = {
+            let link = session.link.borrow();
+            (link.number, link.broken.clone())
+        };
+        if session.in_flight.sweep(Instant::now(), broken.as_ref()) {
             session.leave(number);
         }
-        if session.clock.doubted()
-            && let Err(reason) = session.learn_clock().await
-        {
-            tracing::debug!(reason = %reason.message, "the node's clock is not known");
+        if session.clock.take_doubt() {
+            // In its own task: deadlines must not wait for a node.
+            tokio::spawn(async move { session.learn_clock().await });
         }
     }
 }
