@@ -84,7 +84,7 @@ impl Identity {
             Self::Register(command) => command.run(global, output).await,
             Self::List(_) => {
                 let session = Session::open(global).await?;
-                output.show(&Registered(identities(&session, "").await?))
+                output.show(&Registered(identities(&session).await?))
             }
             Self::Show(command) => {
                 let session = Session::open(global).await?;
@@ -95,16 +95,16 @@ impl Identity {
     }
 }
 
-async fn identities(session: &Session, name: &str) -> Result<Vec<Person>, Rejection> {
-    Ok(session.client.identities(name).await?.into_iter().map(Person::from).collect())
+async fn identities(session: &Session) -> Result<Vec<Person>, Rejection> {
+    Ok(session.client.identities("").await?.into_iter().map(Person::from).collect())
 }
 
 /// The registered identity of that name; a near match is suggested for an unknown one.
 async fn find(session: &Session, name: &str) -> Result<Person, Rejection> {
-    if let Some(person) = identities(session, name).await?.into_iter().find(|person| person.name == name) {
-        return Ok(person);
+    let mut known = identities(session).await?;
+    if let Some(index) = known.iter().position(|person| person.name == name) {
+        return Ok(known.swap_remove(index));
     }
-    let known = identities(session, "").await?;
     let near = known.iter().map(|person| (strsim::jaro_winkler(&person.name, name), &person.name));
     let near = near.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score > 0.8);
     Err(Rejection::new(Code::NotFound, format!("no identity {name:?} is registered"))

@@ -102,19 +102,20 @@ impl Publish {
         let me = session.identity()?.id();
         let grant = grants.into_iter().find(|grant| grant.holder == me);
         // Without a grant the epoch is 0: right in open mode, and otherwise the node says what is missing.
-        let (epoch, mut next_seq) = grant.map_or((0, 0), |grant| (grant.epoch, grant.next_seq));
+        let (service, epoch, mut next_seq) =
+            grant.map_or((self.service, 0, 0), |grant| (grant.service, grant.epoch, grant.next_seq));
 
         let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / self.rate));
         for _ in 0..self.count {
             ticks.tick().await;
             let seq = next_seq.max(time::now());
             let text = |number: u64| Bytes::from(number.to_string());
-            let args = vec![Bytes::from(self.service.clone()), text(epoch), text(seq), payload.clone()];
+            let args = vec![Bytes::from(service.clone()), text(epoch), text(seq), payload.clone()];
             let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
             let done = session.client.submit(session.client.prepare(call)?).await?;
             next_seq = seq + 1;
             output.show(&Sent {
-                service: self.service.clone(),
+                service: service.clone(),
                 epoch,
                 seq,
                 bytes: payload.len(),
