@@ -208,7 +208,12 @@ fn route(number: usize, table: toml::Table, faults: &mut Vec<Rejection>) -> Opti
     let service = service.filter(|service| {
         let usable = service.split_once('/').is_some_and(|(robot, topic)| !robot.is_empty() && !topic.is_empty());
         if !usable {
-            table.fault("service is not usable", &format!("{service:?}"), "ROBOT/TOPIC, in full", "ledgerctl robot list");
+            table.fault(
+                "service is not usable",
+                &format!("{service:?}"),
+                "ROBOT/TOPIC, in full",
+                "ledgerctl robot list",
+            );
         }
         usable
     });
