@@ -78,13 +78,14 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Check(WithConfig { config: path }) => {
             let config = load(&path)?;
+            crate::bridge::settings(&config)?;
             print_line(&format!("{} is fine: data in {}, listens on {}", path.display(), config.data.display(), config.listen));
             Ok(())
         }
         Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
         Command::Bridge(WithConfig { config }) => {
             telemetry::start(&Log::default());
-            { let _ = config; block_on(async { Ok(()) }) }
+            block_on(ros_bridge::run(&config, stop_signal()))
         }
         Command::Verify { directory } => {
             let report = ledger::verify::verify_directory(&directory, &builder.registry()?)?;

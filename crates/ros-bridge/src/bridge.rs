@@ -134,7 +134,11 @@ async fn watch_types(local: Local, expected: Vec<(crate::names::TopicName, crate
     }
 }
 
-fn context_of(config: &Config) -> Result<Context, Rejection> {
+/// The identity of a bridge towards the ledger, as its configuration names it.
+///
+/// # Errors
+/// As [`Context::load`].
+pub fn context_of(config: &Config) -> Result<Context, Rejection> {
     match &config.identity {
         IdentitySource::Selected => Context::load(&home()?, None),
         IdentitySource::Context(name) => Context::load(&home()?, Some(name)),

@@ -58,6 +58,6 @@ pub mod service;
 pub mod shm;
 pub mod stop;
 
-pub use bridge::{Bridge, Summary, run};
+pub use bridge::{Bridge, Summary, context_of, run};
 pub use config::Config;
 pub use count::{Latency, RouteSummary};
