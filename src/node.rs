@@ -165,8 +165,7 @@ impl Node {
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let peer_service = PeerService::new(others, move |from, message| {
             // A full inbox drops the message, as a network might: ordering repeats what matters.
-            let sent = inbox.as_ref().map(|inbox| inbox.try_send(Input::Message { from, message }));
-            matches!(sent, Some(Ok(()) | Err(TrySendError::Full(_))))
+            !matches!(inbox.try_send(Input::Message { from, message }), Err(TrySendError::Disconnected(_)))
         });
         let mut authorities = CertificateAuthority::open_all(&config.data)?;
         for authority in &mut authorities {
