@@ -305,7 +305,8 @@ impl CertificateAuthority {
             .next("ask an admin of the organisation for a new secret")
     }
 
-    /// Registers and enrols at once, with a key made here: for a node's own identity and a founder's first admins.
+    /// Registers and enrols at once, with a key made here: for a node's own identity and a founder's first admins. A
+    /// name that is registered with this role already receives another certificate, with these attributes.
     ///
     /// # Errors
     /// As [`CertificateAuthority::register`] and [`CertificateAuthority::enrol`].
@@ -318,7 +319,10 @@ impl CertificateAuthority {
         now: u64,
     ) -> Result<Issued, Rejection> {
         let key = SigningKey::generate(kind, &SystemRandom::new()).map_err(key_failed)?;
-        let secret = self.register(name, role, attributes, now)?;
+        let secret = match self.identity(name) {
+            Some(known) if known.role == role => self.reissue(name, Some(attributes), now)?,
+            _ => self.register(name, role, attributes, now)?,
+        };
         let certificate = self.enrol(name, &secret, &request::make(&key, name)?, now)?;
         Ok(Issued { certificate, chain: vec![self.root.clone()], key })
     }

@@ -78,6 +78,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Check(WithConfig { config: path }) => {
             let config = load(&path)?;
+            crate::bridge::settings(&config)?;
             print_line(&format!("{} is fine: data in {}, listens on {}", path.display(), config.data.display(), config.listen));
             Ok(())
         }

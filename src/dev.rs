@@ -3,8 +3,9 @@
 use crate::command::{print_line, until_stopped};
 use crate::config::{Config, Log};
 use crate::node::{NodeBuilder, clock};
-use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
-use crate::{ca::CertificateAuthority, telemetry};
+use crate::ca::{self, CertificateAuthority};
+use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use crate::telemetry;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::verify::GENESIS_FILE;
@@ -67,15 +68,16 @@ pub async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejectio
         found(&plan(&data, &listen), clock())?;
     }
     let config = Config { data: data.clone(), listen, ..Config::default() };
+    let home = home()?;
+    // Before the node runs, which owns its CAs from then on.
+    let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
+    let contexts = write_contexts(&data, &config.listen, &home)?;
     let node = builder.start(&config).await?;
     let address = node.address().to_string();
-    let home = home()?;
-    let contexts = write_contexts(&data, &address, node.ledger().network(), &home)?;
     let robots = match fresh {
         true => register_robots(&home, contexts.last()).await?,
         false => Vec::new(),
     };
-    let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
     let facts = Facts {
         address,
         ca_fingerprint,
@@ -118,7 +120,7 @@ fn free_port(listen: &str) -> Result<String, Rejection> {
 }
 
 fn authority(data: &Path, organisation: &str) -> Result<CertificateAuthority, Rejection> {
-    CertificateAuthority::open(&data.join(crate::setup::CA_DIRECTORY).join(organisation))
+    CertificateAuthority::open(&data.join(ca::DIRECTORY).join(organisation))
 }
 
 /// The name of an admin's context.
@@ -127,13 +129,14 @@ fn context_name(organisation: &str) -> String {
 }
 
 /// A context for the admin of each organisation, made anew at each start.
-fn write_contexts(data: &Path, address: &str, network: Hash, home: &Path) -> Result<Vec<String>, Rejection> {
+fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<Vec<String>, Rejection> {
     ORGANISATIONS
         .iter()
         .map(|organisation| {
             let name = context_name(organisation);
-            let mut context = crate::setup::issue(data, organisation, "Admin", Role::Admin, BTreeMap::new(), clock())?;
-            (context.name, context.nodes, context.label, context.network) = (name.clone(), vec![address.to_owned()], LABEL.into(), network);
+            let admin = ("Admin", Role::Admin);
+            let mut context = issue(data, organisation, admin, BTreeMap::new(), address, clock())?;
+            context.name.clone_from(&name);
             context.save(home)?;
             Ok(name)
         })

@@ -30,7 +30,7 @@ const ROLES: [Role; 4] = [Role::Member, Role::Admin, Role::Node, Role::Robot];
 
 /// The service; see the module.
 #[derive(Clone)]
-pub struct EnrolmentService {
+pub(crate) struct EnrolmentService {
     shared: Arc<Shared>,
 }
 
@@ -46,7 +46,7 @@ struct Shared {
 
 impl EnrolmentService {
     /// The service of a node that carries these CAs.
-    pub fn new(
+    pub(crate) fn new(
         authorities: impl IntoIterator<Item = CertificateAuthority>,
         ledger: Arc<Ledger>,
         genesis: Genesis,

@@ -24,6 +24,7 @@
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
+//! | `bridge` | the bridge inside a node |
 //! | `listen`, `peers` | TLS connections of clients and between nodes |
 //! | `gateway` | the gRPC API |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
@@ -32,6 +33,7 @@
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
 mod blocks;
+mod bridge;
 pub mod ca;
 mod command;
 pub mod config;

@@ -1,6 +1,7 @@
 //! A node: opens its stores, starts its roles, and ends them in order.
 
 use crate::blocks::Blocks;
+use crate::bridge::NodeBridge;
 use crate::ca::CertificateAuthority;
 use crate::config::Config;
 use crate::denials::Denials;
@@ -23,9 +24,10 @@ use ledger_api::v1::enrolment_server::EnrolmentServer;
 use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
 use ledger_raft::{Engine, EngineConfig, Input, PEER_MESSAGE_BYTES_MAX};
-use std::net::SocketAddr;
+use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::mpsc::TrySendError;
 use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::net::TcpListener;
@@ -96,6 +98,7 @@ pub struct Node {
     address: SocketAddr,
     failed: watch::Receiver<Option<Rejection>>,
     housekeeping: Housekeeping,
+    bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
     stop: watch::Sender<bool>,
 }
@@ -161,9 +164,13 @@ impl Node {
         let housekeeping = Housekeeping::start(Arc::clone(&view), store, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let peer_service = PeerService::new(others, move |from, message| {
-            inbox.as_ref().is_some_and(|inbox| inbox.send(Input::Message { from, message }).is_ok())
+            // A full inbox drops the message, as a network might: ordering repeats what matters.
+            !matches!(inbox.try_send(Input::Message { from, message }), Err(TrySendError::Disconnected(_)))
         });
-        let authorities = CertificateAuthority::open_all(&config.data)?;
+        let mut authorities = CertificateAuthority::open_all(&config.data)?;
+        for authority in &mut authorities {
+            authority.set_days(config.ca.certificate_days, config.ca.secret_days);
+        }
         let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, clock);
         let server_tls =
             server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
@@ -194,7 +201,8 @@ impl Node {
             }
         });
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
-        Ok(Self { view, address, failed, housekeeping, server, stop })
+        let bridge = NodeBridge::start(config, reachable(address).to_string())?;
+        Ok(Self { view, address, failed, housekeeping, bridge, server, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -218,6 +226,9 @@ impl Node {
 
     /// Ends the node: no new calls, the verdicts that are under way, then the stores.
     pub async fn stop(self) {
+        if let Some(bridge) = self.bridge {
+            bridge.stop().await;
+        }
         self.view.in_flight.close();
         self.stop.send_replace(true);
         let orderer = self.view.orderer.write().unwrap_or_else(PoisonError::into_inner).take();
@@ -238,6 +249,14 @@ impl Node {
         }
         tracing::info!(height = self.view.ledger.tip().height, "stopped");
     }
+}
+
+/// Where this machine reaches a node that may listen on all its addresses.
+fn reachable(mut address: SocketAddr) -> SocketAddr {
+    if address.ip().is_unspecified() {
+        address.set_ip(if address.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() });
+    }
+    address
 }
 
 /// A number of the configuration as a count of things in memory.

@@ -16,7 +16,7 @@ use ledger_raft::{Engine, Input, Output, Role, Status};
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender, TrySendError};
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -51,7 +51,9 @@ pub struct Shared {
 
 /// The running threads.
 pub struct Orderer {
-    inbox: Option<SyncSender<Input>>,
+    inbox: SyncSender<Input>,
+    /// Tells the order thread to end; it looks at least once a tick.
+    stop: Arc<AtomicBool>,
     status: Arc<Mutex<Status>>,
     executed: Arc<Mutex<BTreeMap<u32, u64>>>,
     threads: Vec<JoinHandle<()>>,
@@ -74,7 +76,9 @@ impl Orderer {
             counts: Arc::clone(&executed),
             applied: inbox.clone(),
         };
+        let stop = Arc::new(AtomicBool::new(false));
         let order = Order {
+            stop: Arc::clone(&stop),
             leading: false,
             engine,
             shared,
@@ -89,19 +93,16 @@ impl Orderer {
             std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks))?,
             std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs, tick))?,
         ];
-        Ok(Self { inbox: Some(inbox), status, executed, threads })
+        Ok(Self { inbox, stop, status, executed, threads })
     }
 
     /// Hands in an input; false if the node stops or is flooded. Never blocks.
     pub fn input(&self, input: Input) -> bool {
-        self.inbox.as_ref().is_some_and(|inbox| match inbox.try_send(input) {
-            Ok(()) => true,
-            Err(TrySendError::Full(_) | TrySendError::Disconnected(_)) => false,
-        })
+        self.inbox.try_send(input).is_ok()
     }
 
     /// A handle for handing in inputs from elsewhere.
-    pub fn inbox(&self) -> Option<SyncSender<Input>> {
+    pub fn inbox(&self) -> SyncSender<Input> {
         self.inbox.clone()
     }
 
@@ -117,7 +118,7 @@ impl Orderer {
 
     /// Ends both threads after what they are doing. Everything acknowledged is on disk already.
     pub fn stop(&mut self) {
-        self.inbox = None;
+        self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
             if thread.join().is_err() {
                 tracing::error!("a thread of the orderer had panicked");
@@ -129,6 +130,7 @@ impl Orderer {
 /// The order thread.
 struct Order {
     engine: Engine,
+    stop: Arc<AtomicBool>,
     leading: bool,
     shared: Arc<Shared>,
     committed: Sender<Vec<Entry>>,
@@ -144,7 +146,7 @@ struct Order {
 impl Order {
     fn run(mut self, inputs: &Receiver<Input>, tick: Duration) {
         let mut next_tick = Instant::now();
-        loop {
+        while !self.stop.load(Ordering::Relaxed) {
             if next_tick <= Instant::now() {
                 self.step(Input::Tick);
                 next_tick = (next_tick + tick).max(Instant::now());

@@ -8,15 +8,19 @@
 //! | `ca/<Org>/` | the CA of an organisation (see [`crate::ca`]), on one node: the organisation's first, or the network's first if the organisation runs none |
 
 mod init;
+mod issue;
 
 pub use init::{InitOptions, init};
+pub use issue::issue;
 
 use crate::ca;
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::{CertificateAuthority, Issued};
+use crate::node::{CERTIFICATE_FILE, KEY_FILE};
 use ledger::identity::{Role, check_name};
 use ledger::key::KeyKind;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::verify::GENESIS_FILE;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,13 +28,6 @@ use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
-
-/// The genesis, in a node's data directory.
-pub const GENESIS_FILE: &str = "genesis.json";
-/// The node's certificate chain.
-pub const CERTIFICATE_FILE: &str = "node.pem";
-/// The node's private key.
-pub const KEY_FILE: &str = "node.key";
 
 /// A network to be founded.
 #[derive(Clone, Debug, PartialEq)]

@@ -13,8 +13,8 @@ pub(super) const FILE: &str = "identities.json";
 /// Most names of one CA. The file is rewritten with every change, so it has to stay small.
 pub const IDENTITIES_MAX: usize = 10_000;
 /// Most certificates of one name that are kept; beyond it the expired ones are forgotten.
-pub const CERTIFICATES_MAX: usize = 64;
-/// Largest file that is read, in bytes: every name with all attributes that fit into a certificate.
+pub const CERTIFICATES_MAX: usize = 1024;
+/// Largest file that is written and read, in bytes.
 const FILE_BYTES_MAX: usize = 128 * 1024 * 1024;
 /// Version of the file's format.
 const VERSION: u32 = 1;
@@ -92,6 +92,13 @@ impl Registry {
     pub(super) fn stage(&self, directory: &Path) -> Result<Staged, Rejection> {
         let content = serde_json::to_vec_pretty(self)
             .map_err(|error| Rejection::new(Code::Internal, format!("identities cannot be written: {error}")))?;
+        // What could not be read again must not be written.
+        if content.len() > FILE_BYTES_MAX {
+            return Err(Rejection::new(Code::LimitExceeded, "the CA's registered names take too much space")
+                .found(format!("{} bytes", content.len()))
+                .wanted(format!("at most {FILE_BYTES_MAX} bytes"))
+                .next("use shorter attributes"));
+        }
         durable::stage(&directory.join(FILE), &content, SECRET_MODE)
     }
 }

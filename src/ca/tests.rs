@@ -358,17 +358,25 @@ fn one_name_keeps_a_limited_number_of_valid_certificates() {
     let mut f = fixture();
     f.ca.set_days(1, 7);
     f.ca.issue("Salma", Role::Member, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap();
-    let (_, csr) = request(KeyKind::Ed25519);
-    let mut again = |now| {
-        let secret = f.ca.reissue("Salma", None, now).unwrap();
-        f.ca.enrol("Salma", &secret, &csr, now)
-    };
-    for _ in 1..CERTIFICATES_MAX {
-        again(NOW).unwrap();
+    let salma = f.ca.registry.identities.get_mut("Salma").unwrap();
+    let one = salma.certificates[0].clone();
+    while salma.certificates.len() < CERTIFICATES_MAX {
+        salma.add(one.clone(), NOW).unwrap();
     }
-    assert_eq!(code(again(NOW)), Code::LimitExceeded);
-    again(NOW + 2 * DAY).unwrap();
+    assert_eq!(code(f.ca.issue("Salma", Role::Member, BTreeMap::new(), KeyKind::Ed25519, NOW)), Code::LimitExceeded);
+    f.ca.issue("Salma", Role::Member, BTreeMap::new(), KeyKind::Ed25519, NOW + 2 * DAY).unwrap();
     assert_eq!(f.ca.identity("Salma").unwrap().certificates.len(), 1, "those that expired are forgotten");
+}
+
+#[test]
+fn issuing_again_gives_a_new_certificate_of_the_same_role_only() {
+    let mut f = fixture();
+    f.ca.issue("Admin", Role::Admin, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap();
+    let again = f.ca.issue("Admin", Role::Admin, attributes(&["Husky"]), KeyKind::Ed25519, NOW).unwrap();
+    assert_eq!(verify(&f.ca, Usage::Client, &again.certificate, NOW).unwrap().attributes, attributes(&["Husky"]));
+    assert_eq!(f.ca.identity("Admin").unwrap().certificates.len(), 2);
+    let other = f.ca.issue("Admin", Role::Member, BTreeMap::new(), KeyKind::Ed25519, NOW);
+    assert_eq!(code(other), Code::AlreadyRegistered);
 }
 
 #[test]

@@ -38,7 +38,7 @@ pub struct Received {
     pub at: Instant,
 }
 
-fn failed(error: &ros_bridge::Error) -> Rejection {
+fn failed(error: &ros_bridge::error::Error) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, error.to_string())
 }
 
@@ -68,7 +68,7 @@ impl Publisher {
 
     /// Waits until somebody listens.
     pub async fn matched(&mut self) -> Result<(), Rejection> {
-        let mut matched = self.writer.matched();
+        let matched = self.writer.matched();
         tokio::time::timeout(DISCOVERY_TIME_MAX, matched.at_least(1)).await.map(drop).map_err(|_| nobody_there("the operator's bridge"))
     }
 
@@ -81,7 +81,7 @@ impl Publisher {
         let mut times = Vec::with_capacity(count);
         for _ in 0..count {
             schedule.tick().await;
-            let sample = twist(0.2, self.next, self.operator);
+            let sample = twist(0.2, self.next, self.operator)?;
             times.push(Instant::now());
             self.writer.write(&sample).map_err(|error| failed(&error))?;
             self.next += 1;
@@ -110,7 +110,7 @@ impl Robot {
         let participant = Participant::open(domain, "turtlebot4_base").await.map_err(|error| failed(&error))?;
         let mut reader: Reader =
             participant.reader(&topic, &kind, &Qos::default(), Limits::default()).map_err(|error| failed(&error))?;
-        let matched = reader.matched();
+        let matched = reader.matched().clone();
         let received = Arc::new(Mutex::new(Vec::new()));
         let kept = Arc::clone(&received);
         let task = tokio::spawn(async move {
@@ -147,12 +147,12 @@ fn nobody_there(who: &str) -> Rejection {
 }
 
 /// `linear = (speed, number, operator)`, `angular = 0`, as little-endian CDR.
-fn twist(speed: f64, number: usize, operator: Operator) -> Sample {
+fn twist(speed: f64, number: usize, operator: Operator) -> Result<Sample, Rejection> {
     let mut body = Vec::with_capacity(TWIST_BYTES);
     for value in [speed, number as f64, f64::from(operator as u8), 0.0, 0.0, 0.0] {
         body.extend_from_slice(&value.to_le_bytes());
     }
-    Sample::new(CDR_LE, &body)
+    Sample::new(CDR_LE, &body).map_err(|error| failed(&error))
 }
 
 fn read(body: &Bytes, at: Instant) -> Option<Received> {

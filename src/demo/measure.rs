@@ -5,6 +5,9 @@ use hdrhistogram::Histogram;
 use serde::Serialize;
 use std::time::{Duration, Instant};
 
+/// Longest latency that is told apart, an hour.
+const MICROSECONDS_MAX: u64 = 3_600_000_000;
+
 /// Percentiles of a latency in milliseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Percentiles {
@@ -77,7 +80,7 @@ impl RosToRos {
 
     /// The percentiles so far; zeros if nothing was received.
     pub fn percentiles(&self) -> Percentiles {
-        let Ok(mut histogram) = Histogram::new(3) else { return Percentiles::default() };
+        let Ok(mut histogram) = Histogram::new_with_bounds(1, MICROSECONDS_MAX, 3) else { return Percentiles::default() };
         for value in &self.microseconds {
             histogram.saturating_record(*value);
         }

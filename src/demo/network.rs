@@ -2,11 +2,10 @@
 
 use super::process::Process;
 use super::summary::{BridgeReport, Summary};
-use crate::ca::CertificateAuthority;
 use crate::dev::ORGANISATIONS;
 use crate::node::clock;
 use crate::random;
-use crate::setup::{CA_DIRECTORY, Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use crate::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::{Code, Hash, Rejection};
@@ -58,14 +57,17 @@ impl Network {
         let addresses = free_addresses()?;
         let data = ORGANISATIONS.map(|organisation| directory.path().join(organisation));
         let founded = found(&plan(&data, &addresses), clock())?;
+        // Identities that their CAs issue without being asked over the network, before the nodes own the CAs.
+        let admin = identity(&data[0], ORGANISATIONS[0], ("Admin", Role::Admin), &addresses[0])?;
+        let owner = identity(&data[1], ORGANISATIONS[1], ("Admin", Role::Admin), &addresses[1])?;
+        let robot = identity(&data[1], ORGANISATIONS[1], ("Turtlebot4", Role::Robot), &addresses[1])?;
+        robot.save(&directory.path().join("home"))?;
         let mut nodes = Vec::new();
         for ((organisation, data), address) in ORGANISATIONS.iter().zip(&data).zip(&addresses) {
             let config = directory.path().join(format!("{organisation}.toml"));
             write(&config, &format!("data = {:?}\nlisten = {address:?}\n", data.display().to_string()))?;
             nodes.push(Process::start(organisation, directory.path(), &["run", "--config", &config.to_string_lossy()])?);
         }
-        let admin = admin_of(&founded, 0, &data, &addresses)?;
-        let owner = admin_of(&founded, 1, &data, &addresses)?;
         let admin = connect(&admin, &mut nodes).await?;
         let owner = connect(&owner, &mut nodes).await?;
         Ok(Self { owner, admin, founded, addresses, nodes, bridges: Vec::new(), directory })
@@ -77,20 +79,16 @@ impl Network {
 
     /// Org1's admin registers a user, who enrols from outside as anybody would.
     pub async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
-        let attributes = attributes.iter().map(|key| ((*key).to_owned(), "true".to_owned())).collect();
-        let secret = self.admin.register(name, Role::Member, attributes).await?;
+        let attributes: BTreeMap<_, _> = attributes.iter().map(|key| ((*key).to_owned(), "true".to_owned())).collect();
+        let secret = self.admin.register(name, Role::Member, &attributes).await?;
         let fingerprint = self.founded.authorities.first().map_or(Hash::ZERO, |authority| authority.fingerprint);
-        let context = Enrolment::new(&self.addresses[0], fingerprint)?.enrol(name, &secret.secret, KeyKind::Ed25519).await?;
+        let context = Enrolment::new(self.addresses[0].as_str(), fingerprint).enrol(name, &secret.secret, KeyKind::Ed25519).await?;
         context.save(&self.home())?;
         Client::connect(&context).await
     }
 
     /// Starts the bridges: each user's at Org1's node, the robot's at Org2's.
     pub async fn start_bridges(&mut self) -> Result<Domains, Rejection> {
-        let data = self.directory.path().join(ORGANISATIONS[1]);
-        let mut robot = issue(&data, ORGANISATIONS[1], "Turtlebot4", Role::Robot, BTreeMap::new(), clock())?;
-        (robot.nodes, robot.network) = (vec![self.addresses[1].clone()], self.founded.network);
-        robot.save(&self.home())?;
         let first = u16::try_from(1 + random::number()? % (DOMAIN_MAX - 3)).unwrap_or(1);
         let domains = Domains { salma: first, farhad: first + 1, robot: first + 2 };
         for (name, domain, direction) in [
@@ -171,11 +169,8 @@ fn write(path: &Path, text: &str) -> Result<(), Rejection> {
     std::fs::write(path, text).map_err(|error| Rejection::new(Code::BadFile, format!("cannot write {}: {error}", path.display())))
 }
 
-/// The context of an organisation's admin, issued by its CA directly.
-fn admin_of(founded: &Founded, index: usize, data: &[PathBuf; 2], addresses: &[String; 2]) -> Result<Context, Rejection> {
-    let mut context = issue(&data[index], ORGANISATIONS[index], "Admin", Role::Admin, BTreeMap::new(), clock())?;
-    (context.nodes, context.network) = (vec![addresses[index].clone()], founded.network);
-    Ok(context)
+fn identity(data: &Path, organisation: &str, who: (&str, Role), address: &str) -> Result<Context, Rejection> {
+    issue(data, organisation, who, BTreeMap::new(), address, clock())
 }
 
 /// Connects as soon as the node answers.

@@ -81,8 +81,9 @@ impl NodeView {
             block_hash: tip.hash.0.to_vec().into(),
             block_time: tip.time,
             state_digest: tip.digest.0.to_vec().into(),
-            committed: ordering.commit,
-            last_index: ordering.last,
+            // Ordering reports now and then; what is executed is committed in any case.
+            committed: ordering.commit.max(tip.height),
+            last_index: ordering.last.max(tip.height),
             clock: (self.clock)(),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.ledger.registry().names().into_iter().map(str::to_owned).collect(),

@@ -4,6 +4,7 @@ use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
 use crate::ca::CertificateAuthority;
 use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::config::{Config, is_address};
+use crate::node::clock;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::{Code, Rejection};
@@ -11,10 +12,12 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::net::SocketAddr;
 use std::path::PathBuf;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 /// What is written where no configuration is yet: every setting with its default, commented out.
 const SHIPPED_CONFIG: &str = include_str!("../../ledgerd.toml");
+
+/// The line in it that says where to listen.
+const SHIPPED_LISTEN: &str = "#listen = \"127.0.0.1:7450\"";
 
 /// The arguments of `ledgerd init`.
 #[derive(Clone, Debug, clap::Args)]
@@ -47,10 +50,8 @@ pub struct InitOptions {
 /// # Errors
 /// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
 pub fn init(options: &InitOptions) -> Result<String, Rejection> {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_micros();
-    let now = u64::try_from(now).unwrap_or(u64::MAX);
     let written = write_config(options)?;
-    init_at(options, now).inspect_err(|_| {
+    init_at(options, clock()).inspect_err(|_| {
         if written {
             let _ = fs::remove_file(&options.config);
         }
@@ -114,12 +115,21 @@ fn invite(
     authority.register(&options.admin, Role::Admin, BTreeMap::new(), now)
 }
 
-/// Writes the shipped configuration if there is none; true if it did.
+/// Writes the shipped configuration if there is none, listening where the given address leads; true if it did.
 fn write_config(options: &InitOptions) -> Result<bool, Rejection> {
     if fs::symlink_metadata(&options.config).is_ok() {
         return Ok(false);
     }
-    durable::create(&options.config, SHIPPED_CONFIG.as_bytes(), PUBLIC_MODE).map(|()| true)
+    let mut text = SHIPPED_CONFIG.to_owned();
+    if let Some((_, port)) = options.address.as_deref().and_then(|address| address.rsplit_once(':')) {
+        let local = options.address.as_deref().and_then(|address| address.parse::<SocketAddr>().ok());
+        let listen = match local.filter(|address| address.ip().is_loopback()) {
+            Some(address) => address.to_string(),
+            None => format!("0.0.0.0:{port}"),
+        };
+        text = text.replace(SHIPPED_LISTEN, &format!("listen = {listen:?}"));
+    }
+    durable::create(&options.config, text.as_bytes(), PUBLIC_MODE).map(|()| true)
 }
 
 /// The address that the genesis tells everybody.
@@ -179,6 +189,20 @@ mod tests {
         let ca = authorities.first().unwrap();
         assert!(text.contains(&format!("--ca-fingerprint {}", ca.fingerprint())), "{text}");
         assert_eq!(ca.identity("admin").unwrap().role, Role::Admin);
+    }
+
+    #[test]
+    fn a_configuration_that_is_written_listens_where_the_address_leads() {
+        for (address, listen) in [
+            ("127.0.0.1:17450", "127.0.0.1:17450"),
+            ("robot-1.fleet.example:17450", "0.0.0.0:17450"),
+            ("10.0.0.4:7450", "0.0.0.0:7450"),
+        ] {
+            let place = TempDir::new().unwrap();
+            let options = InitOptions { address: Some(address.into()), ..options(place.path()) };
+            init(&options).unwrap();
+            assert_eq!(Config::load(&options.config).unwrap().listen, listen);
+        }
     }
 
     #[test]

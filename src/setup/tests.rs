@@ -3,6 +3,7 @@
 use super::*;
 use ledger::key::SigningKey;
 use ledger::msp::{Msp, Msps, Usage};
+use ledger_api::Context;
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 
@@ -93,6 +94,27 @@ fn one_node_carries_the_ca_of_an_organisation_that_runs_none() {
         assert!(authority.directory.starts_with(&plan.nodes[0].data));
         assert!(CertificateAuthority::open(&authority.directory).is_ok());
     }
+}
+
+#[test]
+fn an_issued_context_is_complete_and_can_be_issued_again() {
+    let place = TempDir::new().unwrap();
+    let plan = plan(place.path());
+    let founded = found(&plan, NOW).unwrap();
+    for _ in 0..2 {
+        let data = &plan.nodes[1].data;
+        let context = issue(data, "Org2", ("Admin", Role::Admin), BTreeMap::new(), "here:1", NOW).unwrap();
+        let identity = context.msps.verify(&context.chain[0], &context.chain[1..], NOW).unwrap();
+        assert_eq!((identity.id().as_str(), identity.role), ("Org2/Admin", Role::Admin));
+        assert_eq!(identity.public_key, context.key.public_key());
+        assert_eq!((context.network, context.label.as_str()), (founded.network, "fleet"));
+        assert_eq!(context.nodes, ["here:1"]);
+        assert_eq!(context.ca_fingerprint("Org2"), Some(founded.authorities[1].fingerprint));
+        context.save(&place.path().join("home")).unwrap();
+        Context::load(&place.path().join("home"), Some("Admin")).unwrap();
+    }
+    let elsewhere = issue(&plan.nodes[1].data, "Org1", ("Admin", Role::Admin), BTreeMap::new(), "here:1", NOW);
+    assert_eq!(elsewhere.unwrap_err().code, Code::BadFile);
 }
 
 #[test]

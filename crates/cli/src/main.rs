@@ -1,2 +1,31 @@
-//! Entry point.
-fn main() {}
+//! `ledgerctl`: the command line for operators, owners and auditors of a ledger.
+//!
+//! `main` parses and runs; `cli` is the table of commands, one file per group lies under `command`. Every refusal is
+//! a [`ledger::Rejection`] and is printed by `failure`; every result goes through `output`, as a table or as JSON.
+
+mod answer;
+mod argument;
+mod cli;
+mod command;
+mod context;
+mod failure;
+mod json;
+mod output;
+mod session;
+mod time;
+
+use clap::Parser;
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    match cli::Cli::try_parse() {
+        Ok(cli) => {
+            let format = cli.global.output;
+            match cli.run() {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(failure) => failure.report(format),
+            }
+        }
+        Err(error) => failure::usage(&error),
+    }
+}

@@ -25,6 +25,7 @@ mod encoding;
 mod graph;
 mod intake;
 mod matched;
+mod mismatch;
 mod reader;
 mod writer;
 

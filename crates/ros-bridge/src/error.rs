@@ -4,6 +4,8 @@
 
 use std::fmt;
 
+use ledger::{Code, Rejection};
+
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;
 
@@ -32,6 +34,33 @@ pub enum Error {
     /// The shared memory side refused or broke.
     #[error("{0}")]
     Shm(Explained),
+}
+
+impl Error {
+    /// The stable code of the kind.
+    fn code(&self) -> Code {
+        match self {
+            Self::Name(_) | Self::Type(_) => Code::BadName,
+            Self::Setting(_) => Code::BadConfiguration,
+            Self::Sample(_) => Code::BadArgument,
+            Self::Slow(_) | Self::Dds(_) | Self::Shm(_) => Code::MiddlewareFailed,
+        }
+    }
+}
+
+impl From<Error> for Rejection {
+    fn from(error: Error) -> Self {
+        let code = error.code();
+        let (Error::Name(explained)
+        | Error::Type(explained)
+        | Error::Setting(explained)
+        | Error::Sample(explained)
+        | Error::Slow(explained)
+        | Error::Dds(explained)
+        | Error::Shm(explained)) = error;
+        let Explained { what, found, wanted, hint } = explained;
+        Self::new(code, what).found(found).wanted(wanted).next(hint)
+    }
 }
 
 /// The four lines of an error message.

@@ -10,6 +10,12 @@
 //! # Map
 //! | module | what is in it |
 //! |---|---|
+//! | `bridge` | [`run`], [`Bridge`]: a running bridge and its summary |
+//! | [`config`] | what it is told to do |
+//! | `route` | one topic, one direction: `to_ledger`, `from_ledger`, and `local`, their side of the graph |
+//! | [`gate`] | what a robot checks for itself before anything reaches its graph |
+//! | `gateway`, [`service`] | what is asked of the ledger, and what it answers |
+//! | `count` | what a route has done |
 //! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
 //! | [`qos`] | the quality-of-service settings of a route |
 //! | [`sample`] | one message as raw CDR, in the form that travels on the ledger |
@@ -36,11 +42,22 @@
 //! # Ok(()) }
 //! ```
 
+mod bridge;
+pub mod config;
+mod count;
 pub mod dds;
 pub mod error;
+pub mod gate;
+mod gateway;
 pub mod names;
 pub mod qos;
 pub mod queue;
+mod route;
 pub mod sample;
+pub mod service;
 pub mod shm;
 pub mod stop;
+
+pub use bridge::{Bridge, Summary, context_of, run};
+pub use config::Config;
+pub use count::{Latency, RouteSummary};

@@ -7,7 +7,7 @@ use std::{
     collections::VecDeque,
     sync::{
         Arc, Mutex, MutexGuard, PoisonError,
-        atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
 };
 
@@ -22,11 +22,13 @@ pub struct Limits {
     pub sample_bytes_max: usize,
     /// Most bytes waiting to be taken; the oldest samples make room.
     pub queue_bytes_max: usize,
+    /// Most samples waiting to be taken; the oldest make room.
+    pub queue_samples_max: usize,
 }
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { sample_bytes_max: 1024 * 1024, queue_bytes_max: 16 * 1024 * 1024 }
+        Self { sample_bytes_max: 1024 * 1024, queue_bytes_max: 16 * 1024 * 1024, queue_samples_max: 10_000 }
     }
 }
 
@@ -51,7 +53,8 @@ const OVERHEAD_BYTES: usize = 128;
 pub(crate) struct Queue {
     waiting: Mutex<Waiting>,
     arrived: Notify,
-    bytes_max: AtomicUsize,
+    bytes_max: usize,
+    samples_max: usize,
     dropped: AtomicU64,
     closed: AtomicBool,
 }
@@ -63,22 +66,20 @@ struct Waiting {
 }
 
 impl Queue {
-    pub(crate) fn new(bytes_max: usize) -> Arc<Self> {
-        let queue = Self::default();
-        queue.bytes_max.store(bytes_max, Ordering::Relaxed);
-        Arc::new(queue)
+    pub(crate) fn new(limits: &Limits) -> Arc<Self> {
+        let (bytes_max, samples_max) = (limits.queue_bytes_max, limits.queue_samples_max.max(1));
+        Arc::new(Self { bytes_max, samples_max, ..Self::default() })
     }
 
     /// Appends a sample; the oldest leave until it fits. One that never fits is dropped itself.
     pub(crate) fn push(&self, incoming: Incoming) {
-        let bytes_max = self.bytes_max.load(Ordering::Relaxed);
         let bytes = weight(&incoming);
-        if bytes > bytes_max {
+        if bytes > self.bytes_max {
             self.count_dropped();
             return;
         }
         let mut waiting = self.lock();
-        while waiting.bytes + bytes > bytes_max {
+        while waiting.bytes + bytes > self.bytes_max || waiting.samples.len() >= self.samples_max {
             let Some(oldest) = waiting.samples.pop_front() else { break };
             waiting.bytes = waiting.bytes.saturating_sub(weight(&oldest));
             self.count_dropped();
@@ -151,9 +152,24 @@ mod tests {
         }
     }
 
+    fn queue_of(bytes_max: usize) -> Arc<Queue> {
+        Queue::new(&Limits { queue_bytes_max: bytes_max, ..Limits::default() })
+    }
+
+    #[test]
+    fn the_newest_samples_replace_the_oldest_when_nobody_takes_them() {
+        let queue = Queue::new(&Limits { queue_samples_max: 2, ..Limits::default() });
+        for sequence in 0..5 {
+            queue.push(incoming(sequence, 10));
+        }
+        let left: Vec<u64> = std::iter::from_fn(|| queue.try_next()).map(|i| i.sequence).collect();
+        assert_eq!(left, [3, 4]);
+        assert_eq!(queue.dropped(), 3);
+    }
+
     #[test]
     fn the_oldest_make_room_and_are_counted() {
-        let queue = Queue::new(3 * (OVERHEAD_BYTES + 104));
+        let queue = queue_of(3 * (OVERHEAD_BYTES + 104));
         for sequence in 0..5 {
             queue.push(incoming(sequence, 100));
         }
@@ -164,7 +180,7 @@ mod tests {
 
     #[test]
     fn tiny_samples_cannot_fill_the_memory_either() {
-        let queue = Queue::new(10 * OVERHEAD_BYTES);
+        let queue = queue_of(10 * OVERHEAD_BYTES);
         for sequence in 0..1000 {
             queue.push(incoming(sequence, 0));
         }
@@ -173,7 +189,7 @@ mod tests {
 
     #[test]
     fn a_sample_larger_than_the_queue_is_dropped_alone() {
-        let queue = Queue::new(1000);
+        let queue = queue_of(1000);
         queue.push(incoming(1, 10));
         queue.push(incoming(2, 10_000));
         assert_eq!(queue.try_next().unwrap().sequence, 1);
@@ -182,7 +198,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_closed_queue_gives_what_it_has_and_then_ends() {
-        let queue = Queue::new(1000);
+        let queue = queue_of(1000);
         queue.push(incoming(1, 10));
         queue.close();
         assert_eq!(queue.next().await.unwrap().sequence, 1);

@@ -116,7 +116,7 @@ impl Node {
             let listener = retry(&what, || events.listener_builder().create())?;
             let waker = retry(&what, || events.notifier_builder().create())?;
             let port = retry(&what, || data.subscriber_builder().buffer_size(BUFFER_SAMPLES).create())?;
-            let queue = Queue::new(limits.queue_bytes_max);
+            let queue = Queue::new(&limits);
             let stop = Arc::new(AtomicBool::new(false));
             let pump = Pump {
                 port,

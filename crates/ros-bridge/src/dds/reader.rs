@@ -45,7 +45,7 @@ impl Reader {
             subscriber.create_simple_datareader_no_key(&dds_topic, Some(qos.policies())).map_err(failed)?;
         let guid = source.guid();
         let (matches, matched) = Matches::new(participant.guid_prefix());
-        let queue = Queue::new(limits.queue_bytes_max);
+        let queue = Queue::new(&limits);
         let pump = Pump {
             topic: topic.clone(),
             intake: Intake::new(participant.guid_prefix()),

@@ -1,0 +1,6 @@
+//! What people type, read into what we need. Every refusal says what was found and what is wanted.
+
+pub(crate) mod attribute;
+pub(crate) mod bytes;
+pub(crate) mod service;
+pub(crate) mod span;

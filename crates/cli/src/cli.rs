@@ -1,0 +1,197 @@
+//! The table of commands.
+
+use crate::command::{
+    chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, policy, robot, verify,
+    whoami,
+};
+use crate::failure::Failure;
+use crate::output::{Format, Output};
+use ::ledger::{Code, Rejection};
+use clap::{Parser, Subcommand};
+
+/// The command line of a permissioned ledger for ROS 2 fleets.
+#[derive(Debug, Parser)]
+#[command(
+    name = "ledgerctl",
+    version,
+    arg_required_else_help = true,
+    subcommand_required = true,
+    after_help = "\
+Exit codes: 0 ok, 1 failure, 2 denied, 3 invalid input, 4 unreachable or no quorum, 5 held by another, 64 usage.
+
+Example:
+  ledgerctl acquire Turtlebot4/cmd_vel --for 30s
+  ledgerctl robot list -o json
+  ledgerctl explain LGR-3005"
+)]
+pub(crate) struct Cli {
+    #[command(flatten)]
+    pub(crate) global: Global,
+    #[command(subcommand)]
+    command: Command,
+}
+
+/// What every command understands.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Global {
+    /// Act as this context; otherwise LEDGERCTL_CONTEXT, otherwise the one of `context use`
+    #[arg(long, global = true, value_name = "NAME", help_heading = "For every command")]
+    pub(crate) context: Option<String>,
+    /// table for people; json for programs: one object or array on one line, errors as one object on standard error
+    #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "table|json")]
+    #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
+    pub(crate) output: Format,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    Enroll(enroll::Enroll),
+    Whoami(whoami::Whoami),
+    #[command(subcommand)]
+    Context(context::Context),
+    #[command(subcommand)]
+    Identity(identity::Identity),
+    #[command(subcommand)]
+    Robot(robot::Robot),
+    Acquire(grant::Acquire),
+    Renew(grant::Renew),
+    Release(grant::Release),
+    Publish(message::Publish),
+    Echo(message::Echo),
+    #[command(subcommand)]
+    Policy(policy::Policy),
+    Invoke(chaincode::Invoke),
+    Query(chaincode::Query),
+    Status(ledger::Status),
+    Block(ledger::Block),
+    Tx(ledger::Tx),
+    Denials(denials::Denials),
+    Verify(verify::Verify),
+    Explain(explain::Explain),
+    Completions(completions::Completions),
+}
+
+impl Cli {
+    /// Runs the command and writes its results to standard output.
+    pub(crate) fn run(self) -> Result<(), Failure> {
+        let runtime = tokio::runtime::Builder::new_current_thread()
+            .enable_all()
+            .build()
+            .map_err(|error| Rejection::new(Code::Internal, "cannot start the runtime").found(error.to_string()))?;
+        let outcome = runtime.block_on(self.dispatch());
+        // Whatever a connection still wants to do must not keep the shell waiting.
+        runtime.shutdown_background();
+        outcome
+    }
+
+    async fn dispatch(self) -> Result<(), Failure> {
+        let global = &self.global;
+        let output = &mut Output::stdout(global.output);
+        match self.command {
+            Command::Enroll(command) => command.run(global, output).await,
+            Command::Whoami(command) => command.run(global, output).await,
+            Command::Context(command) => command.run(global, output),
+            Command::Identity(command) => command.run(global, output).await,
+            Command::Robot(command) => command.run(global, output).await,
+            Command::Acquire(command) => command.run(global, output).await,
+            Command::Renew(command) => command.run(global, output).await,
+            Command::Release(command) => command.run(global, output).await,
+            Command::Publish(command) => command.run(global, output).await,
+            Command::Echo(command) => command.run(global, output).await,
+            Command::Policy(command) => command.run(global, output).await,
+            Command::Invoke(command) => command.run(global, output).await,
+            Command::Query(command) => command.run(global, output).await,
+            Command::Status(command) => command.run(global, output).await,
+            Command::Block(command) => command.run(global, output).await,
+            Command::Tx(command) => command.run(global, output).await,
+            Command::Denials(command) => command.run(global, output).await,
+            Command::Verify(command) => command.run(output),
+            Command::Explain(command) => command.run(output),
+            Command::Completions(command) => command.run(output),
+        }
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    /// Every command that has no subcommands, with its path.
+    fn leaves(command: &clap::Command, path: &str, found: &mut Vec<(String, clap::Command)>) {
+        for sub in command.get_subcommands().filter(|sub| sub.get_name() != "help") {
+            let path = format!("{path} {}", sub.get_name());
+            if sub.has_subcommands() {
+                leaves(sub, &path, found);
+            } else {
+                found.push((path, sub.clone()));
+            }
+        }
+    }
+
+    /// The words of a shell line up to a pipe or redirection; knows single quotes.
+    fn words(line: &str) -> Vec<String> {
+        let mut words = vec![String::new()];
+        let mut quoted = false;
+        for c in line.chars() {
+            match c {
+                '\'' => quoted = !quoted,
+                ' ' if !quoted => words.push(String::new()),
+                _ => words.last_mut().unwrap().push(c),
+            }
+        }
+        words.into_iter().filter(|w| !w.is_empty()).take_while(|w| !matches!(w.as_str(), "|" | ">")).collect()
+    }
+
+    #[test]
+    fn the_table_of_commands_is_consistent() {
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn every_command_has_help_with_an_example_that_parses() {
+        let mut found = Vec::new();
+        leaves(&Cli::command(), "ledgerctl", &mut found);
+        assert!(found.len() > 25, "{}", found.len());
+        for (path, command) in found {
+            assert!(command.get_about().is_some(), "{path} says nothing about itself");
+            let help = command.get_after_help().unwrap_or_else(|| panic!("{path} has no example")).to_string();
+            let examples: Vec<_> = help.lines().filter(|line| line.trim_start().starts_with("ledgerctl ")).collect();
+            assert!(!examples.is_empty(), "{path} has no example");
+            for example in examples {
+                assert!(example.trim_start().starts_with(&path), "{example:?} is no example of {path}");
+                Cli::try_parse_from(words(example.trim_start())).unwrap_or_else(|e| panic!("{example}: {e}"));
+            }
+        }
+    }
+
+    #[test]
+    fn the_shapes_that_scripts_rely_on_parse() {
+        for line in [
+            "ledgerctl enroll Salma --node 127.0.0.1:7450 --ca-fingerprint 00 --secret s --key p256",
+            "ledgerctl identity register Salma --role admin --attr Husky --attr Turtlebot4=true",
+            "ledgerctl robot add T --attr-required T --service /cmd_vel=geometry_msgs/msg/Twist,mode=open",
+            "ledgerctl --context Salma -o json acquire Turtlebot4 --for 30s",
+            "ledgerctl publish T/cmd_vel --hex 00010000",
+            "ledgerctl publish T/cmd_vel --file f",
+            "ledgerctl publish T/cmd_vel --stdin",
+            "ledgerctl echo T/cmd_vel --from 1 --count 2 -o json",
+            "ledgerctl invoke inventory add -5 - @f hex:00 -o json --context x",
+            "ledgerctl query abac robots",
+            "ledgerctl verify /tmp/x",
+            "ledgerctl tx 00",
+        ] {
+            Cli::try_parse_from(words(line)).unwrap_or_else(|error| panic!("{line}: {error}"));
+        }
+    }
+
+    #[test]
+    fn publish_wants_exactly_one_source() {
+        for line in
+            ["ledgerctl publish T", "ledgerctl publish T --stdin --hex 00", "ledgerctl publish T --file a --hex b"]
+        {
+            assert!(Cli::try_parse_from(words(line)).is_err(), "{line}");
+        }
+    }
+}

@@ -1,0 +1,16 @@
+//! The commands, one file per group. Each is a struct of its arguments and a `run`.
+
+pub(crate) mod chaincode;
+pub(crate) mod completions;
+pub(crate) mod context;
+pub(crate) mod denials;
+pub(crate) mod enroll;
+pub(crate) mod explain;
+pub(crate) mod grant;
+pub(crate) mod identity;
+pub(crate) mod ledger;
+pub(crate) mod message;
+pub(crate) mod policy;
+pub(crate) mod robot;
+pub(crate) mod verify;
+pub(crate) mod whoami;

@@ -1,0 +1,137 @@
+//! `invoke`, `query`: any function of any chaincode.
+
+use crate::answer::Answer;
+use crate::argument::bytes;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output};
+use crate::session::Session;
+use ledger::{Bytes, Hash, Rejection};
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Call a function of a chaincode in a transaction, and wait for its verdict.
+///
+/// Standard output is the function's response: JSON with one field per line, text as it is, other bytes in
+/// hexadecimal digits. With `-o json` it is an object that also holds id, height and time.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl invoke inventory add Husky pallet 3
+  ledgerctl invoke abac set Turtlebot4/cmd_vel 1 7 hex:00010000
+  ledgerctl invoke abac setup @robot.json")]
+pub(crate) struct Invoke {
+    #[command(flatten)]
+    call: Call,
+}
+
+/// Call a function of a chaincode on the committed state, and throw its writes away.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl query abac robots
+  ledgerctl query abac authorize Turtlebot4/cmd_vel")]
+pub(crate) struct Query {
+    #[command(flatten)]
+    call: Call,
+}
+
+#[derive(Debug, clap::Args)]
+struct Call {
+    /// Name of the chaincode; `ledgerctl status` lists those installed
+    chaincode: String,
+    /// Name of the function
+    function: String,
+    /// Text; or hex:BYTES, @FILE, - for standard input, text:… for text that begins like one of these
+    #[arg(value_name = "ARG", allow_negative_numbers = true)]
+    args: Vec<String>,
+}
+
+impl Call {
+    fn read(self) -> Result<(String, String, Vec<Bytes>), Rejection> {
+        let args = self.args.iter().map(|text| bytes::argument(text)).collect::<Result<_, _>>()?;
+        Ok((self.chaincode, self.function, args))
+    }
+}
+
+#[derive(Serialize)]
+struct Invoked {
+    id: Hash,
+    height: u64,
+    index: u32,
+    time: u64,
+    #[serde(flatten)]
+    answer: Answer,
+}
+
+#[derive(Serialize)]
+struct Queried {
+    /// Height of the state that answered.
+    height: u64,
+    #[serde(flatten)]
+    answer: Answer,
+}
+
+fn write_answer(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
+    let text = answer.to_text();
+    if text.is_empty() { Ok(()) } else { writeln!(out, "{}", text.trim_end_matches('\n')) }
+}
+
+impl Facts for Invoked {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        write_answer(&self.answer, out)
+    }
+}
+
+impl Facts for Queried {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        write_answer(&self.answer, out)
+    }
+}
+
+impl Invoke {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let (chaincode, function, args) = self.call.read()?;
+        let done = Session::open(global).await?.call(&chaincode, &function, args).await?;
+        output.show(&Invoked {
+            id: done.id,
+            height: done.height,
+            index: done.index,
+            time: done.time,
+            answer: Answer::read(&done.response),
+        })?;
+        output.note(&format!("executed in block {}, transaction {}", done.height, done.id));
+        Ok(())
+    }
+}
+
+impl Query {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let (chaincode, function, args) = self.call.read()?;
+        let answer = Session::open(global).await?.client.query(&chaincode, &function, args).await?;
+        output.show(&Queried { height: answer.height, answer: Answer::read(&answer.response) })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_invocation_in_json_is_flat_and_keeps_the_response_as_it_is() {
+        let answer = Answer::read(br#"{"b":1,"a":2}"#);
+        let text = serde_json::to_string(&Invoked { id: Hash::ZERO, height: 3, index: 1, time: 9, answer }).unwrap();
+        assert!(
+            text.ends_with(r#""height":3,"index":1,"time":9,"encoding":"json","response":{"b":1,"a":2}}"#),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn an_empty_response_prints_nothing() {
+        let mut out = Vec::new();
+        Queried { height: 0, answer: Answer::read(b"") }.text(&mut out).unwrap();
+        assert!(out.is_empty());
+    }
+}

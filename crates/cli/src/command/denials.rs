@@ -1,0 +1,110 @@
+//! `denials`: what was refused before it was ordered.
+
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::Session;
+use crate::time;
+use ledger_api::v1;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Show what the node refused lately before it was ordered, newest first; for admins.
+///
+/// What was refused after it was ordered stands in the blocks: `ledgerctl block N`.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl denials --limit 20")]
+pub(crate) struct Denials {
+    /// At most so many
+    #[arg(long, default_value_t = 100, value_name = "N")]
+    limit: u32,
+}
+
+impl Denials {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let denials = Session::open(global).await?.client.denials(self.limit).await?;
+        output.show(&List(denials.into_iter().map(Denial::from).collect()))
+    }
+}
+
+#[derive(Serialize)]
+struct List(Vec<Denial>);
+
+#[derive(Serialize)]
+struct Denial {
+    time: u64,
+    who: String,
+    chaincode: String,
+    function: String,
+    subject: String,
+    code: String,
+    message: String,
+    found: String,
+    wanted: String,
+    count: u64,
+}
+
+impl From<v1::Denial> for Denial {
+    fn from(denial: v1::Denial) -> Self {
+        let verdict = denial.verdict.unwrap_or_default();
+        Self {
+            time: denial.time,
+            who: denial.who,
+            chaincode: denial.chaincode,
+            function: denial.function,
+            subject: denial.subject,
+            code: format!("LGR-{:04}", verdict.code),
+            message: verdict.message,
+            found: verdict.found,
+            wanted: verdict.wanted,
+            count: denial.count,
+        }
+    }
+}
+
+impl Facts for List {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.0.is_empty() {
+            return writeln!(out, "nothing was refused");
+        }
+        let mut table = Table::new(["TIME", "WHO", "CALL", "CODE", "TIMES", "WHY"]);
+        for denial in &self.0 {
+            table.row([
+                time::moment(denial.time),
+                denial.who.clone(),
+                format!("{} {} {}", denial.chaincode, denial.function, denial.subject).trim_end().to_owned(),
+                denial.code.clone(),
+                denial.count.to_string(),
+                denial.message.clone(),
+            ]);
+        }
+        table.write(out, 0)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_denial_says_who_wanted_what_and_why_not() {
+        let verdict =
+            v1::Verdict { code: 3001, message: "Org1/Farhad may not acquire Husky".into(), ..Default::default() };
+        let denial = v1::Denial {
+            time: 1,
+            who: "Org1/Farhad".into(),
+            chaincode: "abac".into(),
+            function: "acquire".into(),
+            subject: "Husky".into(),
+            verdict: Some(verdict),
+            count: 3,
+        };
+        let mut out = Vec::new();
+        List(vec![denial.into()]).text(&mut out).unwrap();
+        let text = String::from_utf8(out).unwrap();
+        for part in ["Org1/Farhad", "abac acquire Husky", "LGR-3001", "3 ", "may not acquire"] {
+            assert!(text.contains(part), "{part:?} in {text}");
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! `enroll`: from a one-time secret to a certificate and a context.
+
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table, attributes};
+use crate::{context, time};
+use ledger::identity::Role;
+use ledger::key::KeyKind;
+use ledger::{Code, Hash, Rejection};
+use ledger_api::{Context, Enrolment};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+/// Get a certificate with a one-time secret, and store it as a context.
+///
+/// The key is made on this machine and never leaves it. An admin runs `ledgerctl identity register NAME`, which prints
+/// the whole command.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl enroll Salma --node 10.0.0.4:7450 --ca-fingerprint 9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08 --secret u7Qm-2fKx")]
+pub(crate) struct Enroll {
+    /// The registered name, or ORGANISATION/NAME where a node serves several organisations; also names the context
+    name: String,
+    /// Address of a node of your organisation
+    #[arg(long, value_name = "HOST:PORT")]
+    node: String,
+    /// SHA-256 of the CA's certificate, as the admin gave it to you
+    #[arg(long, value_name = "SHA256")]
+    ca_fingerprint: String,
+    /// The one-time secret
+    #[arg(long, value_name = "SECRET")]
+    secret: String,
+    /// Kind of key: ed25519 or p256
+    #[arg(long, value_name = "KIND", default_value = "ed25519")]
+    key: KeyKind,
+    /// Replace a context of this name; its key is lost
+    #[arg(long)]
+    force: bool,
+}
+
+#[derive(Serialize)]
+struct Enrolled {
+    context: String,
+    directory: PathBuf,
+    id: String,
+    role: Role,
+    attributes: BTreeMap<String, String>,
+    not_after: u64,
+    network: Hash,
+    label: String,
+    nodes: Vec<String>,
+    selected: bool,
+}
+
+impl Facts for Enrolled {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "enrolled {}, stored as context {}", self.id, self.context)?;
+        let mut table = Table::pairs();
+        table.pair("role", self.role);
+        table.pair("attributes", attributes(&self.attributes));
+        table.pair("valid until", time::moment(self.not_after));
+        table.pair("network", format!("{} {}", self.label, self.network).trim_start());
+        table.pair("nodes", self.nodes.join(", "));
+        table.pair("stored in", self.directory.display());
+        table.write(out, 2)?;
+        if self.selected {
+            writeln!(out, "next\n  ledgerctl robot list")
+        } else {
+            writeln!(out, "next\n  ledgerctl context use {0}\n  ledgerctl --context {0} robot list", self.context)
+        }
+    }
+}
+
+impl Enroll {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        // The environment variable chooses whom to act as; it must not decide where a new identity is stored.
+        let plain = self.name.rsplit('/').next().unwrap_or(&self.name);
+        let name = global.context.as_deref().unwrap_or(plain);
+        let home = context::home()?;
+        if !self.force && Context::list(&home)?.iter().any(|known| known == name) {
+            return Err(Rejection::new(Code::AlreadyExists, format!("there is a context {name:?} already"))
+                .found(format!("a key in {}", context::directory(&home, name).display()))
+                .wanted("a name that is free: the key would be lost")
+                .next("choose another with --context NAME, or replace it with --force")
+                .into());
+        }
+        let fingerprint = Hash::from_hex(&self.ca_fingerprint).ok_or_else(|| {
+            Rejection::new(Code::BadArgument, "the CA's fingerprint cannot be read")
+                .found(format!("{:?}", self.ca_fingerprint))
+                .wanted("SHA-256 of the CA's certificate: 64 hexadecimal digits")
+                .next("copy the whole command that `ledgerctl identity register` printed")
+        })?;
+        let mut enrolled = Enrolment::new(&self.node, fingerprint).enrol(&self.name, &self.secret, self.key).await?;
+        name.clone_into(&mut enrolled.name);
+        enrolled.save(&home)?;
+        let selected = Context::current(&home)?.as_deref() == Some(name);
+        let identity = context::identity(&enrolled)?;
+        output.show(&Enrolled {
+            context: name.to_owned(),
+            directory: context::directory(&home, name),
+            id: identity.id(),
+            role: identity.role,
+            attributes: identity.attributes,
+            not_after: identity.not_after,
+            network: enrolled.network,
+            label: enrolled.label,
+            nodes: enrolled.nodes,
+            selected,
+        })
+    }
+}

@@ -1,0 +1,190 @@
+//! `acquire`, `renew`, `release`: who may use a service, and until when.
+
+use crate::answer;
+use crate::argument::span::Milliseconds;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output};
+use crate::session::{ABAC, Session};
+use crate::time;
+use ledger::Bytes;
+use ledger_abac::{Grant, Mode, Released};
+use ledger_api::Committed;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Get the right to use a service of a robot.
+///
+/// While the grant lasts, nobody else's messages get through on an exclusive service. It is a lease: use and `renew`
+/// extend it, `release` ends it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl acquire Turtlebot4
+  ledgerctl acquire Turtlebot4/cmd_vel --for 30s")]
+pub(crate) struct Acquire {
+    #[command(flatten)]
+    lease: Lease,
+}
+
+/// Extend a grant that you hold.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl renew Turtlebot4/cmd_vel --for 2m")]
+pub(crate) struct Renew {
+    #[command(flatten)]
+    lease: Lease,
+}
+
+/// Give a service back; an admin of the robot's owner takes it back from whoever holds it.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl release Turtlebot4/cmd_vel
+  ledgerctl release Turtlebot4/cmd_vel --holder Org1/Salma")]
+pub(crate) struct Release {
+    /// The service; the robot alone is enough if it offers exactly one
+    #[arg(value_name = "ROBOT[/TOPIC]")]
+    service: String,
+    /// Take back this holder's grant only; for admins of the robot's owner
+    #[arg(long, value_name = "ORG/NAME")]
+    holder: Option<String>,
+}
+
+#[derive(Debug, clap::Args)]
+struct Lease {
+    /// The service; the robot alone is enough if it offers exactly one
+    #[arg(value_name = "ROBOT[/TOPIC]")]
+    service: String,
+    /// How long without use, such as 30s, 500ms or 2m; otherwise what the service says
+    #[arg(long = "for", value_name = "SPAN")]
+    span: Option<Milliseconds>,
+}
+
+/// A grant and the transaction that gave it.
+#[derive(Serialize)]
+struct Granted {
+    #[serde(flatten)]
+    grant: Grant,
+    /// Block time of the transaction, microseconds.
+    time: u64,
+    height: u64,
+    transaction: ledger::Hash,
+    #[serde(skip)]
+    renewed: bool,
+}
+
+impl Facts for Granted {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Grant { service, holder, epoch, expires, mode, .. } = &self.grant;
+        let what = match (self.renewed, mode) {
+            (true, _) => "renewed",
+            (false, Mode::Exclusive) => "is yours alone",
+            (false, _) => "is yours, with everybody else who may",
+        };
+        writeln!(out, "{service} {what}")?;
+        let mut table = crate::output::Table::pairs();
+        table.pair("holder", holder);
+        table.pair("epoch", epoch);
+        table.pair("expires", format!("{} ({})", time::moment(*expires), time::relative(*expires, self.time)));
+        table.write(out, 2)
+    }
+}
+
+impl Lease {
+    async fn run(self, function: &str, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let mut args = vec![Bytes::from(self.service)];
+        args.extend(self.span.map(|span| Bytes::from(span.0.to_string())));
+        let Committed { id, height, time, response, .. } = session.call(ABAC, function, args).await?;
+        let grant = answer::parse(&response, "a grant")?;
+        output.show(&Granted { grant, time, height, transaction: id, renewed: function == "renew" })
+    }
+}
+
+impl Acquire {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        self.lease.run("acquire", global, output).await
+    }
+}
+
+impl Renew {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        self.lease.run("renew", global, output).await
+    }
+}
+
+/// What ended, and the transaction that ended it.
+#[derive(Serialize)]
+struct Ended {
+    released: Vec<Released>,
+    time: u64,
+    height: u64,
+    transaction: ledger::Hash,
+}
+
+impl Facts for Ended {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        if self.released.is_empty() {
+            writeln!(out, "nobody held it")?;
+        }
+        for Released { service, holder, epoch, .. } in &self.released {
+            writeln!(out, "{service} is released; {holder} held it with epoch {epoch}")?;
+        }
+        Ok(())
+    }
+}
+
+impl Release {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let args = std::iter::once(self.service).chain(self.holder).map(Bytes::from).collect();
+        let Committed { id, height, time, response, .. } = session.call(ABAC, "release", args).await?;
+        let released = answer::parse(&response, "ended grants")?;
+        output.show(&Ended { released, time, height, transaction: id })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn granted(renewed: bool, mode: Mode) -> Granted {
+        let grant = Grant {
+            service: "Turtlebot4/cmd_vel".into(),
+            holder: "Org1/Salma".into(),
+            epoch: 3,
+            expires: 1_700_000_010_000_000,
+            mode,
+            acquired_at: 1_700_000_000_000_000,
+            lease_ms: 10_000,
+            next_seq: 0,
+        };
+        Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction: ledger::Hash::ZERO, renewed }
+    }
+
+    fn text(facts: &impl Facts) -> String {
+        let mut out = Vec::new();
+        facts.text(&mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn a_grant_says_whose_which_epoch_and_how_long() {
+        let shown = text(&granted(false, Mode::Exclusive));
+        for part in ["Turtlebot4/cmd_vel is yours alone", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
+            assert!(shown.contains(part), "{part:?} in {shown}");
+        }
+        assert!(text(&granted(true, Mode::Exclusive)).contains("renewed"));
+        assert!(text(&granted(false, Mode::Open)).contains("everybody else who may"));
+    }
+
+    #[test]
+    fn a_grant_in_json_is_flat() {
+        let value = serde_json::to_value(granted(false, Mode::Exclusive)).unwrap();
+        for key in ["service", "holder", "epoch", "expires", "mode", "time", "height", "transaction"] {
+            assert!(value.get(key).is_some(), "{key}");
+        }
+        assert!(value.get("renewed").is_none());
+    }
+}

@@ -1,0 +1,110 @@
+//! `block`: one block of the chain.
+
+use super::tx::TransactionFacts;
+use crate::answer::Answer;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::Session;
+use crate::time;
+use ledger_api::v1;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Show a block with its transactions and verdicts.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl block 17")]
+pub(crate) struct Block {
+    /// Height of the block; 0 is the genesis
+    height: u64,
+}
+
+impl Block {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let block = Session::open(global).await?.client.block(self.height).await?;
+        output.show(&BlockFacts::from(block))
+    }
+}
+
+#[derive(Serialize)]
+struct BlockFacts {
+    height: u64,
+    term: u64,
+    time: u64,
+    kind: String,
+    hash: String,
+    previous_hash: String,
+    root: String,
+    state_digest: String,
+    transactions: Vec<TransactionFacts>,
+    events: Vec<EventFacts>,
+}
+
+#[derive(Serialize)]
+struct EventFacts {
+    chaincode: String,
+    name: String,
+    subject: String,
+    payload: Answer,
+}
+
+impl From<v1::Block> for BlockFacts {
+    fn from(block: v1::Block) -> Self {
+        let event = |event: v1::EventRecord| EventFacts {
+            chaincode: event.chaincode,
+            name: event.name,
+            subject: event.subject,
+            payload: Answer::read(&event.payload),
+        };
+        Self {
+            height: block.height,
+            term: block.term,
+            time: block.time,
+            kind: block.kind,
+            hash: hex::encode(block.hash),
+            previous_hash: hex::encode(block.previous_hash),
+            root: hex::encode(block.root),
+            state_digest: hex::encode(block.state_digest),
+            transactions: block.transactions.into_iter().map(TransactionFacts::from).collect(),
+            events: block.events.into_iter().map(event).collect(),
+        }
+    }
+}
+
+impl Facts for BlockFacts {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::pairs();
+        table.pair("block", format!("{} ({})", self.height, self.kind));
+        table.pair("hash", &self.hash);
+        table.pair("previous", &self.previous_hash);
+        table.pair("root", &self.root);
+        table.pair("state digest", &self.state_digest);
+        table.pair("term", self.term);
+        table.pair("time", time::moment(self.time));
+        table.write(out, 0)?;
+        if !self.transactions.is_empty() {
+            writeln!(out)?;
+            let mut table = Table::new(["INDEX", "TRANSACTION", "CREATOR", "VERDICT", "CALL"]);
+            for transaction in &self.transactions {
+                table.row([
+                    transaction.index.to_string(),
+                    transaction.id.clone(),
+                    transaction.creator.clone(),
+                    transaction.code.clone(),
+                    transaction.call(),
+                ]);
+            }
+            table.write(out, 0)?;
+        }
+        if !self.events.is_empty() {
+            writeln!(out)?;
+            let mut table = Table::new(["EVENT", "SUBJECT", "DETAILS"]);
+            for event in &self.events {
+                let name = format!("{} {}", event.chaincode, event.name);
+                table.row([name, event.subject.clone(), event.payload.to_text().replace('\n', " ")]);
+            }
+            table.write(out, 0)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,161 @@
+//! `status`: how a node and its network are.
+
+use super::code_text;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::Session;
+use crate::time;
+use ledger_api::v1;
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+
+/// Show how the node and the network are.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl status")]
+pub(crate) struct Status {}
+
+impl Status {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let status = Session::open(global).await?.client.status().await?;
+        output.show(&Node::from(status))
+    }
+}
+
+/// How a node is. Counts are keyed by the printed form of their code.
+#[derive(Serialize)]
+struct Node {
+    version: String,
+    network: String,
+    network_label: String,
+    node_id: u64,
+    node_name: String,
+    organisation: String,
+    role: String,
+    leader_id: u64,
+    term: u64,
+    height: u64,
+    block_hash: String,
+    block_time: u64,
+    state_digest: String,
+    committed: u64,
+    last_index: u64,
+    clock: u64,
+    uptime_ms: u64,
+    chaincodes: Vec<String>,
+    refused: BTreeMap<String, u64>,
+    executed: BTreeMap<String, u64>,
+    peers: Vec<Peer>,
+    subscribers: u64,
+    payload_bytes_max: u64,
+    resident_bytes: u64,
+}
+
+#[derive(Serialize)]
+struct Peer {
+    node_id: u64,
+    name: String,
+    organisation: String,
+    address: String,
+    voter: bool,
+    matched: u64,
+    connected: bool,
+}
+
+fn counts(counts: impl IntoIterator<Item = (u32, u64)>) -> BTreeMap<String, u64> {
+    counts.into_iter().map(|(code, count)| (code_text(code), count)).collect()
+}
+
+impl From<v1::StatusResponse> for Node {
+    fn from(status: v1::StatusResponse) -> Self {
+        Self {
+            version: status.version,
+            network: hex::encode(status.network),
+            network_label: status.network_label,
+            node_id: status.node_id,
+            node_name: status.node_name,
+            organisation: status.organisation,
+            role: status.role,
+            leader_id: status.leader_id,
+            term: status.term,
+            height: status.height,
+            block_hash: hex::encode(status.block_hash),
+            block_time: status.block_time,
+            state_digest: hex::encode(status.state_digest),
+            committed: status.committed,
+            last_index: status.last_index,
+            clock: status.clock,
+            uptime_ms: status.uptime_ms,
+            chaincodes: status.chaincodes,
+            refused: counts(status.refused),
+            executed: counts(status.executed),
+            peers: status.peers.into_iter().map(Peer::from).collect(),
+            subscribers: status.subscribers,
+            payload_bytes_max: status.payload_bytes_max,
+            resident_bytes: status.resident_bytes,
+        }
+    }
+}
+
+impl From<v1::PeerStatus> for Peer {
+    fn from(peer: v1::PeerStatus) -> Self {
+        Self {
+            node_id: peer.node_id,
+            name: peer.name,
+            organisation: peer.organisation,
+            address: peer.address,
+            voter: peer.voter,
+            matched: peer.matched,
+            connected: peer.connected,
+        }
+    }
+}
+
+fn count_list(counts: &BTreeMap<String, u64>) -> String {
+    counts.iter().map(|(code, count)| format!("{code} {count}")).collect::<Vec<_>>().join(", ")
+}
+
+impl Facts for Node {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let leader = if self.leader_id == 0 { "none known".to_owned() } else { format!("node {}", self.leader_id) };
+        let mut table = Table::pairs();
+        table.pair("node", format!("{}/{} (id {}), {}", self.organisation, self.node_name, self.node_id, self.role));
+        table.pair("version", &self.version);
+        table.pair("network", format!("{} {}", self.network_label, self.network).trim_start());
+        table.pair("leader", format!("{leader}, term {}", self.term));
+        table.pair("height", format!("{} of {} committed", self.height, self.committed));
+        table.pair("block hash", &self.block_hash);
+        table.pair("block time", time::moment(self.block_time));
+        table.pair("state digest", &self.state_digest);
+        table.pair("chaincodes", self.chaincodes.join(", "));
+        table.pair("executed", count_list(&self.executed));
+        table.pair("refused", count_list(&self.refused));
+        table.pair("subscribers", self.subscribers);
+        table.pair("largest payload", format!("{} bytes", self.payload_bytes_max));
+        table.pair("memory", format!("{} MiB", self.resident_bytes / (1024 * 1024)));
+        table.pair("clock", time::moment(self.clock));
+        table.pair("running for", time::span(self.uptime_ms.saturating_mul(1000)));
+        table.write(out, 0)?;
+        if self.peers.is_empty() {
+            return Ok(());
+        }
+        writeln!(out)?;
+        let mut peers = Table::new(["PEER", "ID", "ADDRESS", "VOTES", "CONNECTED", "MATCHED"]);
+        for peer in &self.peers {
+            peers.row([
+                format!("{}/{}", peer.organisation, peer.name),
+                peer.node_id.to_string(),
+                peer.address.clone(),
+                yes_no(peer.voter),
+                yes_no(peer.connected),
+                if peer.matched == 0 { "-".to_owned() } else { peer.matched.to_string() },
+            ]);
+        }
+        peers.write(out, 0)
+    }
+}
+
+fn yes_no(value: bool) -> String {
+    if value { "yes" } else { "no" }.to_owned()
+}

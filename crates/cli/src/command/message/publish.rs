@@ -1,0 +1,142 @@
+//! `publish`: send messages to a service.
+
+use crate::answer;
+use crate::argument::bytes;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output};
+use crate::session::{ABAC, Session};
+use crate::time;
+use ledger::{Bytes, Hash, Rejection};
+use ledger_abac::Grant;
+use ledger_api::Call;
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Most messages per second that `--rate` may ask for: each waits for the verdict of the one before.
+const RATE_HZ_MAX: f64 = 1000.0;
+/// How long a message may wait to be executed: a command to a robot is worth nothing later.
+const COMMAND_TTL: Duration = Duration::from_secs(2);
+
+/// Publish a message on a service, under the grant that you hold.
+///
+/// The bytes are one ROS 2 message in CDR, with its encapsulation header of four bytes in front, such as 00 01 00 00
+/// for little endian. On a service in open mode no grant is needed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl publish Turtlebot4/cmd_vel --file twist.cdr
+  ledgerctl publish Turtlebot4/cmd_vel --hex 000100009a9999999999b93f00000000000000000000000000000000000000000000000000000000000000000000000000000000
+  ledgerctl publish Turtlebot4/cmd_vel --stdin --count 100 --rate 50")]
+pub(crate) struct Publish {
+    /// The service; the robot alone is enough if it offers exactly one
+    #[arg(value_name = "ROBOT/TOPIC")]
+    service: String,
+    #[command(flatten)]
+    source: Source,
+    /// Publish it so many times
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    count: u64,
+    /// Messages per second with --count
+    #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
+    rate: f64,
+}
+
+#[derive(Debug, clap::Args)]
+#[group(required = true, multiple = false)]
+struct Source {
+    /// The message in hexadecimal digits
+    #[arg(long, value_name = "BYTES")]
+    hex: Option<String>,
+    /// The message is the content of this file
+    #[arg(long, value_name = "FILE")]
+    file: Option<PathBuf>,
+    /// The message is read from standard input
+    #[arg(long)]
+    stdin: bool,
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    text.parse()
+        .ok()
+        .filter(|hz| *hz > 0.0 && *hz <= RATE_HZ_MAX)
+        .ok_or_else(|| format!("wanted messages per second, above 0 and at most {RATE_HZ_MAX}"))
+}
+
+impl Source {
+    fn read(&self) -> Result<Bytes, Rejection> {
+        match (&self.hex, &self.file) {
+            (Some(digits), _) => bytes::from_hex(digits),
+            (None, Some(path)) => bytes::from_file(path),
+            (None, None) => bytes::from_stdin(),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Sent {
+    service: String,
+    epoch: u64,
+    seq: u64,
+    bytes: usize,
+    height: u64,
+    time: u64,
+    transaction: Hash,
+}
+
+impl Facts for Sent {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Self { service, epoch, seq, bytes, height, .. } = self;
+        writeln!(out, "published {bytes} bytes on {service}: block {height}, epoch {epoch}, sequence {seq}")
+    }
+}
+
+impl Publish {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let payload = self.source.read()?;
+        let session = Session::open(global).await?;
+        let response = session.ask(ABAC, "grants", vec![Bytes::from(self.service.clone())]).await?;
+        let grants: Vec<Grant> = answer::parse(&response, "grants")?;
+        let me = session.identity()?.id();
+        let grant = grants.into_iter().find(|grant| grant.holder == me);
+        // Without a grant the epoch is 0: right in open mode, and otherwise the node says what is missing.
+        let (service, epoch, mut next_seq) =
+            grant.map_or((self.service, 0, 0), |grant| (grant.service, grant.epoch, grant.next_seq));
+
+        let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / self.rate));
+        for _ in 0..self.count {
+            ticks.tick().await;
+            let seq = next_seq.max(time::now());
+            let text = |number: u64| Bytes::from(number.to_string());
+            let args = vec![Bytes::from(service.clone()), text(epoch), text(seq), payload.clone()];
+            let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
+            let done = session.client.submit(session.client.prepare(call)?).await?;
+            next_seq = seq + 1;
+            output.show(&Sent {
+                service: service.clone(),
+                epoch,
+                seq,
+                bytes: payload.len(),
+                height: done.height,
+                time: done.time,
+                transaction: done.id,
+            })?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rates_are_above_zero_and_bounded() {
+        assert_eq!(rate("50"), Ok(50.0));
+        for text in ["0", "-1", "nan", "inf", "1001", "x"] {
+            assert!(rate(text).is_err_and(|error| error.contains("messages per second")), "{text}");
+        }
+    }
+}

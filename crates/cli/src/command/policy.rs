@@ -1,0 +1,95 @@
+//! `policy list|put|remove`: the Cedar policies by which an organisation decides about its robots.
+
+use crate::answer;
+use crate::argument::bytes;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, printable_lines};
+use crate::session::{ABAC, Session};
+use ledger::Bytes;
+use ledger_abac::{PolicyChange, PolicyEntry};
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// See and change the policies of robots' owners.
+#[derive(Debug, clap::Subcommand)]
+pub(crate) enum Policy {
+    List(List),
+    Put(Put),
+    Remove(Remove),
+}
+
+/// List the policies of every organisation, and the built-in one.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl policy list")]
+pub(crate) struct List {}
+
+/// Put a policy of your organisation in force, or replace it; for admins.
+///
+/// The first policy of an organisation takes the place of the built-in one. Grants that the policies no longer permit
+/// end in the same block.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl policy put night @night.cedar
+  ledgerctl policy put no-farhad 'forbid(principal == User::\"Org1/Farhad\", action, resource);'")]
+pub(crate) struct Put {
+    /// Name of the policy within your organisation
+    id: String,
+    /// The policy in Cedar: text, @FILE, or - for standard input
+    policy: String,
+}
+
+/// Remove a policy of your organisation; for admins.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl policy remove night")]
+pub(crate) struct Remove {
+    /// Name of the policy within your organisation
+    id: String,
+}
+
+impl Policy {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let args = match self {
+            Self::List(_) => {
+                let response = Session::open(global).await?.ask(ABAC, "policies", vec![]).await?;
+                return output.show(&Policies(answer::parse(&response, "policies")?));
+            }
+            Self::Put(put) => vec!["put".into(), Bytes::from(put.id), bytes::argument(&put.policy)?],
+            Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],
+        };
+        let done = Session::open(global).await?.call(ABAC, "policy", args).await?;
+        output.show(&Changed(answer::parse(&done.response, "a change of policies")?))
+    }
+}
+
+#[derive(Serialize)]
+struct Policies(Vec<PolicyEntry>);
+
+impl Facts for Policies {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        for PolicyEntry { organisation, id, text } in &self.0 {
+            let owner = if organisation.is_empty() { "built in, where an organisation has none" } else { organisation };
+            writeln!(out, "// {id} ({owner})\n{}\n", printable_lines(text.trim()))?;
+        }
+        Ok(())
+    }
+}
+
+#[derive(Serialize)]
+struct Changed(PolicyChange);
+
+impl Facts for Changed {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let PolicyChange { organisation, id, change, default_in_force, ended } = &self.0;
+        let done = if change == "put" { "in force" } else { change.as_str() };
+        writeln!(out, "policy {id} of {organisation} is {done}")?;
+        if *default_in_force {
+            writeln!(out, "  {organisation} has no policy of its own now: the built-in one decides")?;
+        }
+        for grant in ended {
+            writeln!(out, "  ended the grant of {} by {} (epoch {})", grant.service, grant.holder, grant.epoch)?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,206 @@
+//! `robot add|list|show|remove`: what organisations registered.
+
+use crate::answer;
+use crate::argument::service;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::{ABAC, Session};
+use crate::{json, time};
+use ledger::{Bytes, Code, Rejection};
+use ledger_abac::{Released, RobotAsset, RobotSpec, ServiceSpec};
+use serde::Serialize;
+use serde_json::value::RawValue;
+use std::io::{self, Write};
+
+/// Register robots and see them.
+#[derive(Debug, clap::Subcommand)]
+pub(crate) enum Robot {
+    Add(Add),
+    List(List),
+    Show(Show),
+    Remove(Remove),
+}
+
+/// Register a robot of your organisation, or change it; for admins.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl robot add Turtlebot4 --attr-required Turtlebot4 --service /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive
+  ledgerctl robot add OptiTrack --attr-required OptiTrack --service /pose=geometry_msgs/msg/PoseStamped,direction=feed
+  ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1")]
+pub(crate) struct Add {
+    /// Name of the robot
+    name: String,
+    /// The attribute that a user's certificate must carry; KEY alone means KEY=true
+    #[arg(long, value_name = "KEY[=VALUE]")]
+    attr_required: String,
+    /// TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m][,max-age=500ms][,stop=HEX]
+    #[arg(long = "service", value_name = "SERVICE", required = true, value_parser = service::parse)]
+    services: Vec<ServiceSpec>,
+    /// An organisation whose attributes count; otherwise all that are members now
+    #[arg(long = "trust", value_name = "ORG")]
+    trusted: Vec<String>,
+}
+
+/// List the robots and who operates them.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl robot list")]
+pub(crate) struct List {}
+
+/// Show one robot as the asset on the ledger, in JSON.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl robot show Turtlebot4")]
+pub(crate) struct Show {
+    /// Name of the robot
+    name: String,
+}
+
+/// Take a robot out of service; ends every grant of it. For admins of its owner.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl robot remove Husky")]
+pub(crate) struct Remove {
+    /// Name of the robot
+    name: String,
+}
+
+impl Robot {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        match self {
+            Self::Add(add) => {
+                let spec = serde_json::to_string(&add.into_spec()).map_err(|error| {
+                    Rejection::new(Code::Internal, "the robot cannot be written as JSON").found(error.to_string())
+                })?;
+                let done = session.call(ABAC, "setup", vec![Bytes::from(spec)]).await?;
+                output.show(&Robots(answer::parse(&done.response, "robots")?, time::now()))
+            }
+            Self::List(_) => {
+                let response = session.ask(ABAC, "robots", vec![]).await?;
+                output.show(&Robots(answer::parse(&response, "robots")?, time::now()))
+            }
+            Self::Show(show) => {
+                let response = session.ask(ABAC, "robot", vec![Bytes::from(show.name)]).await?;
+                output.show(&Asset(answer::parse(&response, "a robot")?))
+            }
+            Self::Remove(remove) => {
+                let name = remove.name;
+                let done = session.call(ABAC, "remove", vec![Bytes::from(name.clone())]).await?;
+                output.show(&Removed { robot: name, released: answer::parse(&done.response, "ended grants")? })
+            }
+        }
+    }
+}
+
+impl Add {
+    fn into_spec(self) -> RobotSpec {
+        RobotSpec {
+            name: self.name,
+            attribute_required: self.attr_required,
+            trusted: (!self.trusted.is_empty()).then_some(self.trusted),
+            services: self.services,
+        }
+    }
+}
+
+/// Robots, and the moment by which their leases are told.
+struct Robots(Vec<RobotAsset>, u64);
+
+impl Serialize for Robots {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        self.0.serialize(serializer)
+    }
+}
+
+impl Facts for Robots {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::new(["SERVICE", "TYPE", "MODE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES"]);
+        for robot in &self.0 {
+            for service in &robot.services {
+                let expires =
+                    if service.expires == 0 { String::new() } else { time::relative(service.expires, self.1) };
+                table.row([
+                    service.service.clone(),
+                    service.type_name.clone(),
+                    word(&service.mode),
+                    robot.organisation.clone(),
+                    robot.attribute_required.clone(),
+                    if service.holders.is_empty() { "-".to_owned() } else { service.holders.join(", ") },
+                    service.epoch.to_string(),
+                    expires,
+                ]);
+            }
+        }
+        table.write(out, 0)
+    }
+}
+
+/// The word that stands for a value in JSON.
+fn word(value: &impl Serialize) -> String {
+    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
+}
+
+/// A robot exactly as the ledger holds it, whatever fields later versions add.
+#[derive(Serialize)]
+struct Asset(Box<RawValue>);
+
+impl Facts for Asset {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{}", json::pretty(self.0.get()).unwrap_or_default())
+    }
+}
+
+#[derive(Serialize)]
+struct Removed {
+    robot: String,
+    released: Vec<Released>,
+}
+
+impl Facts for Removed {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "removed {}", self.robot)?;
+        for grant in &self.released {
+            writeln!(out, "  ended the grant of {} by {} (epoch {})", grant.service, grant.holder, grant.epoch)?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    const ASSET: &str = r#"{"Name":"Turtlebot4","SubTopic":"/cmd_vel","PubTopic":"","owner":"Org1/Salma",
+        "UnderOp":true,"organisation":"Org2","attribute_required":"Turtlebot4=true","trusted":["Org1","Org2"],
+        "services":[{"service":"Turtlebot4/cmd_vel","robot":"Turtlebot4","organisation":"Org2","topic":"/cmd_vel",
+        "type":"geometry_msgs/msg/Twist","mode":"exclusive","direction":"command","max_age_ms":1000,"lease_ms":10000,
+        "lease_ms_max":600000,"stop_hex":null,"holder":"Org1/Salma","holders":["Org1/Salma"],"epoch":3,
+        "expires":11000000}]}"#;
+
+    fn text(facts: &impl Facts) -> String {
+        let mut out = Vec::new();
+        facts.text(&mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn the_list_says_who_holds_what_until_when() {
+        let robots = Robots(vec![serde_json::from_str(ASSET).unwrap()], 1_000_000);
+        let wanted = "\
+SERVICE             TYPE                     MODE       OWNER  REQUIRES         HOLDER      EPOCH  EXPIRES
+Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  Org1/Salma  3      in 10 s
+";
+        assert_eq!(text(&robots), wanted);
+        let json: serde_json::Value = serde_json::to_value(&robots).unwrap();
+        assert_eq!(json.as_array().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn one_robot_is_json_with_the_fields_of_the_paper_first() {
+        let shown = text(&Asset(serde_json::from_str(ASSET).unwrap()));
+        let wanted = "{\n  \"Name\": \"Turtlebot4\",\n  \"SubTopic\": \"/cmd_vel\",\n  \"PubTopic\": \"\",\n  \
+                      \"owner\": \"Org1/Salma\",\n  \"UnderOp\": true,\n";
+        assert!(shown.starts_with(wanted), "{shown}");
+    }
+}

@@ -1,0 +1,42 @@
+//! Which context we act as: `--context`, else `LEDGERCTL_CONTEXT`, else the one of `context use`.
+
+use crate::cli::Global;
+use ledger::Rejection;
+use ledger::certificate::Certificate;
+use ledger::identity::Identity;
+use ledger_api::Context;
+pub(crate) use ledger_api::home;
+use std::path::{Path, PathBuf};
+
+/// Names the context to act as, where `--context` does not.
+const VARIABLE: &str = "LEDGERCTL_CONTEXT";
+
+/// The context to act as.
+pub(crate) fn selected(global: &Global) -> Result<Context, Rejection> {
+    Context::load(&home()?, chosen(global).as_deref())
+}
+
+/// The name of the context to act as, if any is chosen or selected.
+pub(crate) fn name_in_use(global: &Global, home: &Path) -> Result<Option<String>, Rejection> {
+    chosen(global).map_or_else(|| Context::current(home), |name| Ok(Some(name)))
+}
+
+fn chosen(global: &Global) -> Option<String> {
+    global.context.clone().or_else(|| std::env::var(VARIABLE).ok().filter(|name| !name.is_empty()))
+}
+
+/// Where a context is stored.
+pub(crate) fn directory(home: &Path, name: &str) -> PathBuf {
+    home.join("contexts").join(name)
+}
+
+/// Who the context's certificate says we are, whether it is still valid or not.
+pub(crate) fn identity(context: &Context) -> Result<Identity, Rejection> {
+    verified(context, context.chain.first().map(AsRef::as_ref).unwrap_or_default())
+}
+
+/// Whose certificate this is, by the organisations that the context knows, at the beginning of its validity.
+pub(crate) fn verified(context: &Context, der: &[u8]) -> Result<Identity, Rejection> {
+    let at = Certificate::parse(der)?.not_before;
+    Ok(context.msps.verify(der, context.chain.get(1..).unwrap_or_default(), at)?)
+}

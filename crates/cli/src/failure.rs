@@ -1,0 +1,129 @@
+//! Why a command ended early, how that is told, and with which exit code.
+
+use crate::output::Format;
+use ledger::{Code, Rejection};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::process::ExitCode;
+
+/// Exit code of a command line that cannot be understood (`EX_USAGE` of sysexits).
+const EXIT_USAGE: u8 = 64;
+
+/// Why a command ended early.
+#[derive(Debug)]
+pub(crate) enum Failure {
+    /// Something was refused or went wrong; the rejection says what, and its class gives the exit code.
+    Refused(Rejection),
+    /// Nobody reads what we write any more (`ledgerctl robot list | head -1`). That is not an error.
+    ReaderGone,
+}
+
+impl From<Rejection> for Failure {
+    fn from(rejection: Rejection) -> Self {
+        Self::Refused(rejection)
+    }
+}
+
+impl From<io::Error> for Failure {
+    /// Only writing to standard output gives bare IO errors; files are read through [`unreadable`].
+    fn from(error: io::Error) -> Self {
+        match error.kind() {
+            io::ErrorKind::BrokenPipe => Self::ReaderGone,
+            io::ErrorKind::StorageFull => Self::Refused(Rejection::new(Code::DiskFull, "cannot write the output")),
+            _ => Self::Refused(Rejection::new(Code::DiskFailed, "cannot write the output").found(error.to_string())),
+        }
+    }
+}
+
+/// The refusal of a file that cannot be read or written.
+pub(crate) fn unreadable(path: &std::path::Path, error: &io::Error) -> Rejection {
+    Rejection::new(Code::BadFile, format!("cannot read {}", path.display()))
+        .found(error.to_string())
+        .next("check the path and the rights on it")
+}
+
+/// The same facts as the four lines, for `-o json`.
+#[derive(Serialize)]
+struct Report<'a> {
+    code: String,
+    name: &'a str,
+    message: &'a str,
+    found: &'a str,
+    wanted: &'a str,
+    r#try: &'a str,
+}
+
+impl Failure {
+    /// Tells the failure on standard error and gives the exit code.
+    pub(crate) fn report(&self, format: Format) -> ExitCode {
+        match self {
+            Self::ReaderGone => ExitCode::SUCCESS,
+            Self::Refused(rejection) => {
+                // Where standard error is closed too, the exit code is all that is left to tell.
+                let _ = writeln!(io::stderr(), "{}", render(rejection, format).trim_end());
+                ExitCode::from(rejection.code.class().exit_code())
+            }
+        }
+    }
+}
+
+fn render(rejection: &Rejection, format: Format) -> String {
+    let report = Report {
+        code: rejection.code.to_string(),
+        name: rejection.code.name(),
+        message: &rejection.message,
+        found: &rejection.found,
+        wanted: &rejection.wanted,
+        r#try: &rejection.next,
+    };
+    match format {
+        Format::Table => crate::output::printable_lines(&ledger_api::report(rejection)),
+        Format::Json => serde_json::to_string(&report).unwrap_or_else(|_| rejection.to_string()),
+    }
+}
+
+/// Prints what clap has to say: help and version on standard output with 0, a wrong command line on standard error
+/// with 64.
+pub(crate) fn usage(error: &clap::Error) -> ExitCode {
+    let _ = error.print();
+    if error.use_stderr() { ExitCode::from(EXIT_USAGE) } else { ExitCode::SUCCESS }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reader_that_went_away_is_no_error() {
+        assert!(matches!(Failure::from(io::Error::from(io::ErrorKind::BrokenPipe)), Failure::ReaderGone));
+        assert!(matches!(Failure::from(io::Error::from(io::ErrorKind::StorageFull)), Failure::Refused(_)));
+    }
+
+    #[test]
+    fn json_errors_carry_the_same_six_facts_on_one_line() {
+        let rejection = Rejection::new(Code::Held, "Turtlebot4/cmd_vel is held").found("a").wanted("b").next("c");
+        let text = render(&rejection, Format::Json);
+        assert!(!text.contains('\n'));
+        let read: serde_json::Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(read["code"], "LGR-3005");
+        assert_eq!(read["name"], "HELD");
+        assert_eq!(read["message"], "Turtlebot4/cmd_vel is held");
+        assert_eq!((&read["found"], &read["wanted"], &read["try"]), (&"a".into(), &"b".into(), &"c".into()));
+    }
+
+    #[test]
+    fn text_errors_name_code_found_wanted_and_try() {
+        let rejection = Rejection::new(Code::Held, "m").found("f").wanted("w").next("n");
+        let text = render(&rejection, Format::Table);
+        for part in ["error: m", "[LGR-3005]", "found   f", "wanted  w", "try     n"] {
+            assert!(text.contains(part), "{part:?} in {text}");
+        }
+    }
+
+    #[test]
+    fn text_errors_cannot_move_the_cursor() {
+        let rejection = Rejection::new(Code::Refused, "no \u{1b}[2J");
+        assert!(!render(&rejection, Format::Table).contains('\u{1b}'));
+    }
+}

@@ -1,0 +1,170 @@
+//! What a command found out, for people or for programs.
+//!
+//! A command fills a struct of facts and shows it: `-o table` (the default) calls [`Facts::text`], `-o json` writes
+//! the struct as one line of JSON. So both always tell the same.
+
+use crate::failure::Failure;
+use serde::Serialize;
+use std::borrow::Cow;
+use std::io::{self, Write};
+
+/// How results are written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub(crate) enum Format {
+    /// Tables and sentences for people.
+    Table,
+    /// One JSON object or array on one line for programs; errors as one JSON object on standard error.
+    Json,
+}
+
+/// Facts that can be told to people.
+pub(crate) trait Facts: Serialize {
+    /// Writes them for people.
+    fn text(&self, out: &mut dyn Write) -> io::Result<()>;
+}
+
+/// Where the results of a command go.
+pub(crate) struct Output {
+    format: Format,
+    out: Box<dyn Write>,
+}
+
+impl Output {
+    /// Results go to standard output.
+    pub(crate) fn stdout(format: Format) -> Self {
+        Self { format, out: Box::new(io::stdout()) }
+    }
+
+    /// Writes the facts and flushes, so that whoever reads a stream of them gets each at once.
+    pub(crate) fn show<F: Facts>(&mut self, facts: &F) -> Result<(), Failure> {
+        let mut text = Vec::new();
+        match self.format {
+            Format::Table => facts.text(&mut text)?,
+            Format::Json => {
+                serde_json::to_writer(&mut text, facts).map_err(io::Error::from)?;
+                text.push(b'\n');
+            }
+        }
+        self.raw(&text)
+    }
+
+    /// Tells people something beside the results, on standard error. Programs are not bothered with it.
+    pub(crate) fn note(&self, text: &str) {
+        if self.format == Format::Table {
+            let _ = writeln!(io::stderr(), "{}", printable(text));
+        }
+    }
+
+    /// Writes bytes as they are and flushes.
+    pub(crate) fn raw(&mut self, bytes: &[u8]) -> Result<(), Failure> {
+        self.out.write_all(bytes)?;
+        Ok(self.out.flush()?)
+    }
+}
+
+/// Columns of text, each as wide as its widest cell.
+pub(crate) struct Table {
+    rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// A table with these headings.
+    pub(crate) fn new<const N: usize>(headings: [&str; N]) -> Self {
+        Self { rows: vec![headings.map(str::to_owned).to_vec()] }
+    }
+
+    /// Lines of a name and a value, without headings.
+    pub(crate) fn pairs() -> Self {
+        Self { rows: Vec::new() }
+    }
+
+    /// Adds a row.
+    pub(crate) fn row<const N: usize>(&mut self, cells: [String; N]) -> &mut Self {
+        self.rows.push(cells.iter().map(|cell| printable(cell).into_owned()).collect());
+        self
+    }
+
+    /// Adds a name and its value, unless the value is empty.
+    pub(crate) fn pair(&mut self, name: &str, value: impl ToString) -> &mut Self {
+        let value = value.to_string();
+        if value.is_empty() { self } else { self.row([name.to_owned(), value]) }
+    }
+
+    /// Writes it, each line behind `indent` spaces.
+    pub(crate) fn write(&self, out: &mut dyn Write, indent: usize) -> io::Result<()> {
+        let columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
+        let width = |column: usize| {
+            self.rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max().unwrap_or(0)
+        };
+        let widths: Vec<usize> = (0..columns).map(width).collect();
+        for row in &self.rows {
+            let mut line = " ".repeat(indent);
+            for (cell, width) in row.iter().zip(&widths) {
+                line.push_str(&format!("{cell:<width$}  "));
+            }
+            writeln!(out, "{}", line.trim_end())?;
+        }
+        Ok(())
+    }
+}
+
+/// The text without anything that a terminal would obey. Names and messages come from other organisations.
+pub(crate) fn printable(text: &str) -> Cow<'_, str> {
+    if text.chars().any(char::is_control) {
+        text.chars().flat_map(|c| if c.is_control() { c.escape_default().collect() } else { vec![c] }).collect()
+    } else {
+        Cow::Borrowed(text)
+    }
+}
+
+/// [`printable`] line by line.
+pub(crate) fn printable_lines(text: &str) -> String {
+    text.lines().map(printable).collect::<Vec<_>>().join("\n")
+}
+
+/// `KEY=VALUE, KEY=VALUE` of attributes, or `none`.
+pub(crate) fn attributes<'a>(attributes: impl IntoIterator<Item = (&'a String, &'a String)>) -> String {
+    let list: Vec<_> = attributes.into_iter().map(|(key, value)| format!("{key}={value}")).collect();
+    if list.is_empty() { "none".to_owned() } else { list.join(", ") }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn written(table: &Table, indent: usize) -> String {
+        let mut out = Vec::new();
+        table.write(&mut out, indent).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn columns_are_as_wide_as_their_widest_cell() {
+        let mut table = Table::new(["NAME", "MODE"]);
+        table.row(["Turtlebot4".into(), "exclusive".into()]).row(["Häschen".into(), "open".into()]);
+        assert_eq!(written(&table, 0), "NAME        MODE\nTurtlebot4  exclusive\nHäschen     open\n");
+    }
+
+    #[test]
+    fn pairs_without_a_value_are_left_out() {
+        let mut table = Table::pairs();
+        table.pair("name", "Salma").pair("chain", "").pair("role", "member");
+        assert_eq!(written(&table, 2), "  name  Salma\n  role  member\n");
+    }
+
+    #[test]
+    fn cells_cannot_move_the_cursor_or_start_a_line() {
+        let mut table = Table::pairs();
+        table.pair("name", "a\u{1b}[2J\nb\u{9b}");
+        assert_eq!(written(&table, 0), "name  a\\u{1b}[2J\\nb\\u{9b}\n");
+    }
+
+    #[test]
+    fn no_attributes_are_said_to_be_none() {
+        let none = std::collections::BTreeMap::new();
+        assert_eq!(attributes(&none), "none");
+        let some = [("Husky".to_owned(), "true".to_owned())].into();
+        assert_eq!(attributes::<'_>(&some as &std::collections::BTreeMap<_, _>), "Husky=true");
+    }
+}

@@ -1,0 +1,60 @@
+//! A connection as the selected context.
+
+use crate::cli::Global;
+use crate::context;
+use ledger::identity::Identity;
+use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_api::{Client, Committed, Context};
+
+/// The chaincode that keeps robots, grants and policies.
+pub(crate) const ABAC: &str = "abac";
+/// The chaincode that keeps organisations and revocations.
+pub(crate) const MSP: &str = "msp";
+
+/// A connection as the selected context.
+pub(crate) struct Session {
+    context: Context,
+    /// For what is no call of a chaincode.
+    pub(crate) client: Client,
+}
+
+impl Session {
+    /// Connects as the context that the command line, the environment or `context use` selects.
+    pub(crate) async fn open(global: &Global) -> Result<Self, Rejection> {
+        Self::connect(context::selected(global)?).await
+    }
+
+    /// Connects as this context, to the first of its nodes that answers within three seconds.
+    pub(crate) async fn connect(context: Context) -> Result<Self, Rejection> {
+        Ok(Self { client: Client::connect(&context).await?, context })
+    }
+
+    /// Calls a function in a transaction and waits for its verdict.
+    pub(crate) async fn call(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Committed, Rejection> {
+        self.client.invoke(chaincode, function, args).await
+    }
+
+    /// Calls a function on the committed state.
+    pub(crate) async fn ask(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Bytes, Rejection> {
+        Ok(self.client.query(chaincode, function, args).await?.response)
+    }
+
+    /// As whom we are connected, read from our certificate.
+    pub(crate) fn identity(&self) -> Result<Identity, Rejection> {
+        context::identity(&self.context)
+    }
+
+    /// The context behind the connection.
+    pub(crate) fn context(&self) -> &Context {
+        &self.context
+    }
+
+    /// SHA-256 of the root certificate of an organisation.
+    pub(crate) fn ca_fingerprint(&self, organisation: &str) -> Result<Hash, Rejection> {
+        self.context.ca_fingerprint(organisation).ok_or_else(|| {
+            Rejection::new(Code::NotFound, format!("the context does not know the CA of {organisation}"))
+                .wanted(format!("a root certificate of {organisation}"))
+                .next("enrol again: the context was made before that organisation joined")
+        })
+    }
+}

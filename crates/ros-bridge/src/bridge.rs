@@ -1,0 +1,167 @@
+//! A running bridge: its routes, and what they have done.
+
+use std::{path::Path, sync::Arc};
+
+use ledger::{Code, Rejection};
+use ledger_api::{Client, Context, home};
+use serde::Serialize;
+use tokio::{sync::watch, task::JoinHandle};
+
+use crate::{
+    config::{Config, Direction, IdentitySource, RouteConfig, all_faults},
+    count::{Counters, RouteSummary},
+    gate::Settings,
+    gateway::Gateway,
+    route::{Stop, from_ledger::FromLedger, local::Local, to_ledger::ToLedger},
+    service::Service,
+};
+
+/// What all routes of a bridge have done.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// One entry for each route, in the order of the configuration.
+    pub routes: Vec<RouteSummary>,
+}
+
+/// A running bridge. Dropped without [`Bridge::stop`], its routes end as well, but nobody waits for them.
+#[derive(Debug)]
+pub struct Bridge {
+    stop: watch::Sender<bool>,
+    tasks: Vec<JoinHandle<()>>,
+    counters: Vec<Counters>,
+}
+
+/// Runs a bridge by itself until `stop` is ready, and then prints one line of JSON on standard output: the
+/// [`Summary`].
+///
+/// # Errors
+/// As [`Config::load`], [`Client::connect`] and [`Bridge::start`].
+pub async fn run(config: &Path, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
+    let config = Config::load(config).map_err(all_faults)?;
+    let client = Client::connect(&context_of(&config)?).await?;
+    let bridge = Bridge::start(config, client).await?;
+    stop.await;
+    print(&bridge.stop().await)
+}
+
+impl Bridge {
+    /// Joins the local graph and starts all routes, or none. Must be called inside a tokio runtime.
+    ///
+    /// The client decides through which nodes the bridge works; network and organisations come from the context that
+    /// the configuration names, which was stored at enrolment and needs no trust in a node.
+    ///
+    /// # Errors
+    /// [`Code::NoContext`]; [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has
+    /// another type than its service; [`Code::MiddlewareFailed`]; what the ledger says if it does not answer.
+    pub async fn start(config: Config, client: Client) -> Result<Self, Rejection> {
+        let context = context_of(&config)?;
+        Self::start_with(config, Arc::new(client), &context).await
+    }
+
+    async fn start_with(config: Config, gateway: Arc<dyn Gateway>, context: &Context) -> Result<Self, Rejection> {
+        let mut services = Vec::with_capacity(config.routes.len());
+        for route in &config.routes {
+            let (service, _) = Service::ask(&*gateway, 0, &route.service).await?;
+            let topic = service.topic_for(route)?;
+            services.push((service, topic));
+        }
+        let local = Local::open(config.domain_id, &config.node_name, config.shared_memory).await?;
+        let expected = services.iter().zip(&config.routes);
+        let expected = expected.map(|((_, topic), route)| (topic.clone(), route.message.clone())).collect();
+        let (stop, told) = watch::channel(false);
+        let mut routes: Vec<futures::future::BoxFuture<'static, ()>> = Vec::new();
+        let mut counters = Vec::new();
+        for (route, (service, topic)) in config.routes.into_iter().zip(services) {
+            let counted = Counters::new(&route);
+            counters.push(counted.clone());
+            match route.direction {
+                Direction::ToLedger => {
+                    let opened = to_ledger(&gateway, &route, &local, &topic, counted).await?;
+                    routes.push(Box::pin(opened.run(told.clone())));
+                }
+                Direction::FromLedger => {
+                    let settings = Settings {
+                        network: context.network,
+                        msps: Arc::clone(&context.msps),
+                        sample_bytes_max: route.sample_bytes_max,
+                        max_age: route.max_age,
+                    };
+                    let outlet = local.outlet(&topic, &route.message, &route.qos).await?;
+                    let gateway = Arc::clone(&gateway);
+                    let opened = FromLedger::open(gateway, route, settings, service, outlet, counted).await?;
+                    routes.push(Box::pin(opened.run(told.clone())));
+                }
+            }
+        }
+        routes.push(Box::pin(watch_types(local, expected, told)));
+        let tasks = routes.into_iter().map(tokio::spawn).collect();
+        Ok(Self { stop, tasks, counters })
+    }
+
+    /// What the routes have done so far.
+    pub fn summary(&self) -> Summary {
+        Summary { routes: self.counters.iter().map(Counters::summary).collect() }
+    }
+
+    /// Stops what robots are moving, ends all routes, and leaves the graph.
+    pub async fn stop(self) -> Summary {
+        self.stop.send_replace(true);
+        for task in self.tasks {
+            if let Err(error) = task.await {
+                tracing::error!(%error, "a route ended before its time");
+            }
+        }
+        Summary { routes: self.counters.iter().map(Counters::summary).collect() }
+    }
+}
+
+async fn to_ledger(
+    gateway: &Arc<dyn Gateway>,
+    route: &RouteConfig,
+    local: &Local,
+    topic: &crate::names::TopicName,
+    counters: Counters,
+) -> Result<ToLedger, Rejection> {
+    let inlet = local.inlet(topic, &route.message, &route.qos, route.limits()).await?;
+    ToLedger::open(Arc::clone(gateway), &route.service, inlet, route.batch_max, counters).await
+}
+
+/// Warns of local publishers and subscribers whose type is not the route's: they are never matched.
+async fn watch_types(local: Local, expected: Vec<(crate::names::TopicName, crate::names::TypeName)>, mut stop: Stop) {
+    tokio::select! {
+        () = crate::route::stopped(&mut stop) => {}
+        () = local.participant().watch_types(&expected) => {}
+    }
+}
+
+/// The identity of a bridge towards the ledger, as its configuration names it.
+///
+/// # Errors
+/// As [`Context::load`].
+pub fn context_of(config: &Config) -> Result<Context, Rejection> {
+    match &config.identity {
+        IdentitySource::Selected => Context::load(&home()?, None),
+        IdentitySource::Context(name) => Context::load(&home()?, Some(name)),
+        IdentitySource::Directory(path) => {
+            let contexts = path.parent();
+            let name = path.file_name().and_then(|name| name.to_str());
+            match (name, contexts, contexts.and_then(Path::parent)) {
+                (Some(name), Some(contexts), Some(home)) if contexts.ends_with("contexts") => {
+                    Context::load(home, Some(name))
+                }
+                _ => Err(Rejection::new(Code::BadConfiguration, "context_dir is not usable")
+                    .found(path.display().to_string())
+                    .wanted("the directory of a context: <home>/contexts/<NAME>")
+                    .next("ledgerctl enroll makes one below LEDGERD_HOME")),
+            }
+        }
+    }
+}
+
+#[expect(clippy::print_stdout, reason = "the summary is the output of the program")]
+fn print(summary: &Summary) -> Result<(), Rejection> {
+    let text = serde_json::to_string(summary)
+        .map_err(|error| Rejection::new(Code::Internal, format!("the summary cannot be written: {error}")))?;
+    println!("{text}");
+    Ok(())
+}

@@ -1,0 +1,174 @@
+//! What a route has done: counted while it runs, summed up when it ends.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use hdrhistogram::Histogram;
+use ledger::{Code, Rejection};
+use serde::Serialize;
+
+use crate::{
+    config::{Direction, RouteConfig},
+    gateway::Tally,
+};
+
+/// Longest latency told apart, in microseconds.
+const LATENCY_US_MAX: u64 = 60_000_000;
+/// The same complaint is logged at most this often.
+const COMPLAINT_EVERY: Duration = Duration::from_secs(10);
+
+/// What a route has done so far.
+#[derive(Clone, Debug, Serialize)]
+pub struct RouteSummary {
+    /// The service.
+    pub service: String,
+    /// Which way.
+    pub direction: Direction,
+    /// Samples taken in from the local graph.
+    pub samples_in: u64,
+    /// Samples that newer ones replaced while they waited, or that were too large.
+    pub replaced: u64,
+    /// Samples submitted to the ledger.
+    pub submitted: u64,
+    /// Samples that the ledger executed.
+    pub committed: u64,
+    /// Samples that were refused, by the name of the code.
+    pub refused: Tally,
+    /// Samples published to the local graph.
+    pub published: u64,
+    /// Samples that the local graph did not take, because a reader does not keep up.
+    pub unpublished: u64,
+    /// Stop messages published, by reason.
+    pub stops: Tally,
+    /// Messages that the gate did not let pass, by reason.
+    pub gate: Tally,
+    /// From a sample taken in to its verdict, in microseconds.
+    pub commit_us: Latency,
+}
+
+/// Latencies in microseconds; all zero if there are none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Latency {
+    /// How many were measured.
+    pub count: u64,
+    /// Half are at most this.
+    pub p50: u64,
+    /// 95 of 100 are at most this.
+    pub p95: u64,
+    /// 99 of 100 are at most this.
+    pub p99: u64,
+    /// The largest.
+    pub max: u64,
+}
+
+/// The counters of a route, shared with whoever asks for a summary.
+#[derive(Clone, Debug)]
+pub(crate) struct Counters(Arc<Mutex<Counts>>);
+
+/// What is counted.
+#[derive(Debug)]
+pub(crate) struct Counts {
+    pub(crate) summary: RouteSummary,
+    latency: Option<Histogram<u64>>,
+}
+
+impl Counters {
+    pub(crate) fn new(route: &RouteConfig) -> Self {
+        let summary = RouteSummary {
+            service: route.service.clone(),
+            direction: route.direction,
+            samples_in: 0,
+            replaced: 0,
+            submitted: 0,
+            committed: 0,
+            refused: Tally::new(),
+            published: 0,
+            unpublished: 0,
+            stops: Tally::new(),
+            gate: Tally::new(),
+            commit_us: Latency::default(),
+        };
+        let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
+        Self(Arc::new(Mutex::new(Counts { summary, latency })))
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, Counts> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn summary(&self) -> RouteSummary {
+        let counts = self.lock();
+        let mut summary = counts.summary.clone();
+        if let Some(latency) = &counts.latency {
+            summary.commit_us = Latency {
+                count: latency.len(),
+                p50: latency.value_at_quantile(0.50),
+                p95: latency.value_at_quantile(0.95),
+                p99: latency.value_at_quantile(0.99),
+                max: latency.max(),
+            };
+        }
+        summary
+    }
+}
+
+impl Counts {
+    /// A sample was committed after this long.
+    pub(crate) fn committed(&mut self, after: Duration) {
+        self.summary.committed += 1;
+        let micros = u64::try_from(after.as_micros()).unwrap_or(LATENCY_US_MAX).clamp(1, LATENCY_US_MAX);
+        if let Some(latency) = &mut self.latency {
+            latency.saturating_record(micros);
+        }
+    }
+}
+
+/// Adds to a tally.
+pub(crate) fn count(tally: &mut Tally, name: &'static str, times: u64) {
+    let entry = tally.entry(name).or_default();
+    *entry = entry.saturating_add(times);
+}
+
+/// Decides what is worth a line in the log: a reason that is new, or the same again after a while.
+#[derive(Debug, Default)]
+pub(crate) struct Complaint {
+    last: Option<(&'static str, Instant)>,
+    silent: u64,
+}
+
+impl Complaint {
+    /// Is it worth a line? Then with the number of those that were not.
+    pub(crate) fn worth(&mut self, name: &'static str, now: Instant) -> Option<u64> {
+        let again =
+            self.last.is_some_and(|(last, when)| last == name && now.saturating_duration_since(when) < COMPLAINT_EVERY);
+        if again {
+            self.silent = self.silent.saturating_add(1);
+            return None;
+        }
+        self.last = Some((name, now));
+        Some(std::mem::take(&mut self.silent))
+    }
+}
+
+/// Code and reason of a refusal in one line.
+pub(crate) fn line(refused: &Rejection) -> String {
+    let Rejection { code, message, found, wanted, .. } = refused;
+    let detail = |label: &str, text: &str| if text.is_empty() { String::new() } else { format!("; {label} {text}") };
+    debug_assert!(*code != Code::Ok, "a refusal has a code");
+    format!("{code} {message}{}{}", detail("found", found), detail("wanted", wanted))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_complaint_is_repeated_only_when_it_changes_or_after_a_while() {
+        let (mut complaint, start) = (Complaint::default(), Instant::now());
+        assert_eq!(complaint.worth("HELD", start), Some(0));
+        assert_eq!(complaint.worth("HELD", start + Duration::from_secs(1)), None);
+        assert_eq!(complaint.worth("HELD", start + Duration::from_secs(2)), None);
+        assert_eq!(complaint.worth("HELD", start + Duration::from_secs(11)), Some(2));
+        assert_eq!(complaint.worth("NOT_HOLDER", start + Duration::from_secs(11)), Some(0));
+    }
+}

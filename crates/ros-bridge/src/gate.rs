@@ -1,0 +1,334 @@
+//! The gate of a robot: what a node delivers is checked again, by rules that need no trust in that node.
+//!
+//! A node that lies can hold messages back. It cannot make one up (the user's signature, and the network's
+//! authorities vouch for it), bring one again or out of order (sequence numbers), or bring one late: block time comes
+//! from the node, but `not_after` is signed, and bridges sign for two seconds.
+//!
+//! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the
+//! network that was not revoked; in the newest epoch and by its holder, where the service needs a grant; with a
+//! sequence number above the last; not older than allowed; and from after the start of the gate and its last stop.
+//! Holders are learnt from grants that the holder signed for, except those that stood when the gate was opened.
+//!
+//! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
+//!
+//! The gate does no IO and reads no clock: all of it is arguments.
+
+mod clock;
+mod identities;
+mod refused;
+mod sequences;
+
+#[cfg(test)]
+mod tests;
+
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
+
+use ledger::{
+    Bytes, Hash,
+    identity::Identity,
+    msp::Msps,
+    transaction::{NOT_AFTER_AHEAD_MAX, Transaction},
+};
+
+use self::{clock::Clock, identities::Identities, sequences::Sequences};
+pub use self::{clock::Now, refused::Refused};
+use crate::{
+    gateway::{ABAC, COMMAND_TTL},
+    sample::Sample,
+    service::{Grant, Released, Revoked, Service},
+};
+
+/// How far block time may be ahead of the robot's wall clock, in microseconds.
+const AHEAD_US_MAX: u64 = 5_000_000;
+/// Most holders of one service.
+const HOLDERS_MAX: usize = 1024;
+/// Arguments of `set` before the payloads: service, epoch, first sequence number.
+const SET_ARGUMENTS: usize = 3;
+
+/// What stays the same while a gate is open.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The network.
+    pub network: Hash,
+    /// Its organisations.
+    pub msps: Arc<Msps>,
+    /// Largest sample, in bytes with its encapsulation header.
+    pub sample_bytes_max: usize,
+    /// Age beyond which a message is dropped, if that is shorter than the service's.
+    pub max_age: Option<Duration>,
+}
+
+/// A transaction as a node delivers it.
+#[derive(Clone, Copy, Debug)]
+pub struct Delivered<'a> {
+    /// Block time, as the node says (microseconds).
+    pub block_time: u64,
+    /// The encoded transaction.
+    pub transaction: &'a Bytes,
+    /// The creator's certificate, if the node shows it.
+    pub certificate: &'a Bytes,
+}
+
+/// The gate of one service.
+#[derive(Debug)]
+pub struct Gate {
+    settings: Settings,
+    /// Id of the service.
+    id: String,
+    /// None while the ledger's description of the service is not known: nothing passes.
+    rules: Option<Rules>,
+    identities: Identities,
+    sequences: Sequences,
+    clock: Clock,
+    /// The newest epoch that was seen.
+    epoch: u64,
+    /// Who holds the service, with the epoch of the grant.
+    holders: BTreeMap<String, u64>,
+    /// When the gate was opened, or its last stop by itself, by the wall clock (microseconds): what bridges signed
+    /// before does not pass, whatever block time the node gives it.
+    signed_since: u64,
+    /// Nothing from before this block time passes (microseconds).
+    not_before: u64,
+    /// Who moved the robot last, since its last stop.
+    driver: Option<Arc<Identity>>,
+}
+
+/// What the service's description says about who may publish.
+#[derive(Debug)]
+struct Rules {
+    needs_grant: bool,
+    /// The only organisation that publishes; none = any.
+    publisher: Option<String>,
+    max_age_us: u64,
+}
+
+/// The arguments of `set`.
+struct Call<'a> {
+    epoch: u64,
+    first_seq: u64,
+    last_seq: u64,
+    payloads: &'a [Bytes],
+}
+
+impl Gate {
+    /// A gate through which nothing passes until [`Gate::describe`] tells of the service.
+    pub fn new(settings: Settings, service: &str, now: Now) -> Self {
+        Self {
+            identities: Identities::new(Arc::clone(&settings.msps)),
+            settings,
+            id: service.to_owned(),
+            rules: None,
+            sequences: Sequences::default(),
+            clock: Clock::default(),
+            epoch: 0,
+            holders: BTreeMap::new(),
+            signed_since: now.wall,
+            not_before: 0,
+            driver: None,
+        }
+    }
+
+    /// Takes the service as the ledger describes it now, and the grants that stand.
+    pub fn describe(&mut self, service: &Service, grants: &[Grant]) {
+        let age_us = service.max_age_ms.saturating_mul(1000);
+        let own_us = self.settings.max_age.map_or(u64::MAX, |age| u64::try_from(age.as_micros()).unwrap_or(u64::MAX));
+        self.rules = Some(Rules {
+            needs_grant: service.needs_grant(),
+            publisher: (!service.is_command()).then(|| service.organisation.clone()),
+            max_age_us: age_us.min(own_us),
+        });
+        let newest = grants.iter().map(|grant| grant.epoch).max().unwrap_or(0).max(service.epoch);
+        if newest < self.epoch {
+            return; // older than what the events have told
+        }
+        self.epoch = newest;
+        self.holders = grants
+            .iter()
+            .filter(|grant| grant.service == self.id)
+            .take(HOLDERS_MAX)
+            .map(|grant| (grant.holder.clone(), grant.epoch))
+            .collect();
+    }
+
+    /// Forgets the description: nothing passes until there is a new one.
+    pub fn close(&mut self) {
+        self.rules = None;
+    }
+
+    /// Does it wait for a description?
+    pub fn is_closed(&self) -> bool {
+        self.rules.is_none()
+    }
+
+    /// Takes note of a sign of life with its block time.
+    pub fn heard(&mut self, block_time: u64, now: Now) {
+        if block_time <= now.wall.saturating_add(AHEAD_US_MAX) {
+            self.clock.heard(block_time, now);
+        }
+    }
+
+    /// Lets a message pass, or says which rule it breaks. The samples are to be published in this order.
+    ///
+    /// # Errors
+    /// The first rule that is broken, the cheap ones first.
+    pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Vec<Sample>, Refused> {
+        let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
+        let (needs_grant, max_age_us) = (rules.needs_grant, rules.max_age_us);
+        let transaction = self.decode(delivered)?;
+        let call = read_call(&transaction, &self.id)?;
+        let samples = self.read_samples(call.payloads)?;
+        self.heard(delivered.block_time, now);
+        self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
+        if needs_grant {
+            match call.epoch.cmp(&self.epoch) {
+                std::cmp::Ordering::Less => return Err(Refused::StaleEpoch),
+                std::cmp::Ordering::Greater => return Err(Refused::UnknownEpoch),
+                std::cmp::Ordering::Equal => {}
+            }
+        }
+        let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
+        let publisher = self.rules.as_ref().and_then(|rules| rules.publisher.as_ref());
+        if publisher.is_some_and(|owner| *owner != creator.organisation) {
+            return Err(Refused::NotOwner);
+        }
+        let name = creator.id();
+        if (needs_grant || call.epoch > 0) && self.holders.get(&name) != Some(&call.epoch) {
+            return Err(Refused::NotHolder);
+        }
+        if !self.sequences.may_follow(&name, needs_grant, call.epoch, call.first_seq) {
+            return Err(Refused::StaleSequence);
+        }
+        let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
+        if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
+            return Err(Refused::TooManyPublishers);
+        }
+        self.driver = Some(creator);
+        Ok(samples)
+    }
+
+    /// Takes a new grant. It counts only if its holder signed for it: a node cannot hand the robot to somebody who
+    /// did not ask for it.
+    ///
+    /// # Errors
+    /// Why the grant does not count. The holder before it is not touched: that ends with [`Gate::released`].
+    pub fn granted(&mut self, grant: &Grant, delivered: Delivered<'_>) -> Result<(), Refused> {
+        if grant.service != self.id {
+            return Err(Refused::WrongCall);
+        }
+        if grant.epoch <= self.epoch {
+            return Err(Refused::StaleEpoch);
+        }
+        let transaction = self.decode(delivered)?;
+        let body = transaction.body();
+        let named = body.args.first().and_then(|name| std::str::from_utf8(name).ok()).unwrap_or_default();
+        let is_meant = named == self.id || self.id.split_once('/').is_some_and(|(robot, _)| robot == named);
+        if body.chaincode != ABAC || body.function != "acquire" || !is_meant {
+            return Err(Refused::UnprovenGrant);
+        }
+        let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
+        if creator.id() != grant.holder {
+            return Err(Refused::UnprovenGrant);
+        }
+        if self.rules.as_ref().is_none_or(|rules| rules.needs_grant) || self.holders.len() >= HOLDERS_MAX {
+            self.holders.clear();
+        }
+        self.epoch = grant.epoch;
+        self.holders.insert(grant.holder.clone(), grant.epoch);
+        Ok(())
+    }
+
+    /// Takes the end of a grant. True if the robot must stop: unless a newer grant has been seen already.
+    pub fn released(&mut self, released: &Released, block_time: u64) -> bool {
+        if released.service != self.id {
+            return false;
+        }
+        if self.holders.get(&released.holder).is_some_and(|epoch| *epoch <= released.epoch) {
+            self.holders.remove(&released.holder);
+        }
+        let is_newest = released.epoch >= self.epoch || self.rules.as_ref().is_none_or(|rules| !rules.needs_grant);
+        if is_newest {
+            self.epoch = self.epoch.max(released.epoch);
+            self.driver = None;
+            self.not_before = self.not_before.max(block_time);
+        }
+        is_newest
+    }
+
+    /// Takes the revocation of a certificate. True if the robot must stop, because the revoked one moved it last.
+    pub fn revoked(&mut self, revoked: &Revoked) -> bool {
+        let key = self.identities.revoke(revoked);
+        let moved_it = self.driver.as_ref().is_some_and(|driver| Some(driver.revocation_key()) == key);
+        if moved_it {
+            self.driver = None;
+        }
+        moved_it
+    }
+
+    /// Has anybody moved the robot since its last stop?
+    pub fn is_moving(&self) -> bool {
+        self.driver.is_some()
+    }
+
+    /// The robot is being stopped: nothing from before this moment passes any more.
+    pub fn stopped(&mut self, now: Now) {
+        self.driver = None;
+        self.signed_since = self.signed_since.max(now.wall);
+        self.not_before = self.not_before.max(self.clock.now(now));
+    }
+
+    fn decode(&self, delivered: Delivered<'_>) -> Result<Transaction, Refused> {
+        let transaction = Transaction::decode(delivered.transaction.clone()).map_err(|_| Refused::Malformed)?;
+        if transaction.body().network == self.settings.network.0[..] {
+            Ok(transaction)
+        } else {
+            Err(Refused::WrongNetwork)
+        }
+    }
+
+    fn read_samples(&self, payloads: &[Bytes]) -> Result<Vec<Sample>, Refused> {
+        let bytes_max = self.settings.sample_bytes_max;
+        if payloads.iter().any(|payload| payload.len() > bytes_max) {
+            return Err(Refused::TooLarge);
+        }
+        let sample = |payload: &Bytes| Sample::from_wire(payload.clone(), bytes_max).map_err(|_| Refused::BadPayload);
+        payloads.iter().map(sample).collect()
+    }
+
+    fn check_time(&self, signed: &Transaction, block_time: u64, max_age_us: u64, now: Now) -> Result<(), Refused> {
+        if block_time > now.wall.saturating_add(AHEAD_US_MAX) {
+            return Err(Refused::FromFuture);
+        }
+        let time = self.clock.now(now);
+        let not_after = signed.body().not_after;
+        if not_after < time.max(block_time) || not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
+            return Err(Refused::Expired);
+        }
+        if time.saturating_sub(block_time) > max_age_us {
+            return Err(Refused::TooOld);
+        }
+        let ttl_us = u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX);
+        let signed_before = not_after < self.signed_since.saturating_add(ttl_us);
+        if signed_before || block_time < self.not_before { Err(Refused::BeforeStop) } else { Ok(()) }
+    }
+}
+
+/// Reads a call that must be `abac set SERVICE EPOCH FIRST_SEQ PAYLOAD...`, with the service's full id.
+fn read_call<'t>(transaction: &'t Transaction, service: &str) -> Result<Call<'t>, Refused> {
+    let body = transaction.body();
+    let [named, epoch, first_seq, ..] = body.args.as_slice() else { return Err(Refused::WrongCall) };
+    if body.chaincode != ABAC || body.function != "set" || named != service.as_bytes() {
+        return Err(Refused::WrongCall);
+    }
+    let payloads = body.args.get(SET_ARGUMENTS..).unwrap_or_default();
+    let count = u64::try_from(payloads.len()).ok().filter(|count| *count > 0).ok_or(Refused::Malformed)?;
+    let (epoch, first_seq) = (number(epoch)?, number(first_seq)?);
+    let last_seq = first_seq.checked_add(count - 1).ok_or(Refused::Malformed)?;
+    Ok(Call { epoch, first_seq, last_seq, payloads })
+}
+
+/// A decimal number as the ledger reads it: digits only.
+fn number(text: &[u8]) -> Result<u64, Refused> {
+    let digits = text.iter().all(u8::is_ascii_digit);
+    let parsed = std::str::from_utf8(text).ok().filter(|_| digits).and_then(|text| text.parse().ok());
+    parsed.ok_or(Refused::Malformed)
+}

@@ -1,0 +1,75 @@
+//! Whose signature is whose, by the robot's own check against the network's organisations.
+
+use std::{
+    collections::{BTreeSet, HashMap},
+    sync::Arc,
+};
+
+use ledger::{Bytes, Hash, identity::Identity, msp::Msps, transaction::Transaction};
+
+use super::Refused;
+use crate::service::Revoked;
+
+/// Most identities remembered; beyond it all are forgotten and shown anew.
+const IDENTITIES_MAX: usize = 4096;
+/// Most revocations remembered; beyond it nothing passes any more, because one could be missing.
+const REVOKED_MAX: usize = 100_000;
+
+/// Verified certificates, and revoked ones.
+#[derive(Debug)]
+pub(super) struct Identities {
+    msps: Arc<Msps>,
+    known: HashMap<Hash, Arc<Identity>>,
+    revoked: BTreeSet<Vec<u8>>,
+    overflown: bool,
+}
+
+impl Identities {
+    pub(super) fn new(msps: Arc<Msps>) -> Self {
+        Self { msps, known: HashMap::new(), revoked: BTreeSet::new(), overflown: false }
+    }
+
+    /// The creator of a transaction, who signed it and is valid at `at` (microseconds) and not revoked.
+    pub(super) fn creator(
+        &mut self,
+        transaction: &Transaction,
+        shown: &Bytes,
+        at: u64,
+    ) -> Result<Arc<Identity>, Refused> {
+        let fingerprint = transaction.creator();
+        let identity = match self.known.get(&fingerprint).filter(|known| known.check_validity(at).is_ok()) {
+            Some(known) => Arc::clone(known),
+            None => {
+                let der = [Some(shown), transaction.certificate()]
+                    .into_iter()
+                    .flatten()
+                    .find(|der| Hash::of(&[der]) == fingerprint)
+                    .ok_or(Refused::UnknownCreator)?;
+                let identity = self.msps.verify(der, &[], at).map_err(|_| Refused::Untrusted)?;
+                if self.known.len() >= IDENTITIES_MAX {
+                    self.known.clear();
+                }
+                let identity = Arc::new(identity);
+                self.known.insert(fingerprint, Arc::clone(&identity));
+                identity
+            }
+        };
+        if self.overflown || self.revoked.contains(&identity.revocation_key()) {
+            return Err(Refused::Revoked);
+        }
+        transaction.verify(&identity.public_key).map_err(|_| Refused::BadSignature)?;
+        Ok(identity)
+    }
+
+    /// Takes note of a revocation; answers with what [`Identity::revocation_key`] of the revoked says.
+    pub(super) fn revoke(&mut self, revoked: &Revoked) -> Option<Vec<u8>> {
+        let serial = hex::decode(&revoked.serial).ok()?;
+        let key = [&revoked.issuer.0[..], &serial].concat();
+        if self.revoked.len() < REVOKED_MAX {
+            self.revoked.insert(key.clone());
+        } else if !self.revoked.contains(&key) {
+            self.overflown = true;
+        }
+        Some(key)
+    }
+}

@@ -1,0 +1,74 @@
+//! Which sequence number each publisher has reached: nothing passes twice, nothing passes backwards.
+
+use std::collections::BTreeMap;
+
+/// Most publishers remembered at a time.
+pub(super) const PUBLISHERS_MAX: usize = 4096;
+
+/// The last numbers of all publishers of a service.
+#[derive(Debug, Default)]
+pub(super) struct Sequences {
+    last: BTreeMap<String, Last>,
+}
+
+#[derive(Debug)]
+struct Last {
+    epoch: u64,
+    seq: u64,
+    /// When the last of this publisher's messages expires (microseconds). After it none of them can pass any more,
+    /// so the publisher may be forgotten.
+    not_after: u64,
+}
+
+impl Sequences {
+    /// May these numbers follow? With `by_epoch` every epoch counts anew, as on an exclusive service.
+    pub(super) fn may_follow(&self, publisher: &str, by_epoch: bool, epoch: u64, first_seq: u64) -> bool {
+        self.last
+            .get(publisher)
+            .is_none_or(|last| if by_epoch && epoch > last.epoch { true } else { first_seq > last.seq })
+    }
+
+    /// Takes note of a message that passed. False if there is no room: then it must not pass.
+    pub(super) fn note(&mut self, publisher: &str, epoch: u64, last_seq: u64, not_after: u64, now: u64) -> bool {
+        if let Some(last) = self.last.get_mut(publisher) {
+            *last = Last { epoch, seq: last_seq, not_after: last.not_after.max(not_after) };
+            return true;
+        }
+        if self.last.len() >= PUBLISHERS_MAX {
+            self.last.retain(|_, last| last.not_after >= now);
+        }
+        let room = self.last.len() < PUBLISHERS_MAX;
+        if room {
+            self.last.insert(publisher.to_owned(), Last { epoch, seq: last_seq, not_after });
+        }
+        room
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_only_grow_and_an_exclusive_service_counts_each_epoch_anew() {
+        let mut sequences = Sequences::default();
+        assert!(sequences.note("a", 1, 10, 100, 0));
+        for by_epoch in [true, false] {
+            assert!(!sequences.may_follow("a", by_epoch, 1, 10));
+            assert!(sequences.may_follow("a", by_epoch, 1, 11));
+            assert!(sequences.may_follow("b", by_epoch, 1, 1));
+        }
+        assert!(sequences.may_follow("a", true, 2, 1));
+        assert!(!sequences.may_follow("a", false, 2, 1));
+    }
+
+    #[test]
+    fn publishers_are_forgotten_only_when_nothing_of_them_can_come_again() {
+        let mut sequences = Sequences::default();
+        for number in 0..PUBLISHERS_MAX {
+            assert!(sequences.note(&number.to_string(), 1, 1, 100, 0));
+        }
+        assert!(!sequences.note("late", 1, 1, 200, 100), "all may still be replayed");
+        assert!(sequences.note("late", 1, 1, 200, 101));
+    }
+}

@@ -1,0 +1,110 @@
+//! What a bridge needs of the ledger, so that routes can be tested without one.
+
+use std::{collections::BTreeMap, time::Duration};
+
+use futures::{
+    FutureExt,
+    future::BoxFuture,
+    stream::{self, BoxStream, StreamExt},
+};
+use ledger::{Bytes, Code, Rejection};
+use ledger_api::{Answer, Call, Client, Subscription, v1::Delivery};
+use serde::de::DeserializeOwned;
+
+/// The access-control chaincode.
+pub(crate) const ABAC: &str = "abac";
+/// The chaincode that knows revocations.
+pub(crate) const MSP: &str = "msp";
+/// How long a command may be on its way to its block. Short, because what a node holds back until then could still
+/// be brought to a robot: see [`crate::gate`].
+pub(crate) const COMMAND_TTL: Duration = Duration::from_secs(2);
+/// How long a subscription rests that was refused for good: rights may come back.
+const REFUSED_REST: Duration = Duration::from_secs(1);
+
+/// Deliveries as they come; an error is followed by more, some time later.
+pub(crate) type Deliveries = BoxStream<'static, Result<Delivery, Rejection>>;
+/// A verdict to come.
+pub(crate) type Verdict = BoxFuture<'static, Result<(), Rejection>>;
+
+/// The ledger as routes see it.
+pub(crate) trait Gateway: Send + Sync + 'static {
+    /// Calls a function on a state of at least that height.
+    fn query(
+        &self,
+        height: u64,
+        chaincode: &str,
+        function: &str,
+        args: Vec<Bytes>,
+    ) -> BoxFuture<'static, Result<Answer, Rejection>>;
+
+    /// Height of the last executed block.
+    fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>>;
+
+    /// Events from a height on; resumes by itself.
+    fn subscribe(&self, wanted: Subscription) -> Deliveries;
+
+    /// Signs and submits `abac set` at once, in the order of the calls; the verdict need not be awaited.
+    fn set(&self, args: Vec<Bytes>) -> Verdict;
+}
+
+impl Gateway for Client {
+    fn query(
+        &self,
+        height: u64,
+        chaincode: &str,
+        function: &str,
+        args: Vec<Bytes>,
+    ) -> BoxFuture<'static, Result<Answer, Rejection>> {
+        let (client, chaincode, function) = (self.clone(), chaincode.to_owned(), function.to_owned());
+        async move { client.query_at(height, &chaincode, &function, args).await }.boxed()
+    }
+
+    fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>> {
+        let client = self.clone();
+        async move { Ok(client.status().await?.height) }.boxed()
+    }
+
+    fn subscribe(&self, wanted: Subscription) -> Deliveries {
+        let start = (Self::subscribe(self, wanted), false);
+        // The stream keeps a wait that was begun when its caller turns to something else in between.
+        stream::unfold(start, |(mut events, refused)| async move {
+            if refused {
+                tokio::time::sleep(REFUSED_REST).await;
+            }
+            let delivery = events.next().await;
+            let refused = delivery.is_err();
+            Some((delivery, (events, refused)))
+        })
+        .boxed()
+    }
+
+    fn set(&self, args: Vec<Bytes>) -> Verdict {
+        let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
+        match self.prepare(call) {
+            Ok(transaction) => self.submit_nowait(&transaction).map(|verdict| verdict.map(drop)).boxed(),
+            Err(refused) => std::future::ready(Err(refused)).boxed(),
+        }
+    }
+}
+
+/// Asks for JSON; answers with the height of the state as well.
+pub(crate) async fn ask<T: DeserializeOwned>(
+    gateway: &dyn Gateway,
+    height: u64,
+    chaincode: &str,
+    function: &str,
+    args: &[&str],
+) -> Result<(T, u64), Rejection> {
+    let args = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
+    let answer = gateway.query(height, chaincode, function, args).await?;
+    let value = serde_json::from_slice(&answer.response).map_err(|error| {
+        Rejection::new(Code::Malformed, format!("the answer to {chaincode} {function} cannot be read"))
+            .found(error.to_string())
+            .wanted("the JSON that this version knows")
+            .next("use the same version for node and bridge")
+    })?;
+    Ok((value, answer.height))
+}
+
+/// How often something happened, by its name.
+pub(crate) type Tally = BTreeMap<&'static str, u64>;

@@ -1,0 +1,301 @@
+//! From the ledger to the local graph, through the gate.
+//!
+//! Subscribed from now on: commands of the past are nobody's. A connection that broke is resumed where it was cut
+//! off, and what is then too old stays out.
+
+use std::{
+    collections::HashMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use futures::StreamExt;
+use ledger::{Bytes, Rejection};
+use ledger_api::{
+    Subscription,
+    v1::{Delivery, EventRecord},
+};
+use tokio::time::{sleep_until, timeout};
+
+use super::{Clocks, Stop, local::Outlet, stopped};
+use crate::{
+    config::{HEARTBEAT_MS, RouteConfig},
+    count::{Complaint, Counters, count, line},
+    error::Error,
+    gate::{Delivered, Gate, Now, Refused, Settings},
+    gateway::{ABAC, Deliveries, Gateway, MSP, ask},
+    sample::Sample,
+    service::{Grant, Released, Revoked, Service, read},
+};
+
+/// How long a stop message is waited for when the bridge ends.
+const FLUSH_MAX: Duration = Duration::from_millis(500);
+/// A subscription that has to show a certificate again is renewed at most this often.
+const RENEW_EVERY: Duration = Duration::from_secs(1);
+
+/// What an event asks for.
+#[derive(Debug, PartialEq, Eq)]
+enum Act {
+    Nothing,
+    /// Publish these, in order.
+    Publish(Vec<Sample>),
+    /// Publish the stop message, for this reason.
+    Stop(&'static str),
+    /// The service may have changed: ask for it before the next event.
+    Describe,
+    /// The gate did not let it pass.
+    Refused(Refused),
+}
+
+/// Transactions of one block by their position: the first event of each carries it.
+type Shown = HashMap<u32, (Bytes, Bytes)>;
+
+/// What an event means to the gate.
+fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown: &mut Shown, now: Now) -> Act {
+    if !event.transaction.is_empty() {
+        shown.insert(event.index, (event.transaction.clone(), event.certificate.clone()));
+    }
+    let none = (Bytes::new(), Bytes::new());
+    let (transaction, certificate) = shown.get(&event.index).unwrap_or(&none);
+    let delivered = Delivered { block_time, transaction, certificate };
+    let outcome = match (event.chaincode.as_str(), event.name.as_str()) {
+        (ABAC, "message") => gate.pass(delivered, now).map(Act::Publish),
+        (ABAC, "granted") => match read::<Grant>(&event.payload) {
+            Some(grant) => gate.granted(&grant, delivered).map(|()| Act::Nothing),
+            None => Err(Refused::Malformed),
+        },
+        (ABAC, "released") => match read::<Released>(&event.payload) {
+            Some(released) if gate.released(&released, block_time) => Ok(Act::Stop(reason(&released.reason))),
+            Some(_) => Ok(Act::Nothing),
+            None => Err(Refused::Malformed),
+        },
+        (ABAC, "robot") => Ok(Act::Describe),
+        (MSP, "revoked") => match read::<Revoked>(&event.payload) {
+            Some(revoked) if gate.revoked(&revoked) => Ok(Act::Stop("revoked")),
+            Some(_) => Ok(Act::Nothing),
+            None => Err(Refused::Malformed),
+        },
+        _ => Ok(Act::Nothing),
+    };
+    outcome.unwrap_or_else(Act::Refused)
+}
+
+/// The reason of a release, as it is counted.
+fn reason(text: &str) -> &'static str {
+    ["released", "expired", "revoked", "taken", "robot_removed", "policy"]
+        .into_iter()
+        .find(|known| *known == text)
+        .unwrap_or("other")
+}
+
+/// A route from a service to a local topic.
+pub(crate) struct FromLedger {
+    gateway: Arc<dyn Gateway>,
+    route: RouteConfig,
+    outlet: Outlet,
+    counters: Counters,
+    clocks: Clocks,
+    gate: Gate,
+    service: Service,
+    stop: Option<Sample>,
+    /// The next height of the subscription.
+    next_height: u64,
+    /// When the ledger last gave a sign of life.
+    heard: Instant,
+    renewed: Instant,
+    complaint: Complaint,
+}
+
+impl FromLedger {
+    /// Learns what stands now: the service, its grants, and what was revoked.
+    pub(crate) async fn open(
+        gateway: Arc<dyn Gateway>,
+        route: RouteConfig,
+        settings: Settings,
+        service: Service,
+        outlet: Outlet,
+        counters: Counters,
+    ) -> Result<Self, Rejection> {
+        let height = gateway.height().await?;
+        let clocks = Clocks::start();
+        let mut gate = Gate::new(settings, &route.service, clocks.now());
+        let (revoked, _): (Vec<Revoked>, u64) = ask(&*gateway, height, MSP, "revocations", &[]).await?;
+        for revoked in &revoked {
+            gate.revoked(revoked);
+        }
+        let stop = service.stop_for(&route)?;
+        if stop.is_none() && service.is_command() {
+            let message = route.message.to_string();
+            tracing::warn!(service = route.service, message, "no stop message is known for this type: set stop_hex");
+        }
+        let mut opened = Self {
+            gateway,
+            route,
+            outlet,
+            counters,
+            clocks,
+            gate,
+            service,
+            stop,
+            next_height: height.saturating_add(1),
+            heard: Instant::now(),
+            renewed: Instant::now(),
+            complaint: Complaint::default(),
+        };
+        opened.describe(height).await?;
+        Ok(opened)
+    }
+
+    /// Runs until it is told to end; then the robot stops, if anybody moved it.
+    pub(crate) async fn run(mut self, mut stop: Stop) {
+        let mut events = self.subscribe();
+        let mut revocations = self.gateway.subscribe(Subscription {
+            from_height: self.next_height,
+            chaincode: MSP.to_owned(),
+            names: vec!["revoked".to_owned()],
+            heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
+        });
+        loop {
+            let stale = sleep_until((self.heard + self.route.stale_after).into());
+            let is_moving = self.gate.is_moving();
+            tokio::select! {
+                biased;
+                () = stopped(&mut stop) => break,
+                Some(delivery) = events.next() => {
+                    if let Ok(delivery) = &delivery {
+                        self.heard = Instant::now();
+                        self.next_height = self.next_height.max(delivery.height.saturating_add(1));
+                        self.gate.heard(delivery.time, self.clocks.now());
+                    }
+                    let known = self.count_of(Refused::UnknownCreator);
+                    self.handle_all(delivery).await;
+                    if self.count_of(Refused::UnknownCreator) > known && self.renewed.elapsed() >= RENEW_EVERY {
+                        self.renewed = Instant::now();
+                        events = self.subscribe();
+                    }
+                }
+                () = stale, if is_moving => self.halt("stale").await,
+                Some(delivery) = revocations.next() => self.handle_all(delivery).await,
+            }
+        }
+        if self.gate.is_moving() {
+            self.halt("shutdown").await;
+        }
+        if !self.outlet.flush(FLUSH_MAX).await {
+            tracing::warn!(service = self.route.service, "not every subscriber confirmed the last messages");
+        }
+    }
+
+    fn subscribe(&self) -> Deliveries {
+        self.gateway.subscribe(Subscription {
+            from_height: self.next_height,
+            chaincode: ABAC.to_owned(),
+            subjects: vec![self.route.service.clone(), self.service.robot.clone()],
+            names: ["message", "granted", "released", "robot"].map(str::to_owned).to_vec(),
+            heartbeat: HEARTBEAT_MS,
+        })
+    }
+
+    /// Handles the events of a block in their order.
+    async fn handle_all(&mut self, delivery: Result<Delivery, Rejection>) {
+        let delivery = match delivery {
+            Ok(delivery) => delivery,
+            Err(refused) => {
+                tracing::error!(service = self.route.service, reason = line(&refused), "the ledger tells no more");
+                if self.gate.is_moving() {
+                    self.halt("refused").await;
+                }
+                return;
+            }
+        };
+        let mut shown = Shown::new();
+        for event in &delivery.events {
+            match judge(&mut self.gate, delivery.time, event, &mut shown, self.clocks.now()) {
+                Act::Nothing => {}
+                Act::Publish(samples) => self.publish(&samples),
+                Act::Stop(reason) => self.publish_stop(reason).await,
+                Act::Describe => self.gate.close(),
+                Act::Refused(refused) => self.refuse(refused, delivery.height),
+            }
+            if self.gate.is_closed() {
+                self.try_describe(delivery.height).await;
+            }
+        }
+        if self.gate.is_closed() {
+            self.try_describe(delivery.height).await;
+        }
+    }
+
+    fn publish(&mut self, samples: &[Sample]) {
+        let mut counts = self.counters.lock();
+        for sample in samples {
+            match self.outlet.write(sample) {
+                Ok(()) => counts.summary.published += 1,
+                Err(error) => {
+                    counts.summary.unpublished += 1;
+                    let name = if matches!(error, Error::Slow(_)) { "slow" } else { "unpublished" };
+                    if let Some(silent) = self.complaint.worth(name, Instant::now()) {
+                        tracing::warn!(service = self.route.service, %error, not_logged = silent, "not published");
+                    }
+                }
+            }
+        }
+    }
+
+    /// Stops the robot by our own decision: then nothing from before passes any more.
+    async fn halt(&mut self, reason: &'static str) {
+        self.gate.stopped(self.clocks.now());
+        self.publish_stop(reason).await;
+    }
+
+    async fn publish_stop(&mut self, reason: &'static str) {
+        let Some(stop) = &self.stop else { return };
+        tracing::info!(service = self.route.service, reason, "stop");
+        if let Err(error) = self.outlet.write_stop(stop).await {
+            tracing::error!(service = self.route.service, %error, "THE STOP MESSAGE WAS NOT PUBLISHED");
+        }
+        count(&mut self.counters.lock().summary.stops, reason, 1);
+    }
+
+    fn refuse(&mut self, refused: Refused, height: u64) {
+        count(&mut self.counters.lock().summary.gate, refused.name(), 1);
+        if let Some(silent) = self.complaint.worth(refused.name(), Instant::now()) {
+            let (service, reason) = (&self.route.service, refused.name());
+            tracing::warn!(service, height, reason, not_logged = silent, "the gate let a message not pass");
+        }
+    }
+
+    fn count_of(&self, refused: Refused) -> u64 {
+        self.counters.lock().summary.gate.get(refused.name()).copied().unwrap_or(0)
+    }
+
+    /// Asks for the service and its grants; the gate stays closed if that fails or takes too long.
+    async fn try_describe(&mut self, height: u64) {
+        let patience = self.route.stale_after;
+        let failure = match timeout(patience, self.describe(height)).await {
+            Ok(Ok(())) => return,
+            Ok(Err(refused)) => line(&refused),
+            Err(_) => format!("no answer within {} ms", patience.as_millis()),
+        };
+        self.gate.close();
+        if let Some(silent) = self.complaint.worth("description", Instant::now()) {
+            let service = &self.route.service;
+            tracing::warn!(service, reason = failure, not_logged = silent, "service not known: nothing passes");
+        }
+        if self.gate.is_moving() {
+            self.halt("no_service").await;
+        }
+    }
+
+    async fn describe(&mut self, height: u64) -> Result<(), Rejection> {
+        let id = self.route.service.clone();
+        let (service, height) = Service::ask(&*self.gateway, height, &id).await?;
+        let (grants, _): (Vec<Grant>, u64) = ask(&*self.gateway, height, ABAC, "grants", &[&id]).await?;
+        service.topic_for(&self.route)?;
+        self.stop = service.stop_for(&self.route)?;
+        self.gate.describe(&service, &grants);
+        self.service = service;
+        Ok(())
+    }
+}

@@ -1,0 +1,125 @@
+//! The local side of routes: DDS, and shared memory beside it.
+
+use std::time::Duration;
+
+use crate::{
+    dds::{Participant, Reader, Writer},
+    error::{Error, Result},
+    names::{TopicName, TypeName},
+    qos::Qos,
+    queue::{Incoming, Limits},
+    sample::Sample,
+    shm,
+};
+
+/// A stop message that a slow reader keeps from being written is tried so often.
+const STOP_TRIES_MAX: u32 = 20;
+/// How long each try waits for the reader.
+const STOP_TRY: Duration = Duration::from_millis(50);
+
+/// Our presence in the local graph: one participant and one origin for all routes, so that nothing a bridge
+/// publishes is taken in by it again.
+#[derive(Clone)]
+pub(crate) struct Local {
+    participant: Participant,
+    shm: Option<shm::Node>,
+}
+
+impl Local {
+    pub(crate) async fn open(domain: u16, node_name: &str, shared_memory: bool) -> Result<Self> {
+        let participant = Participant::open(domain, node_name).await?;
+        let shm = if shared_memory { Some(shm::Node::open(node_name, participant.guid()).await?) } else { None };
+        Ok(Self { participant, shm })
+    }
+
+    pub(crate) fn participant(&self) -> &Participant {
+        &self.participant
+    }
+
+    pub(crate) async fn inlet(
+        &self,
+        topic: &TopicName,
+        message: &TypeName,
+        qos: &Qos,
+        limits: Limits,
+    ) -> Result<Inlet> {
+        let reader = self.participant.reader(topic, message, qos, limits)?;
+        let shm = match &self.shm {
+            Some(node) => Some(node.subscriber(topic, limits).await?),
+            None => None,
+        };
+        Ok(Inlet { reader, shm })
+    }
+
+    pub(crate) async fn outlet(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Outlet> {
+        let writer = self.participant.writer(topic, message, qos)?;
+        let shm = match &self.shm {
+            Some(node) => Some(node.publisher(topic).await?),
+            None => None,
+        };
+        Ok(Outlet { writer, shm })
+    }
+}
+
+/// Where samples of a topic come in.
+pub(crate) struct Inlet {
+    reader: Reader,
+    shm: Option<shm::Subscriber>,
+}
+
+impl Inlet {
+    /// The next sample; none when the middleware ended. Cancelling it loses nothing.
+    pub(crate) async fn next(&mut self) -> Option<Incoming> {
+        match &mut self.shm {
+            None => self.reader.next().await,
+            Some(shm) => tokio::select! {
+                incoming = self.reader.next() => incoming,
+                incoming = shm.next() => incoming,
+            },
+        }
+    }
+
+    /// The next sample if one waits.
+    pub(crate) fn try_next(&mut self) -> Option<Incoming> {
+        self.reader.try_next().or_else(|| self.shm.as_mut()?.try_next())
+    }
+
+    /// Samples lost here: replaced by newer ones, too large, or not readable.
+    pub(crate) fn dropped(&self) -> u64 {
+        self.reader.dropped().saturating_add(self.shm.as_ref().map_or(0, shm::Subscriber::dropped))
+    }
+}
+
+/// Where samples of a topic go out.
+pub(crate) struct Outlet {
+    writer: Writer,
+    shm: Option<shm::Publisher>,
+}
+
+impl Outlet {
+    /// Publishes a sample, to local processes first: that is quicker. An error concerns one of both only.
+    pub(crate) fn write(&self, sample: &Sample) -> Result<()> {
+        let shm = self.shm.as_ref().map_or(Ok(0), |shm| shm.write(sample));
+        self.writer.write(sample)?;
+        shm.map(drop)
+    }
+
+    /// Publishes a stop message; insists while a slow reader keeps it from being written.
+    pub(crate) async fn write_stop(&self, stop: &Sample) -> Result<()> {
+        if let Some(Err(error)) = self.shm.as_ref().map(|shm| shm.write(stop)) {
+            tracing::error!(%error, "the stop message did not reach shared memory");
+        }
+        for _ in 1..STOP_TRIES_MAX {
+            match self.writer.write(stop) {
+                Err(Error::Slow(_)) => self.writer.flush(STOP_TRY).await,
+                done => return done,
+            };
+        }
+        self.writer.write(stop)
+    }
+
+    /// Waits until reliable readers have everything; false after `at_most`.
+    pub(crate) async fn flush(&self, at_most: Duration) -> bool {
+        self.writer.flush(at_most).await
+    }
+}

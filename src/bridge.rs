@@ -1,0 +1,91 @@
+//! The bridge inside a node: the same as `ledgerd bridge`, through the node's own gateway.
+
+use crate::config::Config;
+use ledger::Rejection;
+use ledger_api::Client;
+use ros_bridge::Bridge;
+use std::path::Path;
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+/// Pause before a bridge that cannot start tries again: its robot may not be registered yet.
+const RETRY_PAUSE: Duration = Duration::from_secs(2);
+
+/// A bridge that starts as soon as it can, and ends with its node.
+pub(crate) struct NodeBridge {
+    stop: watch::Sender<bool>,
+    task: JoinHandle<()>,
+}
+
+impl NodeBridge {
+    /// Starts the bridge that the configuration asks for, if it asks for one. `address` is the node's gateway.
+    ///
+    /// # Errors
+    /// The first fault of the table `[bridge]`.
+    pub(crate) fn start(config: &Config, address: String) -> Result<Option<Self>, Rejection> {
+        let Some(settings) = settings(config)? else { return Ok(None) };
+        let (stop, mut stopping) = watch::channel(false);
+        let task = tokio::spawn(async move {
+            let mut told = String::new();
+            let bridge = loop {
+                let started = tokio::select! {
+                    started = start(settings.clone(), address.clone()) => started,
+                    () = stopped(&mut stopping) => return,
+                };
+                match started {
+                    Ok(bridge) => break bridge,
+                    Err(reason) => {
+                        // The same reason once, not every two seconds.
+                        if told != reason.message {
+                            tracing::warn!(%reason, "the bridge cannot start yet; trying on");
+                            told = reason.message;
+                        }
+                    }
+                }
+                tokio::select! {
+                    () = tokio::time::sleep(RETRY_PAUSE) => {}
+                    () = stopped(&mut stopping) => return,
+                }
+            };
+            tracing::info!("the bridge runs");
+            stopped(&mut stopping).await;
+            let summary = bridge.stop().await;
+            tracing::info!(summary = %serde_json::to_string(&summary).unwrap_or_default(), "the bridge has stopped");
+        });
+        Ok(Some(Self { stop, task }))
+    }
+
+    /// Ends the bridge: what it has set in motion is stopped.
+    pub(crate) async fn stop(self) {
+        self.stop.send_replace(true);
+        if let Err(error) = self.task.await {
+            tracing::error!(%error, "the bridge ended before its time");
+        }
+    }
+}
+
+/// What the table `[bridge]` says; none if there is no such table.
+///
+/// # Errors
+/// The first fault, which names how many more there are.
+pub(crate) fn settings(config: &Config) -> Result<Option<ros_bridge::Config>, Rejection> {
+    let Some(table) = config.bridge.clone() else { return Ok(None) };
+    ros_bridge::Config::from_table(table, Path::new(".")).map(Some).map_err(|mut faults| {
+        let more = faults.len().saturating_sub(1);
+        let first = if faults.is_empty() { None } else { Some(faults.swap_remove(0)) };
+        let first = first.unwrap_or_else(|| Rejection::new(ledger::Code::BadConfiguration, "[bridge] is not usable"));
+        Rejection { message: format!("[bridge] {} ({more} more faults)", first.message), ..first }
+    })
+}
+
+/// Ends when the node stops. The value that told so is not kept, because it locks the channel.
+async fn stopped(stopping: &mut watch::Receiver<bool>) {
+    drop(stopping.wait_for(|stop| *stop).await);
+}
+
+async fn start(settings: ros_bridge::Config, address: String) -> Result<Bridge, Rejection> {
+    let mut context = ros_bridge::context_of(&settings)?;
+    context.nodes = vec![address];
+    Bridge::start(settings, Client::connect(&context).await?).await
+}
