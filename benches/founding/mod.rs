@@ -76,7 +76,8 @@ impl Founding {
             address: address.clone(),
             voter: index < shape.voters,
         });
-        let organisations = [OPERATORS, OWNERS].map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
+        let organisations =
+            [OPERATORS, OWNERS].map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
         let plan = NetworkPlan { label: "bench".into(), organisations: organisations.into(), nodes: planned.collect() };
         let founded = found(&plan, clock()).unwrap();
         let entry = nodes[0].1.as_str();

@@ -171,8 +171,7 @@ fn stored<T: for<'a> Deserialize<'a>>(value: &[u8]) -> Result<T, Rejection> {
 }
 
 fn text<'a>(name: &str, argument: &'a Bytes) -> Result<&'a str, Rejection> {
-    std::str::from_utf8(argument)
-        .map_err(|_| bad_argument(name, &format!("{} bytes", argument.len()), "text in UTF-8"))
+    std::str::from_utf8(argument).map_err(|_| bad_argument(name, &format!("{} bytes", argument.len()), "text in UTF-8"))
 }
 
 /// A distance in metres, as text, to the nearest millimetre.
@@ -193,7 +192,9 @@ fn wrong_count(usage: &str, args: &[Bytes]) -> Rejection {
 }
 
 fn bad_argument(name: &str, found: &str, wanted: &str) -> Rejection {
-    Rejection::new(Code::BadArgument, format!("argument {name} is not usable")).found(format!("{found:?}")).wanted(wanted)
+    Rejection::new(Code::BadArgument, format!("argument {name} is not usable"))
+        .found(format!("{found:?}"))
+        .wanted(wanted)
 }
 
 #[cfg(test)]

@@ -36,7 +36,9 @@ impl Node {
 
     /// A client with the stored context at that place in the list that the node printed.
     async fn client(&self, context: usize) -> Client {
-        Client::connect(&Context::load(self.home.path(), self.facts["contexts"][context].as_str()).unwrap()).await.unwrap()
+        Client::connect(&Context::load(self.home.path(), self.facts["contexts"][context].as_str()).unwrap())
+            .await
+            .unwrap()
     }
 
     /// `ledgerctl`, if it was built beside this test: `cargo test --workspace` does.
@@ -44,7 +46,12 @@ impl Node {
         let program = PathBuf::from(env!("CARGO_BIN_EXE_inventory")).with_file_name("ledgerctl");
         let context = self.facts["contexts"][0].as_str().unwrap();
         program.is_file().then(|| {
-            Command::new(program).env("LEDGERD_HOME", self.home.path()).args(["--context", context]).args(args).output().unwrap()
+            Command::new(program)
+                .env("LEDGERD_HOME", self.home.path())
+                .args(["--context", context])
+                .args(args)
+                .output()
+                .unwrap()
         })
     }
 }
@@ -86,7 +93,9 @@ async fn a_node_with_the_example_executes_and_answers_calls_of_it() {
     let again = org1.query("inventory", "list", vec![]).await.unwrap();
     assert_eq!(again.response, listed.response);
 
-    if let Some(output) = node.ledgerctl(&["-o", "json", "invoke", "inventory", "found", "Husky", "crate", "0", "-7.25"]) {
+    if let Some(output) =
+        node.ledgerctl(&["-o", "json", "invoke", "inventory", "found", "Husky", "crate", "0", "-7.25"])
+    {
         assert!(output.status.success(), "{output:?}");
         let answer: Value = serde_json::from_slice(&output.stdout).unwrap();
         assert_eq!(answer["response"]["y_mm"], -7250, "{output:?}");
