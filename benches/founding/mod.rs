@@ -1,0 +1,116 @@
+//! A network on disk that no node runs yet: one robot owner, one operator, as many nodes as a bench wants.
+
+use ledger::identity::Role;
+use ledger::key::KeyKind;
+use ledger::{Bytes, Hash};
+use ledger_api::Context;
+use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use std::collections::BTreeMap;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+use tempfile::TempDir;
+
+/// Which nodes a network has.
+#[derive(Clone, Copy)]
+pub(crate) struct Shape {
+    /// As it is called in results.
+    pub(crate) name: &'static str,
+    /// Nodes that order.
+    pub(crate) voters: usize,
+    /// Nodes that only follow; they are of the robots' owner.
+    pub(crate) learners: usize,
+}
+
+/// One node.
+pub(crate) const ONE_VOTER: Shape = Shape { name: "one_voter", voters: 1, learners: 0 };
+
+const OPERATORS: &str = "Org1";
+const OWNERS: &str = "Org2";
+
+/// A founded network. Its directory goes with it.
+pub(crate) struct Founding {
+    /// Hash of the genesis.
+    pub(crate) network: Hash,
+    /// The genesis itself.
+    pub(crate) genesis: Bytes,
+    /// The admin of the organisation that owns the robots; connects to the first node.
+    pub(crate) owner: Context,
+    /// Salma, whom policies let acquire every robot here; connects to the first node.
+    pub(crate) salma: Context,
+    /// Data directory and address of each node, the voters first.
+    pub(crate) nodes: Vec<(PathBuf, String)>,
+    /// Where all of it lies.
+    pub(crate) directory: TempDir,
+}
+
+/// `target/bench`: results, and the data of nodes while a bench runs. On the disk of the build, never in memory.
+pub(crate) fn bench_directory() -> PathBuf {
+    let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).with_file_name("bench");
+    std::fs::create_dir_all(&directory).unwrap();
+    directory
+}
+
+/// The machine's clock, microseconds since the UNIX epoch.
+pub(crate) fn clock() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros().try_into().unwrap()
+}
+
+impl Founding {
+    pub(crate) fn new(shape: Shape) -> Self {
+        let directory = tempfile::Builder::new().prefix(shape.name).tempdir_in(bench_directory()).unwrap();
+        // All ports are held until all are known, so that they differ.
+        let ports: Vec<_> =
+            (0..shape.voters + shape.learners).map(|_| TcpListener::bind("127.0.0.1:0").unwrap()).collect();
+        let nodes: Vec<_> = (1..)
+            .zip(&ports)
+            .map(|(number, port)| {
+                (directory.path().join(format!("node{number}")), port.local_addr().unwrap().to_string())
+            })
+            .collect();
+        drop(ports);
+        let planned = nodes.iter().enumerate().map(|(index, (data, address))| PlannedNode {
+            name: format!("node{}", index + 1),
+            organisation: if index < shape.voters { OPERATORS } else { OWNERS }.into(),
+            data: data.clone(),
+            address: address.clone(),
+            voter: index < shape.voters,
+        });
+        let organisations =
+            [OPERATORS, OWNERS].map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
+        let plan = NetworkPlan { label: "bench".into(), organisations: organisations.into(), nodes: planned.collect() };
+        let founded = found(&plan, clock()).unwrap();
+        let entry = nodes[0].1.as_str();
+        let identity = |organisation: &str, who, attributes| {
+            let of = |authority: &&ledgerd::setup::FoundedAuthority| authority.organisation == organisation;
+            let ca = &founded.authorities.iter().find(of).unwrap().directory;
+            let data = ca.ancestors().nth(2).unwrap();
+            issue(data, organisation, who, attributes, entry, clock()).unwrap()
+        };
+        let drives = ["Turtlebot4", "Husky"].map(|robot| (robot.to_owned(), "true".to_owned()));
+        Self {
+            network: founded.network,
+            genesis: founded.document.clone(),
+            owner: identity(OWNERS, ("Admin", Role::Admin), BTreeMap::new()),
+            salma: identity(OPERATORS, ("Salma", Role::Member), BTreeMap::from(drives)),
+            nodes,
+            directory,
+        }
+    }
+}
+
+/// Arguments of `abac setup`: robots with one exclusive `/cmd_vel` each.
+pub(crate) fn robots() -> Vec<Bytes> {
+    let robot = |name| {
+        format!(
+            r#"{{"name":"{name}","attribute_required":"{name}","services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}}]}}"#
+        )
+    };
+    ["Turtlebot4", "Husky"].map(|name| Bytes::from(robot(name))).into()
+}
+
+/// A `geometry_msgs/msg/Twist` in CDR: header and six doubles, 52 bytes.
+pub(crate) fn twist() -> Bytes {
+    let values = [0.5_f64, 0.0, 0.0, 0.0, 0.0, 0.25];
+    [0, 1, 0, 0].into_iter().chain(values.into_iter().flat_map(f64::to_le_bytes)).collect::<Vec<_>>().into()
+}

@@ -1,0 +1,94 @@
+//! Load by the clock: commands at fixed times, whether or not earlier ones are answered.
+
+use crate::network::Operator;
+use hdrhistogram::Histogram;
+use std::hint::spin_loop;
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+use tokio::runtime::Runtime;
+use tokio::sync::mpsc;
+
+/// The operating system wakes a sleeper late by up to about this much; so long is waited without sleeping.
+const SPIN: Duration = Duration::from_micros(100);
+/// The longest latency that histograms tell apart, in nanoseconds.
+const LATENCY_NS_MAX: u64 = 60_000_000_000;
+
+/// What one run came to. Latencies are in nanoseconds.
+pub(crate) struct Run {
+    /// Commands a second that were due.
+    pub(crate) hz: f64,
+    /// Verdicts a second that came.
+    pub(crate) achieved_hz: f64,
+    /// From the time a command was *due* until its verdict: what a late sender costs is counted, so one slow answer
+    /// cannot hide those behind it (coordinated omission).
+    pub(crate) latency: Histogram<u64>,
+    /// From the time a command was due until it was signed and handed over.
+    pub(crate) sending: Histogram<u64>,
+    /// Median latency of the last third of the run, as a multiple of that of the first third.
+    pub(crate) growth: f64,
+}
+
+struct Sample {
+    due: Instant,
+    sent: Instant,
+    done: Instant,
+}
+
+/// Sends commands at `hz` for `duration`; panics at the first that is refused.
+pub(crate) fn open_loop(runtime: &Runtime, operator: &Operator, hz: f64, duration: Duration) -> Run {
+    let _context = runtime.enter();
+    let (samples, mut done) = mpsc::unbounded_channel();
+    let count = (duration.as_secs_f64() * hz).ceil().max(2.0) as u32;
+    let start = Instant::now() + Duration::from_millis(10);
+    for number in 0..count {
+        let due = start + Duration::from_secs_f64(f64::from(number) / hz);
+        wait_until(due);
+        let verdict = operator.command();
+        let sent = Instant::now();
+        let samples = samples.clone();
+        runtime.spawn(async move {
+            verdict.await.unwrap();
+            samples.send(Sample { due, sent, done: Instant::now() }).unwrap();
+        });
+    }
+    drop(samples);
+    let mut finished = Vec::new();
+    while let Some(sample) = done.blocking_recv() {
+        finished.push(sample);
+    }
+    assert_eq!(finished.len(), count as usize, "a command got no verdict");
+    finished.sort_unstable_by_key(|sample| sample.due);
+    summarise(hz, &finished)
+}
+
+fn wait_until(due: Instant) {
+    if let Some(long) = due.saturating_duration_since(Instant::now()).checked_sub(SPIN) {
+        sleep(long);
+    }
+    while Instant::now() < due {
+        spin_loop();
+    }
+}
+
+fn summarise(hz: f64, samples: &[Sample]) -> Run {
+    let latencies = |samples: &[Sample]| histogram(samples.iter().map(|sample| sample.done - sample.due));
+    let first = samples.iter().map(|sample| sample.done).min().unwrap();
+    let last = samples.iter().map(|sample| sample.done).max().unwrap();
+    let third = samples.len().div_ceil(3);
+    let median = |samples: &[Sample]| latencies(samples).value_at_quantile(0.5) as f64;
+    Run {
+        hz,
+        achieved_hz: (samples.len() - 1) as f64 / (last - first).as_secs_f64(),
+        latency: latencies(samples),
+        sending: histogram(samples.iter().map(|sample| sample.sent - sample.due)),
+        growth: median(&samples[samples.len() - third..]) / median(&samples[..third]),
+    }
+}
+
+fn histogram(durations: impl Iterator<Item = Duration>) -> Histogram<u64> {
+    let mut histogram = Histogram::new_with_max(LATENCY_NS_MAX, 3).unwrap();
+    for duration in durations {
+        histogram.saturating_record(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX));
+    }
+    histogram
+}

@@ -1,0 +1,195 @@
+//! The parts of a commit, one by one, so that a change of the whole can be explained.
+//!
+//! `cargo bench --bench micro [-- NAME]`
+
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "a bench ends at the first fault")]
+
+mod founding;
+
+use criterion::{Bencher, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use founding::{Founding, ONE_VOTER, bench_directory, clock, robots, twist};
+use ledger::block::Payload;
+use ledger::block_store::{BlockStore, Options};
+use ledger::disk::RealDisk;
+use ledger::entry::{Entry, EntryKind};
+use ledger::state::{MemoryState, State};
+use ledger::transaction::{Body, Transaction};
+use ledger::{Admission, Bytes, Code, Hash, Ledger};
+use ledger_abac::Grant;
+use ledger_api::Context;
+use ledgerd::Node;
+use std::hint::black_box;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Block time from one block to the next, and how long commands may be executed: microseconds.
+const BLOCK_EVERY: u64 = 1000;
+const COMMAND_TTL: u64 = 60_000_000;
+/// Transactions of a block: alone, as under load, as in a flood.
+const BLOCK_TRANSACTIONS: [usize; 3] = [1, 10, 100];
+/// Bytes of an entry: about one command, one camera image.
+const ENTRY_BYTES: [usize; 2] = [320, 100_000];
+
+/// A ledger without a node, on which Salma holds a robot.
+struct World {
+    ledger: Ledger,
+    founding: Founding,
+    epoch: u64,
+    next_seq: u64,
+    nonce: u128,
+}
+
+impl World {
+    fn new() -> Self {
+        let founding = Founding::new(ONE_VOTER);
+        let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
+        let ledger = Ledger::open(&founding.genesis, Node::builder().registry().unwrap(), state).unwrap();
+        let mut world = Self { ledger, founding, epoch: 0, next_seq: 0, nonce: 0 };
+        let setup = world.sign(&world.founding.owner.clone(), "setup", robots());
+        world.block(&[setup]);
+        let acquire = world.sign(&world.founding.salma.clone(), "acquire", vec![Bytes::from_static(b"Turtlebot4")]);
+        let granted = world.block(&[acquire]);
+        let grant: Grant = serde_json::from_slice(&granted).unwrap();
+        (world.epoch, world.next_seq) = (grant.epoch, grant.next_seq);
+        world
+    }
+
+    /// The node's clock: block time never stands still.
+    fn now(&self) -> u64 {
+        clock().max(self.ledger.tip().time + BLOCK_EVERY)
+    }
+
+    /// Signs with the certificate, which is how a first transaction travels; commands go without.
+    fn sign(&mut self, who: &Context, function: &str, args: Vec<Bytes>) -> Transaction {
+        let transaction = Transaction::sign(&self.body(who, function, args), &who.key).unwrap();
+        transaction.with_certificate(Bytes::copy_from_slice(&who.chain[0])).unwrap()
+    }
+
+    fn body(&mut self, who: &Context, function: &str, args: Vec<Bytes>) -> Body {
+        self.nonce += 1;
+        Body {
+            network: Bytes::copy_from_slice(&self.founding.network.0),
+            creator: Bytes::copy_from_slice(&Hash::of(&[&who.chain[0]]).0),
+            nonce: Bytes::copy_from_slice(&self.nonce.to_be_bytes()),
+            not_after: self.now() + COMMAND_TTL,
+            chaincode: "abac".into(),
+            function: function.into(),
+            args,
+        }
+    }
+
+    fn command_body(&mut self) -> Body {
+        let service = Bytes::from_static(b"Turtlebot4/cmd_vel");
+        let args = vec![service, self.epoch.to_string().into(), self.next_seq.to_string().into(), twist()];
+        self.next_seq += 1;
+        self.body(&self.founding.salma.clone(), "set", args)
+    }
+
+    fn command(&mut self) -> Transaction {
+        Transaction::sign(&self.command_body(), &self.founding.salma.key).unwrap()
+    }
+
+    fn admit(&self, transaction: &Transaction) -> Admission {
+        self.ledger.admit(transaction.encoded().clone(), self.now()).unwrap()
+    }
+
+    fn entry(&self, transactions: &[Transaction]) -> Entry {
+        let transactions = transactions.iter().map(|transaction| transaction.encoded().clone()).collect();
+        let data = Payload { time: self.now(), transactions }.to_bytes();
+        Entry { index: self.ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data }
+    }
+
+    /// Executes a block in which everything must succeed; answers with the first response.
+    fn block(&self, transactions: &[Transaction]) -> Bytes {
+        let outcome = self.ledger.apply(&self.entry(transactions)).unwrap();
+        for result in &outcome.results {
+            assert_eq!(result.code(), Code::Ok);
+        }
+        outcome.results[0].response.clone()
+    }
+}
+
+/// Times `body` alone; `prepare` makes its input anew each time.
+fn timed<T, R>(bencher: &mut Bencher<'_>, mut prepare: impl FnMut() -> T, mut body: impl FnMut(&T) -> R) {
+    bencher.iter_custom(|iterations| {
+        let mut total = Duration::ZERO;
+        for _ in 0..iterations {
+            let input = prepare();
+            let start = Instant::now();
+            black_box(body(&input));
+            total += start.elapsed();
+        }
+        total
+    });
+}
+
+fn signature(criterion: &mut Criterion) {
+    let mut world = World::new();
+    let body = world.command_body();
+    let key = Arc::clone(&world.founding.salma.key);
+    criterion.bench_function("sign", |bencher| bencher.iter(|| Transaction::sign(black_box(&body), &key)));
+    let (transaction, public) = (Transaction::sign(&body, &key).unwrap(), key.public_key());
+    criterion.bench_function("verify", |bencher| bencher.iter(|| black_box(&transaction).verify(&public)));
+    let encoded = transaction.encoded();
+    criterion.bench_function("decode", |bencher| bencher.iter(|| Transaction::decode(black_box(encoded.clone()))));
+}
+
+/// What the gateway does before ordering: decode, identify, verify, simulate.
+fn admission(criterion: &mut Criterion) {
+    let world = std::cell::RefCell::new(World::new());
+    criterion.bench_function("admission", |bencher| {
+        // A command that is admitted and never executed: each may have the next number.
+        timed(bencher, || world.borrow_mut().command(), |transaction| world.borrow().admit(transaction));
+    });
+}
+
+/// What every node does with a committed block; one that admitted its transactions has verified them already.
+fn execution(criterion: &mut Criterion) {
+    for (name, admitted) in [("execute_admitted", true), ("execute_following", false)] {
+        let mut group = criterion.benchmark_group(name);
+        for count in BLOCK_TRANSACTIONS {
+            let world = std::cell::RefCell::new(World::new());
+            group.throughput(Throughput::Elements(count as u64));
+            group.bench_function(BenchmarkId::from_parameter(count), |bencher| {
+                let prepare = || {
+                    let transactions: Vec<_> = (0..count).map(|_| world.borrow_mut().command()).collect();
+                    if admitted {
+                        for transaction in &transactions {
+                            world.borrow().admit(transaction);
+                        }
+                    }
+                    world.borrow().entry(&transactions)
+                };
+                timed(bencher, prepare, |entry| world.borrow().ledger.apply(entry).unwrap());
+            });
+        }
+        group.finish();
+    }
+}
+
+/// One block on disk: the only wait for hardware in a commit.
+fn store(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("append_and_flush");
+    for bytes in ENTRY_BYTES {
+        let directory = tempfile::tempdir_in(bench_directory()).unwrap();
+        let disk = Arc::new(RealDisk::open(directory.path()).unwrap());
+        let (store, _) = BlockStore::open(disk, Options::new([1; 32], || 1)).unwrap();
+        group.throughput(Throughput::Bytes(bytes as u64));
+        group.bench_function(BenchmarkId::from_parameter(bytes), |bencher| {
+            let prepare = || {
+                // A thread of the node does this beside the commits.
+                while store.prepare().unwrap() {}
+                let data = Bytes::from(vec![7; bytes]);
+                Entry { index: store.last_index() + 1, term: 1, kind: EntryKind::Normal, data }
+            };
+            timed(bencher, prepare, |entry| {
+                store.append(std::slice::from_ref(entry), None).unwrap();
+                store.flush().unwrap()
+            });
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, signature, admission, execution, store);
+criterion_main!(benches);
