@@ -16,7 +16,7 @@ const RECENT_BLOCKS_MAX: usize = 4096;
 const RECENT_BYTES_MAX: usize = 8 * 1024 * 1024;
 
 /// Executed blocks by height.
-pub struct Blocks {
+pub(crate) struct Blocks {
     ledger: Arc<Ledger>,
     store: Arc<BlockStore>,
     recent: RwLock<Recent>,
@@ -31,13 +31,13 @@ struct Recent {
 
 impl Blocks {
     /// The blocks of a ledger, of which none is in memory yet.
-    pub fn new(ledger: Arc<Ledger>, store: Arc<BlockStore>) -> Self {
+    pub(crate) fn new(ledger: Arc<Ledger>, store: Arc<BlockStore>) -> Self {
         let head = watch::Sender::new(ledger.tip().height);
         Self { ledger, store, recent: RwLock::default(), head }
     }
 
     /// Takes the block that was executed last and wakes everybody who waits for it.
-    pub fn publish(&self, outcome: Arc<Outcome>) {
+    pub(crate) fn publish(&self, outcome: Arc<Outcome>) {
         let height = outcome.header.height;
         {
             let mut recent = self.recent.write().unwrap_or_else(PoisonError::into_inner);
@@ -52,7 +52,7 @@ impl Blocks {
     }
 
     /// Follows the height of the last executed block.
-    pub fn head(&self) -> watch::Receiver<u64> {
+    pub(crate) fn head(&self) -> watch::Receiver<u64> {
         self.head.subscribe()
     }
 
@@ -60,7 +60,7 @@ impl Blocks {
     ///
     /// # Errors
     /// A fault of the store.
-    pub fn get(&self, height: u64) -> Result<Option<Arc<Outcome>>, Rejection> {
+    pub(crate) fn get(&self, height: u64) -> Result<Option<Arc<Outcome>>, Rejection> {
         match self.recent(height) {
             Some(outcome) => Ok(Some(outcome)),
             None => Ok(self.stored(height)?.map(Arc::new)),

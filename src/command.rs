@@ -12,7 +12,11 @@ use std::process::ExitCode;
 
 /// A permissioned ledger for ROS 2 fleets in one binary.
 #[derive(Parser)]
-#[command(version, about, after_help = "Start with: ledgerd demo    (the whole story in a minute)\n       or: ledgerd dev     (a network for playing)")]
+#[command(
+    version,
+    about,
+    after_help = "Start with: ledgerd demo    (the whole story in a minute)\n       or: ledgerd dev     (a network for playing)"
+)]
 struct Arguments {
     #[command(subcommand)]
     command: Command,
@@ -79,7 +83,12 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Check(WithConfig { config: path }) => {
             let config = load(&path)?;
             crate::bridge::settings(&config)?;
-            print_line(&format!("{} is fine: data in {}, listens on {}", path.display(), config.data.display(), config.listen));
+            print_line(&format!(
+                "{} is fine: data in {}, listens on {}",
+                path.display(),
+                config.data.display(),
+                config.listen
+            ));
             Ok(())
         }
         Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
@@ -89,7 +98,8 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Verify { directory } => {
             let report = ledger::verify::verify_directory(&directory, &builder.registry()?)?;
-            let text = serde_json::to_string_pretty(&report).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+            let text = serde_json::to_string_pretty(&report)
+                .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
             print_line(&text);
             Ok(())
         }
@@ -97,7 +107,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
 }
 
 /// Waits for a signal to stop, or for the node to fail; ends the node in order either way.
-pub async fn until_stopped(node: crate::Node) -> Result<(), Rejection> {
+pub(crate) async fn until_stopped(node: crate::Node) -> Result<(), Rejection> {
     let outcome = tokio::select! {
         () = stop_signal() => Ok(()),
         reason = node.failed() => Err(reason),
@@ -107,7 +117,7 @@ pub async fn until_stopped(node: crate::Node) -> Result<(), Rejection> {
 }
 
 /// Ends when the process is asked to stop (SIGINT, SIGTERM).
-pub async fn stop_signal() {
+pub(crate) async fn stop_signal() {
     use tokio::signal::unix::{SignalKind, signal};
     match signal(SignalKind::terminate()) {
         Ok(mut terminate) => tokio::select! {
@@ -124,7 +134,9 @@ pub async fn stop_signal() {
 /// Every fault of a configuration, one below the other.
 fn load(path: &std::path::Path) -> Result<Config, Rejection> {
     Config::load(path).map_err(|mut faults| {
-        let last = faults.pop().map_or_else(|| Rejection::new(Code::BadConfiguration, "configuration is not usable"), Rejection::from);
+        let last = faults
+            .pop()
+            .map_or_else(|| Rejection::new(Code::BadConfiguration, "configuration is not usable"), Rejection::from);
         for fault in faults {
             eprint_line(&report(&Rejection::from(fault)));
         }
@@ -142,13 +154,13 @@ fn block_on(body: impl Future<Output = Result<(), Rejection>>) -> Result<(), Rej
 }
 
 /// Prints a line; that the reader has gone away is not our failure.
-pub fn print_line(text: &str) {
+pub(crate) fn print_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stdout(), "{text}");
 }
 
 /// Prints a line on standard error.
-pub fn eprint_line(text: &str) {
+pub(crate) fn eprint_line(text: &str) {
     use std::io::Write;
     let _closed = writeln!(std::io::stderr(), "{text}");
 }

@@ -26,7 +26,7 @@ const SERVICE: &str = "Turtlebot4/cmd_vel";
 
 /// `ledgerd demo`
 #[derive(clap::Args)]
-pub struct Options {
+pub(crate) struct Options {
     /// Length of each of the two phases, in seconds.
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u64).range(1..=3600))]
     seconds: u64,
@@ -36,7 +36,7 @@ pub struct Options {
 }
 
 /// Plays the experiment; Ctrl-C ends everything that was started.
-pub async fn run(options: Options) -> Result<(), Rejection> {
+pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     let seconds = Duration::from_secs(options.seconds);
     let summary = tokio::select! {
         summary = play(seconds) => summary?,
@@ -76,7 +76,8 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     summary.refused(&refused);
     acquire(&salma, SERVICE).await?;
     say("Salma acquires the Turtlebot4");
-    let refused = must_fail(acquire(&farhad, SERVICE).await, Code::Held, "Farhad acquired the Turtlebot4, which Salma holds")?;
+    let refused =
+        must_fail(acquire(&farhad, SERVICE).await, Code::Held, "Farhad acquired the Turtlebot4, which Salma holds")?;
     say(&format!("Farhad asks for the Turtlebot4 and is refused: {}", refused.message));
     summary.refused(&refused);
 
@@ -87,7 +88,10 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let mut farhad_node = Publisher::open(domains.farhad, Operator::Farhad).await?;
     tokio::try_join!(salma_node.matched(), farhad_node.matched(), robot.matched())?;
 
-    say(&format!("exclusive: both publish Twist at {HZ} Hz on their own /cmd_vel for {} s; only Salma holds the robot", seconds.as_secs()));
+    say(&format!(
+        "exclusive: both publish Twist at {HZ} Hz on their own /cmd_vel for {} s; only Salma holds the robot",
+        seconds.as_secs()
+    ));
     let mut ros_to_ros = RosToRos::default();
     robot.take();
     let (first, times, _) = publish_both(&mut salma_node, &mut farhad_node, seconds).await?;

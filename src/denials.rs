@@ -1,6 +1,6 @@
 //! What this node refused before it was ordered: counted by code, and the last ones kept for an admin to see.
 
-use ledger::{Code, Refusal};
+use ledger::Refusal;
 use ledger_api::v1::Denial;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, PoisonError};
@@ -14,7 +14,7 @@ const SUBJECT_BYTES_MAX: usize = 256;
 
 /// Refusals of this node since it started.
 #[derive(Default)]
-pub struct Denials {
+pub(crate) struct Denials {
     kept: Mutex<Kept>,
 }
 
@@ -26,7 +26,7 @@ struct Kept {
 
 impl Denials {
     /// Takes down a refusal at the node's time, microseconds.
-    pub fn record(&self, now: u64, refusal: &Refusal) {
+    pub(crate) fn record(&self, now: u64, refusal: &Refusal) {
         let body = refusal.transaction.as_ref().map(ledger::transaction::Transaction::body);
         let subject = body.and_then(|body| body.args.first()).filter(|arg| arg.len() <= SUBJECT_BYTES_MAX);
         let denial = Denial {
@@ -53,20 +53,14 @@ impl Denials {
     }
 
     /// The last refusals, newest first.
-    pub fn latest(&self, limit: usize) -> Vec<Denial> {
+    pub(crate) fn latest(&self, limit: usize) -> Vec<Denial> {
         let kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
         kept.latest.iter().rev().take(limit).cloned().collect()
     }
 
     /// How many refusals there were, by number of the code.
-    pub fn counts(&self) -> BTreeMap<u32, u64> {
+    pub(crate) fn counts(&self) -> BTreeMap<u32, u64> {
         self.kept.lock().unwrap_or_else(PoisonError::into_inner).counts.clone()
-    }
-
-    /// Counts a refusal that has no transaction worth keeping.
-    pub fn count(&self, code: Code) {
-        let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        *kept.counts.entry(code.number().into()).or_default() += 1;
     }
 }
 

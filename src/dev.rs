@@ -1,17 +1,17 @@
 //! A network of one node for playing: both organisations of the paper, its three robots, contexts for the admins.
 
+use crate::ca::{self, CertificateAuthority};
 use crate::command::{print_line, until_stopped};
 use crate::config::{Config, Log};
 use crate::node::{NodeBuilder, clock};
-use crate::ca::{self, CertificateAuthority};
 use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use crate::telemetry;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::verify::GENESIS_FILE;
 use ledger::{Bytes, Code, Hash, Rejection};
-use ledger_api::context::{Context, home};
 use ledger_api::Client;
+use ledger_api::context::{Context, home};
 use serde::Serialize;
 use serde_json::json;
 use std::collections::BTreeMap;
@@ -20,13 +20,13 @@ use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
 
 /// The organisations of the paper.
-pub const ORGANISATIONS: [&str; 2] = ["Org1", "Org2"];
+pub(crate) const ORGANISATIONS: [&str; 2] = ["Org1", "Org2"];
 /// The label by which a network for playing is recognised.
 const LABEL: &str = "dev";
 
 /// `ledgerd dev`
 #[derive(clap::Args)]
-pub struct Options {
+pub(crate) struct Options {
     /// Keep the network in this directory, and go on with it next time; otherwise it is temporary.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
@@ -51,12 +51,15 @@ struct Facts {
 }
 
 /// Starts the network, prints what a player needs, and ends it on Ctrl-C.
-pub async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
+pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
     telemetry::start(&Log { level: LevelFilter::WARN, ..Config::default().log });
-    let temporary = match options.data {
-        Some(_) => None,
-        None => Some(tempfile::tempdir().map_err(|error| Rejection::new(Code::BadFile, format!("cannot make a temporary directory: {error}")))?),
-    };
+    let temporary =
+        match options.data {
+            Some(_) => None,
+            None => Some(tempfile::tempdir().map_err(|error| {
+                Rejection::new(Code::BadFile, format!("cannot make a temporary directory: {error}"))
+            })?),
+        };
     let data = match (&options.data, &temporary) {
         (Some(directory), _) => directory.clone(),
         (None, Some(temporary)) => temporary.path().join("node"),
@@ -113,10 +116,12 @@ fn free_port(listen: &str) -> Result<String, Rejection> {
     if !listen.ends_with(":0") {
         return Ok(listen.to_owned());
     }
-    TcpListener::bind(listen).and_then(|listener| listener.local_addr()).map(|address| address.to_string()).map_err(|error| {
-        Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}: {error}"))
-            .next("choose another address with --listen")
-    })
+    TcpListener::bind(listen).and_then(|listener| listener.local_addr()).map(|address| address.to_string()).map_err(
+        |error| {
+            Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}: {error}"))
+                .next("choose another address with --listen")
+        },
+    )
 }
 
 fn authority(data: &Path, organisation: &str) -> Result<CertificateAuthority, Rejection> {
@@ -154,12 +159,13 @@ async fn register_robots(home: &Path, admin: Option<&String>) -> Result<Vec<Stri
 }
 
 /// Turtlebot4 and Husky with their `/cmd_vel`, OptiTrack with its poses (paper, "Task").
-pub fn paper_robots(mode: &str) -> Vec<(&'static str, serde_json::Value)> {
+pub(crate) fn paper_robots(mode: &str) -> Vec<(&'static str, serde_json::Value)> {
     let mobile = |name: &'static str| {
         let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": mode});
         (name, json!({"name": name, "attribute_required": name, "services": [service]}))
     };
-    let poses = json!({"topic": "/poses", "type": "geometry_msgs/msg/PoseStamped", "mode": "open", "direction": "feed"});
+    let poses =
+        json!({"topic": "/poses", "type": "geometry_msgs/msg/PoseStamped", "mode": "open", "direction": "feed"});
     let optitrack = json!({"name": "OptiTrack", "attribute_required": "OptiTrack", "services": [poses]});
     vec![mobile("Turtlebot4"), mobile("Husky"), ("OptiTrack", optitrack)]
 }

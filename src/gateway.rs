@@ -29,12 +29,12 @@ use tonic::{Request, Response, Status, Streaming};
 
 /// The gateway of a node; cheap to clone.
 #[derive(Clone)]
-pub struct GatewayService {
+pub(crate) struct GatewayService {
     pub(crate) node: Arc<NodeView>,
 }
 
 /// What the gateway sees of its node.
-pub struct NodeView {
+pub(crate) struct NodeView {
     /// This node.
     pub me: Member,
     /// Name of the network for people.
@@ -67,7 +67,6 @@ pub struct NodeView {
 
 impl GatewayService {
     /// The caller's identity, which must not have been revoked since it connected.
-    #[expect(clippy::result_large_err, reason = "tonic's error type")]
     fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Status> {
         let identity =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
@@ -83,7 +82,6 @@ impl GatewayService {
 
 impl NodeView {
     /// Refuses an identity that was revoked or whose certificate has run out since it connected.
-    #[expect(clippy::result_large_err, reason = "tonic's error type")]
     pub(crate) fn check(&self, identity: &Identity) -> Result<(), Status> {
         identity.check_validity((self.clock)()).map_err(|error| status(&error.into()))?;
         self.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
@@ -111,7 +109,7 @@ impl Gateway for GatewayService {
         self.caller(&request)?;
         let (answers, mut answer) = mpsc::unbounded_channel();
         let permit = self.permit().await?;
-        self.node.submit(request.into_inner(), Waiter { answers, permit });
+        self.node.submit(request.into_inner(), Waiter { answers, _permit: permit });
         answer.recv().await.ok_or_else(|| Status::unavailable("the node is stopping"))?.map(Response::new)
     }
 

@@ -24,7 +24,7 @@ const WATCH_PERIOD: Duration = Duration::from_secs(1);
 const FREE_BYTES_MIN: u64 = 16 * 1024 * 1024;
 
 /// The thread.
-pub struct Housekeeping {
+pub(crate) struct Housekeeping {
     stop: Sender<()>,
     thread: JoinHandle<()>,
 }
@@ -34,7 +34,7 @@ impl Housekeeping {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub fn start(node: Arc<NodeView>, store: Arc<BlockStore>, data: PathBuf) -> io::Result<Self> {
+    pub(crate) fn start(node: Arc<NodeView>, store: Arc<BlockStore>, data: PathBuf) -> io::Result<Self> {
         let (stop, stopped) = mpsc::channel();
         let thread = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
             let mut rounds = Rounds { node, store, data, flushed: Instant::now(), watched: None };
@@ -47,7 +47,7 @@ impl Housekeeping {
     }
 
     /// Ends it; the world state is stored a last time.
-    pub fn stop(self) {
+    pub(crate) fn stop(self) {
         drop(self.stop);
         if self.thread.join().is_err() {
             tracing::error!("housekeeping had panicked");

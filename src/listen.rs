@@ -4,7 +4,6 @@
 use ledger::identity::Identity;
 use ledger_api::tls::{TrustSource, client_identity};
 use std::io;
-use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -28,21 +27,19 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 /// Who is calling; the extension of every request.
 #[derive(Clone, Debug)]
-pub struct Caller {
+pub(crate) struct Caller {
     /// The verified identity; none for a client without a certificate, which can only enrol.
     pub identity: Option<Arc<Identity>>,
-    /// Where the call comes from.
-    pub address: SocketAddr,
 }
 
 /// An established connection.
-pub struct Connection {
+pub(crate) struct Connection {
     stream: TlsStream<TcpStream>,
     caller: Caller,
 }
 
 /// Accepts connections until the receiver is dropped. A failed handshake is logged and costs nobody else anything.
-pub fn accept(
+pub(crate) fn accept(
     listener: TcpListener,
     tls: TlsAcceptor,
     trust: Arc<dyn TrustSource>,
@@ -65,7 +62,7 @@ pub fn accept(
             };
             let (tls, trust, established) = (tls.clone(), Arc::clone(&trust), established.clone());
             tokio::spawn(async move {
-                match tokio::time::timeout(HANDSHAKE_TIME_MAX, handshake(socket, address, &tls, &*trust)).await {
+                match tokio::time::timeout(HANDSHAKE_TIME_MAX, handshake(socket, &tls, &*trust)).await {
                     Ok(Ok(connection)) => {
                         let _closing = established.send(Ok(connection)).await;
                     }
@@ -79,17 +76,12 @@ pub fn accept(
     ReceiverStream::new(connections)
 }
 
-async fn handshake(
-    socket: TcpStream,
-    address: SocketAddr,
-    tls: &TlsAcceptor,
-    trust: &dyn TrustSource,
-) -> Result<Connection, String> {
+async fn handshake(socket: TcpStream, tls: &TlsAcceptor, trust: &dyn TrustSource) -> Result<Connection, String> {
     socket.set_nodelay(true).map_err(|error| error.to_string())?;
     let stream = tls.accept(socket).await.map_err(|error| error.to_string())?;
     let identity =
         client_identity(stream.get_ref().1.peer_certificates(), trust).map_err(|refusal| refusal.to_string())?;
-    Ok(Connection { stream, caller: Caller { identity: identity.map(Arc::new), address } })
+    Ok(Connection { stream, caller: Caller { identity: identity.map(Arc::new) } })
 }
 
 impl Connected for Connection {

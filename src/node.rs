@@ -37,9 +37,9 @@ use tokio_rustls::TlsAcceptor;
 use tonic::transport::Server;
 
 /// The node's certificate, its CA behind it, in its data directory.
-pub const CERTIFICATE_FILE: &str = "node.pem";
+pub(crate) const CERTIFICATE_FILE: &str = "node.pem";
 /// The node's key, in its data directory.
-pub const KEY_FILE: &str = "node.key";
+pub(crate) const KEY_FILE: &str = "node.key";
 /// Bytes of one stream, and of one connection, that may be on their way: enough for a fast link's delay.
 const WINDOW_BYTES: (u32, u32) = (1 << 20, 4 << 20);
 /// Space around the payload in a message.
@@ -48,7 +48,7 @@ const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
 const STOP_TIME_MAX: Duration = Duration::from_millis(500);
 
 /// The machine's clock, microseconds since the UNIX epoch.
-pub fn clock() -> u64 {
+pub(crate) fn clock() -> u64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
     u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
 }

@@ -30,7 +30,7 @@ const INPUTS_PER_WRITE_MAX: usize = 4096;
 const FULL_DISK_PAUSE: Duration = Duration::from_millis(100);
 
 /// What the two threads share with the rest of the node.
-pub struct Shared {
+pub(crate) struct Shared {
     /// The ledger that blocks are applied to.
     pub ledger: Arc<Ledger>,
     /// The log.
@@ -50,7 +50,7 @@ pub struct Shared {
 }
 
 /// The running threads.
-pub struct Orderer {
+pub(crate) struct Orderer {
     inbox: SyncSender<Input>,
     /// Tells the order thread to end; it looks at least once a tick.
     stop: Arc<AtomicBool>,
@@ -64,7 +64,7 @@ impl Orderer {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub fn start(engine: Engine, shared: Arc<Shared>, tick: Duration) -> io::Result<Self> {
+    pub(crate) fn start(engine: Engine, shared: Arc<Shared>, tick: Duration) -> io::Result<Self> {
         let (inbox, inputs) = mpsc::sync_channel(INBOX_MAX);
         let (committed, blocks) = mpsc::channel();
         let status = Arc::new(Mutex::new(engine.status()));
@@ -97,27 +97,27 @@ impl Orderer {
     }
 
     /// Hands in an input; false if the node stops or is flooded. Never blocks.
-    pub fn input(&self, input: Input) -> bool {
+    pub(crate) fn input(&self, input: Input) -> bool {
         self.inbox.try_send(input).is_ok()
     }
 
     /// A handle for handing in inputs from elsewhere.
-    pub fn inbox(&self) -> SyncSender<Input> {
+    pub(crate) fn inbox(&self) -> SyncSender<Input> {
         self.inbox.clone()
     }
 
     /// How ordering stands.
-    pub fn status(&self) -> Status {
+    pub(crate) fn status(&self) -> Status {
         self.status.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Transactions executed since the start, by number of the verdict's code.
-    pub fn executed(&self) -> BTreeMap<u32, u64> {
+    pub(crate) fn executed(&self) -> BTreeMap<u32, u64> {
         self.executed.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 
     /// Ends both threads after what they are doing. Everything acknowledged is on disk already.
-    pub fn stop(&mut self) {
+    pub(crate) fn stop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
             if thread.join().is_err() {

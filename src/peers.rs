@@ -31,7 +31,7 @@ const RECONNECT_PAUSE: (Duration, Duration) = (Duration::from_millis(50), Durati
 
 /// A node of the network, as the others need to know it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Member {
+pub(crate) struct Member {
     /// Its number in the ordering protocol.
     pub id: u64,
     /// Common name of its certificate.
@@ -45,7 +45,7 @@ pub struct Member {
 }
 
 /// The other nodes and the way to them.
-pub struct Peers {
+pub(crate) struct Peers {
     links: BTreeMap<u64, Link>,
 }
 
@@ -57,7 +57,7 @@ struct Link {
 
 impl Peers {
     /// Keeps a connection to each member. Must be called inside a tokio runtime; ends with it.
-    pub fn connect(members: Vec<Member>, identity: &TlsIdentity, trust: &Arc<dyn TrustSource>) -> Self {
+    pub(crate) fn connect(members: Vec<Member>, identity: &TlsIdentity, trust: &Arc<dyn TrustSource>) -> Self {
         let links = members.into_iter().map(|member| {
             let (waiting, messages) = mpsc::channel(WAITING_MAX);
             let connected = Arc::new(AtomicBool::new(false));
@@ -70,14 +70,14 @@ impl Peers {
     }
 
     /// Sends a message if the peer keeps up; otherwise the message is dropped and the answer is false.
-    pub fn send(&self, to: u64, message: &PeerMessage) -> bool {
+    pub(crate) fn send(&self, to: u64, message: &PeerMessage) -> bool {
         self.links.get(&to).is_some_and(|link| {
             link.connected.load(Ordering::Relaxed) && link.waiting.try_send(message.to_bytes()).is_ok()
         })
     }
 
     /// The peers, and whether there is a connection to each.
-    pub fn members(&self) -> impl Iterator<Item = (&Member, bool)> {
+    pub(crate) fn members(&self) -> impl Iterator<Item = (&Member, bool)> {
         self.links.values().map(|link| (&link.member, link.connected.load(Ordering::Relaxed)))
     }
 }
@@ -174,18 +174,17 @@ fn causes(error: &dyn Error) -> String {
 }
 
 /// The service that takes the messages of other nodes. `deliver` answers false when the node is stopping.
-pub struct PeerService<D> {
+pub(crate) struct PeerService<D> {
     members: Vec<Member>,
     deliver: D,
 }
 
 impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
     /// Takes messages from these members only.
-    pub fn new(members: Vec<Member>, deliver: D) -> Self {
+    pub(crate) fn new(members: Vec<Member>, deliver: D) -> Self {
         Self { members, deliver }
     }
 
-    #[expect(clippy::result_large_err, reason = "tonic's error type")]
     fn sender(&self, caller: Option<&Caller>) -> Result<&Member, Status> {
         let identity = caller
             .and_then(|caller| caller.identity.as_ref())

@@ -7,7 +7,7 @@ use ring::rand::{SecureRandom, SystemRandom};
 ///
 /// # Errors
 /// [`Code::Internal`] if the operating system gives none.
-pub fn number() -> Result<u64, Rejection> {
+pub(crate) fn number() -> Result<u64, Rejection> {
     let mut bytes = [0; 8];
     SystemRandom::new()
         .fill(&mut bytes)

@@ -17,7 +17,7 @@ const REPLAY_BYTES: usize = 4 * 1024 * 1024;
 const DIRTY_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// The opened stores.
-pub struct Stores {
+pub(crate) struct Stores {
     /// What the network began with.
     pub genesis: Genesis,
     /// The ledger; everything known to be committed is executed.
@@ -31,7 +31,7 @@ impl Stores {
     ///
     /// # Errors
     /// Damage that cannot be repaired, with file and byte; a directory in use; a full disk.
-    pub fn open(config: &Config, genesis_bytes: &[u8], registry: Registry) -> Result<Self, Rejection> {
+    pub(crate) fn open(config: &Config, genesis_bytes: &[u8], registry: Registry) -> Result<Self, Rejection> {
         let (genesis, network) = Genesis::from_bytes(genesis_bytes)?;
         let store = Arc::new(open_blocks(config, network)?);
         let directory = config.data.join(STATE_DIRECTORY);

@@ -13,27 +13,27 @@ use tonic::Status;
 const WAIT_MAX: Duration = Duration::from_secs(10);
 
 /// Where an answer goes. The permit counts the transaction as in flight until it is answered.
-pub struct Waiter {
+pub(crate) struct Waiter {
     /// The client's stream, or the call that waits for one answer.
     pub answers: mpsc::UnboundedSender<Result<SubmitResponse, Status>>,
     /// Bounds how many can wait.
-    pub permit: OwnedSemaphorePermit,
+    pub _permit: OwnedSemaphorePermit,
 }
 
 /// Who waits for which transaction.
 #[derive(Default)]
-pub struct Waiters {
+pub(crate) struct Waiters {
     waiting: Mutex<HashMap<Hash, Vec<(Instant, Waiter)>>>,
 }
 
 impl Waiters {
     /// Answers `waiter` as soon as the transaction has a verdict.
-    pub fn add(&self, id: Hash, waiter: Waiter) {
+    pub(crate) fn add(&self, id: Hash, waiter: Waiter) {
         self.lock().entry(id).or_default().push((Instant::now(), waiter));
     }
 
     /// Answers everybody who waits for a transaction of this block.
-    pub fn resolve(&self, outcome: &Outcome, ledger: &Ledger) {
+    pub(crate) fn resolve(&self, outcome: &Outcome, ledger: &Ledger) {
         for ((index, id), result) in (0u32..).zip(&outcome.ids).zip(&outcome.results) {
             let Some(waiting) = self.lock().remove(id) else { continue };
             let response = match result.code() {
@@ -50,13 +50,13 @@ impl Waiters {
     }
 
     /// Tells everybody who waits for a transaction that it was not ordered.
-    pub fn refuse(&self, id: &Hash, reason: &Rejection) {
+    pub(crate) fn refuse(&self, id: &Hash, reason: &Rejection) {
         let waiting = self.lock().remove(id);
         answer(waiting.unwrap_or_default(), &refused(Some(id), reason));
     }
 
     /// Answers those who have waited too long, and forgets clients that are gone.
-    pub fn sweep(&self) {
+    pub(crate) fn sweep(&self) {
         let mut late = Vec::new();
         self.lock().retain(|id, waiting| {
             waiting.retain(|(_, waiter)| !waiter.answers.is_closed());
@@ -84,24 +84,24 @@ fn answer(waiting: Vec<(Instant, Waiter)>, response: &SubmitResponse) {
 }
 
 /// A refusal as clients see it.
-pub fn verdict(rejection: &Rejection) -> Verdict {
+pub(crate) fn verdict(rejection: &Rejection) -> Verdict {
     let Rejection { code, message, found, wanted, next } = rejection.clone();
     Verdict { code: code.number().into(), message, found, wanted, next }
 }
 
 /// The verdict of an executed transaction.
-pub fn verdict_of(result: &TransactionResult) -> Verdict {
+pub(crate) fn verdict_of(result: &TransactionResult) -> Verdict {
     result.outcome().map_or_else(|rejection| verdict(&rejection), |_| Verdict::default())
 }
 
 /// The answer for a transaction that was not ordered.
-pub fn refused(id: Option<&Hash>, rejection: &Rejection) -> SubmitResponse {
+pub(crate) fn refused(id: Option<&Hash>, rejection: &Rejection) -> SubmitResponse {
     let id = id.map(|id| id.0.to_vec().into()).unwrap_or_default();
     SubmitResponse { id, verdict: Some(verdict(rejection)), ..SubmitResponse::default() }
 }
 
 /// The answer for a transaction that was executed before.
-pub fn known(id: &Hash, record: &TransactionRecord) -> SubmitResponse {
+pub(crate) fn known(id: &Hash, record: &TransactionRecord) -> SubmitResponse {
     executed(id, record.height, record.index, record.time, &record.result)
 }
 

@@ -20,7 +20,7 @@ const TWIST_BYTES: usize = 48;
 
 /// What an operator writes into `linear.z`, so that the robot's side can tell whose message it got.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Operator {
+pub(super) enum Operator {
     /// Salma.
     Salma = 1,
     /// Farhad.
@@ -29,7 +29,7 @@ pub enum Operator {
 
 /// A Twist that the robot received.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Received {
+pub(super) struct Received {
     /// Who published it; none for a stop message.
     pub operator: Option<Operator>,
     /// Its number.
@@ -49,7 +49,7 @@ fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
 }
 
 /// A node that publishes `/cmd_vel` at a steady rate.
-pub struct Publisher {
+pub(super) struct Publisher {
     _participant: Participant,
     writer: Writer,
     operator: Operator,
@@ -58,7 +58,7 @@ pub struct Publisher {
 
 impl Publisher {
     /// Joins a ROS 2 domain.
-    pub async fn open(domain: u16, operator: Operator) -> Result<Self, Rejection> {
+    pub(super) async fn open(domain: u16, operator: Operator) -> Result<Self, Rejection> {
         let (topic, kind) = cmd_vel()?;
         let name = format!("{operator:?}_teleop").to_lowercase();
         let participant = Participant::open(domain, &name).await.map_err(|error| failed(&error))?;
@@ -67,13 +67,16 @@ impl Publisher {
     }
 
     /// Waits until somebody listens.
-    pub async fn matched(&mut self) -> Result<(), Rejection> {
+    pub(super) async fn matched(&mut self) -> Result<(), Rejection> {
         let matched = self.writer.matched();
-        tokio::time::timeout(DISCOVERY_TIME_MAX, matched.at_least(1)).await.map(drop).map_err(|_| nobody_there("the operator's bridge"))
+        tokio::time::timeout(DISCOVERY_TIME_MAX, matched.at_least(1))
+            .await
+            .map(drop)
+            .map_err(|_| nobody_there("the operator's bridge"))
     }
 
     /// Publishes at `hz` for a while, on a fixed schedule; answers with the time of each message, by number.
-    pub async fn publish(&mut self, hz: u32, how_long: Duration) -> Result<Vec<Instant>, Rejection> {
+    pub(super) async fn publish(&mut self, hz: u32, how_long: Duration) -> Result<Vec<Instant>, Rejection> {
         let period = Duration::from_secs(1) / hz;
         let count = usize::try_from(how_long.as_nanos() / period.as_nanos()).unwrap_or(usize::MAX);
         let mut schedule = interval(period);
@@ -90,13 +93,13 @@ impl Publisher {
     }
 
     /// The number that the next message will have.
-    pub fn next_number(&self) -> usize {
+    pub(super) fn next_number(&self) -> usize {
         self.next
     }
 }
 
 /// The robot: keeps every Twist that it receives.
-pub struct Robot {
+pub(super) struct Robot {
     _participant: Participant,
     matched: ros_bridge::dds::Matched,
     received: Arc<Mutex<Vec<Received>>>,
@@ -105,7 +108,7 @@ pub struct Robot {
 
 impl Robot {
     /// Joins a ROS 2 domain and listens to `/cmd_vel`.
-    pub async fn open(domain: u16) -> Result<Self, Rejection> {
+    pub(super) async fn open(domain: u16) -> Result<Self, Rejection> {
         let (topic, kind) = cmd_vel()?;
         let participant = Participant::open(domain, "turtlebot4_base").await.map_err(|error| failed(&error))?;
         let mut reader: Reader =
@@ -124,12 +127,15 @@ impl Robot {
     }
 
     /// Waits until the robot's bridge is there.
-    pub async fn matched(&mut self) -> Result<(), Rejection> {
-        tokio::time::timeout(DISCOVERY_TIME_MAX, self.matched.at_least(1)).await.map(drop).map_err(|_| nobody_there("the robot's bridge"))
+    pub(super) async fn matched(&mut self) -> Result<(), Rejection> {
+        tokio::time::timeout(DISCOVERY_TIME_MAX, self.matched.at_least(1))
+            .await
+            .map(drop)
+            .map_err(|_| nobody_there("the robot's bridge"))
     }
 
     /// What was received so far; starts anew.
-    pub fn take(&self) -> Vec<Received> {
+    pub(super) fn take(&self) -> Vec<Received> {
         std::mem::take(&mut *self.received.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }

@@ -10,7 +10,7 @@ const MICROSECONDS_MAX: u64 = 3_600_000_000;
 
 /// Percentiles of a latency in milliseconds.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Percentiles {
+pub(super) struct Percentiles {
     /// Half are faster.
     pub p50: f64,
     /// 95 of 100 are faster.
@@ -35,7 +35,7 @@ impl Percentiles {
 
 /// What the robot received in one phase.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
-pub struct Phase {
+pub(super) struct Phase {
     /// Messages a second that reached the robot.
     pub robot_hz: f64,
     /// Of Salma.
@@ -48,7 +48,7 @@ pub struct Phase {
 
 impl Phase {
     /// Counts what came in `duration`; `intruder` is who may not publish in this phase.
-    pub fn count(received: &[Received], duration: Duration, intruder: Option<Operator>) -> Self {
+    pub(super) fn count(received: &[Received], duration: Duration, intruder: Option<Operator>) -> Self {
         let of = |operator| received.iter().filter(|message| message.operator == Some(operator)).count();
         let hz = |count: usize| count as f64 / duration.as_secs_f64();
         let (salma, farhad) = (of(Operator::Salma), of(Operator::Farhad));
@@ -63,13 +63,13 @@ impl Phase {
 
 /// Collects the time from the operator's publication to the robot's reception.
 #[derive(Default)]
-pub struct RosToRos {
+pub(super) struct RosToRos {
     microseconds: Vec<u64>,
 }
 
 impl RosToRos {
     /// Adds the messages of one operator, published from number `first` on at `times`.
-    pub fn add(&mut self, operator: Operator, first: usize, times: &[Instant], received: &[Received]) {
+    pub(super) fn add(&mut self, operator: Operator, first: usize, times: &[Instant], received: &[Received]) {
         for message in received.iter().filter(|message| message.operator == Some(operator)) {
             if let Some(published) = message.number.checked_sub(first).and_then(|index| times.get(index)) {
                 let latency = message.at.saturating_duration_since(*published);
@@ -79,8 +79,10 @@ impl RosToRos {
     }
 
     /// The percentiles so far; zeros if nothing was received.
-    pub fn percentiles(&self) -> Percentiles {
-        let Ok(mut histogram) = Histogram::new_with_bounds(1, MICROSECONDS_MAX, 3) else { return Percentiles::default() };
+    pub(super) fn percentiles(&self) -> Percentiles {
+        let Ok(mut histogram) = Histogram::new_with_bounds(1, MICROSECONDS_MAX, 3) else {
+            return Percentiles::default();
+        };
         for value in &self.microseconds {
             histogram.saturating_record(*value);
         }

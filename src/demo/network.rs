@@ -25,7 +25,7 @@ const CONVERGE_TIME_MAX: Duration = Duration::from_secs(10);
 const DOMAIN_MAX: u64 = 100;
 
 /// The ROS 2 domain ids of the three graphs.
-pub struct Domains {
+pub(super) struct Domains {
     /// Salma's.
     pub salma: u16,
     /// Farhad's.
@@ -35,7 +35,7 @@ pub struct Domains {
 }
 
 /// The running experiment. Dropping it ends the processes and removes the directory.
-pub struct Network {
+pub(super) struct Network {
     /// A client of Org2's admin, who owns the robots.
     pub owner: Client,
     admin: Client,
@@ -49,7 +49,7 @@ pub struct Network {
 
 impl Network {
     /// Founds the network of the paper and starts its two nodes.
-    pub async fn start() -> Result<Self, Rejection> {
+    pub(super) async fn start() -> Result<Self, Rejection> {
         let directory = tempfile::Builder::new()
             .prefix("ledgerd-demo-")
             .tempdir()
@@ -66,7 +66,11 @@ impl Network {
         for ((organisation, data), address) in ORGANISATIONS.iter().zip(&data).zip(&addresses) {
             let config = directory.path().join(format!("{organisation}.toml"));
             write(&config, &format!("data = {:?}\nlisten = {address:?}\n", data.display().to_string()))?;
-            nodes.push(Process::start(organisation, directory.path(), &["run", "--config", &config.to_string_lossy()])?);
+            nodes.push(Process::start(
+                organisation,
+                directory.path(),
+                &["run", "--config", &config.to_string_lossy()],
+            )?);
         }
         let admin = connect(&admin, &mut nodes).await?;
         let owner = connect(&owner, &mut nodes).await?;
@@ -78,17 +82,19 @@ impl Network {
     }
 
     /// Org1's admin registers a user, who enrols from outside as anybody would.
-    pub async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
+    pub(super) async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
         let attributes: BTreeMap<_, _> = attributes.iter().map(|key| ((*key).to_owned(), "true".to_owned())).collect();
         let secret = self.admin.register(name, Role::Member, &attributes).await?;
         let fingerprint = self.founded.authorities.first().map_or(Hash::ZERO, |authority| authority.fingerprint);
-        let context = Enrolment::new(self.addresses[0].as_str(), fingerprint).enrol(name, &secret.secret, KeyKind::Ed25519).await?;
+        let context = Enrolment::new(self.addresses[0].as_str(), fingerprint)
+            .enrol(name, &secret.secret, KeyKind::Ed25519)
+            .await?;
         context.save(&self.home())?;
         Client::connect(&context).await
     }
 
     /// Starts the bridges: each user's at Org1's node, the robot's at Org2's.
-    pub async fn start_bridges(&mut self) -> Result<Domains, Rejection> {
+    pub(super) async fn start_bridges(&mut self) -> Result<Domains, Rejection> {
         let first = u16::try_from(1 + random::number()? % (DOMAIN_MAX - 3)).unwrap_or(1);
         let domains = Domains { salma: first, farhad: first + 1, robot: first + 2 };
         for (name, domain, direction) in [
@@ -111,12 +117,12 @@ impl Network {
     }
 
     /// Fails if a process has ended by itself.
-    pub fn check(&mut self) -> Result<(), Rejection> {
+    pub(super) fn check(&mut self) -> Result<(), Rejection> {
         self.nodes.iter_mut().chain(&mut self.bridges).try_for_each(Process::check)
     }
 
     /// Ends the bridges, whose last line says what they saw, and compares the nodes.
-    pub async fn report(&mut self, summary: &mut Summary) -> Result<(), Rejection> {
+    pub(super) async fn report(&mut self, summary: &mut Summary) -> Result<(), Rejection> {
         for bridge in self.bridges.drain(..) {
             let printed = bridge.stop().await?;
             summary.add(BridgeReport::read(&printed)?);
@@ -136,7 +142,7 @@ impl Network {
     }
 
     /// Ends the nodes in order; the directory goes with `self`.
-    pub async fn stop(mut self) -> Result<(), Rejection> {
+    pub(super) async fn stop(mut self) -> Result<(), Rejection> {
         for node in self.nodes.drain(..) {
             node.stop().await?;
         }
@@ -146,14 +152,17 @@ impl Network {
 
 fn plan(data: &[PathBuf; 2], addresses: &[String; 2]) -> NetworkPlan {
     let organisations = ORGANISATIONS.map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
-    let nodes = ORGANISATIONS.iter().zip(data).zip(addresses).enumerate().map(|(index, ((organisation, data), address))| PlannedNode {
-        name: format!("{}-node", organisation.to_lowercase()),
-        organisation: (*organisation).into(),
-        data: data.clone(),
-        address: address.clone(),
-        // As in the paper: Org1 orders.
-        voter: index == 0,
-    });
+    let nodes =
+        ORGANISATIONS.iter().zip(data).zip(addresses).enumerate().map(|(index, ((organisation, data), address))| {
+            PlannedNode {
+                name: format!("{}-node", organisation.to_lowercase()),
+                organisation: (*organisation).into(),
+                data: data.clone(),
+                address: address.clone(),
+                // As in the paper: Org1 orders.
+                voter: index == 0,
+            }
+        });
     NetworkPlan { label: "demo".into(), organisations: organisations.into(), nodes: nodes.collect() }
 }
 
@@ -166,7 +175,8 @@ fn free_addresses() -> Result<[String; 2], Rejection> {
 }
 
 fn write(path: &Path, text: &str) -> Result<(), Rejection> {
-    std::fs::write(path, text).map_err(|error| Rejection::new(Code::BadFile, format!("cannot write {}: {error}", path.display())))
+    std::fs::write(path, text)
+        .map_err(|error| Rejection::new(Code::BadFile, format!("cannot write {}: {error}", path.display())))
 }
 
 fn identity(data: &Path, organisation: &str, who: (&str, Role), address: &str) -> Result<Context, Rejection> {
@@ -179,7 +189,9 @@ async fn connect(context: &Context, nodes: &mut [Process]) -> Result<Client, Rej
     loop {
         match Client::connect(context).await {
             Ok(client) => return Ok(client),
-            Err(rejection) if rejection.code != Code::Unreachable || Instant::now() > deadline => return Err(rejection),
+            Err(rejection) if rejection.code != Code::Unreachable || Instant::now() > deadline => {
+                return Err(rejection);
+            }
             Err(_) => {
                 nodes.iter_mut().try_for_each(Process::check)?;
                 tokio::time::sleep(Duration::from_millis(50)).await;

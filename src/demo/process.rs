@@ -12,7 +12,7 @@ use tokio::process::{Child, Command};
 const STOP_TIME_MAX: Duration = Duration::from_secs(5);
 
 /// A running `ledgerd` of the demo.
-pub struct Process {
+pub(super) struct Process {
     name: String,
     child: Child,
     log: PathBuf,
@@ -20,7 +20,7 @@ pub struct Process {
 
 impl Process {
     /// Starts this program with other arguments; its log goes into a file of the directory.
-    pub fn start(name: &str, directory: &Path, arguments: &[&str]) -> Result<Self, Rejection> {
+    pub(super) fn start(name: &str, directory: &Path, arguments: &[&str]) -> Result<Self, Rejection> {
         let log = directory.join(format!("{name}.log"));
         let failed = |error: std::io::Error| Rejection::new(Code::Internal, format!("cannot start {name}: {error}"));
         let program = std::env::current_exe().map_err(failed)?;
@@ -38,17 +38,21 @@ impl Process {
     }
 
     /// Fails if the process has ended by itself, with the end of its log.
-    pub fn check(&mut self) -> Result<(), Rejection> {
+    pub(super) fn check(&mut self) -> Result<(), Rejection> {
         match self.child.try_wait() {
             Ok(None) => Ok(()),
-            Ok(Some(status)) => Err(Rejection::new(Code::Internal, format!("{} ended: {status}", self.name)).found(self.log_end())),
+            Ok(Some(status)) => {
+                Err(Rejection::new(Code::Internal, format!("{} ended: {status}", self.name)).found(self.log_end()))
+            }
             Err(error) => Err(Rejection::new(Code::Internal, format!("cannot watch {}: {error}", self.name))),
         }
     }
 
     /// Asks the process to end, waits, and answers with what it printed on standard output.
-    pub async fn stop(mut self) -> Result<String, Rejection> {
-        if let Some(pid) = self.child.id().and_then(|id| i32::try_from(id).ok()).and_then(rustix::process::Pid::from_raw) {
+    pub(super) async fn stop(mut self) -> Result<String, Rejection> {
+        if let Some(pid) =
+            self.child.id().and_then(|id| i32::try_from(id).ok()).and_then(rustix::process::Pid::from_raw)
+        {
             let _gone = rustix::process::kill_process(pid, rustix::process::Signal::TERM);
         }
         let mut printed = String::new();
@@ -60,11 +64,14 @@ impl Process {
         };
         match tokio::time::timeout(STOP_TIME_MAX, ended).await {
             Ok(Ok(status)) if status.success() => Ok(printed),
-            Ok(Ok(status)) => Err(Rejection::new(Code::Internal, format!("{} failed: {status}", self.name)).found(self.log_end())),
+            Ok(Ok(status)) => {
+                Err(Rejection::new(Code::Internal, format!("{} failed: {status}", self.name)).found(self.log_end()))
+            }
             Ok(Err(error)) => Err(Rejection::new(Code::Internal, format!("cannot watch {}: {error}", self.name))),
             Err(_) => {
                 let _killed = self.child.kill().await;
-                Err(Rejection::new(Code::Internal, format!("{} did not end within {STOP_TIME_MAX:?}", self.name)).found(self.log_end()))
+                Err(Rejection::new(Code::Internal, format!("{} did not end within {STOP_TIME_MAX:?}", self.name))
+                    .found(self.log_end()))
             }
         }
     }

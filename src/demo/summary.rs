@@ -12,7 +12,7 @@ const ARRIVED_MIN: f64 = 0.9;
 
 /// The result of the experiment.
 #[derive(Clone, Debug, Default, Serialize)]
-pub struct Summary {
+pub(super) struct Summary {
     /// Both publish, Salma holds the robot.
     pub controlled: Phase,
     /// Both publish, and both may.
@@ -35,7 +35,7 @@ pub struct Summary {
 
 /// What a bridge prints when it ends.
 #[derive(Clone, Debug, Deserialize)]
-pub struct BridgeReport {
+pub(super) struct BridgeReport {
     routes: Vec<RouteReport>,
 }
 
@@ -57,7 +57,7 @@ struct Micros {
 
 impl BridgeReport {
     /// Reads the last line that a bridge printed.
-    pub fn read(printed: &str) -> Result<Self, Rejection> {
+    pub(super) fn read(printed: &str) -> Result<Self, Rejection> {
         let line = printed.lines().last().unwrap_or_default();
         serde_json::from_str(line).map_err(|error| {
             Rejection::new(Code::Internal, format!("a bridge's report cannot be read: {error}")).found(line.to_owned())
@@ -67,12 +67,12 @@ impl BridgeReport {
 
 impl Summary {
     /// Counts a refusal that the demo itself was given.
-    pub fn refused(&mut self, rejection: &Rejection) {
+    pub(super) fn refused(&mut self, rejection: &Rejection) {
         *self.refusals.entry(rejection.code.name().to_owned()).or_default() += 1;
     }
 
     /// Adds what a bridge saw. Commit latency is the one of the bridge that committed most: Salma's.
-    pub fn add(&mut self, report: BridgeReport) {
+    pub(super) fn add(&mut self, report: BridgeReport) {
         let mut most = 0;
         for route in report.routes.into_iter().filter(|route| route.direction == "to_ledger") {
             for (code, count) in route.refused {
@@ -97,8 +97,14 @@ impl Summary {
             }
         };
         let Phase { salma_hz, intruder_messages, .. } = self.controlled;
-        must(salma_hz >= enough, format!("controlled: {salma_hz:.1} Hz of Salma reached the robot, wanted at least {enough}"));
-        must(intruder_messages == 0, format!("controlled: {intruder_messages} messages of Farhad reached the robot, wanted none"));
+        must(
+            salma_hz >= enough,
+            format!("controlled: {salma_hz:.1} Hz of Salma reached the robot, wanted at least {enough}"),
+        );
+        must(
+            intruder_messages == 0,
+            format!("controlled: {intruder_messages} messages of Farhad reached the robot, wanted none"),
+        );
         for (who, hz) in [("Salma", self.open.salma_hz), ("Farhad", self.open.farhad_hz)] {
             must(hz >= enough, format!("open: {hz:.1} Hz of {who} reached the robot, wanted at least {enough}"));
         }
@@ -110,19 +116,22 @@ impl Summary {
     }
 
     /// Fails with everything that did not hold.
-    pub fn check(&self) -> Result<(), Rejection> {
+    pub(super) fn check(&self) -> Result<(), Rejection> {
         match self.faults() {
             faults if faults.is_empty() => Ok(()),
-            faults => Err(Rejection::new(Code::Internal, "the experiment did not go as it should").found(faults.join("; "))),
+            faults => {
+                Err(Rejection::new(Code::Internal, "the experiment did not go as it should").found(faults.join("; ")))
+            }
         }
     }
 
     /// The table for people.
-    pub fn table(&self) -> String {
+    pub(super) fn table(&self) -> String {
         let mut text = String::from("\n                          Salma      Farhad     robot receives\n");
         for (name, phase) in [("exclusive (Salma holds)", self.controlled), ("open (both may)", self.open)] {
             let Phase { robot_hz, salma_hz, farhad_hz, .. } = phase;
-            let _infallible = writeln!(text, "  {name:<24}{salma_hz:>5.1} Hz   {farhad_hz:>5.1} Hz   {robot_hz:>6.1} Hz");
+            let _infallible =
+                writeln!(text, "  {name:<24}{salma_hz:>5.1} Hz   {farhad_hz:>5.1} Hz   {robot_hz:>6.1} Hz");
         }
         text.push_str("\n  latency in ms             p50      p95      p99      max\n");
         for (name, latency) in [("commit", self.commit_ms), ("ROS to ROS", self.ros_to_ros_ms)] {
@@ -146,7 +155,7 @@ impl Summary {
     }
 
     /// The line for programs.
-    pub fn json(&self) -> Result<String, Rejection> {
+    pub(super) fn json(&self) -> Result<String, Rejection> {
         #[derive(Serialize)]
         struct Line<'a> {
             ok: bool,

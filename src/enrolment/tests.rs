@@ -47,8 +47,7 @@ fn fixture() -> Fixture {
 
 fn by<T>(identity: Option<&Arc<Identity>>, message: T) -> Request<T> {
     let mut request = Request::new(message);
-    let address = "127.0.0.1:1".parse().unwrap();
-    request.extensions_mut().insert(Caller { identity: identity.map(Arc::clone), address });
+    request.extensions_mut().insert(Caller { identity: identity.map(Arc::clone) });
     request
 }
 

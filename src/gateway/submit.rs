@@ -35,7 +35,7 @@ pub(super) fn stream(
             };
             let Some(Ok(request)) = request else { return };
             let Ok(permit) = gateway.permit().await else { return };
-            gateway.node.submit(request, Waiter { answers: answers.clone(), permit });
+            gateway.node.submit(request, Waiter { answers: answers.clone(), _permit: permit });
         }
     });
     UnboundedReceiverStream::new(verdicts)
@@ -47,7 +47,7 @@ impl NodeView {
         let transaction = match self.admit(request) {
             Ok(transaction) => transaction,
             Err(answer) => {
-                let _gone = waiter.answers.send(Ok(answer));
+                let _gone = waiter.answers.send(Ok(*answer));
                 return;
             }
         };
@@ -67,10 +67,10 @@ impl NodeView {
     }
 
     /// Everything that can be refused before ordering is refused here. The answer may also be an earlier verdict.
-    fn admit(&self, request: SubmitRequest) -> Result<Transaction, SubmitResponse> {
+    fn admit(&self, request: SubmitRequest) -> Result<Transaction, Box<SubmitResponse>> {
         let refuse = |refusal: Refusal| {
             self.denials.record((self.clock)(), &refusal);
-            refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection)
+            Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection))
         };
         let limit = self.limits.payload_bytes_max;
         if request.transaction.len() as u64 > limit {
@@ -88,7 +88,7 @@ impl NodeView {
         }
         match self.ledger.admit(request.transaction, (self.clock)()) {
             Ok(Admission::New(transaction)) => Ok(transaction),
-            Ok(Admission::Known(id, record)) => Err(known(&id, &record)),
+            Ok(Admission::Known(id, record)) => Err(Box::new(known(&id, &record))),
             Err(refusal) => Err(refuse(*refusal)),
         }
     }

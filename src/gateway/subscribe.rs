@@ -23,7 +23,6 @@ const FILTER_MAX: usize = 1024;
 const BLOCKS_PER_PROGRESS: u64 = 1024;
 
 /// Checks the request and starts delivering.
-#[expect(clippy::result_large_err, reason = "tonic's error type")]
 pub(super) fn start(
     node: Arc<NodeView>,
     reader: Arc<Identity>,
@@ -113,7 +112,6 @@ impl Subscription {
     }
 
     /// Delivers every block that was executed by now. False if the subscriber is gone.
-    #[expect(clippy::result_large_err, reason = "tonic's error type")]
     async fn catch_up(&mut self, head: &mut watch::Receiver<u64>) -> Result<bool, Status> {
         let mut silent = 0;
         loop {
