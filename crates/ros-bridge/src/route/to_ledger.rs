@@ -74,6 +74,7 @@ impl Publishing {
                 _ => {}
             }
         }
+        self.as_of = self.as_of.max(delivery.height);
     }
 
     /// Takes over what is newer than what is known.
@@ -165,7 +166,7 @@ impl ToLedger {
                     if self.note(outcome) && self.refreshed.elapsed() >= REFRESH_EVERY {
                         self.refreshed = Instant::now();
                         let (gateway, service) = (Arc::clone(&self.gateway), self.publishing.service.clone());
-                        refresh = Some(authorization(gateway, 0, service).boxed()).into();
+                        refresh = Some(authorization(gateway, self.publishing.as_of, service).boxed()).into();
                     }
                 }
                 incoming = self.inlet.next(), if has_room => match incoming {
