@@ -1,5 +1,8 @@
 //! A running bridge: its routes, and what they have done.
 
+#[cfg(test)]
+mod tests;
+
 use std::{path::Path, sync::Arc};
 
 use ledger::{Code, Rejection};

@@ -1,9 +1,7 @@
 //! Each rule of the gate has a test that fails without it.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-mod fixture;
-
-use fixture::{NONE, NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
+use crate::fixture::{NONE, NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
 use ledger::{Bytes, transaction::Transaction};
 use proptest::prelude::*;
 
@@ -394,7 +392,7 @@ proptest! {
 
     #[test]
     fn truncated_and_damaged_transactions_never_pass(cut in 0usize..400, flip in 0usize..400, bit in 0u8..8) {
-        let network = fixture::shared();
+        let network = crate::fixture::shared();
         let mut gate = network.gate(&service("open"), &[]);
         let mut bytes = network.salma.set(0, 1, &TWIST).encoded().to_vec();
         let whole = bytes.clone();
@@ -411,7 +409,7 @@ proptest! {
 
     #[test]
     fn arbitrary_bytes_never_panic(transaction: Vec<u8>, certificate: Vec<u8>, block_time: u64) {
-        let network = fixture::shared();
+        let network = crate::fixture::shared();
         let mut gate = network.gate(&service("open"), &[]);
         let (transaction, certificate) = (Bytes::from(transaction), Bytes::from(certificate));
         let delivered = Delivered { block_time, transaction: &transaction, certificate: &certificate };
