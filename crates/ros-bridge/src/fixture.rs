@@ -174,13 +174,14 @@ pub(crate) fn service(mode: &str) -> Service {
         mode: mode.into(),
         direction: "command".into(),
         max_age_ms: 1000,
+        lease_ms: 10_000,
         stop_hex: None,
         epoch: 0,
     }
 }
 
 pub(crate) fn grant(holder: &str, epoch: u64) -> Grant {
-    Grant { service: "T/cmd_vel".into(), holder: holder.into(), epoch, next_seq: 0 }
+    Grant { service: "T/cmd_vel".into(), holder: holder.into(), epoch, lease_ms: 4000, next_seq: 0 }
 }
 
 pub(crate) fn now() -> Now {

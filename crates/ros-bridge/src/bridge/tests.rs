@@ -17,9 +17,8 @@ use serde_json::json;
 
 use super::*;
 use crate::{
-    dds::{Participant, Reader, Writer},
+    dds::{Matched, Participant, Reader, Writer},
     fixture::{Network, User},
-    names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
     sample::{CDR_LE, Sample},
@@ -72,15 +71,23 @@ impl Bench {
     async fn reader(&self) -> Reader {
         let (topic, message) = names();
         let reader = self.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
-        assert!(tokio::time::timeout(DEADLINE, reader.matched().at_least(1)).await.unwrap());
+        self.matched(reader.matched()).await;
         reader
     }
 
     async fn writer(&self) -> Writer {
         let (topic, message) = names();
         let writer = self.graph.writer(&topic, &message, &Qos::default()).unwrap();
-        assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+        self.matched(writer.matched()).await;
         writer
+    }
+
+    /// Waits until both ends know each other.
+    async fn matched(&self, beside: &Matched) {
+        for matched in [beside, self.bridge.counters[0].matched()] {
+            assert!(tokio::time::timeout(DEADLINE, matched.at_least(1)).await.unwrap());
+        }
+        assert_eq!(self.bridge.summary().routes[0].matched, 1);
     }
 
     async fn sets(&self, count: usize) -> Vec<Vec<Bytes>> {
@@ -136,7 +143,7 @@ async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
         assert!(seq > last, "{seq} follows {last}");
         last = seq;
     }
-    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 4, "next_seq": 0 });
+    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 4, "lease_ms": 10_000 });
     bench.fake.deliver(micros(), "granted", &grant, None);
     let mut count = 20;
     let changed = loop {
@@ -166,14 +173,16 @@ async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
     bench.fake.set_own_epoch(9);
     let writer = bench.writer().await;
     let mut count = 0;
-    loop {
-        writer.write(&twist(1)).unwrap();
-        count += 1;
-        if bench.sets(count).await[count - 1][1] == "9" {
-            break;
+    let refreshed = async {
+        loop {
+            writer.write(&twist(1)).unwrap();
+            count += 1;
+            if bench.sets(count).await[count - 1][1] == "9" {
+                break;
+            }
         }
-        tokio::time::sleep(Duration::from_millis(5)).await;
-    }
+    };
+    tokio::time::timeout(DEADLINE, refreshed).await.unwrap();
     let summary = bench.bridge.stop().await.routes.pop().unwrap();
     let refused = summary.refused["NOT_HOLDER"];
     assert!(refused + 1 >= count as u64 && summary.committed == 0, "{refused} of {count}");
@@ -206,7 +215,7 @@ async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
     if !network::isolated("bridge::tests::what_passes_the_gate_reaches_the_robot_and_a_release_stops_it") {
         return;
     }
-    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3)).await;
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
     let mut reader = bench.reader().await;
     let (salma, farhad) = (&bench.network.salma, &bench.network.farhad);
     let (sent, _) = bench.message(salma, 3, 1);
@@ -219,7 +228,7 @@ async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
     bench.message(salma, 3, 5);
     let acquire = User { not_after: micros() + 30_000_000, ..farhad.clone() };
     let acquire = acquire.sign("abac", "acquire", vec!["T/cmd_vel".into()]);
-    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Farhad", "epoch": 4 });
+    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Farhad", "epoch": 4, "lease_ms": 10_000 });
     bench.fake.deliver(micros(), "granted", &grant, Some((&acquire, &farhad.certificate)));
     let (sent, _) = bench.message(farhad, 4, 1);
     assert_eq!(next(&mut reader).await, sent, "nothing in between");
@@ -236,7 +245,7 @@ async fn a_silent_ledger_stops_the_robot() {
         return;
     }
     let more = "direction = 'from_ledger'\nstale_after_ms = 500";
-    let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3)).await;
+    let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
     let mut reader = bench.reader().await;
     let (sent, _) = bench.message(&bench.network.salma, 3, 1);
     assert_eq!(next(&mut reader).await, sent);
@@ -245,6 +254,31 @@ async fn a_silent_ledger_stops_the_robot() {
     assert_eq!(before_stop.published, 1);
     let summary = bench.bridge.stop().await.routes.pop().unwrap();
     assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("stale", 1)], "it stands already when the bridge ends");
+}
+
+#[tokio::test]
+async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life() {
+    if !network::isolated(
+        "bridge::tests::a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life",
+    ) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 1500)).await;
+    let mut reader = bench.reader().await;
+    let (sent, _) = bench.message(&bench.network.salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    let alive = async {
+        loop {
+            bench.fake.heartbeat(micros());
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    tokio::select! {
+        stopped = next(&mut reader) => assert_eq!(stopped, stop()),
+        () = alive => {}
+    }
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("lease", 1)]);
 }
 
 #[tokio::test]
@@ -270,7 +304,7 @@ async fn a_change_of_mode_counts_from_its_block_on() {
     if !network::isolated("bridge::tests::a_change_of_mode_counts_from_its_block_on") {
         return;
     }
-    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3)).await;
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
     let mut reader = bench.reader().await;
     let farhad = &bench.network.farhad;
     bench.message(farhad, 0, 1);

@@ -296,6 +296,39 @@ fn a_node_cannot_grant_the_robot_to_who_did_not_ask() {
 }
 
 #[test]
+fn the_robot_has_to_stop_when_its_drivers_lease_has_run_out() {
+    let network = Network::new();
+    let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
+    assert_eq!(gate.deadline(), None, "nobody moves it");
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
+    let first = now().steady + 4 * SECOND;
+    assert_eq!(gate.deadline(), Some(first));
+    for (user, function, epoch, counts) in [
+        (&network.salma, "renew", 2, false),
+        (&network.salma, "release", 3, false),
+        (&network.farhad, "renew", 3, false),
+        (&network.salma, "renew", 3, true),
+        (&network.salma, "acquire", 3, true),
+    ] {
+        let signed = user.sign("abac", function, vec!["T/cmd_vel".into()]);
+        let delivered = Delivered { block_time: NOW, transaction: signed.encoded(), certificate: &user.certificate };
+        let renewed = gate.renewed(&grant("Org1/Salma", epoch), delivered, now_at(NOW + SECOND));
+        assert_eq!(renewed.is_ok(), counts, "{function} {epoch}");
+        assert_eq!(gate.deadline(), Some(if counts { first + SECOND } else { first }));
+    }
+    gate.stopped(now());
+    assert_eq!(gate.deadline(), None);
+}
+
+#[test]
+fn without_grants_the_lease_of_the_service_counts() {
+    let network = Network::new();
+    let mut gate = network.gate(&service("open"), &[]);
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
+    assert_eq!(gate.deadline(), Some(now().steady + 10 * SECOND));
+}
+
+#[test]
 fn the_revoked_do_not_pass_and_the_robot_they_moved_stops() {
     let network = Network::new();
     let mut gate = network.gate(&service("open"), &[]);
@@ -345,6 +378,7 @@ fn only_the_owner_feeds_a_feed() {
     let mut gate = network.gate(&feed, &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NotOwner));
     assert_eq!(deliver(&mut gate, &network.robot, &network.robot.set(0, 1, &TWIST)), Ok(1));
+    assert!(!gate.is_moving(), "a feed moves nothing");
 }
 
 #[test]

@@ -51,13 +51,14 @@ impl Fake {
     pub(super) fn set_mode(&self, mode: &str) {
         *self.service.lock().unwrap() = json!({
             "service": "T/cmd_vel", "robot": "T", "organisation": "Org2", "topic": "/cmd_vel",
-            "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 1000,
+            "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 1000, "lease_ms": 10000,
             "stop_hex": null, "epoch": 3,
         });
     }
 
-    pub(super) fn set_holder(&self, holder: &str, epoch: u64) {
-        *self.grants.lock().unwrap() = json!([{ "service": "T/cmd_vel", "holder": holder, "epoch": epoch }]);
+    pub(super) fn set_holder(&self, holder: &str, epoch: u64, lease_ms: u64) {
+        *self.grants.lock().unwrap() =
+            json!([{ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "lease_ms": lease_ms }]);
     }
 
     pub(super) fn set_own_epoch(&self, epoch: u64) {
@@ -69,9 +70,16 @@ impl Fake {
     }
 
     /// Delivers an event to whoever subscribed to it.
-    pub(super) fn deliver(&self, block_time: u64, name: &str, payload: &Value, caused_by: Option<(&Transaction, &Bytes)>) {
-        let (transaction, certificate) =
-            caused_by.map(|(transaction, certificate)| (transaction.encoded().clone(), certificate.clone())).unwrap_or_default();
+    pub(super) fn deliver(
+        &self,
+        block_time: u64,
+        name: &str,
+        payload: &Value,
+        caused_by: Option<(&Transaction, &Bytes)>,
+    ) {
+        let (transaction, certificate) = caused_by
+            .map(|(transaction, certificate)| (transaction.encoded().clone(), certificate.clone()))
+            .unwrap_or_default();
         let chaincode = if name == "revoked" { "msp" } else { "abac" };
         let event = EventRecord {
             chaincode: chaincode.into(),
@@ -81,7 +89,16 @@ impl Fake {
             certificate,
             ..EventRecord::default()
         };
-        self.send(name, chaincode, Delivery { height: 1, time: block_time, events: vec![event], ..Delivery::default() });
+        self.send(
+            name,
+            chaincode,
+            Delivery { height: 1, time: block_time, events: vec![event], ..Delivery::default() },
+        );
+    }
+
+    /// A sign of life without events.
+    pub(super) fn heartbeat(&self, block_time: u64) {
+        self.send("message", "abac", Delivery { height: 1, time: block_time, ..Delivery::default() });
     }
 
     fn send(&self, name: &str, chaincode: &str, delivery: Delivery) {
