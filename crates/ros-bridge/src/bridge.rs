@@ -1,5 +1,8 @@
 //! A running bridge: its routes, and what they have done.
 
+#[cfg(test)]
+mod tests;
+
 use std::{path::Path, sync::Arc};
 
 use ledger::{Code, Rejection};
@@ -8,11 +11,13 @@ use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
-    config::{Config, Direction, IdentitySource, RouteConfig, all_faults},
+    config::{Config, Direction, IdentitySource, all_faults},
     count::{Counters, RouteSummary},
+    dds::Mismatch,
     gate::Settings,
     gateway::Gateway,
-    route::{Stop, from_ledger::FromLedger, local::Local, to_ledger::ToLedger},
+    names::{TopicName, TypeName},
+    route::{Stop, from_ledger::FromLedger, local::Local, stopped, to_ledger::ToLedger},
     service::Service,
 };
 
@@ -72,11 +77,13 @@ impl Bridge {
         let mut routes: Vec<futures::future::BoxFuture<'static, ()>> = Vec::new();
         let mut counters = Vec::new();
         for (route, (service, topic)) in config.routes.into_iter().zip(services) {
-            let counted = Counters::new(&route);
-            counters.push(counted.clone());
+            let gateway = Arc::clone(&gateway);
             match route.direction {
                 Direction::ToLedger => {
-                    let opened = to_ledger(&gateway, &route, &local, &topic, counted).await?;
+                    let inlet = local.inlet(&topic, &route.message, &route.qos, route.limits()).await?;
+                    let counted = Counters::new(&route, inlet.matched());
+                    counters.push(counted.clone());
+                    let opened = ToLedger::open(gateway, &route.service, inlet, route.batch_max, counted).await?;
                     routes.push(Box::pin(opened.run(told.clone())));
                 }
                 Direction::FromLedger => {
@@ -87,7 +94,8 @@ impl Bridge {
                         max_age: route.max_age,
                     };
                     let outlet = local.outlet(&topic, &route.message, &route.qos).await?;
-                    let gateway = Arc::clone(&gateway);
+                    let counted = Counters::new(&route, outlet.matched());
+                    counters.push(counted.clone());
                     let opened = FromLedger::open(gateway, route, settings, service, outlet, counted).await?;
                     routes.push(Box::pin(opened.run(told.clone())));
                 }
@@ -115,23 +123,16 @@ impl Bridge {
     }
 }
 
-async fn to_ledger(
-    gateway: &Arc<dyn Gateway>,
-    route: &RouteConfig,
-    local: &Local,
-    topic: &crate::names::TopicName,
-    counters: Counters,
-) -> Result<ToLedger, Rejection> {
-    let inlet = local.inlet(topic, &route.message, &route.qos, route.limits()).await?;
-    ToLedger::open(Arc::clone(gateway), &route.service, inlet, route.batch_max, counters).await
+/// Warns of local publishers and subscribers whose type is not the route's: they are never matched.
+async fn watch_types(local: Local, expected: Vec<(TopicName, TypeName)>, mut stop: Stop) {
+    tokio::select! {
+        () = stopped(&mut stop) => {}
+        () = local.participant().watch_types(&expected, warn) => {}
+    }
 }
 
-/// Warns of local publishers and subscribers whose type is not the route's: they are never matched.
-async fn watch_types(local: Local, expected: Vec<(crate::names::TopicName, crate::names::TypeName)>, mut stop: Stop) {
-    tokio::select! {
-        () = crate::route::stopped(&mut stop) => {}
-        () = local.participant().watch_types(&expected) => {}
-    }
+fn warn(Mismatch { role, topic, found, wanted }: Mismatch) {
+    tracing::warn!(topic, found, wanted, "a {role} on this topic has another type: nothing passes");
 }
 
 /// The identity of a bridge towards the ledger, as its configuration names it.

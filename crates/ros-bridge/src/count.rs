@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::{
     config::{Direction, RouteConfig},
+    dds::Matched,
     gateway::Tally,
 };
 
@@ -24,6 +25,8 @@ pub struct RouteSummary {
     pub service: String,
     /// Which way.
     pub direction: Direction,
+    /// Publishers or subscribers of other ROS 2 nodes that this route is connected with now.
+    pub matched: usize,
     /// Samples taken in from the local graph.
     pub samples_in: u64,
     /// Samples that newer ones replaced while they waited, or that were too large.
@@ -63,7 +66,10 @@ pub struct Latency {
 
 /// The counters of a route, shared with whoever asks for a summary.
 #[derive(Clone, Debug)]
-pub(crate) struct Counters(Arc<Mutex<Counts>>);
+pub(crate) struct Counters {
+    counts: Arc<Mutex<Counts>>,
+    matched: Matched,
+}
 
 /// What is counted.
 #[derive(Debug)]
@@ -73,10 +79,11 @@ pub(crate) struct Counts {
 }
 
 impl Counters {
-    pub(crate) fn new(route: &RouteConfig) -> Self {
+    pub(crate) fn new(route: &RouteConfig, matched: &Matched) -> Self {
         let summary = RouteSummary {
             service: route.service.clone(),
             direction: route.direction,
+            matched: 0,
             samples_in: 0,
             replaced: 0,
             submitted: 0,
@@ -89,16 +96,23 @@ impl Counters {
             commit_us: Latency::default(),
         };
         let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
-        Self(Arc::new(Mutex::new(Counts { summary, latency })))
+        Self { counts: Arc::new(Mutex::new(Counts { summary, latency })), matched: matched.clone() }
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, Counts> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The endpoints of others, to wait for them.
+    #[cfg(test)]
+    pub(crate) fn matched(&self) -> &Matched {
+        &self.matched
     }
 
     pub(crate) fn summary(&self) -> RouteSummary {
         let counts = self.lock();
         let mut summary = counts.summary.clone();
+        summary.matched = self.matched.now().matched;
         if let Some(latency) = &counts.latency {
             summary.commit_us = Latency {
                 count: latency.len(),

@@ -36,6 +36,7 @@ use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Top
 use self::graph::Graph;
 pub use self::{
     matched::{Matched, Matching},
+    mismatch::Mismatch,
     reader::Reader,
     writer::{WRITER_BYTES_MAX, Writer},
 };

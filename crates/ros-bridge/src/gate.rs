@@ -82,15 +82,31 @@ pub struct Gate {
     clock: Clock,
     /// The newest epoch that was seen.
     epoch: u64,
-    /// Who holds the service, with the epoch of the grant.
-    holders: BTreeMap<String, u64>,
+    /// Who holds the service.
+    holders: BTreeMap<String, Holding>,
     /// When the gate was opened, or its last stop by itself, by the wall clock (microseconds): what bridges signed
     /// before does not pass, whatever block time the node gives it.
     signed_since: u64,
     /// Nothing from before this block time passes (microseconds).
     not_before: u64,
     /// Who moved the robot last, since its last stop.
-    driver: Option<Arc<Identity>>,
+    driver: Option<Driver>,
+}
+
+/// What is known of a grant.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Holding {
+    epoch: u64,
+    /// How long it lasts without being used or renewed, in microseconds.
+    lease_us: u64,
+}
+
+/// Who moves the robot.
+#[derive(Debug)]
+struct Driver {
+    identity: Arc<Identity>,
+    /// When the lease runs out without another sign of life, by the steady clock (microseconds).
+    until: u64,
 }
 
 /// What the service's description says about who may publish.
@@ -100,6 +116,8 @@ struct Rules {
     /// The only organisation that publishes; none = any.
     publisher: Option<String>,
     max_age_us: u64,
+    /// The lease where there is no grant, in microseconds.
+    lease_us: u64,
 }
 
 /// The arguments of `set`.
@@ -136,6 +154,7 @@ impl Gate {
             needs_grant: service.needs_grant(),
             publisher: (!service.is_command()).then(|| service.organisation.clone()),
             max_age_us: age_us.min(own_us),
+            lease_us: service.lease_ms.saturating_mul(1000),
         });
         let newest = grants.iter().map(|grant| grant.epoch).max().unwrap_or(0).max(service.epoch);
         if newest < self.epoch {
@@ -146,7 +165,7 @@ impl Gate {
             .iter()
             .filter(|grant| grant.service == self.id)
             .take(HOLDERS_MAX)
-            .map(|grant| (grant.holder.clone(), grant.epoch))
+            .map(|grant| (grant.holder.clone(), Holding::of(grant)))
             .collect();
     }
 
@@ -173,7 +192,7 @@ impl Gate {
     /// The first rule that is broken, the cheap ones first.
     pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Vec<Sample>, Refused> {
         let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
-        let (needs_grant, max_age_us) = (rules.needs_grant, rules.max_age_us);
+        let Rules { needs_grant, max_age_us, lease_us, .. } = *rules;
         let transaction = self.decode(delivered)?;
         let call = read_call(&transaction, &self.id)?;
         let samples = self.read_samples(call.payloads)?;
@@ -188,13 +207,16 @@ impl Gate {
         }
         let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
         let publisher = self.rules.as_ref().and_then(|rules| rules.publisher.as_ref());
+        let is_command = publisher.is_none();
         if publisher.is_some_and(|owner| *owner != creator.organisation) {
             return Err(Refused::NotOwner);
         }
         let name = creator.id();
-        if (needs_grant || call.epoch > 0) && self.holders.get(&name) != Some(&call.epoch) {
+        let holding = self.holders.get(&name).filter(|holding| holding.epoch == call.epoch);
+        if holding.is_none() && (needs_grant || call.epoch > 0) {
             return Err(Refused::NotHolder);
         }
+        let lease_us = holding.map_or(lease_us, |holding| holding.lease_us);
         if !self.sequences.may_follow(&name, needs_grant, call.epoch, call.first_seq) {
             return Err(Refused::StaleSequence);
         }
@@ -202,7 +224,9 @@ impl Gate {
         if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
             return Err(Refused::TooManyPublishers);
         }
-        self.driver = Some(creator);
+        if is_command {
+            self.driver = Some(Driver { identity: creator, until: now.steady.saturating_add(lease_us) });
+        }
         Ok(samples)
     }
 
@@ -215,25 +239,40 @@ impl Gate {
         if grant.service != self.id {
             return Err(Refused::WrongCall);
         }
+        let is_known = self.holders.get(&grant.holder).is_some_and(|known| known.epoch == grant.epoch);
+        if is_known {
+            return Ok(()); // from the description
+        }
         if grant.epoch <= self.epoch {
             return Err(Refused::StaleEpoch);
         }
-        let transaction = self.decode(delivered)?;
-        let body = transaction.body();
-        let named = body.args.first().and_then(|name| std::str::from_utf8(name).ok()).unwrap_or_default();
-        let is_meant = named == self.id || self.id.split_once('/').is_some_and(|(robot, _)| robot == named);
-        if body.chaincode != ABAC || body.function != "acquire" || !is_meant {
-            return Err(Refused::UnprovenGrant);
-        }
-        let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
-        if creator.id() != grant.holder {
-            return Err(Refused::UnprovenGrant);
-        }
+        self.prove(grant, "acquire", delivered)?;
         if self.rules.as_ref().is_none_or(|rules| rules.needs_grant) || self.holders.len() >= HOLDERS_MAX {
             self.holders.clear();
         }
         self.epoch = grant.epoch;
-        self.holders.insert(grant.holder.clone(), grant.epoch);
+        self.holders.insert(grant.holder.clone(), Holding::of(grant));
+        Ok(())
+    }
+
+    /// Takes the renewal of a grant: a sign of life of a holder who sends nothing.
+    ///
+    /// # Errors
+    /// Why it does not count.
+    pub fn renewed(&mut self, grant: &Grant, delivered: Delivered<'_>, now: Now) -> Result<(), Refused> {
+        let is_known = self.holders.get(&grant.holder).is_some_and(|known| known.epoch == grant.epoch);
+        if grant.service != self.id || !is_known {
+            return Err(Refused::StaleEpoch);
+        }
+        // `acquire` of one's own grant renews it, too.
+        if self.prove(grant, "renew", delivered).is_err() {
+            self.prove(grant, "acquire", delivered)?;
+        }
+        let holding = Holding::of(grant);
+        self.holders.insert(grant.holder.clone(), holding);
+        if let Some(driver) = self.driver.as_mut().filter(|driver| driver.identity.id() == grant.holder) {
+            driver.until = driver.until.max(now.steady.saturating_add(holding.lease_us));
+        }
         Ok(())
     }
 
@@ -242,7 +281,7 @@ impl Gate {
         if released.service != self.id {
             return false;
         }
-        if self.holders.get(&released.holder).is_some_and(|epoch| *epoch <= released.epoch) {
+        if self.holders.get(&released.holder).is_some_and(|known| known.epoch <= released.epoch) {
             self.holders.remove(&released.holder);
         }
         let is_newest = released.epoch >= self.epoch || self.rules.as_ref().is_none_or(|rules| !rules.needs_grant);
@@ -257,7 +296,7 @@ impl Gate {
     /// Takes the revocation of a certificate. True if the robot must stop, because the revoked one moved it last.
     pub fn revoked(&mut self, revoked: &Revoked) -> bool {
         let key = self.identities.revoke(revoked);
-        let moved_it = self.driver.as_ref().is_some_and(|driver| Some(driver.revocation_key()) == key);
+        let moved_it = self.driver.as_ref().is_some_and(|driver| Some(driver.identity.revocation_key()) == key);
         if moved_it {
             self.driver = None;
         }
@@ -267,6 +306,12 @@ impl Gate {
     /// Has anybody moved the robot since its last stop?
     pub fn is_moving(&self) -> bool {
         self.driver.is_some()
+    }
+
+    /// When the robot must stop unless its driver gives a sign of life, by the steady clock (microseconds): its lease
+    /// has run out then, also if the ledger, cut off from its leader, does not come to say so.
+    pub fn deadline(&self) -> Option<u64> {
+        self.driver.as_ref().map(|driver| driver.until)
     }
 
     /// The robot is being stopped: nothing from before this moment passes any more.
@@ -283,6 +328,20 @@ impl Gate {
         } else {
             Err(Refused::WrongNetwork)
         }
+    }
+
+    /// Did the holder of a grant sign a call of that function for this service?
+    fn prove(&mut self, grant: &Grant, function: &str, delivered: Delivered<'_>) -> Result<(), Refused> {
+        let transaction = self.decode(delivered)?;
+        let body = transaction.body();
+        let named = body.args.first().and_then(|name| std::str::from_utf8(name).ok()).unwrap_or_default();
+        // A robot with one service may be called by its name alone.
+        let is_meant = named == self.id || self.id.split_once('/').is_some_and(|(robot, _)| robot == named);
+        if body.chaincode != ABAC || body.function != function || !is_meant {
+            return Err(Refused::UnprovenGrant);
+        }
+        let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
+        if creator.id() == grant.holder { Ok(()) } else { Err(Refused::UnprovenGrant) }
     }
 
     fn read_samples(&self, payloads: &[Bytes]) -> Result<Vec<Sample>, Refused> {
@@ -309,6 +368,12 @@ impl Gate {
         let ttl_us = u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX);
         let signed_before = not_after < self.signed_since.saturating_add(ttl_us);
         if signed_before || block_time < self.not_before { Err(Refused::BeforeStop) } else { Ok(()) }
+    }
+}
+
+impl Holding {
+    fn of(grant: &Grant) -> Self {
+        Self { epoch: grant.epoch, lease_us: grant.lease_ms.saturating_mul(1000) }
     }
 }
 

@@ -47,6 +47,8 @@ pub mod config;
 mod count;
 pub mod dds;
 pub mod error;
+#[cfg(test)]
+mod fixture;
 pub mod gate;
 mod gateway;
 pub mod names;

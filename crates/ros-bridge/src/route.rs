@@ -4,11 +4,14 @@ pub(crate) mod from_ledger;
 pub(crate) mod local;
 pub(crate) mod to_ledger;
 
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use tokio::sync::watch;
 
 use crate::gate::Now;
+
+/// No moment is further away: a hundred years, in microseconds.
+const STEADY_US_MAX: u64 = 100 * 366 * 24 * 3600 * 1_000_000;
 
 /// Tells routes to end. They also end when whoever tells is gone.
 pub(crate) type Stop = watch::Receiver<bool>;
@@ -30,9 +33,15 @@ impl Clocks {
         Self { start: Instant::now() }
     }
 
+    /// When the steady clock shows so many microseconds.
+    pub(crate) fn instant(self, steady: u64) -> Instant {
+        let after = Duration::from_micros(steady.min(STEADY_US_MAX));
+        self.start.checked_add(after).unwrap_or(self.start)
+    }
+
     pub(crate) fn now(self) -> Now {
         let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        let micros = |duration: std::time::Duration| u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
+        let micros = |duration: Duration| u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);
         Now { wall: micros(wall), steady: micros(self.start.elapsed()) }
     }
 }

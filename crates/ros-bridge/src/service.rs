@@ -34,6 +34,8 @@ pub struct Service {
     pub direction: String,
     /// Age (milliseconds) beyond which the robot drops a message.
     pub max_age_ms: u64,
+    /// Lease (milliseconds) of a grant that asks for none.
+    pub lease_ms: u64,
     /// The message that stops the robot, if the owner gave one.
     pub stop_hex: Option<String>,
     /// The newest epoch ever given.
@@ -49,6 +51,8 @@ pub struct Grant {
     pub holder: String,
     /// The fencing token.
     pub epoch: u64,
+    /// By how much a use or a renewal extends it, in milliseconds.
+    pub lease_ms: u64,
     /// The smallest sequence number that the ledger accepts.
     #[serde(default)]
     pub next_seq: u64,

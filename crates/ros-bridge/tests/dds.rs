@@ -198,3 +198,25 @@ async fn domains_and_node_names_out_of_range_are_refused() {
     assert!(matches!(Participant::open(233, "bridge").await, Err(Error::Setting(_))));
     assert!(matches!(Participant::open(1, "not a name").await, Err(Error::Name(_))));
 }
+
+#[tokio::test]
+async fn an_endpoint_of_another_type_is_told() {
+    if !network::isolated("an_endpoint_of_another_type_is_told") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let text = TypeName::parse("std_msgs/msg/String").unwrap();
+    let elsewhere = TopicName::parse("/elsewhere").unwrap();
+    let _right = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    let _other = there.writer(&elsewhere, &text, &Qos::default()).unwrap();
+    let _wrong = there.writer(&topic(), &text, &Qos::default()).unwrap();
+    let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
+    let expected = [(topic(), twist())];
+    let mismatch = tokio::select! {
+        () = here.watch_types(&expected, |mismatch| tell.send(mismatch).unwrap()) => None,
+        mismatch = tokio::time::timeout(DEADLINE, told.recv()) => mismatch.unwrap(),
+    };
+    let mismatch = mismatch.unwrap();
+    assert_eq!((mismatch.role, &mismatch.topic[..]), ("publisher", "rt/cmd_vel"));
+    assert_eq!((mismatch.found, mismatch.wanted), (text.dds(), twist().dds()));
+}

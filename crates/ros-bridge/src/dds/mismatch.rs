@@ -11,17 +11,30 @@ use crate::names::{TopicName, TypeName};
 /// Most mismatches that are remembered, so that each is told once.
 const TOLD_MAX: usize = 1024;
 
+/// An endpoint of another node that is never matched with ours, because its type is another.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Mismatch {
+    /// `publisher` or `subscriber`.
+    pub role: &'static str,
+    /// The DDS topic, `rt/cmd_vel`.
+    pub topic: String,
+    /// Its DDS type.
+    pub found: String,
+    /// The DDS types that were expected on this topic.
+    pub wanted: String,
+}
+
 impl Participant {
-    /// Warns, as long as it runs, of publishers and subscribers of others on these topics that have another type.
+    /// Tells, as long as it runs, of publishers and subscribers of others on these topics that have another type.
     /// One caller at a time: the news of a participant are given out once.
-    pub async fn watch_types(&self, expected: &[(TopicName, TypeName)]) {
+    pub async fn watch_types(&self, expected: &[(TopicName, TypeName)], mut tell: impl FnMut(Mismatch)) {
         let expected: Vec<(String, String)> =
             expected.iter().map(|(topic, message)| (topic.dds(), message.dds())).collect();
         let listener = self.dds.status_listener();
         let mut news = listener.as_async_status_stream();
         let mut told = BTreeSet::new();
         while let Some(event) = news.next().await {
-            let (what, endpoint) = match &event {
+            let (role, endpoint) = match &event {
                 DomainParticipantStatusEvent::WriterDetected { writer } => ("publisher", writer),
                 DomainParticipantStatusEvent::ReaderDetected { reader } => ("subscriber", reader),
                 _ => continue,
@@ -32,8 +45,12 @@ impl Participant {
             }
             if told.insert(endpoint.guid.to_bytes()) {
                 let wanted: Vec<&str> = wanted(endpoint, &expected).collect();
-                let (topic, found, wanted) = (&endpoint.topic_name, &endpoint.type_name, wanted.join(", "));
-                tracing::warn!(topic, found, wanted, "a {what} on this topic has another type: nothing passes");
+                tell(Mismatch {
+                    role,
+                    topic: endpoint.topic_name.clone(),
+                    found: endpoint.type_name.clone(),
+                    wanted: wanted.join(", "),
+                });
             }
         }
     }

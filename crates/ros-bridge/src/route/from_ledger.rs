@@ -64,6 +64,10 @@ fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown: &mut Show
             Some(grant) => gate.granted(&grant, delivered).map(|()| Act::Nothing),
             None => Err(Refused::Malformed),
         },
+        (ABAC, "renewed") => match read::<Grant>(&event.payload) {
+            Some(grant) => gate.renewed(&grant, delivered, now).map(|()| Act::Nothing),
+            None => Err(Refused::Malformed),
+        },
         (ABAC, "released") => match read::<Released>(&event.payload) {
             Some(released) if gate.released(&released, block_time) => Ok(Act::Stop(reason(&released.reason))),
             Some(_) => Ok(Act::Nothing),
@@ -159,6 +163,7 @@ impl FromLedger {
         loop {
             let stale = sleep_until((self.heard + self.route.stale_after).into());
             let is_moving = self.gate.is_moving();
+            let overdue = sleep_until(self.clocks.instant(self.gate.deadline().unwrap_or_default()).into());
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break,
@@ -176,6 +181,7 @@ impl FromLedger {
                     }
                 }
                 () = stale, if is_moving => self.halt("stale").await,
+                () = overdue, if is_moving => self.halt("lease").await,
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
             }
         }
@@ -192,7 +198,7 @@ impl FromLedger {
             from_height: self.next_height,
             chaincode: ABAC.to_owned(),
             subjects: vec![self.route.service.clone(), self.service.robot.clone()],
-            names: ["message", "granted", "released", "robot"].map(str::to_owned).to_vec(),
+            names: ["message", "granted", "renewed", "released", "robot"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
         })
     }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::{
-    dds::{Participant, Reader, Writer},
+    dds::{Matched, Participant, Reader, Writer},
     error::{Error, Result},
     names::{TopicName, TypeName},
     qos::Qos,
@@ -84,6 +84,11 @@ impl Inlet {
         self.reader.try_next().or_else(|| self.shm.as_mut()?.try_next())
     }
 
+    /// The publishers of others.
+    pub(crate) fn matched(&self) -> &Matched {
+        self.reader.matched()
+    }
+
     /// Samples lost here: replaced by newer ones, too large, or not readable.
     pub(crate) fn dropped(&self) -> u64 {
         self.reader.dropped().saturating_add(self.shm.as_ref().map_or(0, shm::Subscriber::dropped))
@@ -116,6 +121,11 @@ impl Outlet {
             };
         }
         self.writer.write(stop)
+    }
+
+    /// The subscribers of others.
+    pub(crate) fn matched(&self) -> &Matched {
+        self.writer.matched()
     }
 
     /// Waits until reliable readers have everything; false after `at_most`.

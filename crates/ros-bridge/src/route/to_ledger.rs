@@ -27,6 +27,8 @@ use crate::{
 
 /// Most transactions of one route without a verdict; beyond it samples wait, and the newest replace the oldest.
 const IN_FLIGHT_MAX: usize = 256;
+/// Most bytes of one route without a verdict; the same beyond it.
+const IN_FLIGHT_BYTES_MAX: usize = 8 * 1024 * 1024;
 /// A batch takes no more samples beyond this, in bytes.
 const BATCH_BYTES_MAX: usize = 256 * 1024;
 /// The own grant is asked for at most this often.
@@ -74,6 +76,7 @@ impl Publishing {
                 _ => {}
             }
         }
+        self.as_of = self.as_of.max(delivery.height);
     }
 
     /// Takes over what is newer than what is known.
@@ -101,11 +104,19 @@ pub(crate) struct ToLedger {
     /// Where the subscription begins.
     from_height: u64,
     complaint: Complaint,
-    refreshed: Instant,
+    no_news: Complaint,
+    refreshed: Option<Instant>,
+    /// Bytes without a verdict.
+    under_way_bytes: usize,
 }
 
-/// Samples on their way: when each was taken in, and what became of them.
-type Outcome = (Vec<Instant>, Result<(), Rejection>);
+/// What became of samples that were submitted together.
+struct Outcome {
+    /// When each was taken in.
+    received: Vec<Instant>,
+    bytes: usize,
+    verdict: Result<(), Rejection>,
+}
 
 impl ToLedger {
     /// Learns who the bridge is and what it holds now.
@@ -130,7 +141,9 @@ impl ToLedger {
             publishing,
             from_height: height.saturating_add(1),
             complaint: Complaint::default(),
-            refreshed: Instant::now(),
+            no_news: Complaint::default(),
+            refreshed: None,
+            under_way_bytes: 0,
         })
     }
 
@@ -146,13 +159,17 @@ impl ToLedger {
         let mut under_way: FuturesUnordered<BoxFuture<'static, Outcome>> = FuturesUnordered::new();
         let mut refresh: OptionFuture<BoxFuture<'static, Result<(Authorization, u64), Rejection>>> = None.into();
         loop {
-            let has_room = under_way.len() < IN_FLIGHT_MAX;
+            let has_room = under_way.len() < IN_FLIGHT_MAX && self.under_way_bytes < IN_FLIGHT_BYTES_MAX;
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break,
                 Some(delivery) = events.next() => match delivery {
                     Ok(delivery) => self.publishing.hear(&delivery),
-                    Err(refused) => tracing::warn!(reason = line(&refused), "no news about grants"),
+                    Err(refused) => {
+                        if let Some(not_logged) = self.no_news.worth(refused.code.name(), Instant::now()) {
+                            tracing::warn!(reason = line(&refused), not_logged, "no news about grants");
+                        }
+                    }
                 },
                 Some(answer) = &mut refresh => {
                     refresh = None.into();
@@ -162,10 +179,11 @@ impl ToLedger {
                     }
                 }
                 Some(outcome) = under_way.next() => {
-                    if self.note(outcome) && self.refreshed.elapsed() >= REFRESH_EVERY {
-                        self.refreshed = Instant::now();
+                    let is_due = self.refreshed.is_none_or(|before| before.elapsed() >= REFRESH_EVERY);
+                    if self.note(outcome) && is_due {
+                        self.refreshed = Some(Instant::now());
                         let (gateway, service) = (Arc::clone(&self.gateway), self.publishing.service.clone());
-                        refresh = Some(authorization(gateway, 0, service).boxed()).into();
+                        refresh = Some(authorization(gateway, self.publishing.as_of, service).boxed()).into();
                     }
                 }
                 incoming = self.inlet.next(), if has_room => match incoming {
@@ -196,11 +214,13 @@ impl ToLedger {
         counts.summary.submitted += received.len() as u64;
         counts.summary.replaced = self.inlet.dropped();
         drop(counts);
-        verdict.map(move |verdict| (received, verdict)).boxed()
+        self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
+        verdict.map(move |verdict| Outcome { received, bytes, verdict }).boxed()
     }
 
     /// Counts an outcome. True if the own grant seems to be another than is known.
-    fn note(&mut self, (received, verdict): Outcome) -> bool {
+    fn note(&mut self, Outcome { received, bytes, verdict }: Outcome) -> bool {
+        self.under_way_bytes = self.under_way_bytes.saturating_sub(bytes);
         let mut counts = self.counters.lock();
         let now = Instant::now();
         let refused = match verdict {
@@ -248,7 +268,7 @@ mod tests {
     }
 
     fn event(height: u64, name: &str, holder: &str, epoch: u64) -> Delivery {
-        let payload = serde_json::json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "reason": "x" });
+        let payload = serde_json::json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "lease_ms": 1, "reason": "x" });
         let payload = Bytes::from(payload.to_string());
         let event = EventRecord { name: name.into(), payload, ..EventRecord::default() };
         Delivery { height, events: vec![event], ..Delivery::default() }

@@ -1,0 +1,327 @@
+//! Whole routes, between a real local graph and a ledger that answers what the test says.
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+
+mod fake;
+#[path = "../../../../tests/interop/network.rs"]
+mod network;
+
+use std::{
+    sync::Arc,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
+
+use fake::{Fake, Fate};
+use ledger::{Bytes, Code, transaction::Transaction};
+use ledger_api::Context;
+use serde_json::json;
+
+use super::*;
+use crate::{
+    dds::{Matched, Participant, Reader, Writer},
+    fixture::{Network, User},
+    qos::Qos,
+    queue::Limits,
+    sample::{CDR_LE, Sample},
+    stop::stop_message,
+};
+
+const DEADLINE: Duration = Duration::from_secs(20);
+const DOMAIN: u16 = 5;
+
+struct Bench {
+    fake: Arc<Fake>,
+    network: Network,
+    bridge: Bridge,
+    graph: Participant,
+}
+
+/// A bridge with one route, and another ROS 2 node beside it.
+async fn bench(mode: &str, more: &str, prepare: impl FnOnce(&Fake)) -> Bench {
+    let network = Network::until(2900);
+    let fake = Fake::new(mode);
+    prepare(&fake);
+    let text = format!(
+        "domain_id = {DOMAIN}\nshared_memory = false\n[[route]]\nservice = 'T/cmd_vel'\n\
+         type = 'geometry_msgs/msg/Twist'\n{more}"
+    );
+    let config = Config::parse(&text, Path::new("")).unwrap();
+    let bridge = Bridge::start_with(config, fake.clone(), &context(&network)).await.unwrap();
+    let graph = Participant::open(DOMAIN, "beside").await.unwrap();
+    Bench { fake, network, bridge, graph }
+}
+
+fn context(network: &Network) -> Context {
+    Context {
+        name: "T".into(),
+        organisation: "Org2".into(),
+        network: network.robot.network,
+        label: String::new(),
+        nodes: vec!["127.0.0.1:1".into()],
+        chain: Vec::new(),
+        key: Arc::clone(&network.robot.key),
+        msps: Arc::clone(&network.msps),
+    }
+}
+
+fn names() -> (TopicName, TypeName) {
+    (TopicName::parse("/cmd_vel").unwrap(), TypeName::parse("geometry_msgs/msg/Twist").unwrap())
+}
+
+impl Bench {
+    async fn reader(&self) -> Reader {
+        let (topic, message) = names();
+        let reader = self.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+        self.matched(reader.matched()).await;
+        reader
+    }
+
+    async fn writer(&self) -> Writer {
+        let (topic, message) = names();
+        let writer = self.graph.writer(&topic, &message, &Qos::default()).unwrap();
+        self.matched(writer.matched()).await;
+        writer
+    }
+
+    /// Waits until both ends know each other.
+    async fn matched(&self, beside: &Matched) {
+        for matched in [beside, self.bridge.counters[0].matched()] {
+            assert!(tokio::time::timeout(DEADLINE, matched.at_least(1)).await.unwrap());
+        }
+        assert_eq!(self.bridge.summary().routes[0].matched, 1);
+    }
+
+    async fn sets(&self, count: usize) -> Vec<Vec<Bytes>> {
+        let mut sets = self.fake.sets.subscribe();
+        let enough = sets.wait_for(|sets| sets.len() >= count);
+        tokio::time::timeout(DEADLINE, enough).await.unwrap().unwrap().clone()
+    }
+
+    fn message(&self, user: &User, epoch: u64, seq: u64) -> (Sample, u64) {
+        let (sample, now) = (twist(7), micros());
+        let signed = sign(user, epoch, seq, &sample, now);
+        self.fake.deliver(now, "message", &json!({}), Some((&signed, &user.certificate)));
+        (sample, now)
+    }
+}
+
+fn sign(user: &User, epoch: u64, seq: u64, sample: &Sample, now: u64) -> Transaction {
+    User { not_after: now + 2_500_000, ..user.clone() }.set(epoch, seq, &[sample.wire().clone()])
+}
+
+fn micros() -> u64 {
+    u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros()).unwrap()
+}
+
+fn twist(number: u8) -> Sample {
+    Sample::new(CDR_LE, &[number; 48]).unwrap()
+}
+
+fn stop() -> Sample {
+    stop_message(&names().1).unwrap()
+}
+
+async fn next(reader: &mut Reader) -> Sample {
+    tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap().sample
+}
+
+#[tokio::test]
+async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
+    if !network::isolated("bridge::tests::a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant") {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'to_ledger'", |fake| fake.set_own_epoch(3)).await;
+    let writer = bench.writer().await;
+    for number in 0..20 {
+        writer.write(&twist(number)).unwrap();
+    }
+    let sets = bench.sets(20).await;
+    let mut last = 0;
+    for (number, args) in (0..).zip(&sets) {
+        assert_eq!((&args[0][..], &args[1][..], args.len()), (&b"T/cmd_vel"[..], &b"3"[..], 4));
+        assert_eq!(args[3], twist(number).wire());
+        let seq: u64 = std::str::from_utf8(&args[2]).unwrap().parse().unwrap();
+        assert!(seq > last, "{seq} follows {last}");
+        last = seq;
+    }
+    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 4, "lease_ms": 10_000 });
+    bench.fake.deliver(micros(), "granted", &grant, None);
+    let mut count = 20;
+    let changed = loop {
+        writer.write(&twist(1)).unwrap();
+        count += 1;
+        let newest = bench.sets(count).await.pop().unwrap();
+        if newest[1] != "3" {
+            break newest;
+        }
+    };
+    assert_eq!(changed[1], "4");
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.samples_in, count as u64);
+    assert_eq!((summary.submitted, summary.committed), (count as u64, summary.commit_us.count));
+    assert!(summary.commit_us.max >= summary.commit_us.p50);
+}
+
+#[tokio::test]
+async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
+    if !network::isolated("bridge::tests::refusals_are_counted_by_code_and_the_grant_is_asked_for_again") {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'to_ledger'", |fake| {
+        fake.set_fate(Fate::Refused(Code::NotHolder));
+    })
+    .await;
+    bench.fake.set_own_epoch(9);
+    let writer = bench.writer().await;
+    let mut count = 0;
+    let refreshed = async {
+        loop {
+            writer.write(&twist(1)).unwrap();
+            count += 1;
+            if bench.sets(count).await[count - 1][1] == "9" {
+                break;
+            }
+        }
+    };
+    tokio::time::timeout(DEADLINE, refreshed).await.unwrap();
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    let refused = summary.refused["NOT_HOLDER"];
+    assert!(refused + 1 >= count as u64 && summary.committed == 0, "{refused} of {count}");
+}
+
+#[tokio::test]
+async fn a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples() {
+    if !network::isolated("bridge::tests::a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples") {
+        return;
+    }
+    let more = "direction = 'to_ledger'\nqos = { depth = 20 }";
+    let bench = bench("exclusive", more, |fake| fake.set_fate(Fate::Lost)).await;
+    let writer = bench.writer().await;
+    // Far more than may be without a verdict: the rest must neither pile up nor be submitted.
+    for number in 0..1000u32 {
+        writer.write(&twist(u8::try_from(number % 250).unwrap())).unwrap();
+        if number % 10 == 9 {
+            assert!(writer.flush(DEADLINE).await);
+        }
+    }
+    let sets = bench.sets(256).await;
+    assert_eq!(sets.len(), 256);
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert!(summary.replaced >= 1000 - 256 - 20 - 100, "{} were replaced", summary.replaced);
+    assert_eq!((summary.submitted, summary.committed), (256, 0));
+}
+
+#[tokio::test]
+async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
+    if !network::isolated("bridge::tests::what_passes_the_gate_reaches_the_robot_and_a_release_stops_it") {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
+    let mut reader = bench.reader().await;
+    let (salma, farhad) = (&bench.network.salma, &bench.network.farhad);
+    let (sent, _) = bench.message(salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    bench.message(farhad, 3, 2);
+    bench.message(salma, 3, 1);
+    let released = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 3, "reason": "released" });
+    bench.fake.deliver(micros(), "released", &released, None);
+    assert_eq!(next(&mut reader).await, stop());
+    bench.message(salma, 3, 5);
+    let acquire = User { not_after: micros() + 30_000_000, ..farhad.clone() };
+    let acquire = acquire.sign("abac", "acquire", vec!["T/cmd_vel".into()]);
+    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Farhad", "epoch": 4, "lease_ms": 10_000 });
+    bench.fake.deliver(micros(), "granted", &grant, Some((&acquire, &farhad.certificate)));
+    let (sent, _) = bench.message(farhad, 4, 1);
+    assert_eq!(next(&mut reader).await, sent, "nothing in between");
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(next(&mut reader).await, stop(), "Farhad moved it last");
+    assert_eq!((summary.published, summary.stops["released"], summary.stops["shutdown"]), (2, 1, 1));
+    assert_eq!(summary.gate["not_holder"], 2);
+    assert_eq!(summary.gate["stale_sequence"], 1);
+}
+
+#[tokio::test]
+async fn a_silent_ledger_stops_the_robot() {
+    if !network::isolated("bridge::tests::a_silent_ledger_stops_the_robot") {
+        return;
+    }
+    let more = "direction = 'from_ledger'\nstale_after_ms = 500";
+    let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
+    let mut reader = bench.reader().await;
+    let (sent, _) = bench.message(&bench.network.salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    assert_eq!(next(&mut reader).await, stop());
+    let before_stop = bench.bridge.summary().routes.pop().unwrap();
+    assert_eq!(before_stop.published, 1);
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("stale", 1)], "it stands already when the bridge ends");
+}
+
+#[tokio::test]
+async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life() {
+    if !network::isolated(
+        "bridge::tests::a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life",
+    ) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 1500)).await;
+    let mut reader = bench.reader().await;
+    let (sent, _) = bench.message(&bench.network.salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    let alive = async {
+        loop {
+            bench.fake.heartbeat(micros());
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    tokio::select! {
+        stopped = next(&mut reader) => assert_eq!(stopped, stop()),
+        () = alive => {}
+    }
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("lease", 1)]);
+}
+
+#[tokio::test]
+async fn a_revocation_stops_the_robot_that_the_revoked_moved() {
+    if !network::isolated("bridge::tests::a_revocation_stops_the_robot_that_the_revoked_moved") {
+        return;
+    }
+    let bench = bench("open", "direction = 'from_ledger'\nstale_after_ms = 60000", |_| ()).await;
+    let mut reader = bench.reader().await;
+    let salma = &bench.network.salma;
+    let (sent, _) = bench.message(salma, 0, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    let revoked = salma.revocation(&bench.network);
+    let revoked = json!({ "issuer": revoked.issuer, "serial": revoked.serial });
+    bench.fake.deliver(micros(), "revoked", &revoked, None);
+    assert_eq!(next(&mut reader).await, stop());
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.stops["revoked"], 1);
+}
+
+#[tokio::test]
+async fn a_change_of_mode_counts_from_its_block_on() {
+    if !network::isolated("bridge::tests::a_change_of_mode_counts_from_its_block_on") {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
+    let mut reader = bench.reader().await;
+    let farhad = &bench.network.farhad;
+    bench.message(farhad, 0, 1);
+    bench.fake.set_mode("open");
+    bench.fake.deliver(micros(), "robot", &json!({ "robot": "T" }), None);
+    let (sent, _) = bench.message(farhad, 0, 2);
+    assert_eq!(next(&mut reader).await, sent);
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!((summary.published, summary.gate["stale_epoch"]), (1, 1));
+}
+
+#[tokio::test]
+async fn a_route_of_another_type_is_refused_at_the_start() {
+    let fake = Fake::new("exclusive");
+    let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'\ndirection = 'to_ledger'";
+    let config = Config::parse(text, Path::new("")).unwrap();
+    let refused = Bridge::start_with(config, fake, &context(&Network::until(2900))).await.unwrap_err();
+    assert_eq!(refused.code, Code::WrongType);
+    assert_eq!((&refused.found[..], &refused.wanted[..]), ("std_msgs/msg/String", "geometry_msgs/msg/Twist"));
+}

@@ -1,0 +1,193 @@
+//! For tests: a network of two organisations, its people, and what they sign.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use std::{
+    sync::{Arc, OnceLock},
+    time::Duration,
+};
+
+use ledger::{
+    Bytes, Hash,
+    key::{KeyKind, SigningKey},
+    msp::{Msp, Msps},
+    transaction::{Body, Transaction},
+};
+use rcgen::{
+    BasicConstraints, CertificateParams, CertifiedIssuer, DistinguishedName, DnType, IsCa, KeyPair, KeyUsagePurpose,
+    date_time_ymd,
+};
+use ring::rand::SystemRandom;
+
+use crate::gate::{Delivered, Gate, Now, Refused, Settings};
+use crate::service::{Grant, Revoked, Service};
+
+/// 2030-01-01, in microseconds since the UNIX epoch. Certificates are valid until 2031.
+pub(crate) const NOW: u64 = 1_893_456_000_000_000;
+pub(crate) const SECOND: u64 = 1_000_000;
+/// One small message.
+pub(crate) static TWIST: [Bytes; 1] = [Bytes::from_static(&[0, 1, 0, 0, 42])];
+pub(crate) static NONE: Bytes = Bytes::new();
+
+/// Somebody with a key and a certificate.
+#[derive(Clone)]
+pub(crate) struct User {
+    pub(crate) network: Hash,
+    pub(crate) key: Arc<SigningKey>,
+    pub(crate) certificate: Bytes,
+    /// What is signed as `not_after`.
+    pub(crate) not_after: u64,
+}
+
+pub(crate) struct Network {
+    pub(crate) msps: Arc<Msps>,
+    pub(crate) salma: User,
+    pub(crate) farhad: User,
+    /// Of the owner's organisation.
+    pub(crate) robot: User,
+}
+
+/// An authority, and the year at whose start everything ends that it issues.
+struct Ca(CertifiedIssuer<'static, KeyPair>, i32);
+
+impl Ca {
+    fn new(name: &str, last_year: i32) -> Self {
+        let mut params = params(name, "ca", last_year);
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+        let issuer = CertifiedIssuer::self_signed(params, KeyPair::generate().unwrap()).unwrap();
+        Self(issuer, last_year)
+    }
+
+    fn user(&self, name: &str, unit: &str) -> User {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let pair = KeyPair::from_pem(&key.to_pkcs8_pem()).unwrap();
+        let certificate = params(name, unit, self.1).signed_by(&pair, &self.0).unwrap();
+        User {
+            network: Hash([1; 32]),
+            key: Arc::new(key),
+            certificate: Bytes::copy_from_slice(certificate.der()),
+            not_after: NOW + 2 * SECOND,
+        }
+    }
+
+    fn msp(&self, organisation: &str) -> Msp {
+        Msp::new(organisation, &[self.0.der()], &[] as &[Bytes]).unwrap()
+    }
+}
+
+fn params(name: &str, unit: &str, last_year: i32) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+    params.not_before = date_time_ymd(2020, 1, 1);
+    params.not_after = date_time_ymd(last_year, 1, 1);
+    params
+}
+
+impl User {
+    pub(crate) fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Transaction {
+        let body = Body {
+            network: Bytes::copy_from_slice(&self.network.0),
+            creator: Bytes::copy_from_slice(&Hash::of(&[&self.certificate]).0),
+            nonce: Bytes::from_static(&[7; 16]),
+            not_after: self.not_after,
+            chaincode: chaincode.into(),
+            function: function.into(),
+            args,
+        };
+        Transaction::sign(&body, &self.key).unwrap()
+    }
+
+    pub(crate) fn set(&self, epoch: u64, first_seq: u64, payloads: &[Bytes]) -> Transaction {
+        let head = ["T/cmd_vel".to_owned(), epoch.to_string(), first_seq.to_string()];
+        let args = head.into_iter().map(Bytes::from).chain(payloads.iter().cloned()).collect();
+        self.sign("abac", "set", args)
+    }
+
+    pub(crate) fn revocation(&self, network: &Network) -> Revoked {
+        let identity = network.msps.verify(&self.certificate, &[], NOW).unwrap();
+        Revoked { issuer: Hash(identity.issuer), serial: hex::encode(&identity.serial) }
+    }
+}
+
+impl Network {
+    pub(crate) fn new() -> Self {
+        Self::until(2031)
+    }
+
+    /// With certificates that are valid until the start of that year.
+    pub(crate) fn until(year: i32) -> Self {
+        let (first, second) = (Ca::new("ca.org1", year), Ca::new("ca.org2", year));
+        let mut msps = Msps::new();
+        msps.insert(first.msp("Org1")).unwrap();
+        msps.insert(second.msp("Org2")).unwrap();
+        Self {
+            msps: Arc::new(msps),
+            salma: first.user("Salma", "member"),
+            farhad: first.user("Farhad", "member"),
+            robot: second.user("T", "robot"),
+        }
+    }
+
+    pub(crate) fn gate(&self, service: &Service, grants: &[Grant]) -> Gate {
+        self.gate_with(service, grants, None)
+    }
+
+    pub(crate) fn gate_with(&self, service: &Service, grants: &[Grant], max_age_ms: Option<u64>) -> Gate {
+        let settings = Settings {
+            network: self.salma.network,
+            msps: Arc::clone(&self.msps),
+            sample_bytes_max: 1024,
+            max_age: max_age_ms.map(Duration::from_millis),
+        };
+        let mut gate = Gate::new(settings, "T/cmd_vel", now());
+        gate.describe(service, grants);
+        gate
+    }
+
+    /// Tells the gate of a grant to a user, who signed `acquire NAMED`.
+    pub(crate) fn granted(&self, gate: &mut Gate, user: &User, named: &str, epoch: u64) -> Result<(), Refused> {
+        let identity = self.msps.verify(&user.certificate, &[], NOW).unwrap();
+        let signed = user.sign("abac", "acquire", vec![Bytes::copy_from_slice(named.as_bytes())]);
+        let transaction = signed.encoded();
+        gate.granted(
+            &grant(&identity.id(), epoch),
+            Delivered { block_time: NOW, transaction, certificate: &user.certificate },
+        )
+    }
+}
+
+/// One network for many cases: keys cost time.
+pub(crate) fn shared() -> &'static Network {
+    static NETWORK: OnceLock<Network> = OnceLock::new();
+    NETWORK.get_or_init(Network::new)
+}
+
+pub(crate) fn service(mode: &str) -> Service {
+    Service {
+        service: "T/cmd_vel".into(),
+        robot: "T".into(),
+        organisation: "Org2".into(),
+        topic: "/cmd_vel".into(),
+        type_name: "geometry_msgs/msg/Twist".into(),
+        mode: mode.into(),
+        direction: "command".into(),
+        max_age_ms: 1000,
+        lease_ms: 10_000,
+        stop_hex: None,
+        epoch: 0,
+    }
+}
+
+pub(crate) fn grant(holder: &str, epoch: u64) -> Grant {
+    Grant { service: "T/cmd_vel".into(), holder: holder.into(), epoch, lease_ms: 4000, next_seq: 0 }
+}
+
+pub(crate) fn now() -> Now {
+    now_at(NOW)
+}
+
+pub(crate) fn now_at(wall: u64) -> Now {
+    Now { wall, steady: wall - NOW + SECOND }
+}
