@@ -185,11 +185,17 @@ impl Shared {
     }
 
     fn register(&self, admin: &Identity, request: v1::RegisterRequest) -> Result<v1::RegisterResponse, Rejection> {
-        let role = role(&request.role)?;
+        let v1::RegisterRequest { name, role: wanted, attributes, reissue } = request;
+        let role = role(&wanted)?;
         let mut authority = self.authority_of(admin)?;
-        let secret = authority.register(&request.name, role, request.attributes, (self.clock)())?;
+        let secret = if reissue {
+            let attributes = Some(attributes).filter(|attributes| !attributes.is_empty());
+            authority.reissue(&name, attributes, (self.clock)())?
+        } else {
+            authority.register(&name, role, attributes, (self.clock)())?
+        };
         let organisation = authority.organisation().to_owned();
-        tracing::info!(by = admin.id(), name = ?request.name, %role, "registered");
+        tracing::info!(by = admin.id(), name = ?printable(&name), reissue, "registered");
         Ok(v1::RegisterResponse { verdict: Some(v1::Verdict::default()), secret, organisation })
     }
 

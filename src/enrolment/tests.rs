@@ -53,7 +53,7 @@ fn by<T>(identity: Option<&Arc<Identity>>, message: T) -> Request<T> {
 
 fn register_request(name: &str, role: &str) -> v1::RegisterRequest {
     let attributes = BTreeMap::from([("Husky".to_owned(), "true".to_owned())]);
-    v1::RegisterRequest { name: name.into(), role: role.into(), attributes }
+    v1::RegisterRequest { name: name.into(), role: role.into(), attributes, reissue: false }
 }
 
 fn csr() -> Bytes {

@@ -128,10 +128,24 @@ impl Client {
         role: Role,
         attributes: &BTreeMap<String, String>,
     ) -> Result<Registered, Rejection> {
+        let (name, role, attributes) = (name.to_owned(), role.as_str().to_owned(), attributes.clone());
+        self.register_once(v1::RegisterRequest { name, role, attributes, reissue: false }).await
+    }
+
+    /// A new one-time secret for a registered name, whose role stays; attributes replace the old ones, none keep them.
+    /// Certificates issued before stay valid until they expire or are revoked.
+    ///
+    /// # Errors
+    /// [`Code::NotAdmin`], [`Code::NotFound`]; [`Code::Timeout`] as [`Client::register`].
+    pub async fn reissue(&self, name: &str, attributes: &BTreeMap<String, String>) -> Result<Registered, Rejection> {
+        let (name, attributes) = (name.to_owned(), attributes.clone());
+        self.register_once(v1::RegisterRequest { name, role: String::new(), attributes, reissue: true }).await
+    }
+
+    async fn register_once(&self, request: v1::RegisterRequest) -> Result<Registered, Rejection> {
+        let name = request.name.clone();
         let up = timeout(self.session.options.deadline, self.session.up());
         let up = up.await.map_err(|_| self.session.no_connection())??;
-        let request =
-            v1::RegisterRequest { name: name.into(), role: role.as_str().into(), attributes: attributes.clone() };
         let mut enrolment = up.enrolment();
         let unknown = |found: String| {
             Rejection::new(

@@ -29,7 +29,8 @@ pub(crate) enum Identity {
 #[command(after_help = "\
 Example:
   ledgerctl identity register Salma --attr Turtlebot4 --attr Husky
-  ledgerctl identity register Turtlebot4 --role robot --attr model=lite")]
+  ledgerctl identity register Turtlebot4 --role robot --attr model=lite
+  ledgerctl identity register Salma --reissue")]
 pub(crate) struct Register {
     /// The name, as it will stand in the certificate
     name: String,
@@ -39,6 +40,11 @@ pub(crate) struct Register {
     /// An attribute to sign into the certificate; KEY alone means KEY=true
     #[arg(long = "attr", value_name = "KEY[=VALUE]")]
     attributes: Vec<Attribute>,
+    /// Give a registered name a new secret, and new attributes if any are named; its role stays
+    ///
+    /// Certificates issued before stay valid: revoke them if they should not.
+    #[arg(long, conflicts_with = "role")]
+    reissue: bool,
 }
 
 /// List the identities of your organisation; for admins.
@@ -150,7 +156,11 @@ impl Register {
             }
         }
         let session = Session::open(global).await?;
-        let registered = session.client.register(&self.name, self.role, &wanted).await?;
+        let registered = if self.reissue {
+            session.client.reissue(&self.name, &wanted).await?
+        } else {
+            session.client.register(&self.name, self.role, &wanted).await?
+        };
         let node = session.client.node().to_string();
         let ca_fingerprint = session.ca_fingerprint(&registered.organisation)?;
         let command = format!(
