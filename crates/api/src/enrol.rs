@@ -8,7 +8,7 @@ use crate::v1;
 use crate::v1::enrolment_client::EnrolmentClient;
 use ledger::identity::Identity;
 use ledger::key::{KeyKind, SigningKey};
-use ledger::msp::{Msp, Msps, ROOTS_MAX};
+use ledger::msp::{Msp, Msps};
 use ledger::{Bytes, Code, Hash, Rejection};
 use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
 use ring::rand::SystemRandom;
@@ -44,7 +44,9 @@ impl Enrolment {
     }
 
     /// Makes a key here, has it certified, and checks what came back: the certificate must be of our key and of the
-    /// organisation with the pinned CA. The context is named after the identity; store it with [`Context::save`].
+    /// organisation with the pinned CA, or of another one whose CA the same node carries; then it is the pinned
+    /// organisation's node that vouches for the other's root. The context is named after the identity; store it with
+    /// [`Context::save`].
     ///
     /// # Errors
     /// [`Code::EnrolmentRefused`] if name or secret is wrong, [`Code::Unreachable`], [`Code::Untrusted`].
@@ -76,7 +78,8 @@ impl Enrolment {
         let organisation = msps
             .get(&answer.organisation)
             .ok_or_else(|| unfit(format!("organisation {:?}, which the network does not have", answer.organisation)))?;
-        let identity = self.verify(organisation, &answer.certificate, &answer.chain)?;
+        self.check_pinned(&msps)?;
+        let identity = verify(organisation, &answer.certificate, &answer.chain)?;
         if identity.public_key != key.public_key() {
             return Err(unfit(format!("the key {:?}", identity.public_key)));
         }
@@ -101,22 +104,17 @@ impl Enrolment {
         })
     }
 
-    /// The identity in the certificate, verified against the pinned root alone.
-    fn verify(&self, organisation: &Msp, certificate: &[u8], chain: &[Bytes]) -> Result<Identity, Rejection> {
-        let pinned = organisation.roots().take(ROOTS_MAX).find(|root| Hash::of(&[root]) == self.ca_fingerprint);
-        let pinned = pinned.ok_or_else(|| {
-            let roots: Vec<_> = organisation.roots().map(|root| Hash::of(&[root]).to_string()).collect();
-            Rejection::new(Code::Untrusted, format!("the CA of {} is another", organisation.organisation()))
-                .found(format!("SHA-256 {}", roots.join(", ")))
-                .wanted(self.ca_fingerprint.to_string())
-                .next("ask the operator of the node for the fingerprint of its CA")
-        })?;
-        let intermediates: Vec<_> = organisation.intermediates().collect();
-        let mut msps = Msps::new();
-        msps.insert(Msp::new(organisation.organisation(), &[pinned], &intermediates)?)?;
-        let chain: Vec<_> = chain.iter().map(|der| CertificateDer::from(der.as_ref())).collect();
-        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Ok(msps.verify(certificate, &chain, u64::try_from(now.as_micros()).unwrap_or(u64::MAX))?)
+    /// The pinned CA must be one of the network that the node describes.
+    fn check_pinned(&self, msps: &Msps) -> Result<(), Rejection> {
+        let mut roots = msps.iter().flat_map(Msp::roots).map(|root| Hash::of(&[root]));
+        if roots.any(|root| root == self.ca_fingerprint) {
+            return Ok(());
+        }
+        let known: Vec<_> = msps.iter().map(Msp::organisation).collect();
+        Err(Rejection::new(Code::Untrusted, format!("the node at {} describes another network", self.node))
+            .found(format!("the organisations {}, none with this CA", known.join(", ")))
+            .wanted(format!("an organisation with CA {}", self.ca_fingerprint))
+            .next("ask the operator of the node for the fingerprint of its CA"))
     }
 
     async fn connect(&self) -> Result<Connection, Rejection> {
@@ -127,6 +125,15 @@ impl Enrolment {
         let trust = ServerTrust::Fingerprint(self.ca_fingerprint.0);
         Ok(Arc::new(client_config(None, trust).map_err(|error| crate::connect::unusable(&error))?))
     }
+}
+
+/// The identity in the certificate, verified against the authorities of that organisation alone.
+fn verify(organisation: &Msp, certificate: &[u8], chain: &[Bytes]) -> Result<Identity, Rejection> {
+    let mut msps = Msps::new();
+    msps.insert(organisation.clone())?;
+    let chain: Vec<_> = chain.iter().map(|der| CertificateDer::from(der.as_ref())).collect();
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    Ok(msps.verify(certificate, &chain, u64::try_from(now.as_micros()).unwrap_or(u64::MAX))?)
 }
 
 /// A certificate signing request (PKCS #10) in DER.

@@ -162,7 +162,9 @@ impl Register {
             session.client.register(&self.name, self.role, &wanted).await?
         };
         let node = session.client.node().to_string();
-        let ca_fingerprint = session.ca_fingerprint(&registered.organisation)?;
+        // The CA of the node's own organisation is what the node can prove at first contact, also where it carries
+        // the CAs of several.
+        let ca_fingerprint = session.ca_fingerprint(&session.client.status().await?.organisation)?;
         let command = format!(
             "ledgerctl enroll {} --node {node} --ca-fingerprint {ca_fingerprint} --secret {}",
             shell_word(&self.name),

@@ -1,0 +1,145 @@
+//! The whole path, with software that we did not write at both ends: Python processes with CycloneDDS publish and
+//! receive, `ledgerd` carries the messages through a real ledger.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod network;
+mod python;
+mod world;
+
+use ledger_api::Client;
+use python::Python;
+use std::time::Duration;
+use world::World;
+
+/// A zero Twist: what the robot's bridge publishes when a grant ends.
+fn stop_message() -> String {
+    format!("00010000{}", "00".repeat(48))
+}
+
+async fn call(client: &Client, function: &str, args: &[&str]) {
+    let args = args.iter().map(|arg| (*arg).to_owned().into()).collect();
+    client.invoke("abac", function, args).await.unwrap();
+}
+
+/// Publishes `count` messages of `size` on the operator's side and expects exactly them on the robot's.
+async fn drive(world: &World, topic: &str, (count, rate, size): (usize, usize, usize), intruder: bool) {
+    let dds_topic = format!("rt{topic}");
+    let robot_args = ["3", &dds_topic, &count.to_string(), "0", &size.to_string(), "60"].map(str::to_owned);
+    let mut robot = Python::start("twist_subscriber.py", &robot_args.each_ref().map(String::as_str));
+    assert_eq!(robot.line().unwrap(), "ready");
+    assert_eq!(robot.line().unwrap(), "matched", "the robot's bridge is there");
+    // Nobody acquired anything for Farhad, whose messages are numbered differently.
+    let mut farhad = intruder.then(|| {
+        let args =
+            ["2", &dds_topic, &count.to_string(), &rate.to_string(), &size.to_string(), "1000"].map(str::to_owned);
+        Python::start("twist_publisher.py", &args.each_ref().map(String::as_str))
+    });
+    let args = ["1", &dds_topic, &count.to_string(), &rate.to_string(), &size.to_string()].map(str::to_owned);
+    let mut salma = Python::start("twist_publisher.py", &args.each_ref().map(String::as_str));
+    assert_eq!(salma.line().unwrap(), "matched");
+    for number in 0..count {
+        let sent = salma.line().unwrap_or_else(|| panic!("the publisher ended before message {number}"));
+        let received = robot.line().unwrap_or_else(|| panic!("message {number} did not arrive\n{}", world.logs()));
+        assert_eq!(received, sent, "message {number}");
+    }
+    assert!(salma.finish(), "every message was acknowledged on Salma's side");
+    assert!(robot.finish(), "the robot received exactly {count} messages");
+    if let Some(farhad) = farhad.take() {
+        assert!(farhad.finish());
+    }
+}
+
+#[test]
+fn salma_drives_the_robot_and_farhad_does_not() {
+    if !network::isolated("salma_drives_the_robot_and_farhad_does_not") {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "60000"]).await;
+        let bridges = world.start_bridges("/cmd_vel", "geometry_msgs/msg/Twist");
+        drive(&world, "/cmd_vel", (150, 50, 0), true).await;
+
+        // When the holder lets go, the robot is told to stop; then the next holder drives.
+        let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "1", "0", "0", "30"]);
+        assert_eq!((robot.line().unwrap(), robot.line().unwrap()), ("ready".to_owned(), "matched".to_owned()));
+        call(&world.salma, "release", &["Rover/cmd_vel"]).await;
+        assert_eq!(robot.line().unwrap(), stop_message());
+        assert!(robot.finish());
+
+        let reports = bridges.stop();
+        let [salma, farhad, robot] = reports.each_ref().map(|report| &report["routes"][0]);
+        assert_eq!(salma["committed"], 150, "{salma}");
+        assert_eq!(farhad["committed"], 0, "{farhad}");
+        assert_eq!(farhad["refused"]["NOT_HOLDER"], 150, "{farhad}");
+        assert_eq!(robot["published"].as_u64().unwrap(), 150, "{robot}");
+        assert_eq!(robot["stops"]["released"], 1, "{robot}");
+    });
+}
+
+#[test]
+fn a_300_kb_message_passes() {
+    if !network::isolated("a_300_kb_message_passes") {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/image", "sensor_msgs/msg/Image").await;
+        call(&world.salma, "acquire", &["Rover/image", "60000"]).await;
+        let _bridges = world.start_bridges("/image", "sensor_msgs/msg/Image");
+        drive(&world, "/image", (10, 5, 300_000), false).await;
+    });
+}
+
+#[test]
+fn a_route_of_the_wrong_type_is_refused_with_both_types() {
+    if !network::isolated("a_route_of_the_wrong_type_is_refused_with_both_types") {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
+        let refused = world.bridge_fails("Salma", "/cmd_vel", "geometry_msgs/msg/TwistStamped");
+        assert!(refused.contains("LGR-3012"), "{refused}");
+        assert!(
+            refused.contains("geometry_msgs/msg/TwistStamped") && refused.contains("geometry_msgs/msg/Twist"),
+            "{refused}"
+        );
+    });
+}
+
+#[test]
+fn a_bridge_inside_the_robots_node_does_the_same() {
+    if !network::isolated("a_bridge_inside_the_robots_node_does_the_same") {
+        return;
+    }
+    world::run(async {
+        let world = World::start_with_inner_bridge("/cmd_vel", "geometry_msgs/msg/Twist").await;
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "60000"]).await;
+        let _bridge = world.start_bridge("Salma", 1, "to_ledger", "/cmd_vel", "geometry_msgs/msg/Twist");
+        drive(&world, "/cmd_vel", (50, 50, 0), false).await;
+    });
+}
+
+#[test]
+fn a_holder_who_is_killed_leaves_the_robot_stopped_and_free() {
+    if !network::isolated("a_holder_who_is_killed_leaves_the_robot_stopped_and_free") {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "1500"]).await;
+        let bridges = world.start_bridges("/cmd_vel", "geometry_msgs/msg/Twist");
+        let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "51", "0", "0", "60"]);
+        assert_eq!((robot.line().unwrap(), robot.line().unwrap()), ("ready".to_owned(), "matched".to_owned()));
+        let salma = Python::start("twist_publisher.py", &["1", "rt/cmd_vel", "50", "50", "0"]);
+        for number in 0..50 {
+            assert!(robot.line().is_some(), "message {number}");
+        }
+        drop(salma);
+        bridges.kill_first();
+        // Nobody renews the lease: it runs out in block time, and the robot is told to stop.
+        assert_eq!(robot.line().unwrap(), stop_message());
+        tokio::time::timeout(Duration::from_secs(20), call(&world.farhad, "acquire", &["Rover/cmd_vel"]))
+            .await
+            .unwrap();
+    });
+}
