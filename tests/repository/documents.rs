@@ -1,0 +1,66 @@
+//! What the documents promise.
+
+use crate::sources::{files, read, root};
+use std::path::Path;
+use std::process::Command;
+
+/// Commands of the first block of shell in README.md: the main job and the tests.
+fn readme_commands() -> Vec<String> {
+    let readme = read(&root().join("README.md"));
+    let block = readme.split_once("```sh\n").and_then(|(_, rest)| rest.split_once("\n```")).map(|(block, _)| block);
+    block.unwrap_or_else(|| panic!("README.md has no block of shell")).lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn the_readme_starts_with_its_two_commands() {
+    let commands = readme_commands();
+    assert_eq!(commands.len(), 2, "{commands:?}");
+    let run = read(&root().join(".ci/run"));
+    let tests = commands.last().map(String::as_str).unwrap_or_default();
+    assert!(run.contains("sed -n 2p") && !run.contains(tests), ".ci/run takes {tests:?} from the README");
+}
+
+#[test]
+fn the_first_command_of_the_readme_plays_the_experiment() {
+    let commands = readme_commands();
+    let command = commands.first().unwrap_or_else(|| panic!("README.md has no command"));
+    let played = Command::new("sh")
+        .args(["-c", command])
+        .current_dir(root())
+        .output()
+        .unwrap_or_else(|error| panic!("sh does not start: {error}"));
+    let (table, progress) = (String::from_utf8_lossy(&played.stdout), String::from_utf8_lossy(&played.stderr));
+    assert!(played.status.success(), "{command}: {}\n{table}\n{progress}", played.status);
+    for row in ["exclusive (Salma holds)", "open (both may)", "commit", "ROS to ROS", "NOT_HOLDER"] {
+        assert!(table.contains(row), "no row {row:?} in\n{table}\n{progress}");
+    }
+    assert!(!table.contains("NO\n"), "something did not hold:\n{table}");
+}
+
+#[test]
+fn links_lead_somewhere() {
+    for path in files(root(), ".md") {
+        let text = read(&path);
+        let directory = path.parent().unwrap_or(root());
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(link, _)| link) {
+            let file = link.split('#').next().unwrap_or_default();
+            let there = file.is_empty() || file.contains("://") || directory.join(Path::new(file)).exists();
+            assert!(there, "{} links to {link}, which is not there", path.display());
+        }
+    }
+}
+
+#[test]
+fn the_architecture_names_every_crate_and_every_module_of_the_node() {
+    let text = read(&root().join("ARCHITECTURE.md"));
+    let crates = files(&root().join("crates"), "Cargo.toml");
+    let crates = crates.iter().filter_map(|path| path.parent()?.file_name());
+    for name in crates {
+        let name = format!("`crates/{}`", name.to_string_lossy());
+        assert!(text.contains(&name), "ARCHITECTURE.md does not name {name}");
+    }
+    for path in files(&root().join("src"), ".rs").iter().filter(|path| path.parent() == Some(&root().join("src"))) {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        assert!(text.contains(&format!("`{name}`")), "ARCHITECTURE.md does not name the module `{name}`");
+    }
+}

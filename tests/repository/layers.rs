@@ -1,0 +1,127 @@
+//! Who may know whom: ARCHITECTURE.md, "Crates".
+
+use crate::sources::{code, files, read, root};
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+use toml::{Table, Value};
+
+/// Each crate and the crates of this workspace that it may use, for building and for testing.
+const LAYERS: [(&str, &[&str]); 8] = [
+    ("ledger", &["ledger"]),
+    ("ledger-raft", &["ledger"]),
+    ("ledger-abac", &["ledger"]),
+    ("ledger-api", &["ledger"]),
+    ("ros-bridge", &["ledger", "ledger-api"]),
+    // Access control: `ledgerctl verify` executes blocks again.
+    ("ledgerctl", &["ledger", "ledger-api", "ledger-abac"]),
+    ("ledgerd", &["ledger", "ledger-raft", "ledger-abac", "ledger-api", "ros-bridge"]),
+    ("inventory", &["ledger", "ledger-api", "ledgerd"]),
+];
+
+/// Crates that are kept behind few files, so that they can be replaced: who uses them, and where they are named.
+const BEHIND: [(&str, &str, &[&str]); 2] = [
+    ("sled", "ledger", &["crates/ledger/src/state/store.rs"]),
+    (
+        "raft",
+        "ledger-raft",
+        &["crates/raft/src/engine.rs", "crates/raft/src/engine/", "crates/raft/src/log.rs", "crates/raft/src/message/"],
+    ),
+];
+
+/// The manifests of all crates, with their paths.
+fn manifests() -> Vec<(PathBuf, Table)> {
+    files(root(), "Cargo.toml")
+        .into_iter()
+        .map(|path| {
+            let manifest = read(&path).parse().unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+            (path, manifest)
+        })
+        .collect()
+}
+
+fn name(manifest: &Table) -> &str {
+    manifest.get("package").and_then(|package| package.get("name")).and_then(Value::as_str).unwrap_or_default()
+}
+
+/// The dependencies of every kind.
+fn dependencies(manifest: &Table) -> BTreeMap<&str, &Value> {
+    ["dependencies", "dev-dependencies", "build-dependencies"]
+        .iter()
+        .filter_map(|kind| manifest.get(*kind)?.as_table())
+        .flatten()
+        .map(|(name, value)| (name.as_str(), value))
+        .collect()
+}
+
+#[test]
+fn dependencies_point_one_way() {
+    let ours: BTreeSet<&str> = LAYERS.iter().map(|(name, _)| *name).collect();
+    let manifests = manifests();
+    let found: BTreeSet<&str> = manifests.iter().map(|(_, manifest)| name(manifest)).collect();
+    assert_eq!(found, ours, "every crate has its place in LAYERS");
+    for (name, allowed) in LAYERS {
+        let (_, manifest) = manifests
+            .iter()
+            .find(|(_, manifest)| self::name(manifest) == name)
+            .unwrap_or_else(|| panic!("{name} has no manifest"));
+        for used in dependencies(manifest).into_keys().filter(|used| ours.contains(used)) {
+            assert!(allowed.contains(&used), "{name} may not use {used}");
+        }
+    }
+}
+
+#[test]
+fn every_crate_has_the_lints_and_versions_of_the_workspace() {
+    for (path, manifest) in manifests() {
+        let path = path.display();
+        let lints = manifest.get("lints").and_then(|lints| lints.get("workspace")).and_then(Value::as_bool);
+        assert_eq!(lints, Some(true), "{path}: [lints] workspace = true");
+        for (dependency, value) in dependencies(&manifest) {
+            let own = dependency == name(&manifest);
+            let inherited = value.get("workspace").and_then(Value::as_bool) == Some(true);
+            assert!(own || inherited, "{path}: {dependency} takes its version from the workspace");
+        }
+    }
+}
+
+#[test]
+fn what_shall_be_replaceable_is_named_in_few_files() {
+    let manifests = manifests();
+    for (crate_name, user, places) in BEHIND {
+        for (path, manifest) in &manifests {
+            let uses = dependencies(manifest).contains_key(crate_name);
+            assert!(!uses || name(manifest) == user, "{} may not use {crate_name}", path.display());
+        }
+        let directory = manifests
+            .iter()
+            .find(|(_, manifest)| name(manifest) == user)
+            .and_then(|(path, _)| path.parent())
+            .unwrap_or_else(|| panic!("{user} has no directory"));
+        for path in files(&directory.join("src"), ".rs") {
+            let relative = path.strip_prefix(root()).unwrap_or(&path).to_string_lossy().into_owned();
+            let named = code(&read(&path)).any(|line| names(line, crate_name));
+            let allowed = places.iter().any(|place| match place.ends_with('/') {
+                true => relative.starts_with(place),
+                false => relative == *place,
+            });
+            assert!(!named || allowed, "{relative} may not name {crate_name}");
+        }
+    }
+}
+
+/// Does the line name the crate in a path, as in `sled::Db`? `ledger_raft::` and `self::raft` are others.
+fn names(line: &str, crate_name: &str) -> bool {
+    let path = format!("{crate_name}::");
+    line.match_indices(&path).any(|(at, _)| {
+        let before = line.get(..at).unwrap_or_default();
+        !before.ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':')
+    })
+}
+
+#[test]
+fn naming_a_crate_is_told_from_names_that_only_contain_it() {
+    assert!(names("use sled::Db;", "sled"));
+    assert!(names("fn f(e: &sled::Error)", "sled"));
+    assert!(!names("use ledger_raft::Engine;", "raft"));
+    assert!(!names("use crate::raft::Engine;", "raft"));
+}

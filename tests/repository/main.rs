@@ -1,0 +1,7 @@
+//! The rules of the repository: what a reviewer would say twice.
+
+#![expect(clippy::panic, reason = "tests")]
+
+mod documents;
+mod layers;
+mod sources;
