@@ -14,6 +14,7 @@ use ledger::disk::RealDisk;
 use ledger::entry::{Entry, EntryKind};
 use ledger::state::{MemoryState, State};
 use ledger::transaction::{Body, Transaction};
+use ledger::verify::GENESIS_FILE;
 use ledger::{Admission, Bytes, Code, Hash, Ledger};
 use ledger_abac::Grant;
 use ledger_api::Context;
@@ -43,7 +44,8 @@ impl World {
     fn new() -> Self {
         let founding = Founding::new(ONE_VOTER);
         let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-        let ledger = Ledger::open(&founding.genesis, Node::builder().registry().unwrap(), state).unwrap();
+        let genesis = std::fs::read(founding.nodes[0].0.join(GENESIS_FILE)).unwrap();
+        let ledger = Ledger::open(&genesis, Node::builder().registry().unwrap(), state).unwrap();
         let mut world = Self { ledger, founding, epoch: 0, next_seq: 0, nonce: 0 };
         let setup = world.sign(&world.founding.owner.clone(), "setup", robots());
         world.block(&[setup]);
@@ -68,7 +70,7 @@ impl World {
     fn body(&mut self, who: &Context, function: &str, args: Vec<Bytes>) -> Body {
         self.nonce += 1;
         Body {
-            network: Bytes::copy_from_slice(&self.founding.network.0),
+            network: Bytes::copy_from_slice(&who.network.0),
             creator: Bytes::copy_from_slice(&Hash::of(&[&who.chain[0]]).0),
             nonce: Bytes::copy_from_slice(&self.nonce.to_be_bytes()),
             not_after: self.now() + COMMAND_TTL,

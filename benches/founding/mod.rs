@@ -1,8 +1,8 @@
 //! A network on disk that no node runs yet: one robot owner, one operator, as many nodes as a bench wants.
 
+use ledger::Bytes;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
-use ledger::{Bytes, Hash};
 use ledger_api::Context;
 use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use std::collections::BTreeMap;
@@ -30,10 +30,6 @@ const OWNERS: &str = "Org2";
 
 /// A founded network. Its directory goes with it.
 pub(crate) struct Founding {
-    /// Hash of the genesis.
-    pub(crate) network: Hash,
-    /// The genesis itself.
-    pub(crate) genesis: Bytes,
     /// The admin of the organisation that owns the robots; connects to the first node.
     pub(crate) owner: Context,
     /// Salma, whom policies let acquire every robot here; connects to the first node.
@@ -41,7 +37,7 @@ pub(crate) struct Founding {
     /// Data directory and address of each node, the voters first.
     pub(crate) nodes: Vec<(PathBuf, String)>,
     /// Where all of it lies.
-    pub(crate) directory: TempDir,
+    _directory: TempDir,
 }
 
 /// `target/bench`: results, and the data of nodes while a bench runs. On the disk of the build, never in memory.
@@ -89,12 +85,10 @@ impl Founding {
         };
         let drives = ["Turtlebot4", "Husky"].map(|robot| (robot.to_owned(), "true".to_owned()));
         Self {
-            network: founded.network,
-            genesis: founded.document.clone(),
             owner: identity(OWNERS, ("Admin", Role::Admin), BTreeMap::new()),
             salma: identity(OPERATORS, ("Salma", Role::Member), BTreeMap::from(drives)),
             nodes,
-            directory,
+            _directory: directory,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The example as its README tells it: a node with the chaincode, called by clients.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use ledger::{Bytes, Code};
 use ledger_api::{Client, Context};
