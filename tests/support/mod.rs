@@ -1,0 +1,23 @@
+//! What tests with real nodes share: processes that never stay behind, networks in temporary directories, `ledgerctl`.
+//!
+//! | module | what is there |
+//! |---|---|
+//! | `process` | a child process, killed by its id when the test ends |
+//! | `programs` | where the built programs are |
+//! | `network` | a network on disk, its nodes and identities |
+//! | `dev` | `ledgerd dev` with its users |
+//! | `ctl` | one run of `ledgerctl` |
+//! | `wait` | conditions with a deadline, and a small source of random numbers |
+
+pub mod ctl;
+pub mod dev;
+pub mod network;
+pub mod process;
+pub mod programs;
+pub mod wait;
+
+pub use dev::Dev;
+pub use ctl::{Ctl, Ran};
+pub use network::{Fleet, NodePlace, connect};
+pub use process::Process;
+pub use wait::{Dice, eventually, until};

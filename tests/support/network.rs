@@ -1,0 +1,216 @@
+//! A network on disk with its nodes as processes, and identities of it.
+
+use super::process::Process;
+use super::wait::{PATIENCE, until};
+use super::{Ctl, programs};
+use ledger::identity::Role;
+use ledger::key::KeyKind;
+use ledger::{Bytes, Code};
+use ledger_api::context::Context;
+use ledger_api::{Client, Options};
+use ledgerd::ca::CertificateAuthority;
+use ledgerd::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use rustls_pki_types::CertificateDer;
+use serde_json::json;
+use std::collections::BTreeMap;
+use std::net::TcpListener;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU16, Ordering};
+use std::time::{SystemTime, UNIX_EPOCH};
+use tempfile::TempDir;
+
+/// The service that most tests publish on.
+pub const SERVICE: &str = "Turtlebot4/cmd_vel";
+
+/// The machine's clock, microseconds since the UNIX epoch.
+pub fn now() -> u64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros() as u64
+}
+
+/// An address that nobody uses. The port lies below those that the system gives to outgoing connections, so that it
+/// is still free when a node that was killed comes back.
+pub fn free_address() -> String {
+    const FIRST: u16 = 12_000;
+    const COUNT: u16 = 18_000;
+    static NEXT: AtomicU16 = AtomicU16::new(0);
+    let start = (std::process::id() as u16).wrapping_mul(257);
+    for _ in 0..COUNT {
+        let step = start.wrapping_add(NEXT.fetch_add(1, Ordering::Relaxed));
+        let address = format!("127.0.0.1:{}", FIRST + step % COUNT);
+        if TcpListener::bind(&address).is_ok() {
+            return address;
+        }
+    }
+    panic!("no free port on 127.0.0.1");
+}
+
+/// A node's place: directory, address, configuration.
+pub struct NodePlace {
+    pub name: String,
+    pub organisation: String,
+    pub data: PathBuf,
+    pub address: String,
+    pub config: PathBuf,
+    logs: PathBuf,
+}
+
+impl NodePlace {
+    /// `ledgerd run` with its configuration.
+    pub fn command(&self) -> Command {
+        let mut command = Command::new(programs::ledgerd());
+        command.env_remove("RUST_LOG").args(["run", "--config"]).arg(&self.config);
+        command
+    }
+
+    /// Starts the node.
+    pub fn start(&self) -> Process {
+        Process::start(&self.name, &self.logs, self.command())
+    }
+
+    /// Adds settings to the configuration: TOML sections.
+    pub fn configure(&self, settings: &str) {
+        let text = std::fs::read_to_string(&self.config).unwrap();
+        std::fs::write(&self.config, format!("{text}\n{settings}\n")).unwrap();
+    }
+
+    /// The segments of its log, oldest first.
+    pub fn segments(&self) -> Vec<PathBuf> {
+        let mut found: Vec<_> = std::fs::read_dir(self.data.join("blocks"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|extension| extension == "seg"))
+            .collect();
+        found.sort();
+        found
+    }
+}
+
+/// The paper's organisations on nodes in a temporary directory: Org1 with the users, Org2 which owns the robots.
+pub struct Fleet {
+    pub nodes: Vec<NodePlace>,
+    pub founded: Founded,
+    // Last: removed after everything else.
+    directory: TempDir,
+}
+
+impl Fleet {
+    /// Founds a network with one voter, and a learner of Org2 if there are to be two nodes. Nothing runs yet.
+    pub fn found(nodes: usize) -> Self {
+        Self::found_at(nodes, now())
+    }
+
+    /// As [`Fleet::found`], by another clock.
+    pub fn found_at(nodes: usize, now: u64) -> Self {
+        let directory = tempfile::Builder::new().prefix("ledgerd-test-").tempdir().unwrap();
+        let places: Vec<_> = ["Org1", "Org2"]
+            .iter()
+            .take(nodes)
+            .map(|organisation| NodePlace {
+                name: format!("{}-node", organisation.to_lowercase()),
+                organisation: (*organisation).to_owned(),
+                data: directory.path().join(organisation),
+                address: free_address(),
+                config: directory.path().join(format!("{organisation}.toml")),
+                logs: directory.path().to_owned(),
+            })
+            .collect();
+        let planned = places.iter().enumerate().map(|(index, place)| PlannedNode {
+            name: place.name.clone(),
+            organisation: place.organisation.clone(),
+            data: place.data.clone(),
+            address: place.address.clone(),
+            voter: index == 0,
+        });
+        let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
+        let plan = NetworkPlan {
+            label: "test".into(),
+            organisations: vec![organisation("Org1"), organisation("Org2")],
+            nodes: planned.collect(),
+        };
+        let founded = found(&plan, now).unwrap();
+        for place in &places {
+            let text = format!("data = {:?}\nlisten = {:?}\n", place.data.display().to_string(), place.address);
+            std::fs::write(&place.config, text).unwrap();
+        }
+        Self { nodes: places, founded, directory }
+    }
+
+    /// The temporary directory.
+    pub fn path(&self) -> &Path {
+        self.directory.path()
+    }
+
+    /// The home directory of the people of this network.
+    pub fn home(&self) -> PathBuf {
+        self.path().join("home")
+    }
+
+    /// `ledgerctl` on that home.
+    pub fn ctl(&self) -> Ctl {
+        Ctl::at(&self.home())
+    }
+
+    /// The data directory that carries the CA of an organisation.
+    fn ca_data(&self, organisation: &str) -> &Path {
+        let authority = self.founded.authorities.iter().find(|ca| ca.organisation == organisation).unwrap();
+        authority.directory.parent().unwrap().parent().unwrap()
+    }
+
+    /// An identity, by its CA without being asked over the network; its context is stored too. Before the node runs.
+    pub fn issue(&self, organisation: &str, name: &str, role: Role, attributes: &[&str]) -> Context {
+        let attributes: BTreeMap<_, _> = attributes.iter().map(|key| ((*key).into(), "true".into())).collect();
+        let node = self.nodes.iter().find(|node| node.organisation == organisation).unwrap_or(&self.nodes[0]);
+        let data = self.ca_data(organisation);
+        let context = issue(data, organisation, (name, role), attributes, &node.address, now()).unwrap();
+        context.save(&self.home()).unwrap();
+        context
+    }
+
+    /// An identity whose certificate was issued at another time and for so many days.
+    pub fn issue_at(&self, name: &str, issued: u64, days: u32) -> Context {
+        let context = self.issue("Org1", name, Role::Member, &["Turtlebot4"]);
+        let mut authority = CertificateAuthority::open(&self.founded.authorities[0].directory).unwrap();
+        authority.set_days(days, 7);
+        let attributes = [("Turtlebot4".to_owned(), "true".to_owned())].into();
+        let shifted = authority.issue(name, Role::Member, attributes, KeyKind::Ed25519, issued).unwrap();
+        let chain = std::iter::once(shifted.certificate).chain(shifted.chain).map(CertificateDer::from).collect();
+        let context = Context { chain, key: Arc::new(shifted.key), ..context };
+        context.save(&self.home()).unwrap();
+        context
+    }
+
+    /// The admin of Org2, who owns the robots. Before the node runs.
+    pub fn owner(&self) -> Context {
+        self.issue("Org2", "Admin", Role::Admin, &[])
+    }
+}
+
+/// A client that is more patient than any restart of a node takes.
+pub async fn connect(context: &Context) -> Client {
+    until(&format!("{} connects to {:?}", context.name, context.nodes), || async {
+        let options = Options { deadline: PATIENCE, ttl: 2 * PATIENCE - std::time::Duration::from_secs(10), ..Options::default() };
+        match Client::connect_with(context.nodes.clone(), context.credentials().unwrap(), options).await {
+            Ok(client) => Some(client),
+            Err(refused) if refused.code == Code::Unreachable => None,
+            Err(refused) => panic!("{} cannot connect: {refused}", context.name),
+        }
+    })
+    .await
+}
+
+/// The robots of the paper, with `/cmd_vel` in this mode.
+pub async fn register_robots(owner: &Client, mode: &str) {
+    let robot = |name: &str| {
+        let service = json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": mode});
+        Bytes::from(json!({"name": name, "attribute_required": name, "services": [service]}).to_string())
+    };
+    owner.invoke("abac", "setup", vec![robot("Turtlebot4"), robot("Husky")]).await.unwrap();
+}
+
+/// The arguments of `set` for one message.
+pub fn message(epoch: u64, seq: u64, content: &[u8]) -> Vec<Bytes> {
+    let payload = [&[0, 1, 0, 0], content].concat();
+    vec![SERVICE.into(), epoch.to_string().into(), seq.to_string().into(), payload.into()]
+}
