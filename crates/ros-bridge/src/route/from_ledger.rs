@@ -30,6 +30,9 @@ use crate::{
 
 /// How long a stop message is waited for when the bridge ends.
 const FLUSH_MAX: Duration = Duration::from_millis(500);
+/// How long the writer stays after its last message was confirmed: some middleware (RustDDS) confirms before it hands
+/// out, and forgets what was not handed out when the writer leaves. A stop message must not be lost so.
+const LINGER: Duration = Duration::from_millis(200);
 /// A subscription that has to show a certificate again is renewed at most this often.
 const RENEW_EVERY: Duration = Duration::from_secs(1);
 
@@ -191,6 +194,7 @@ impl FromLedger {
         if !self.outlet.flush(FLUSH_MAX).await {
             tracing::warn!(service = self.route.service, "not every subscriber confirmed the last messages");
         }
+        tokio::time::sleep(LINGER).await;
     }
 
     fn subscribe(&self) -> Deliveries {

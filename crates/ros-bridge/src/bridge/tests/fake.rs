@@ -23,6 +23,9 @@ pub(super) enum Fate {
     Lost,
 }
 
+/// The other end of a subscription.
+type Sender = mpsc::UnboundedSender<Result<Delivery, Rejection>>;
+
 pub(super) struct Fake {
     service: Mutex<Value>,
     grants: Mutex<Value>,
@@ -30,7 +33,7 @@ pub(super) struct Fake {
     fate: Mutex<Fate>,
     /// Arguments of every `set`.
     pub(super) sets: watch::Sender<Vec<Vec<Bytes>>>,
-    streams: Mutex<Vec<(Subscription, mpsc::UnboundedSender<Result<Delivery, Rejection>>)>>,
+    streams: Mutex<Vec<(Subscription, Sender)>>,
 }
 
 impl Fake {
