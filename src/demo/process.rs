@@ -4,14 +4,17 @@ use ledger::{Code, Rejection};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::io::AsyncReadExt;
 use tokio::process::{Child, Command};
 
 /// Time that a process has to end by itself after it was asked to.
 const STOP_TIME_MAX: Duration = Duration::from_secs(5);
 
-/// A running `ledgerd` of the demo.
+/// Time that a killed process has to be gone, before the directory it wrote into is removed.
+const KILL_TIME_MAX: Duration = Duration::from_secs(2);
+
+/// A running `ledgerd` of the demo. Dropping it kills the process and waits until it is gone.
 pub(super) struct Process {
     name: String,
     child: Child,
@@ -80,5 +83,18 @@ impl Process {
         let log = std::fs::read_to_string(&self.log).unwrap_or_default();
         let lines: Vec<_> = log.lines().rev().take(5).collect();
         lines.into_iter().rev().collect::<Vec<_>>().join(" | ")
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        // An error means that it has ended and was waited for already.
+        if self.child.start_kill().is_err() {
+            return;
+        }
+        let deadline = Instant::now() + KILL_TIME_MAX;
+        while matches!(self.child.try_wait(), Ok(None)) && Instant::now() < deadline {
+            std::thread::sleep(Duration::from_millis(2));
+        }
     }
 }
