@@ -8,7 +8,7 @@ mod world;
 
 use ledger_api::Client;
 use python::Python;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use world::World;
 
 /// A zero Twist: what the robot's bridge publishes when a grant ends.
@@ -87,6 +87,41 @@ fn a_300_kb_message_passes() {
         call(&world.salma, "acquire", &["Rover/image", "60000"]).await;
         let _bridges = world.start_bridges("/image", "sensor_msgs/msg/Image");
         drive(&world, "/image", (10, 5, 300_000), false).await;
+    });
+}
+
+#[test]
+fn local_processes_reach_the_robot_through_shared_memory() {
+    use ros_bridge::{names::TopicName, queue::Limits, sample::Sample, shm};
+    if !network::isolated("local_processes_reach_the_robot_through_shared_memory") {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "60000"]).await;
+        // Shared memory has no namespaces, so these domains are this test's own.
+        let _bridges = [("Salma", 201, "to_ledger"), ("Rover", 202, "from_ledger")].map(|(name, domain, way)| {
+            world.start_shared_memory_bridge(name, domain, way, "/cmd_vel", "geometry_msgs/msg/Twist")
+        });
+        let topic = TopicName::parse("/cmd_vel").unwrap();
+        let (operator, robot) = (
+            shm::Node::open(201, "operator", [7; 16]).await.unwrap(),
+            shm::Node::open(202, "robot", [8; 16]).await.unwrap(),
+        );
+        let publisher = operator.publisher(&topic).await.unwrap();
+        let mut subscriber = robot.subscriber(&topic, Limits::default()).await.unwrap();
+        let deadline = Instant::now() + Duration::from_secs(30);
+        while publisher.subscribers() == 0 || subscriber.publishers() == 0 {
+            assert!(Instant::now() < deadline, "the bridges are not there\n{}", world.logs());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        for number in 0..50u8 {
+            let sample = Sample::new([0, 1], &[number; 48]).unwrap();
+            publisher.write(&sample).unwrap();
+            let received = tokio::time::timeout(Duration::from_secs(20), subscriber.next()).await;
+            assert_eq!(received.unwrap_or_else(|_| panic!("{number}\n{}", world.logs())).unwrap().sample, sample);
+        }
+        assert!(subscriber.try_next().is_none(), "each message comes once, though DDS and shared memory carry it");
     });
 }
 

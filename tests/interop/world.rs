@@ -156,6 +156,22 @@ impl World {
         Process(command.spawn().unwrap())
     }
 
+    /// One bridge that serves local processes through shared memory as well.
+    pub(crate) fn start_shared_memory_bridge(
+        &self,
+        name: &str,
+        domain: u16,
+        direction: &str,
+        topic: &str,
+        kind: &str,
+    ) -> Process {
+        let config = self.bridge_config(name, domain, direction, topic, kind);
+        let text = fs::read_to_string(&config).unwrap().replace("shared_memory = false", "shared_memory = true");
+        fs::write(&config, text).unwrap();
+        let log = File::create(self.directory.path().join(format!("{name}.log"))).unwrap();
+        Process(ledgerd().args(["bridge", "--config"]).arg(config).stdout(Stdio::null()).stderr(log).spawn().unwrap())
+    }
+
     /// What a bridge that cannot start prints.
     pub(crate) fn bridge_fails(&self, name: &str, topic: &str, kind: &str) -> String {
         let config = self.bridge_config(name, 1, "to_ledger", topic, kind);

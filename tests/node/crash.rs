@@ -135,7 +135,10 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_executed_twice() {
     // A sample through the index of transactions too: it was rebuilt many times.
     for (transaction, committed) in users.iter().flat_map(|user| user.acknowledged.iter().step_by(17)) {
         let record = auditor.transaction(transaction.id()).await.unwrap();
-        assert_eq!((record.height, record.index, &record.response), (committed.height, committed.index, &committed.response));
+        assert_eq!(
+            (record.height, record.index, &record.response),
+            (committed.height, committed.index, &committed.response)
+        );
     }
     // What the node has after all this is what executing its blocks from the start gives.
     assert!(node.signal(rustix::process::Signal::TERM).success());
@@ -146,10 +149,11 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_executed_twice() {
     std::fs::remove_dir_all(place.data.join("state")).unwrap();
     assert_eq!(auditor_digest(&fleet, &owner, status.height).await, before);
 
-    let refused: BTreeMap<_, u64> = users.iter().flat_map(|user| &user.refused).fold(BTreeMap::new(), |mut all, (code, n)| {
-        *all.entry(code.to_string()).or_default() += n;
-        all
-    });
+    let refused: BTreeMap<_, u64> =
+        users.iter().flat_map(|user| &user.refused).fold(BTreeMap::new(), |mut all, (code, n)| {
+            *all.entry(code.to_string()).or_default() += n;
+            all
+        });
     println!(
         "crash: {kills} kills, {acknowledged} transactions acknowledged, {} executed, refused {refused:?}, height {}",
         executed.len(),

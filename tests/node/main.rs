@@ -16,5 +16,5 @@
 #[path = "../support/mod.rs"]
 mod support;
 
-mod story;
 mod crash;
+mod story;

@@ -175,8 +175,7 @@ fn a_holder_that_dies_frees_the_robot_when_block_time_passes_the_lease() {
 #[test]
 fn in_open_mode_both_publish_and_everybody_hears_both() {
     let dev = Dev::start();
-    let users: Vec<Ctl> =
-        ["Salma", "Farhad"].iter().map(|name| dev.user(name, &["Turtlebot4"], "ed25519")).collect();
+    let users: Vec<Ctl> = ["Salma", "Farhad"].iter().map(|name| dev.user(name, &["Turtlebot4"], "ed25519")).collect();
     let service = "/cmd_vel=geometry_msgs/msg/Twist,mode=open";
     dev.owner().run(&["robot", "add", "Turtlebot4", "--attr-required", "Turtlebot4", "--service", service]).ok();
     let first = users[0].json(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST])["height"].to_string();

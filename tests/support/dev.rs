@@ -68,7 +68,8 @@ impl Dev {
         let (node, fingerprint) = (self.fact("address"), self.fact("ca_fingerprint"));
         assert_eq!(invitation["ca_fingerprint"], fingerprint);
         let secret = invitation["secret"].as_str().unwrap();
-        let enroll = ["enroll", name, "--node", node, "--ca-fingerprint", fingerprint, "--secret", secret, "--key", key];
+        let enroll =
+            ["enroll", name, "--node", node, "--ca-fingerprint", fingerprint, "--secret", secret, "--key", key];
         self.ctl().run(&enroll).ok();
         self.ctl().as_(name)
     }

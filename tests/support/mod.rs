@@ -16,8 +16,8 @@ pub mod process;
 pub mod programs;
 pub mod wait;
 
-pub use dev::Dev;
 pub use ctl::{Ctl, Ran};
+pub use dev::Dev;
 pub use network::{Fleet, NodePlace, connect};
 pub use process::Process;
 pub use wait::{Dice, eventually, until};

@@ -190,7 +190,11 @@ impl Fleet {
 /// A client that is more patient than any restart of a node takes.
 pub async fn connect(context: &Context) -> Client {
     until(&format!("{} connects to {:?}", context.name, context.nodes), || async {
-        let options = Options { deadline: PATIENCE, ttl: 2 * PATIENCE - std::time::Duration::from_secs(10), ..Options::default() };
+        let options = Options {
+            deadline: PATIENCE,
+            ttl: 2 * PATIENCE - std::time::Duration::from_secs(10),
+            ..Options::default()
+        };
         match Client::connect_with(context.nodes.clone(), context.credentials().unwrap(), options).await {
             Ok(client) => Some(client),
             Err(refused) if refused.code == Code::Unreachable => None,

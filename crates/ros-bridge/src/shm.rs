@@ -1,8 +1,9 @@
 //! The shared memory side: raw samples between processes of one machine, over iceoryx2.
 //!
 //! # Contract with local processes
-//! - **Service**: publish-subscribe of `[u8]`, named like the DDS topic (`rt/cmd_vel`). The payload is the sample
-//!   with its encapsulation header, byte for byte what DDS carries ([`Sample::wire`]).
+//! - **Service**: publish-subscribe of `[u8]`, named like the DDS topic (`rt/cmd_vel`) in domain 0 and `domainN/rt/…`
+//!   in domain N: shared memory has no domains, and two graphs on one machine must not meet behind the ledger's back.
+//!   The payload is the sample with its encapsulation header, byte for byte what DDS carries ([`Sample::wire`]).
 //! - **User header**: 32 bytes, `[u8; 32]`, so that no padding and no byte order is left to the compiler:
 //!   `origin` (16, who published), `sequence` (8, little endian, counts from 1), then 8 zero bytes. A process that
 //!   publishes by itself takes any origin that is unique, best random; zero is allowed and stands for "unknown".
@@ -69,13 +70,14 @@ type EventService = port_factory::event::PortFactory<Service>;
 #[derive(Clone)]
 pub struct Node {
     node: Arc<IoxNode<Service>>,
+    domain: u16,
     origin: [u8; 16],
 }
 
 impl Node {
-    /// Opens shared memory under a name that tools show. `origin` marks what we publish: unique in the world, such as
-    /// the GUID of a DDS participant.
-    pub async fn open(name: &str, origin: [u8; 16]) -> Result<Self> {
+    /// Opens the shared memory of a ROS domain under a name that tools show. `origin` marks what we publish: unique in
+    /// the world, such as the GUID of a DDS participant.
+    pub async fn open(domain: u16, name: &str, origin: [u8; 16]) -> Result<Self> {
         let node_name = NodeName::new(name).map_err(|error| failed(&format!("node name {name:?}"), &error))?;
         blocking(move || {
             set_log_level_from_env_or(LogLevel::Error);
@@ -83,7 +85,7 @@ impl Node {
                 let builder = NodeBuilder::new().name(&node_name);
                 builder.signal_handling_mode(SignalHandlingMode::Disabled).create::<Service>()
             };
-            Ok(Self { node: Arc::new(retry("cannot open shared memory", create)?), origin })
+            Ok(Self { node: Arc::new(retry("cannot open shared memory", create)?), domain, origin })
         })
         .await
     }
@@ -136,7 +138,11 @@ impl Node {
 
     fn services(&self, topic: &TopicName) -> Result<(DataService, EventService)> {
         let what = format!("cannot open {topic} in shared memory");
-        let name = ServiceName::new(&topic.dds()).map_err(|error| failed(&what, &error))?;
+        let name = match self.domain {
+            0 => topic.dds(),
+            domain => format!("domain{domain}/{}", topic.dds()),
+        };
+        let name = ServiceName::new(&name).map_err(|error| failed(&what, &error))?;
         let data = retry(&what, || {
             self.node
                 .service_builder(&name)

@@ -34,7 +34,7 @@ async fn next(subscriber: &mut Subscriber) -> Incoming {
 #[tokio::test]
 async fn samples_pass_between_two_nodes_and_grow() {
     let topic = topic("grow");
-    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let mut subscriber = there.subscriber(&topic, Limits::default()).await.unwrap();
     let publisher = here.publisher(&topic).await.unwrap();
     assert_eq!((publisher.subscribers(), subscriber.publishers()), (1, 1));
@@ -47,9 +47,21 @@ async fn samples_pass_between_two_nodes_and_grow() {
 }
 
 #[tokio::test]
+async fn domains_do_not_hear_each_other() {
+    let topic = topic("domains");
+    let (one, two) = (Node::open(1, "one", [1; 16]).await.unwrap(), Node::open(2, "two", [2; 16]).await.unwrap());
+    let also_two = Node::open(2, "also-two", [3; 16]).await.unwrap();
+    let mut subscriber = two.subscriber(&topic, Limits::default()).await.unwrap();
+    let (stranger, neighbour) = (one.publisher(&topic).await.unwrap(), also_two.publisher(&topic).await.unwrap());
+    assert_eq!(stranger.write(&sample(1, 10)).unwrap(), 0);
+    assert_eq!(neighbour.write(&sample(2, 10)).unwrap(), 1);
+    assert_eq!(next(&mut subscriber).await.sample, sample(2, 10));
+}
+
+#[tokio::test]
 async fn a_node_never_hears_itself() {
     let topic = topic("own");
-    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let mut subscriber = here.subscriber(&topic, Limits::default()).await.unwrap();
     let own = here.publisher(&topic).await.unwrap();
     let other = there.publisher(&topic).await.unwrap();
@@ -62,7 +74,7 @@ async fn a_node_never_hears_itself() {
 #[tokio::test]
 async fn a_sample_above_the_limit_is_dropped_and_the_next_one_comes() {
     let topic = topic("limit");
-    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let limits = Limits { sample_bytes_max: 100, ..Limits::default() };
     let mut subscriber = there.subscriber(&topic, limits).await.unwrap();
     let publisher = here.publisher(&topic).await.unwrap();
@@ -75,7 +87,7 @@ async fn a_sample_above_the_limit_is_dropped_and_the_next_one_comes() {
 #[tokio::test]
 async fn a_dropped_subscriber_leaves_the_service() {
     let topic = topic("leave");
-    let (here, there) = (Node::open("here", [1; 16]).await.unwrap(), Node::open("there", [2; 16]).await.unwrap());
+    let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
     let publisher = here.publisher(&topic).await.unwrap();
     for _ in 0..3 * ros_bridge::shm::SUBSCRIBERS_MAX {
         let subscriber = there.subscriber(&topic, Limits::default()).await.unwrap();
@@ -92,7 +104,7 @@ async fn a_dropped_subscriber_leaves_the_service() {
 #[tokio::test]
 async fn a_killed_process_does_not_stand_in_the_way_of_the_next() {
     let topic = topic("killed");
-    let node = Node::open("here", [1; 16]).await.unwrap();
+    let node = Node::open(0, "here", [1; 16]).await.unwrap();
     let mut subscriber = node.subscriber(&topic, Limits::default()).await.unwrap();
     // More often than there are places for publishers, so that the dead ones must have been removed.
     for _ in 0..ros_bridge::shm::PUBLISHERS_MAX + 2 {
@@ -118,7 +130,7 @@ fn start_child(topic: &TopicName) -> Child {
 #[tokio::test]
 async fn child_publishes_until_it_is_killed() {
     let Ok(topic) = env::var(CHILD_TOPIC) else { return };
-    let node = Node::open("child", [3; 16]).await.unwrap();
+    let node = Node::open(0, "child", [3; 16]).await.unwrap();
     let publisher = node.publisher(&TopicName::parse(&topic).unwrap()).await.unwrap();
     let mut pause = tokio::time::interval(Duration::from_millis(5));
     loop {

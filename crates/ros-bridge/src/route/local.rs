@@ -28,7 +28,8 @@ pub(crate) struct Local {
 impl Local {
     pub(crate) async fn open(domain: u16, node_name: &str, shared_memory: bool) -> Result<Self> {
         let participant = Participant::open(domain, node_name).await?;
-        let shm = if shared_memory { Some(shm::Node::open(node_name, participant.guid()).await?) } else { None };
+        let shm =
+            if shared_memory { Some(shm::Node::open(domain, node_name, participant.guid()).await?) } else { None };
         Ok(Self { participant, shm })
     }
 
