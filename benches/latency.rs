@@ -1,7 +1,8 @@
 //! Commit latency: from a command (`set` of one Twist, signed) to its verdict at the client, over TLS, from real
 //! processes with their data on disk.
 //!
-//! - `sweep`: open loop at 1 to 1000 Hz, percentiles as a table and in `target/bench/latency.json`.
+//! - `sweep`: open loop at 1 to 1000 Hz, percentiles as a table and in `target/bench/latency.json`; beside it what the
+//!   disk alone takes for the same bytes.
 //! - `commit/one_in_flight`: closed loop, by criterion, which tells whether it changed since the last run.
 //!
 //! `cargo bench --bench latency [-- sweep | one_in_flight]`; `LEDGERD_BENCH_SECONDS` sets the length of each rate.
@@ -15,15 +16,18 @@
     reason = "a bench prints its results and ends at the first fault"
 )]
 
+mod disk;
 mod founding;
 mod load;
 mod network;
 mod report;
 
 use criterion::Criterion;
+use disk::Disk;
 use founding::{ONE_VOTER, Shape};
 use load::open_loop;
 use network::Network;
+use report::Line;
 use serde_json::Value;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
@@ -32,6 +36,8 @@ use tokio::runtime::{Builder, Runtime};
 const RATES_HZ: [f64; 8] = [1.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 1000.0];
 /// The paper's network: one organisation orders, the other follows.
 const PAPER: Shape = Shape { name: "voter_and_learner", voters: 1, learners: 1 };
+/// The disk alone is measured at no lower rate, or too few writes would be seen.
+const DISK_HZ_MIN: f64 = 10.0;
 /// Length of each rate unless the environment says otherwise.
 const SECONDS_DEFAULT: f64 = 4.0;
 /// Length of each rate where only it is checked that the bench works.
@@ -65,9 +71,17 @@ fn sweep(runtime: &Runtime, network: &Network, shape: Shape, smoke: bool) -> Val
     let operator = runtime.block_on(network.operator("Turtlebot4"));
     // The first commands bring the certificate and warm caches.
     open_loop(runtime, &operator, 200.0, duration.min(Duration::from_millis(500)));
-    let runs: Vec<_> = RATES_HZ.iter().map(|hz| open_loop(runtime, &operator, *hz, duration)).collect();
-    report::print_table(shape.name, &runs);
-    report::runs(&runs)
+    let mut disk = Disk::new();
+    let lines: Vec<_> = RATES_HZ
+        .iter()
+        .map(|hz| Line {
+            run: open_loop(runtime, &operator, *hz, duration),
+            // Right after it, so that both meet the same mood of the disk.
+            disk: disk.measure(hz.max(DISK_HZ_MIN), duration / 4),
+        })
+        .collect();
+    report::print_table(shape.name, &lines);
+    report::lines(&lines)
 }
 
 fn one_in_flight(criterion: &mut Criterion, network: &Network, shape: Shape) {

@@ -61,7 +61,8 @@ pub(crate) fn open_loop(runtime: &Runtime, operator: &Operator, hz: f64, duratio
     summarise(hz, &finished)
 }
 
-fn wait_until(due: Instant) {
+/// Sleeps, then spins, until that moment; returns at once if it has passed.
+pub(crate) fn wait_until(due: Instant) {
     if let Some(long) = due.saturating_duration_since(Instant::now()).checked_sub(SPIN) {
         sleep(long);
     }
@@ -85,7 +86,8 @@ fn summarise(hz: f64, samples: &[Sample]) -> Run {
     }
 }
 
-fn histogram(durations: impl Iterator<Item = Duration>) -> Histogram<u64> {
+/// Durations in nanoseconds.
+pub(crate) fn histogram(durations: impl Iterator<Item = Duration>) -> Histogram<u64> {
     let mut histogram = Histogram::new_with_max(LATENCY_NS_MAX, 3).unwrap();
     for duration in durations {
         histogram.saturating_record(u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX));

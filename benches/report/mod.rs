@@ -9,37 +9,47 @@ use std::process::Command;
 /// Percentiles as they are called in results.
 const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p95", 0.95), ("p99", 0.99), ("p99_9", 0.999)];
 
+/// One rate.
+pub(crate) struct Line {
+    /// Commands at that rate.
+    pub(crate) run: Run,
+    /// What a write with `fdatasync` of the same size took right after, in nanoseconds.
+    pub(crate) disk: Histogram<u64>,
+}
+
 /// Prints the runs on one network, a line each.
-pub(crate) fn print_table(title: &str, runs: &[Run]) {
-    println!("\n{title}: from the time a command was due to its verdict, ms");
-    println!("      Hz  achieved  commands     p50     p95     p99   p99.9     max  growth  sent after p50");
-    for run in runs {
+pub(crate) fn print_table(title: &str, lines: &[Line]) {
+    println!("\n{title}: from the time a command was due to its verdict, ms; the disk alone, ms");
+    println!("      Hz  achieved  commands     p50     p95     p99   p99.9     max  growth | disk p50     p99");
+    for Line { run, disk } in lines {
         let [p50, p95, p99, p99_9] = QUANTILES.map(|(_, quantile)| ms(run.latency.value_at_quantile(quantile)));
         println!(
-            "{:8} {:9.1} {:9} {p50:7.3} {p95:7.3} {p99:7.3} {p99_9:7.3} {:7.3} {:7.2} {:15.3}",
+            "{:8} {:9.1} {:9} {p50:7.3} {p95:7.3} {p99:7.3} {p99_9:7.3} {:7.3} {:7.2} | {:8.3} {:7.3}",
             run.hz,
             run.achieved_hz,
             run.latency.len(),
             ms(run.latency.max()),
             run.growth,
-            ms(run.sending.value_at_quantile(0.5)),
+            ms(disk.value_at_quantile(0.5)),
+            ms(disk.value_at_quantile(0.99)),
         );
     }
 }
 
 /// The runs on one network for [`write`].
-pub(crate) fn runs(runs: &[Run]) -> Value {
-    let run = |run: &Run| {
+pub(crate) fn lines(lines: &[Line]) -> Value {
+    let line = |Line { run, disk }: &Line| {
         json!({
             "hz": run.hz,
             "achieved_hz": run.achieved_hz,
             "commands": run.latency.len(),
             "latency_ms": percentiles(&run.latency),
             "sending_ms": percentiles(&run.sending),
+            "disk_ms": percentiles(disk),
             "growth": run.growth,
         })
     };
-    runs.iter().map(run).collect()
+    lines.iter().map(line).collect()
 }
 
 /// Writes `target/bench/NAME.json`.
