@@ -1,13 +1,15 @@
 //! The server's side: who may connect to a node.
 
 use super::identity::{TlsError, TlsIdentity};
+use super::refusal::Refusal;
 use super::trust::{TrustSource, client_identity};
 use super::{ALPN, VERSIONS, provider};
+use ledger::identity::IdentityError;
 use rustls::client::danger::HandshakeSignatureValid;
 use rustls::crypto::{CryptoProvider, verify_tls13_signature};
 use rustls::pki_types::{CertificateDer, UnixTime};
 use rustls::server::danger::{ClientCertVerified, ClientCertVerifier};
-use rustls::{DigitallySignedStruct, DistinguishedName, PeerIncompatible, ServerConfig, SignatureScheme};
+use rustls::{CertificateError, DigitallySignedStruct, DistinguishedName, PeerIncompatible, ServerConfig, SignatureScheme};
 use std::fmt;
 use std::sync::Arc;
 
@@ -26,6 +28,18 @@ pub fn server_config(identity: TlsIdentity, trust: Arc<dyn TrustSource>) -> Resu
     config.alpn_protocols = vec![ALPN.to_vec()];
     config.send_tls13_tickets = 0;
     Ok(config)
+}
+
+/// The refusal as the error whose alert tells the client most. What an alert cannot say is in the node's log only.
+fn told(refusal: Refusal) -> rustls::Error {
+    let error = match &refusal {
+        Refusal::Revoked { .. } => CertificateError::Revoked,
+        Refusal::Identity(IdentityError::Expired { .. }) => CertificateError::Expired,
+        Refusal::Identity(IdentityError::NotYetValid { .. }) => CertificateError::NotValidYet,
+        Refusal::Identity(IdentityError::Untrusted { .. }) => CertificateError::UnknownIssuer,
+        _ => return refusal.into(),
+    };
+    rustls::Error::InvalidCertificate(error)
 }
 
 /// The server's check of a client that presents a certificate.
@@ -51,8 +65,13 @@ impl ClientCertVerifier for ClientVerifier {
         _now: UnixTime,
     ) -> Result<ClientCertVerified, rustls::Error> {
         let chain: Vec<_> = std::iter::once(own).chain(presented).cloned().collect();
-        client_identity(Some(&chain), self.trust.as_ref())?;
-        Ok(ClientCertVerified::assertion())
+        match client_identity(Some(&chain), self.trust.as_ref()) {
+            Ok(_) => Ok(ClientCertVerified::assertion()),
+            Err(refusal) => {
+                tracing::info!(reason = %refusal, "a client's certificate is refused");
+                Err(told(refusal))
+            }
+        }
     }
 
     fn verify_tls12_signature(
