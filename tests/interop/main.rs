@@ -1,6 +1,6 @@
 //! The whole path, with software that we did not write at both ends: Python processes with CycloneDDS publish and
 //! receive, `ledgerd` carries the messages through a real ledger.
-#![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
 mod network;
 mod python;
