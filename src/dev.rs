@@ -1,9 +1,10 @@
 //! A network of one node for playing: both organisations of the paper, its three robots, contexts for the admins.
 
 use crate::ca::{self, CertificateAuthority};
+use crate::clock::wall;
 use crate::command::{print_line, until_stopped};
 use crate::config::{Config, Log};
-use crate::node::{NodeBuilder, clock};
+use crate::node::NodeBuilder;
 use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use crate::telemetry;
 use ledger::identity::Role;
@@ -68,7 +69,7 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     let listen = free_port(&options.listen)?;
     let fresh = !data.join(GENESIS_FILE).is_file();
     if fresh {
-        found(&plan(&data, &listen), clock())?;
+        found(&plan(&data, &listen), wall())?;
     }
     let config = Config { data: data.clone(), listen, ..Config::default() };
     let home = home()?;
@@ -140,7 +141,7 @@ fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<Vec<String>
         .map(|organisation| {
             let name = context_name(organisation);
             let admin = ("Admin", Role::Admin);
-            let mut context = issue(data, organisation, admin, BTreeMap::new(), address, clock())?;
+            let mut context = issue(data, organisation, admin, BTreeMap::new(), address, wall())?;
             context.name.clone_from(&name);
             context.save(home)?;
             Ok(name)

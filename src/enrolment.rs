@@ -146,7 +146,7 @@ impl Shared {
             network: Bytes::copy_from_slice(&self.ledger.network().0),
             label: self.genesis.label.clone(),
             organisations: organisations.collect(),
-            clock: (self.clock)(),
+            clock: (self.clock)().max(self.ledger.tip().time),
         }
     }
 

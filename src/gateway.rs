@@ -5,6 +5,7 @@ mod submit;
 mod subscribe;
 
 use crate::blocks::Blocks;
+use crate::clock::{Clock, wall};
 use crate::config::Limits;
 use crate::denials::Denials;
 use crate::listen::Caller;
@@ -59,8 +60,8 @@ pub(crate) struct NodeView {
     pub subscribers: Arc<AtomicU64>,
     /// Is there too little space to promise anything?
     pub disk_full: Arc<AtomicBool>,
-    /// The node's clock, microseconds since the UNIX epoch.
-    pub clock: fn() -> u64,
+    /// The node's clock.
+    pub clock: Clock,
     /// When the node started.
     pub started: Instant,
 }
@@ -83,7 +84,7 @@ impl GatewayService {
 impl NodeView {
     /// Refuses an identity that was revoked or whose certificate has run out since it connected.
     pub(crate) fn check(&self, identity: &Identity) -> Result<(), Status> {
-        identity.check_validity((self.clock)()).map_err(|error| status(&error.into()))?;
+        identity.check_validity(wall()).map_err(|error| status(&error.into()))?;
         self.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
     }
 }

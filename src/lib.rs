@@ -21,6 +21,7 @@
 //! | `command` | the command line: `run`, `check`, `init`, `dev`, `demo`, `bridge`, `verify` |
 //! | `config` | the configuration file, every fault at once |
 //! | `node` | a node from its stores to its server, and back down in order |
+//! | `clock` | time that never goes back |
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
@@ -35,6 +36,7 @@
 mod blocks;
 mod bridge;
 pub mod ca;
+mod clock;
 mod command;
 pub mod config;
 mod demo;

@@ -3,6 +3,7 @@
 use crate::blocks::Blocks;
 use crate::bridge::NodeBridge;
 use crate::ca::CertificateAuthority;
+use crate::clock::{Clock, wall};
 use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::EnrolmentService;
@@ -29,7 +30,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::mpsc::TrySendError;
 use std::sync::{Arc, PoisonError, RwLock};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
 use tokio::task::JoinHandle;
@@ -46,12 +47,6 @@ const WINDOW_BYTES: (u32, u32) = (1 << 20, 4 << 20);
 const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
 /// Time that open calls have to end when the node stops.
 const STOP_TIME_MAX: Duration = Duration::from_millis(500);
-
-/// The machine's clock, microseconds since the UNIX epoch.
-pub(crate) fn clock() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
-}
 
 /// Collects what a node consists of. The chaincodes `msp` and `abac` are always installed.
 #[derive(Clone, Default)]
@@ -122,6 +117,7 @@ impl Node {
         let listener = listen(&config.listen).await?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
 
+        let clock = Clock::starting_at(ledger.tip().time);
         let (failed_sender, failed) = watch::channel(None);
         let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
         let waiters = Arc::new(Waiters::default());
@@ -132,7 +128,7 @@ impl Node {
             blocks: Arc::clone(&blocks),
             waiters: Arc::clone(&waiters),
             peers: Peers::connect(others.clone(), &tls, &trust),
-            clock,
+            clock: clock.clone(),
             fatal: Box::new(move |reason| {
                 tracing::error!(%reason, "the node cannot go on");
                 failed_sender.send_replace(Some(reason));
@@ -171,7 +167,7 @@ impl Node {
         for authority in &mut authorities {
             authority.set_days(config.ca.certificate_days, config.ca.secret_days);
         }
-        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, clock);
+        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, wall);
         let server_tls =
             server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
         let connections = accept(listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
@@ -284,7 +280,7 @@ async fn listen(address: &str) -> Result<TcpListener, Rejection> {
 fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Result<Member, Rejection> {
     let (own, presented) =
         tls.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
-    let identity = ledger.msps().verify_for(Usage::Server, own, presented, clock())?;
+    let identity = ledger.msps().verify_for(Usage::Server, own, presented, wall())?;
     if identity.role != Role::Node {
         return Err(Rejection::new(Code::WrongRole, "the node's certificate is not a node's")
             .found(format!("{} with role {}", identity.id(), identity.role))
@@ -337,7 +333,7 @@ impl TrustSource for Trust {
     }
 
     fn now(&self) -> u64 {
-        clock()
+        wall()
     }
 
     fn revoked(&self, identity: &Identity) -> bool {

@@ -6,6 +6,7 @@
 //! that one command costs as few wake-ups of threads as possible.
 
 use crate::blocks::Blocks;
+use crate::clock::Clock;
 use crate::peers::Peers;
 use crate::waiters::Waiters;
 use ledger::block_store::{BlockStore, StoreError};
@@ -41,8 +42,8 @@ pub(crate) struct Shared {
     pub waiters: Arc<Waiters>,
     /// The other nodes.
     pub peers: Peers,
-    /// The node's clock, microseconds since the UNIX epoch.
-    pub clock: fn() -> u64,
+    /// The node's clock.
+    pub clock: Clock,
     /// Called once with the reason if the node cannot go on.
     pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
     /// Set while the log cannot be written for lack of space.
@@ -182,13 +183,13 @@ impl Order {
         if !self.leading || deadline == self.asked_for {
             return until_tick;
         }
-        until_tick.min(Duration::from_micros(deadline.saturating_sub((self.shared.clock)())))
+        until_tick.min(Duration::from_micros(deadline.saturating_sub(self.shared.clock.now())))
     }
 
     /// Orders an empty block when something is due and no traffic moved block time past it.
     fn meet_deadline(&mut self) {
         let deadline = self.deadline.load(Ordering::Relaxed);
-        if self.leading && deadline != self.asked_for && (self.shared.clock)() >= deadline {
+        if self.leading && deadline != self.asked_for && self.shared.clock.now() >= deadline {
             self.asked_for = deadline;
             self.step(Input::ProposeEmpty);
         }
@@ -217,7 +218,7 @@ impl Order {
 
     fn step(&mut self, input: Input) {
         let mut outputs = std::mem::take(&mut self.outputs);
-        self.engine.step((self.shared.clock)(), input, &mut outputs);
+        self.engine.step(self.shared.clock.now(), input, &mut outputs);
         for output in outputs.drain(..) {
             self.carry_out(output);
         }
@@ -282,6 +283,7 @@ impl Execute {
 
     fn execute(&self, entry: &Entry) -> Result<(), Rejection> {
         let outcome = Arc::new(self.shared.ledger.apply(entry)?);
+        self.shared.clock.observe(outcome.header.time);
         self.shared.waiters.resolve(&outcome, &self.shared.ledger);
         self.shared.blocks.publish(Arc::clone(&outcome));
         self.deadline.store(self.shared.ledger.next_deadline().unwrap_or(u64::MAX), Ordering::Relaxed);

@@ -2,8 +2,8 @@
 
 use super::process::Process;
 use super::summary::{BridgeReport, Summary};
+use crate::clock::wall;
 use crate::dev::ORGANISATIONS;
-use crate::node::clock;
 use crate::random;
 use crate::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use ledger::identity::Role;
@@ -56,7 +56,7 @@ impl Network {
             .map_err(|error| Rejection::new(Code::BadFile, format!("cannot make a temporary directory: {error}")))?;
         let addresses = free_addresses()?;
         let data = ORGANISATIONS.map(|organisation| directory.path().join(organisation));
-        let founded = found(&plan(&data, &addresses), clock())?;
+        let founded = found(&plan(&data, &addresses), wall())?;
         // Identities that their CAs issue without being asked over the network, before the nodes own the CAs.
         let admin = identity(&data[0], ORGANISATIONS[0], ("Admin", Role::Admin), &addresses[0])?;
         let owner = identity(&data[1], ORGANISATIONS[1], ("Admin", Role::Admin), &addresses[1])?;
@@ -180,7 +180,7 @@ fn write(path: &Path, text: &str) -> Result<(), Rejection> {
 }
 
 fn identity(data: &Path, organisation: &str, who: (&str, Role), address: &str) -> Result<Context, Rejection> {
-    issue(data, organisation, who, BTreeMap::new(), address, clock())
+    issue(data, organisation, who, BTreeMap::new(), address, wall())
 }
 
 /// Connects as soon as the node answers.

@@ -22,7 +22,7 @@ const DENIALS_DEFAULT: u32 = 100;
 impl NodeView {
     pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
         self.reach(request.min_height).await.map_err(|rejection| status(&rejection))?;
-        let answer = self.ledger.query(caller, (self.clock)(), &request.chaincode, &request.function, &request.args);
+        let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
         Ok(match answer {
             Ok((response, height)) => QueryResponse { verdict: Some(Verdict::default()), response, height },
             Err(rejection) => {
@@ -84,7 +84,7 @@ impl NodeView {
             // Ordering reports now and then; what is executed is committed in any case.
             committed: ordering.commit.max(tip.height),
             last_index: ordering.last.max(tip.height),
-            clock: (self.clock)(),
+            clock: self.clock.now().max(tip.time),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.ledger.registry().names().into_iter().map(str::to_owned).collect(),
             refused: self.denials.counts(),

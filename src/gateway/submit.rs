@@ -69,7 +69,7 @@ impl NodeView {
     /// Everything that can be refused before ordering is refused here. The answer may also be an earlier verdict.
     fn admit(&self, request: SubmitRequest) -> Result<Transaction, Box<SubmitResponse>> {
         let refuse = |refusal: Refusal| {
-            self.denials.record((self.clock)(), &refusal);
+            self.denials.record(self.clock.now(), &refusal);
             Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection))
         };
         let limit = self.limits.payload_bytes_max;
@@ -86,7 +86,7 @@ impl NodeView {
                     .next("free space on the node's disk; it goes on by itself");
             return Err(refuse(Refusal { who: None, transaction: None, rejection }));
         }
-        match self.ledger.admit(request.transaction, (self.clock)()) {
+        match self.ledger.admit(request.transaction, self.clock.now()) {
             Ok(Admission::New(transaction)) => Ok(transaction),
             Ok(Admission::Known(id, record)) => Err(Box::new(known(&id, &record))),
             Err(refusal) => Err(refuse(*refusal)),

@@ -3,8 +3,8 @@
 use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
 use crate::ca::CertificateAuthority;
 use crate::ca::durable::{self, PUBLIC_MODE};
+use crate::clock::wall;
 use crate::config::{Config, is_address};
-use crate::node::clock;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::{Code, Rejection};
@@ -51,7 +51,7 @@ pub struct InitOptions {
 /// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
 pub fn init(options: &InitOptions) -> Result<String, Rejection> {
     let written = write_config(options)?;
-    init_at(options, clock()).inspect_err(|_| {
+    init_at(options, wall()).inspect_err(|_| {
         if written {
             let _ = fs::remove_file(&options.config);
         }

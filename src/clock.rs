@@ -1,0 +1,81 @@
+//! The node's clock: what a leader makes block time from.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// The machine's clock, microseconds since the UNIX epoch. It may be set back at any time.
+pub(crate) fn wall() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
+}
+
+/// A clock that never goes back, not even behind the block time that the network has seen.
+///
+/// Block time does not go back, so a leader whose machine's clock was set back would let it stand still: no lease would
+/// end, and every new transaction would come too late, until the machine's clock has caught up. The same holds for a new
+/// leader whose machine is behind the old one's. This clock goes on from where block time was, by the machine's
+/// monotonic time, and follows the machine's clock again once that is ahead. Clones share what they have observed.
+#[derive(Clone, Debug)]
+pub(crate) struct Clock {
+    /// What the clock showed, at least, when it was started.
+    base: Arc<AtomicU64>,
+    since: Instant,
+}
+
+impl Clock {
+    /// Starts at block time, microseconds since the UNIX epoch, or at the machine's clock if that is later.
+    pub(crate) fn starting_at(block_time: u64) -> Self {
+        Self { base: Arc::new(AtomicU64::new(block_time.max(wall()))), since: Instant::now() }
+    }
+
+    /// Microseconds since the UNIX epoch.
+    pub(crate) fn now(&self) -> u64 {
+        self.at(wall(), self.elapsed())
+    }
+
+    /// Takes note of a block's time, which the clock is not behind from now on.
+    pub(crate) fn observe(&self, block_time: u64) {
+        self.observe_at(block_time, self.elapsed());
+    }
+
+    fn elapsed(&self) -> u64 {
+        u64::try_from(self.since.elapsed().as_micros()).unwrap_or(u64::MAX)
+    }
+
+    fn at(&self, wall: u64, elapsed: u64) -> u64 {
+        wall.max(self.base.load(Ordering::Relaxed).saturating_add(elapsed))
+    }
+
+    fn observe_at(&self, block_time: u64, elapsed: u64) {
+        self.base.fetch_max(block_time.saturating_sub(elapsed), Ordering::Relaxed);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_goes_on_when_the_machines_clock_is_set_back_and_follows_it_ahead() {
+        let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), since: Instant::now() };
+        assert_eq!(clock.at(1_500, 500), 1_500);
+        assert_eq!(clock.at(200, 600), 1_600, "set back: it goes on");
+        assert_eq!(clock.at(9_000, 700), 9_000, "set ahead: it follows");
+    }
+
+    #[test]
+    fn it_is_never_behind_a_block_that_was_seen() {
+        let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), since: Instant::now() };
+        clock.observe_at(50_000, 100);
+        assert_eq!((clock.at(200, 100), clock.at(200, 150)), (50_000, 50_050));
+        clock.observe_at(10_000, 200);
+        assert_eq!(clock.at(200, 200), 50_100, "an older block changes nothing");
+    }
+
+    #[test]
+    fn it_never_starts_behind_block_time() {
+        let far_ahead = wall() + 3_600_000_000;
+        assert!(Clock::starting_at(far_ahead).now() >= far_ahead);
+    }
+}
