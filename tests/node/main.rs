@@ -18,3 +18,9 @@ mod support;
 
 mod story;
 mod crash;
+mod rebuild;
+mod verify;
+mod hostile;
+mod config;
+mod disk_full;
+mod two_nodes;
