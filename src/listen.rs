@@ -8,7 +8,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 use std::time::Duration;
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt, ReadBuf};
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, mpsc};
 use tokio_rustls::TlsAcceptor;
@@ -22,6 +22,9 @@ const HANDSHAKE_TIME_MAX: Duration = Duration::from_secs(5);
 const HANDSHAKES_MAX: usize = 64;
 /// Most connections that are established and not yet taken over by the server.
 const ESTABLISHED_MAX: usize = 64;
+/// How long, and for how many bytes, a refused client is listened to until it closes its side.
+const LINGER_TIME_MAX: Duration = Duration::from_millis(500);
+const LINGER_BYTES_MAX: u64 = 64 * 1024;
 /// Pause after the operating system refuses to accept, for example because all file descriptors are in use.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
@@ -78,10 +81,26 @@ pub(crate) fn accept(
 
 async fn handshake(socket: TcpStream, tls: &TlsAcceptor, trust: &dyn TrustSource) -> Result<Connection, String> {
     socket.set_nodelay(true).map_err(|error| error.to_string())?;
-    let stream = tls.accept(socket).await.map_err(|error| error.to_string())?;
+    let stream = match tls.accept(socket).into_fallible().await {
+        Ok(stream) => stream,
+        Err((error, socket)) => {
+            linger(socket).await;
+            return Err(error.to_string());
+        }
+    };
     let identity =
         client_identity(stream.get_ref().1.peer_certificates(), trust).map_err(|refusal| refusal.to_string())?;
     Ok(Connection { stream, caller: Caller { identity: identity.map(Arc::new) } })
+}
+
+/// Closes a refused connection so that the client can read the alert that says why: while bytes from it wait unread,
+/// closing would reset the connection, and a reset discards what the client has not read yet.
+async fn linger(mut socket: TcpStream) {
+    if socket.shutdown().await.is_err() {
+        return;
+    }
+    let mut unread = (&mut socket).take(LINGER_BYTES_MAX);
+    let _reset = tokio::time::timeout(LINGER_TIME_MAX, tokio::io::copy(&mut unread, &mut tokio::io::sink())).await;
 }
 
 impl Connected for Connection {

@@ -166,7 +166,9 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_executed_twice() {
 async fn auditor_digest(fleet: &Fleet, owner: &Context, height: u64) -> ledger::Bytes {
     let mut node = fleet.nodes[0].start();
     let client = connect(owner).await;
-    let digest = client.block(height).await.unwrap().state_digest;
+    // After a start, the last blocks are executed when the node leads again.
+    let block = until("the block is there", || async { client.block(height).await.ok() }).await;
+    let digest = block.state_digest;
     node.interrupt();
     digest
 }

@@ -16,5 +16,11 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod config;
 mod crash;
+mod disk_full;
+mod hostile;
+mod rebuild;
 mod story;
+mod two_nodes;
+mod verify;

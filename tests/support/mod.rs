@@ -7,6 +7,7 @@
 //! | `network` | a network on disk, its nodes and identities |
 //! | `dev` | `ledgerd dev` with its users |
 //! | `ctl` | one run of `ledgerctl` |
+//! | `wire` | connections below the Rust client |
 //! | `wait` | conditions with a deadline, and a small source of random numbers |
 
 pub mod ctl;
@@ -15,6 +16,7 @@ pub mod network;
 pub mod process;
 pub mod programs;
 pub mod wait;
+pub mod wire;
 
 pub use ctl::{Ctl, Ran};
 pub use dev::Dev;

@@ -79,7 +79,8 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
     let state = Arc::new(State::open(Box::new(MemoryState::default()))?);
     let ledger = Ledger::open(&genesis, registry.clone(), Arc::clone(&state))?;
     let report = Report { network, ..Report::default() };
-    let mut verification = Verification { ledger, state, stored, pending: VecDeque::new(), committed: 0, report };
+    let mut verification =
+        Verification { ledger, state, stored, pending: VecDeque::new(), committed: 0, torn: None, report };
     verification.compare_tip("genesis.json")?;
     for found in scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))? {
         match found.map_err(|error| in_directory(&error))? {
@@ -87,7 +88,10 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
                 verification.entry(entry, &format!("{BLOCKS_DIRECTORY}/{file} byte {}", position.offset))?;
             }
             Found::Record { record: Record::HardState(hard_state), .. } => verification.commit(hard_state.commit)?,
-            Found::Torn { bytes, .. } => verification.report.torn_bytes = bytes,
+            Found::Torn { file, offset, bytes, what } => {
+                verification.report.torn_bytes = bytes;
+                verification.torn = Some(format!("{BLOCKS_DIRECTORY}/{file} byte {offset}: {what}"));
+            }
         }
     }
     verification.finish()
@@ -115,6 +119,8 @@ struct Verification {
     /// Entries that are not known to be committed yet, and where they stand.
     pending: VecDeque<(Entry, String)>,
     committed: u64,
+    /// Where the log breaks off, and what is wrong there, if it does not end properly.
+    torn: Option<String>,
     report: Report,
 }
 
@@ -184,7 +190,9 @@ impl Verification {
         self.commit(executed)?;
         let tip = self.ledger.tip();
         if tip.height < executed {
-            return Err(Rejection::new(Code::ChainInvalid, "the world state has executed blocks that are not there")
+            let place = self.torn.map(|torn| format!("{torn}, and ")).unwrap_or_default();
+            let what = format!("{place}the world state has executed blocks that are not there");
+            return Err(Rejection::new(Code::ChainInvalid, what)
                 .found(format!("blocks up to height {}", tip.height))
                 .wanted(format!("blocks up to height {executed}")));
         }

@@ -1,0 +1,120 @@
+//! Configured nodes, from the first file to the first user.
+
+use crate::support::network::free_address;
+use crate::support::{Ctl, Process, eventually, programs};
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output};
+use tempfile::TempDir;
+
+fn ledgerd(arguments: &[&str], place: &Path) -> Output {
+    let mut command = Command::new(programs::ledgerd());
+    command.args(arguments).current_dir(place).env("LEDGERD_HOME", place).env_remove("RUST_LOG");
+    command.output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+#[test]
+fn check_names_every_fault_at_once_with_its_line_and_the_nearest_name() {
+    let place = TempDir::new().unwrap();
+    let file = place.path().join("ledgerd.toml");
+    let faults = [
+        ("listn = \"127.0.0.1:7450\"", "\"listen\""),
+        ("data = 7", "data"),
+        ("[limits]", ""),
+        ("payload_byte_max = 4096", "payload_bytes_max"),
+        ("in_flight_max = 0", "1000000"),
+        ("[strorage]", "storage"),
+        ("[order]", ""),
+        ("tick_ms = \"fast\"", "tick_ms"),
+        ("[log]", ""),
+        ("level = \"loud\"", "debug"),
+    ];
+    let lines: Vec<_> = faults.iter().map(|(line, _)| *line).collect();
+    fs::write(&file, lines.join("\n")).unwrap();
+    let done = ledgerd(&["check", "--config", "ledgerd.toml"], place.path());
+    assert_eq!(done.status.code(), Some(3), "{done:?}");
+    let told = text(&done.stderr);
+    for (number, (line, word)) in faults.iter().enumerate().filter(|(_, (_, word))| !word.is_empty()) {
+        let place = format!("ledgerd.toml:{}:", number + 1);
+        let fault = told.split("error: ").find(|fault| fault.contains(&place));
+        let fault = fault.unwrap_or_else(|| panic!("no fault for {line:?} in:\n{told}"));
+        assert!(fault.contains(word), "{word:?} is missing in: {fault}");
+        assert!(fault.contains("LGR-7001"), "{fault}");
+    }
+    // The same faults keep a node from starting.
+    let run = ledgerd(&["run", "--config", "ledgerd.toml"], place.path());
+    assert_eq!((run.status.code(), text(&run.stderr)), (Some(3), told));
+    println!("config: 7 faults in one file");
+}
+
+#[test]
+fn what_is_no_configuration_is_refused_and_what_is_one_is_fine() {
+    let place = TempDir::new().unwrap();
+    let file = place.path().join("ledgerd.toml");
+    for (content, word) in
+        [(&b"= ="[..], "ledgerd.toml:1"), (&[0xff, 0xfe, 0], "text"), (b"data = \"a", "ledgerd.toml:1")]
+    {
+        fs::write(&file, content).unwrap();
+        let done = ledgerd(&["check", "--config", "ledgerd.toml"], place.path());
+        assert_eq!(done.status.code(), Some(3), "{done:?}");
+        assert!(text(&done.stderr).contains(word), "{done:?}");
+    }
+    let done = ledgerd(&["check", "--config", "nowhere.toml"], place.path());
+    assert_eq!(done.status.code(), Some(3), "{done:?}");
+    assert!(text(&done.stderr).contains("nowhere.toml"));
+    fs::write(&file, include_str!("../../ledgerd.toml")).unwrap();
+    let done = ledgerd(&["check", "--config", "ledgerd.toml"], place.path());
+    assert!(done.status.success(), "{done:?}");
+    let done = ledgerd(&["run", "--config", "ledgerd.toml"], place.path());
+    assert!(text(&done.stderr).contains("ledgerd init"), "without a network: {done:?}");
+    assert!(!done.status.success());
+    println!("config: 5 files that are none");
+}
+
+#[test]
+fn init_run_and_enrol_work_as_printed() {
+    let place = TempDir::new().unwrap();
+    let address = free_address();
+    let init = ["init", "--organisation", "Acme", "--address", &address];
+    let done = ledgerd(&init, place.path());
+    assert!(done.status.success(), "{done:?}");
+    let printed = text(&done.stdout);
+    let command = |program: &str, word: &str| -> Vec<String> {
+        let line = printed.lines().map(str::trim).find(|line| line.starts_with(program) && line.contains(word));
+        line.unwrap_or_else(|| panic!("no {program} {word} in:\n{printed}"))
+            .split(' ')
+            .skip(1)
+            .map(str::to_owned)
+            .collect()
+    };
+    let mut node = Command::new(programs::ledgerd());
+    node.args(command("ledgerd", "run")).current_dir(place.path()).env_remove("RUST_LOG");
+    let mut node = Process::start("node1", place.path(), node);
+
+    let home = place.path().join("home");
+    let enroll = command("ledgerctl", "enroll");
+    eventually("the node takes the first admin", || {
+        node.check();
+        let ran = Ctl::at(&home).run(&enroll);
+        (ran.code != 4).then(|| ran.ok())
+    });
+    let admin = Ctl::at(&home).as_("admin");
+    assert_eq!(admin.json(&["whoami"])["role"], "admin");
+    let register: Vec<_> = command("ledgerctl", "identity")
+        .iter()
+        .map(|word| word.replace("NAME", "Salma").replace("KEY=VALUE", "Go2=true"))
+        .collect();
+    assert_eq!(admin.json(&register)["attributes"]["Go2"], "true");
+    // A secret is good once.
+    Ctl::at(&place.path().join("other")).run(&enroll).refused(2, &["LGR-2007"]);
+    // A second time nothing is founded, and nothing changes.
+    let again = ledgerd(&init, place.path());
+    assert!(!again.status.success(), "{again:?}");
+    node.check();
+    node.interrupt();
+    println!("config: 2 commands repeated");
+}

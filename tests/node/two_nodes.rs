@@ -1,0 +1,121 @@
+//! The demo's topology: Org1's node orders, Org2's follows. What goes in at one comes out at the other.
+
+use crate::support::network::{message, register_robots};
+use crate::support::{Fleet, connect, until};
+use ledger::Code;
+use ledger::identity::Role;
+use ledger_api::v1::StatusResponse;
+use ledger_api::{Client, Context, Subscription};
+
+/// The same person, at another node.
+fn at(context: &Context, fleet: &Fleet, node: usize) -> Context {
+    Context { nodes: vec![fleet.nodes[node].address.clone()], ..context.clone() }
+}
+
+/// Both nodes at the same height, at least this one, with the same hash and digest.
+async fn agree(leader: &Client, learner: &Client, height: u64) -> StatusResponse {
+    until("both nodes are at the same height", || async {
+        let (one, other) = (leader.status().await.unwrap(), learner.status().await.unwrap());
+        if one.height != other.height || one.height < height {
+            return None;
+        }
+        assert_eq!(one.block_hash, other.block_hash, "height {}", one.height);
+        assert_eq!(one.state_digest, other.state_digest, "height {}", one.height);
+        Some(one)
+    })
+    .await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_learner_forwards_follows_and_catches_up_after_every_end() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let salma = fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]);
+    let mut orderer = fleet.nodes[0].start();
+    let mut learner = fleet.nodes[1].start();
+    let (leader, follower) = (connect(&at(&owner, &fleet, 0)).await, connect(&at(&owner, &fleet, 1)).await);
+
+    // Submitted at the learner, ordered by the leader, answered by the learner.
+    register_robots(&follower, "exclusive").await;
+    let here = connect(&at(&salma, &fleet, 1)).await;
+    let there = connect(&at(&salma, &fleet, 0)).await;
+    let grant = here.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
+    let status = agree(&leader, &follower, grant.height).await;
+    assert_eq!(status.role, "leader");
+    let status = follower.status().await.unwrap();
+    assert_eq!(status.role, "learner");
+    assert_eq!(status.leader_id, 1);
+    // What is refused is refused there already.
+    let refusal = here.invoke("abac", "acquire", vec!["Husky".into()]).await.unwrap_err();
+    assert_eq!(refusal.code, Code::MissingAttribute);
+
+    // Published at the leader, heard at the learner, in order; through its restart and its kill -9.
+    let mut heard = follower.subscribe(Subscription {
+        from_height: 1,
+        chaincode: "abac".into(),
+        names: vec!["message".into()],
+        heartbeat: 200,
+        ..Subscription::default()
+    });
+    let mut published = Vec::new();
+    let mut faults = 0;
+    for round in 0..5_u64 {
+        for seq in 0..20 {
+            // From both sides in turn.
+            let client = if seq % 2 == 0 || round % 2 == 1 { &there } else { &here };
+            let done = client.invoke("abac", "set", message(1, round * 20 + seq, &[])).await.unwrap();
+            published.push((done.height, done.id));
+        }
+        match round {
+            // While it is away, the leader goes on alone.
+            0 => learner.interrupt(),
+            1 | 3 => learner = fleet.nodes[1].start(),
+            2 => learner.kill(),
+            _ => {
+                learner.check();
+                continue;
+            }
+        }
+        faults += 1;
+    }
+    let last = published.last().unwrap().0;
+    agree(&leader, &follower, last).await;
+    let mut received = Vec::new();
+    while received.len() < published.len() {
+        let delivery = heard.next().await.unwrap();
+        for event in &delivery.events {
+            let transaction = ledger::transaction::Transaction::decode(event.transaction.clone()).unwrap();
+            received.push((delivery.height, transaction.id()));
+        }
+    }
+    assert_eq!(received, published);
+
+    // The orderer comes back too, and what was submitted at the learner meanwhile gets its verdict.
+    orderer.kill();
+    faults += 1;
+    let waiting = tokio::spawn({
+        let here = here.clone();
+        async move { here.invoke("abac", "renew", vec!["Turtlebot4".into()]).await }
+    });
+    orderer = fleet.nodes[0].start();
+    let renewed = waiting.await.unwrap().unwrap();
+    agree(&leader, &follower, renewed.height).await;
+
+    // A learner that has lost everything but its identity takes it all from the leader.
+    learner.interrupt();
+    for directory in ["blocks", "state"] {
+        std::fs::remove_dir_all(fleet.nodes[1].data.join(directory)).unwrap();
+    }
+    faults += 1;
+    learner = fleet.nodes[1].start();
+    let status = agree(&leader, &follower, renewed.height).await;
+    for node in [&mut orderer, &mut learner] {
+        node.check();
+        node.interrupt();
+    }
+    for place in &fleet.nodes {
+        let report = fleet.ctl().json(&["verify", &place.data.to_string_lossy()]);
+        assert_eq!(report["ok"], true);
+    }
+    println!("two_nodes: {faults} faults, height {}", status.height);
+}

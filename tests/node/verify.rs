@@ -1,0 +1,199 @@
+//! `ledgerctl verify`: whatever is changed in a node's directory is found, and its place named.
+
+use crate::support::network::{message, register_robots};
+use crate::support::{Fleet, connect};
+use ledger::block::Payload;
+use ledger::identity::Role;
+use ledger::segment::{
+    HEADER_BYTES, LogPosition, RECORD_HEADER_BYTES, Record, RecordHeader, SegmentHeader, decode_record, encode_record,
+};
+use std::fs;
+use std::path::PathBuf;
+
+/// A record of a segment and where it stands.
+struct Placed {
+    offset: u64,
+    durable_upto: LogPosition,
+    record: Record,
+}
+
+fn read(segment: &[u8]) -> (SegmentHeader, u32, Vec<Placed>) {
+    let (header, crc) = SegmentHeader::decode(segment).unwrap();
+    let mut offset = HEADER_BYTES;
+    let mut records = Vec::new();
+    while let Some(rest) = segment.get(offset as usize..) {
+        let position = LogPosition { sequence: header.sequence, offset: offset as u32 };
+        let Ok(found) = RecordHeader::decode(rest, header.salt, position) else { break };
+        let record = decode_record(&found, &rest[RECORD_HEADER_BYTES..found.record_bytes()]).unwrap();
+        records.push(Placed { offset, durable_upto: found.durable_upto, record });
+        offset += found.record_bytes() as u64;
+    }
+    (header, crc, records)
+}
+
+/// The segment again, with every checksum as it has to be.
+fn write(mut segment: Vec<u8>, header: &SegmentHeader, mut previous: u32, records: &[Placed]) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for placed in records {
+        let offset = HEADER_BYTES as usize + bytes.len();
+        previous = encode_record(&placed.record, header.salt, offset as u32, previous, placed.durable_upto, &mut bytes);
+    }
+    let end = HEADER_BYTES as usize + bytes.len();
+    segment[HEADER_BYTES as usize..end].copy_from_slice(&bytes);
+    segment
+}
+
+/// A network with some history; its node is stopped.
+async fn stopped() -> (Fleet, PathBuf) {
+    let fleet = Fleet::found(1);
+    let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
+    let mut node = fleet.nodes[0].start();
+    let owner = connect(&owner).await;
+    register_robots(&owner, "open").await;
+    let client = connect(&salma).await;
+    for seq in 0..12 {
+        client.invoke("abac", "set", message(0, seq, b"forward")).await.unwrap();
+    }
+    let words = ["verify", &fleet.nodes[0].data.to_string_lossy()];
+    fleet.ctl().run(&words).refused(3, &["LGR-7002", "stop the node"]);
+    node.check();
+    node.interrupt();
+    let segment = fleet.nodes[0].segments().remove(0);
+    (fleet, segment)
+}
+
+#[tokio::test]
+async fn a_right_directory_is_right_and_a_running_node_or_another_directory_is_an_error() {
+    let (fleet, _) = stopped().await;
+    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let report = fleet.ctl().json(&["verify", &data]);
+    assert_eq!((&report["ok"], &report["transactions"]), (&true.into(), &13.into()));
+    assert_eq!(report["verdicts"]["OK"], 13);
+    assert_eq!(report["state_compared"], true);
+    let home = fleet.home().to_string_lossy().into_owned();
+    fleet.ctl().run(&["verify", &home]).refused(3, &["LGR-7002", "genesis.json"]);
+    fleet.ctl().run(&["verify", "/nowhere"]).refused(3, &["LGR-7002", "/nowhere"]);
+    // Without the state there is less to compare, and still everything to execute.
+    fs::remove_dir_all(fleet.nodes[0].data.join("state")).unwrap();
+    let report = fleet.ctl().json(&["verify", &data]);
+    // The log itself may not know yet that its last block is committed; then that one is only counted.
+    let seen = report["transactions"].as_u64().unwrap() + report["uncommitted"].as_u64().unwrap();
+    assert_eq!((seen, &report["state_compared"]), (13, &false.into()));
+    assert!(!fleet.nodes[0].data.join("state").exists(), "verifying has made a directory");
+}
+
+#[tokio::test]
+async fn every_changed_byte_is_found_and_its_place_named() {
+    let (fleet, path) = stopped().await;
+    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let file = path.file_name().unwrap().to_string_lossy().into_owned();
+    let right = fs::read(&path).unwrap();
+    let (_, _, records) = read(&right);
+    let mut faults = 0;
+    // Headers, checksums, payloads, from the first byte to the last record.
+    let mut places: Vec<u64> = vec![0, 8, 16, 48, 56, 92];
+    places.extend(records.iter().flat_map(|placed| [placed.offset, placed.offset + 12, placed.offset + 30]));
+    for place in places {
+        let mut wrong = right.clone();
+        wrong[place as usize] ^= 0x04;
+        fs::write(&path, &wrong).unwrap();
+        let told = fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500", &file, "byte"]);
+        // The place that is named is the record with the changed byte, or the header's.
+        let start = records.iter().map(|placed| placed.offset).filter(|start| *start <= place).max().unwrap_or(0);
+        let named: Vec<u64> = told.stderr.split("byte ").skip(1).filter_map(number).collect();
+        assert!(named.iter().any(|named| (start..=place).contains(named)), "byte {place} of record {start}: {told:?}");
+        faults += 1;
+    }
+    println!("verify: {faults} bytes changed");
+}
+
+fn number(text: &str) -> Option<u64> {
+    let digits: String = text.chars().take_while(char::is_ascii_digit).collect();
+    digits.parse().ok()
+}
+
+#[tokio::test]
+async fn a_forger_who_makes_all_checksums_fit_is_found_out() {
+    let (fleet, path) = stopped().await;
+    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let file = path.file_name().unwrap().to_string_lossy().into_owned();
+    let right = fs::read(&path).unwrap();
+    assert_eq!(
+        {
+            let (header, crc, records) = read(&right);
+            write(right.clone(), &header, crc, &records)
+        },
+        right,
+        "the forger's tools"
+    );
+    let mut faults = 0;
+    for state in ["kept", "deleted"] {
+        if state == "deleted" {
+            fs::remove_dir_all(fleet.nodes[0].data.join("state")).unwrap();
+        }
+        for index in 0..read(&right).2.len() {
+            let (header, crc, mut records) = read(&right);
+            let offset = records[index].offset;
+            // Without the state, the last block may not be known to be committed.
+            let later = records[index + 1..].iter().any(|placed| matches!(placed.record, Record::Entry(_)));
+            let Record::Entry(entry) = &mut records[index].record else { continue };
+            if !later {
+                continue;
+            }
+            let mut payload = Payload::from_bytes(entry.data.clone()).unwrap();
+            let Some(transaction) = payload.transactions.first_mut() else { continue };
+            // What was said to the robot.
+            let mut bytes = transaction.to_vec();
+            let Some(at) = bytes.windows(7).position(|window| window == b"forward") else { continue };
+            bytes[at] = b'F';
+            *transaction = bytes.into();
+            entry.data = payload.to_bytes();
+            fs::write(&path, write(right.clone(), &header, crc, &records)).unwrap();
+            let byte = format!("{file} byte {offset}");
+            let told = fleet.ctl().run(&["verify", &data]);
+            if state == "kept" {
+                told.refused(1, &["LGR-5004", &byte]);
+            } else {
+                // Nothing is left to compare with: the signature alone shows that nobody has signed this.
+                let report = fleet.ctl().json(&["verify", &data]);
+                assert_eq!(report["verdicts"]["BAD_SIGNATURE"], 1, "{report}");
+            }
+            faults += 1;
+        }
+    }
+    println!("verify: {faults} forgeries");
+    assert!(faults >= 20);
+}
+
+#[tokio::test]
+async fn a_torn_tail_is_told_and_a_cut_before_what_was_durable_is_refused() {
+    let (fleet, path) = stopped().await;
+    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let right = fs::read(&path).unwrap();
+    let (_, _, records) = read(&right);
+    // The last record is torn: nobody relied on it, or the state shows that somebody did.
+    let last = records.last().unwrap();
+    let mut torn = right.clone();
+    torn[last.offset as usize + 20..].fill(0);
+    fs::write(&path, &torn).unwrap();
+    let ran = fleet.ctl().run(&["verify", &data, "-o", "json"]);
+    match ran.code {
+        0 => assert!(ran.json()["torn_bytes"].as_u64() > Some(0), "{ran:?}"),
+        _ => drop(ran.refused(1, &["LGR-5004"])),
+    }
+    // In the middle it is not a tail.
+    let middle = &records[records.len() / 2];
+    let mut torn = right.clone();
+    torn[middle.offset as usize + 30..middle.offset as usize + 40].fill(0);
+    fs::write(&path, &torn).unwrap();
+    fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500", "byte"]);
+    // The whole second half gone: the state has seen more.
+    let mut torn = right.clone();
+    torn[middle.offset as usize..].fill(0);
+    fs::write(&path, &torn).unwrap();
+    fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-5004", "not there"]);
+    // The file itself shortened.
+    fs::write(&path, &right[..middle.offset as usize + 3]).unwrap();
+    fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500"]);
+    println!("verify: 4 cuts");
+}

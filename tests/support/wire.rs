@@ -1,0 +1,43 @@
+//! Connections below the Rust client: bytes, TLS, single gRPC calls.
+
+use hyper_util::rt::TokioIo;
+use ledger_api::tls::{ServerTrust, TlsIdentity, client_config};
+use ledger_api::v1::SubmitResponse;
+use ledger_api::v1::gateway_client::GatewayClient;
+use ledger_api::{Context, v1};
+use std::io;
+use std::sync::Arc;
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tonic::transport::{Channel, Endpoint, Uri};
+
+/// A TLS connection to the node of a context, as that identity or as nobody.
+pub async fn tls(context: &Context, named: bool) -> io::Result<TlsStream<TcpStream>> {
+    let identity = named.then(|| TlsIdentity::new(context.chain.clone(), &context.key).unwrap());
+    let config = client_config(identity, ServerTrust::Roots(Arc::clone(&context.msps))).unwrap();
+    let socket = TcpStream::connect(&context.nodes[0]).await?;
+    let name = rustls_pki_types::ServerName::try_from("node.test").unwrap();
+    TlsConnector::from(Arc::new(config)).connect(name, socket).await
+}
+
+/// A gRPC channel over such a connection.
+pub async fn channel(context: &Context, named: bool) -> Channel {
+    let mut stream = Some(tls(context, named).await.unwrap());
+    let connector = tower::service_fn(move |_: Uri| {
+        std::future::ready(stream.take().map(TokioIo::new).ok_or_else(|| io::Error::other("closed")))
+    });
+    Endpoint::from_static("http://node.test").connect_with_connector(connector).await.unwrap()
+}
+
+/// Submits bytes that need be no transaction.
+pub async fn submit(channel: &Channel, transaction: impl Into<ledger::Bytes>) -> Result<SubmitResponse, tonic::Status> {
+    let request = v1::SubmitRequest { transaction: transaction.into() };
+    let mut client = GatewayClient::new(channel.clone()).max_encoding_message_size(64 << 20);
+    client.submit(request).await.map(tonic::Response::into_inner)
+}
+
+/// The number of the code of an answer.
+pub fn code(answer: &SubmitResponse) -> u32 {
+    answer.verdict.as_ref().unwrap().code
+}
