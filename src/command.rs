@@ -10,6 +10,9 @@ use std::future::Future;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
+/// The exit code of a program that was interrupted, as shells have it: 128 and the number of SIGINT.
+const INTERRUPTED: u8 = 130;
+
 /// A permissioned ledger for ROS 2 fleets in one binary.
 #[derive(Parser)]
 #[command(
@@ -63,7 +66,10 @@ pub fn run(builder: NodeBuilder) -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(rejection) => {
             eprint_line(&report(&rejection));
-            ExitCode::from(rejection.code.class().exit_code().max(Class::Failure.exit_code()))
+            ExitCode::from(match rejection.code {
+                Code::ShuttingDown => INTERRUPTED,
+                code => code.class().exit_code().max(Class::Failure.exit_code()),
+            })
         }
     }
 }

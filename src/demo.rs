@@ -38,13 +38,18 @@ pub(crate) struct Options {
 /// Plays the experiment; Ctrl-C ends everything that was started.
 pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
     let seconds = Duration::from_secs(options.seconds);
-    let summary = tokio::select! {
-        summary = play(seconds) => summary?,
+    // Dropping the experiment ends its processes and removes its directory.
+    let played = tokio::select! {
+        played = play(seconds) => played,
         () = stop_signal() => {
-            // Dropping the experiment ends its processes and removes its directory.
-            return Err(Rejection::new(Code::ShuttingDown, "interrupted; everything that was started has been ended"));
+            Err(Rejection::new(Code::ShuttingDown, "interrupted; everything that was started has been ended"))
         }
     };
+    let summary = played.inspect_err(|rejection| {
+        if options.json {
+            print_line(&summary::failure(rejection));
+        }
+    })?;
     print_line(&summary.table());
     if options.json {
         print_line(&summary.json()?);

@@ -3,7 +3,7 @@
 use super::HZ;
 use super::measure::{Percentiles, Phase};
 use ledger::{Code, Rejection};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Serialize, Serializer};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
@@ -21,8 +21,9 @@ pub(super) struct Summary {
     pub commit_ms: Percentiles,
     /// From the operator's publication to the robot's reception.
     pub ros_to_ros_ms: Percentiles,
-    /// Refusals by name of the code.
-    pub refusals: BTreeMap<String, u64>,
+    /// Refusals by code.
+    #[serde(serialize_with = "by_code")]
+    pub refusals: BTreeMap<Code, u64>,
     /// Blocks at the end.
     pub height: u64,
     /// Do both nodes have the same state?
@@ -68,7 +69,7 @@ impl BridgeReport {
 impl Summary {
     /// Counts a refusal that the demo itself was given.
     pub(super) fn refused(&mut self, rejection: &Rejection) {
-        *self.refusals.entry(rejection.code.name().to_owned()).or_default() += 1;
+        *self.refusals.entry(rejection.code).or_default() += 1;
     }
 
     /// Adds what a bridge saw. Commit latency is the one of the bridge that committed most: Salma's.
@@ -76,6 +77,7 @@ impl Summary {
         let mut most = 0;
         for route in report.routes.into_iter().filter(|route| route.direction == "to_ledger") {
             for (code, count) in route.refused {
+                let code = Code::ALL.iter().find(|known| known.name() == code).copied().unwrap_or(Code::Internal);
                 *self.refusals.entry(code).or_default() += count;
             }
             if route.committed > most && self.commit_ms.max == 0.0 {
@@ -111,7 +113,7 @@ impl Summary {
         must(self.stopped, "the robot got no stop message when Salma released it".into());
         must(self.handed_over, "no message of Farhad arrived after he acquired the robot".into());
         must(self.digest_equal, "the nodes do not have the same state".into());
-        must(self.refusals.contains_key(Code::NotHolder.name()), "no message of the intruder was refused".into());
+        must(self.refusals.contains_key(&Code::NotHolder), "no message of the intruder was refused".into());
         faults
     }
 
@@ -140,7 +142,7 @@ impl Summary {
         }
         text.push_str("\n  refusals\n");
         for (code, count) in &self.refusals {
-            let _infallible = writeln!(text, "  {code:<24}{count:>8}");
+            let _infallible = writeln!(text, "  {code} {:<17}{count:>8}", code.name());
         }
         let yes = |held: bool| if held { "yes" } else { "NO" };
         let _infallible = write!(
@@ -166,4 +168,15 @@ impl Summary {
         serde_json::to_string(&Line { ok: self.faults().is_empty(), version: env!("CARGO_PKG_VERSION"), summary: self })
             .map_err(|error| Rejection::new(Code::Internal, error.to_string()))
     }
+}
+
+/// Codes as `LGR-3005`.
+fn by_code<S: Serializer>(refusals: &BTreeMap<Code, u64>, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(refusals.iter().map(|(code, count)| (code.to_string(), count)))
+}
+
+/// The line for programs when the experiment could not be played to its end.
+pub(super) fn failure(rejection: &Rejection) -> String {
+    let error = serde_json::json!({"code": rejection.code.to_string(), "message": rejection.message});
+    serde_json::json!({"ok": false, "version": env!("CARGO_PKG_VERSION"), "error": error}).to_string()
 }
