@@ -45,8 +45,7 @@ const SECONDS_SMOKE: f64 = 0.1;
 
 fn main() {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
-    let filter = arguments.iter().find(|argument| !argument.starts_with('-'));
-    let selected = |name: &str| filter.is_none_or(|filter| name.contains(filter.as_str()));
+    let with_sweep = !arguments.iter().any(|argument| argument.contains("one_in_flight"));
     // Without --bench it was started as a test, which wants to know only whether it works.
     let smoke = !arguments.iter().any(|argument| argument == "--bench");
     let mut criterion = Criterion::default().configure_from_args();
@@ -54,7 +53,7 @@ fn main() {
     for shape in [ONE_VOTER, PAPER] {
         let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
         let network = runtime.block_on(Network::start(shape));
-        if selected("sweep") {
+        if with_sweep {
             results.insert(shape.name.to_owned(), sweep(&runtime, &network, shape, smoke));
         }
         one_in_flight(&mut criterion, &network, shape);
