@@ -72,19 +72,24 @@ impl NodeView {
             self.denials.record(self.clock.now(), &refusal);
             Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection))
         };
+        // Not even looked at, but named: by the id a client on a stream knows which of its transactions is meant.
+        let refuse_unread = |rejection| {
+            let transaction = Transaction::decode(request.transaction.clone()).ok();
+            refuse(Refusal { who: None, transaction, rejection })
+        };
         let limit = self.limits.payload_bytes_max;
         if request.transaction.len() as u64 > limit {
             let rejection = Rejection::new(Code::TooLarge, "transaction is larger than this node accepts")
                 .found(format!("{} bytes", request.transaction.len()))
                 .wanted(format!("at most {limit} bytes (limits.payload_bytes_max)"))
                 .next("send less at once, or raise the limit in the node's configuration");
-            return Err(refuse(Refusal { who: None, transaction: None, rejection }));
+            return Err(refuse_unread(rejection));
         }
         if self.disk_full.load(Ordering::Relaxed) {
             let rejection =
                 Rejection::new(Code::DiskFull, "the node's disk is almost full, so it accepts nothing more")
                     .next("free space on the node's disk; it goes on by itself");
-            return Err(refuse(Refusal { who: None, transaction: None, rejection }));
+            return Err(refuse_unread(rejection));
         }
         match self.ledger.admit(request.transaction, self.clock.now()) {
             Ok(Admission::New(transaction)) => Ok(transaction),

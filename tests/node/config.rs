@@ -22,7 +22,7 @@ fn check_names_every_fault_at_once_with_its_line_and_the_nearest_name() {
     let place = TempDir::new().unwrap();
     let file = place.path().join("ledgerd.toml");
     let faults = [
-        ("listn = \"127.0.0.1:7450\"", "\"listen\""),
+        ("listn = \"127.0.0.1:7450\"", "did you mean listen?"),
         ("data = 7", "data"),
         ("[limits]", ""),
         ("payload_byte_max = 4096", "payload_bytes_max"),

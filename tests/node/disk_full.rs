@@ -2,6 +2,7 @@
 
 use crate::support::network::{message, register_robots};
 use crate::support::wait::PATIENCE;
+use crate::support::wire;
 use crate::support::{Fleet, Process, connect, eventually, until};
 use ledger::Code;
 use ledger::identity::Role;
@@ -107,6 +108,7 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
     let mut seq = 0;
     let rounds = 3;
     for round in 0..rounds {
+        let channel = wire::channel(&salma, true).await;
         fill(&ballast);
         // Messages large enough to need the next segments, until the node says that it is full.
         let deadline = Instant::now() + PATIENCE;
@@ -119,18 +121,28 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
                 args: message(0, seq, &vec![round; 200_000]),
                 ttl: PATIENCE,
             };
-            let pending = client.submit_nowait(&client.prepare(call).unwrap());
+            // Below the Rust client, which would wait for space.
+            let transaction = client.prepare(call).unwrap();
+            let answer = wire::submit(&channel, transaction.encoded().clone());
             // What is under way when the disk fills is neither lost nor refused, it waits for space: so others go on.
-            match tokio::time::timeout(Duration::from_secs(1), pending).await {
-                Ok(Ok(committed)) => acknowledged.push(committed),
-                Ok(Err(refusal)) => break refusal,
+            match tokio::time::timeout(Duration::from_secs(1), answer).await {
+                Ok(answer) => {
+                    let answer = answer.unwrap();
+                    match wire::code(&answer) {
+                        0 => acknowledged.push((transaction.id(), answer.height, answer.index)),
+                        _ => break answer.verdict.unwrap(),
+                    }
+                }
                 Err(_) => {}
             }
         };
-        assert_eq!(refusal.code, Code::DiskFull, "{refusal}");
-        assert!(refusal.next.contains("free space"), "{refusal}");
+        assert_eq!(refusal.code, u32::from(Code::DiskFull.number()), "{refusal:?}");
+        assert!(refusal.next.contains("free space"), "{refusal:?}");
         node.check();
         node.no_panic();
+        seq += 1;
+        let told = client.invoke("abac", "set", message(0, seq, &[])).await.unwrap_err();
+        assert_eq!(told.code, Code::DiskFull, "{told}");
         // Reading goes on.
         client.query("abac", "robots", vec![]).await.unwrap();
         if round == 1 {
@@ -148,13 +160,13 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
             async move { client.invoke("abac", "set", call).await.ok() }
         })
         .await;
-        acknowledged.push(committed);
+        acknowledged.push((committed.id, committed.height, committed.index));
         node.check();
         node.no_panic();
     }
-    for committed in &acknowledged {
-        let record = auditor.transaction(committed.id).await.unwrap();
-        assert_eq!((record.height, record.index), (committed.height, committed.index));
+    for (id, height, index) in &acknowledged {
+        let record = auditor.transaction(*id).await.unwrap();
+        assert_eq!((record.height, record.index), (*height, *index));
         assert_eq!(record.verdict.unwrap().code, 0);
     }
     let status = auditor.status().await.unwrap();

@@ -266,7 +266,7 @@ async fn a_users_certificate_is_no_nodes() {
     context.save(&target.fleet.home()).unwrap();
     let ctl = target.fleet.ctl();
     let told = tokio::task::spawn_blocking(move || ctl.as_("deceived").run(&["status"])).await.unwrap();
-    told.refused(2, &["LGR-2", "Org1/Salma"]);
+    told.refused(2, &["LGR-2001", "CN=Salma", "serverAuth"]);
     let enrolment = Enrolment::new(fake, target.fleet.founded.authorities[0].fingerprint);
     let refusal = enrolment.enrol("Eve", "00", KeyKind::Ed25519).await.unwrap_err();
     assert!(matches!(refusal.code, Code::WrongRole | Code::Untrusted), "{refusal}");
@@ -405,7 +405,9 @@ async fn what_is_too_large_is_refused_by_the_configured_limit() {
         assert!(answer.verdict.unwrap().wanted.contains("1048576"));
         target.survived("a large transaction").await;
     }
-    let fits = submit(&channel, sized(&target, (1 << 20) - 1000, 10).encoded().clone()).await.unwrap();
+    target.faults += 1;
+    let next = 1_000_000 + target.faults;
+    let fits = submit(&channel, sized(&target, (1 << 20) - 1000, next).encoded().clone()).await.unwrap();
     assert_eq!(code(&fits), 0, "{:?}", fits.verdict);
     // More than gRPC takes in at all.
     let status = submit(&channel, vec![0; 40 << 20]).await;

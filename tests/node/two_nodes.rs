@@ -101,13 +101,16 @@ async fn the_learner_forwards_follows_and_catches_up_after_every_end() {
     let renewed = waiting.await.unwrap().unwrap();
     agree(&leader, &follower, renewed.height).await;
 
-    // A learner that has lost everything but its identity takes it all from the leader.
+    // A learner that has lost everything but its identity takes it all from a leader that does not count on what it
+    // had: until then it says nothing, rather than something wrong.
     learner.interrupt();
+    orderer.interrupt();
     for directory in ["blocks", "state"] {
         std::fs::remove_dir_all(fleet.nodes[1].data.join(directory)).unwrap();
     }
     faults += 1;
     learner = fleet.nodes[1].start();
+    orderer = fleet.nodes[0].start();
     let status = agree(&leader, &follower, renewed.height).await;
     for node in [&mut orderer, &mut learner] {
         node.check();

@@ -97,7 +97,13 @@ async fn every_changed_byte_is_found_and_its_place_named() {
         let mut wrong = right.clone();
         wrong[place as usize] ^= 0x04;
         fs::write(&path, &wrong).unwrap();
-        let told = fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500", &file, "byte"]);
+        let told = fleet.ctl().run(&["verify", &data]);
+        if told.code == 0 && place >= records.last().unwrap().offset {
+            // Nothing after it proves that it was written as a whole: a torn tail, and nothing was promised by it.
+            assert!(told.stdout.contains("torn"), "{told:?}");
+            continue;
+        }
+        let told = told.refused(1, &["LGR-500", &file, "byte"]);
         // The place that is named is the record with the changed byte, or the header's.
         let start = records.iter().map(|placed| placed.offset).filter(|start| *start <= place).max().unwrap_or(0);
         let named: Vec<u64> = told.stderr.split("byte ").skip(1).filter_map(number).collect();
