@@ -14,6 +14,7 @@ use crate::peers::Member;
 use crate::waiters::{Waiter, Waiters};
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
+pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
     Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, QueryRequest,
@@ -87,21 +88,6 @@ impl NodeView {
         identity.check_validity(wall()).map_err(|error| status(&error.into()))?;
         self.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
     }
-}
-
-/// A refusal of a whole call, as gRPC reports it. The stable code stands in the message.
-pub(crate) fn status(rejection: &ledger::Rejection) -> Status {
-    use ledger::Class;
-    let code = match rejection.code.class() {
-        Class::Ok | Class::Failure => tonic::Code::Internal,
-        Class::Denied if rejection.code == Code::CertificateRequired => tonic::Code::Unauthenticated,
-        Class::Denied => tonic::Code::PermissionDenied,
-        Class::Invalid if rejection.code == Code::NotFound => tonic::Code::NotFound,
-        Class::Invalid => tonic::Code::InvalidArgument,
-        Class::Unreachable => tonic::Code::Unavailable,
-        Class::Conflict => tonic::Code::FailedPrecondition,
-    };
-    Status::new(code, rejection.to_string())
 }
 
 #[tonic::async_trait]
