@@ -7,13 +7,14 @@ use futures::StreamExt;
 use ledger::identity::{Identity, Role};
 use ledger::key::KeyKind;
 use ledger::msp::Msps;
-use ledger::transaction::{Body, Transaction};
+use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_api::v1::enrolment_client::EnrolmentClient;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::{Client, Context, Enrolment, v1};
+use ring::rand::{SecureRandom, SystemRandom};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -69,11 +70,12 @@ impl Target {
     }
 
     fn body(&self) -> Body {
-        let mut nonce = Dice::roll("nonce");
+        let mut nonce = [0; NONCE_BYTES];
+        SystemRandom::new().fill(&mut nonce).unwrap();
         Body {
             network: Bytes::copy_from_slice(&self.salma.network.0),
             creator: Bytes::copy_from_slice(Hash::of(&[&self.salma.chain[0]]).as_ref()),
-            nonce: nonce.bytes(16).into(),
+            nonce: Bytes::copy_from_slice(&nonce),
             not_after: now() + 30_000_000,
             chaincode: "abac".into(),
             function: "robots".into(),
@@ -312,7 +314,7 @@ async fn bytes_that_are_no_good_transaction_are_refused_each_with_its_code() {
     target.survived("changed transactions").await;
 
     let strange = Hash::of(&[b"elsewhere"]);
-    let stranger = ledger::key::SigningKey::generate(KeyKind::Ed25519, &ring::rand::SystemRandom::new()).unwrap();
+    let stranger = ledger::key::SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
     let cases = [
         (1003, target.signed(|body| body.network = Bytes::copy_from_slice(&strange.0))),
         (1005, target.signed(|body| body.creator = Bytes::copy_from_slice(&strange.0))),

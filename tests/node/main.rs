@@ -9,7 +9,6 @@
     clippy::print_stdout,
     clippy::print_stderr,
     unreachable_pub,
-    missing_docs,
     reason = "tests"
 )]
 

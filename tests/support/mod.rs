@@ -18,8 +18,8 @@ pub mod programs;
 pub mod wait;
 pub mod wire;
 
-pub use ctl::{Ctl, Ran};
+pub use ctl::Ctl;
 pub use dev::Dev;
-pub use network::{Fleet, NodePlace, connect};
+pub use network::{Fleet, connect};
 pub use process::Process;
 pub use wait::{Dice, eventually, until};
