@@ -88,7 +88,7 @@ impl Orderer {
             flush: None,
             status: Arc::clone(&status),
             deadline,
-            asked_for: 0,
+            asked_for: (0, 0),
         };
         let threads = vec![
             std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks))?,
@@ -140,8 +140,8 @@ struct Order {
     flush: Option<u64>,
     status: Arc<Mutex<Status>>,
     deadline: Arc<AtomicU64>,
-    /// The deadline for which an empty block was asked for already.
-    asked_for: u64,
+    /// The deadline for which an empty block was asked for, and the height then: asked once until a block came.
+    asked_for: (u64, u64),
 }
 
 impl Order {
@@ -180,17 +180,23 @@ impl Order {
     fn idle_time(&self, next_tick: Instant) -> Duration {
         let until_tick = next_tick.saturating_duration_since(Instant::now());
         let deadline = self.deadline.load(Ordering::Relaxed);
-        if !self.leading || deadline == self.asked_for {
-            return until_tick;
+        match deadline.saturating_sub(self.shared.clock.now()) {
+            // Asked for already, or not ours to meet.
+            0 => until_tick,
+            _ if !self.leading => until_tick,
+            left => until_tick.min(Duration::from_micros(left)),
         }
-        until_tick.min(Duration::from_micros(deadline.saturating_sub(self.shared.clock.now())))
     }
 
     /// Orders an empty block when something is due and no traffic moved block time past it.
     fn meet_deadline(&mut self) {
         let deadline = self.deadline.load(Ordering::Relaxed);
-        if self.leading && deadline != self.asked_for && self.shared.clock.now() >= deadline {
-            self.asked_for = deadline;
+        if !self.leading || self.shared.clock.now() < deadline {
+            return;
+        }
+        let asking_for = (deadline, self.shared.ledger.tip().height);
+        if self.asked_for != asking_for {
+            self.asked_for = asking_for;
             self.step(Input::ProposeEmpty);
         }
     }
@@ -237,6 +243,7 @@ impl Order {
             }
             Output::Role(change) => {
                 self.leading = change.role == Role::Leader;
+                self.asked_for = (0, 0);
                 tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
                 self.report();
             }
