@@ -29,6 +29,10 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
+/// The kind of nodes' keys. They are seen by every client's TLS, and BoringSSL (gRPC in C++, Python, Ruby and others)
+/// accepts no server with an Ed25519 key.
+const NODE_KEY: KeyKind = KeyKind::P256;
+
 /// A network to be founded.
 #[derive(Clone, Debug, PartialEq)]
 pub struct NetworkPlan {
@@ -45,7 +49,7 @@ pub struct NetworkPlan {
 pub struct PlannedOrganisation {
     /// Name, e.g. `Org1`.
     pub name: String,
-    /// The kind of its CA's key, and of its nodes' keys.
+    /// The kind of its CA's key.
     pub key: KeyKind,
 }
 
@@ -166,7 +170,7 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
             roots: vec![Bytes::copy_from_slice(authority.root())],
             intermediates: Vec::new(),
         });
-        authorities.insert(name, (authority, organisation.key));
+        authorities.insert(name, authority);
     }
     let mut salt = Hash::ZERO;
     SystemRandom::new()
@@ -184,8 +188,8 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
     let document = genesis.to_bytes()?;
     let (genesis, network) = Genesis::from_bytes(&document)?;
     for (node, stage) in plan.nodes.iter().zip(staged) {
-        let Some((authority, kind)) = authorities.get_mut(&node.organisation) else { continue };
-        let issued = authority.issue(&node.name, Role::Node, BTreeMap::new(), *kind, now)?;
+        let Some(authority) = authorities.get_mut(&node.organisation) else { continue };
+        let issued = authority.issue(&node.name, Role::Node, BTreeMap::new(), NODE_KEY, now)?;
         write_node(stage.path(), &document, &issued)?;
     }
     Ok(Founded { genesis, document, network, authorities: founded })

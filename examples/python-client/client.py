@@ -5,8 +5,7 @@
         ledgerd/v1/transaction.proto ledgerd/v1/gateway.proto
     venv/bin/python client.py ~/.config/ledgerd/contexts/Salma Turtlebot4/cmd_vel
 
-The argument is a context that `ledgerctl enroll` made. gRPC for Python accepts only servers with a P-256 certificate:
-found the network with `ledgerd init --key p256`.
+The argument is a context that `ledgerctl enroll` made.
 """
 
 import hashlib

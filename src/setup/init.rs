@@ -37,7 +37,7 @@ pub struct InitOptions {
     /// Where clients and other nodes reach the node; the setting `listen` if left out.
     #[arg(long, value_name = "HOST:PORT")]
     pub address: Option<String>,
-    /// Kind of the keys of the organisation's CA and of the node: ed25519 or p256.
+    /// Kind of the key of the organisation's CA: ed25519 or p256.
     #[arg(long, value_name = "KIND", default_value_t = KeyKind::Ed25519)]
     pub key: KeyKind,
     /// Name of the first admin, who receives a one-time secret.
