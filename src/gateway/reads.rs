@@ -172,8 +172,13 @@ impl NodeView {
         let creator = ledger::transaction::Transaction::decode(encoded.clone())
             .ok()
             .and_then(|transaction| self.ledger.creator_name(&transaction.creator()));
-        let mut caused = outcome.events.iter().filter(|emitted| emitted.index == Some(position));
-        let readable = caused.all(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok());
+        let caused: Vec<_> = outcome.events.iter().filter(|emitted| emitted.index == Some(position)).collect();
+        let events: Vec<_> = caused
+            .iter()
+            .filter(|emitted| self.ledger.may_read(caller, &emitted.event).is_ok())
+            .map(|emitted| event_record((*emitted).clone()))
+            .collect();
+        let readable = events.len() == caused.len();
         TransactionRecord {
             id: outcome.ids.get(index).map(|id| id.0.to_vec().into()).unwrap_or_default(),
             height: outcome.header.height,
@@ -183,6 +188,7 @@ impl NodeView {
             response: result.response,
             transaction: if readable { encoded } else { Bytes::new() },
             creator: creator.unwrap_or_default(),
+            events,
         }
     }
 }

@@ -143,9 +143,12 @@ fn revoking_an_identity_ends_its_grants_in_the_same_block() {
     let revoked = dev.admin().json(&["identity", "revoke", "Salma", "--reason", "laptop stolen"]);
     let height = revoked["certificates"][0]["height"].to_string();
 
-    // The subscription that begins there hears of both from one block.
+    // The block that revokes the certificate is the block that ends the grant.
     let block = dev.owner().json(&["block", &height]);
     assert_eq!(names(&block["transactions"], "function"), ["revoke"]);
+    let events = &block["transactions"][0]["events"];
+    assert_eq!(names(events, "name"), ["revoked", "released"]);
+    assert_eq!(events[1]["payload"]["reason"], "revoked");
     let robot = farhad.json(&["robot", "show", "Turtlebot4"]);
     assert_eq!((&robot["UnderOp"], &robot["owner"]), (&false.into(), &"".into()));
     let grant = farhad.json(&["acquire", "Turtlebot4"]);

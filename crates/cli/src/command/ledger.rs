@@ -1,6 +1,7 @@
 //! `status`, `block`, `tx`: the node and its chain.
 
 mod block;
+mod event;
 mod status;
 mod tx;
 

@@ -1,7 +1,7 @@
 //! `block`: one block of the chain.
 
+use super::event::EventFacts;
 use super::tx::TransactionFacts;
-use crate::answer::Answer;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
@@ -40,22 +40,8 @@ struct BlockFacts {
     events: Vec<EventFacts>,
 }
 
-#[derive(Serialize)]
-struct EventFacts {
-    chaincode: String,
-    name: String,
-    subject: String,
-    payload: Answer,
-}
-
 impl From<v1::Block> for BlockFacts {
     fn from(block: v1::Block) -> Self {
-        let event = |event: v1::EventRecord| EventFacts {
-            chaincode: event.chaincode,
-            name: event.name,
-            subject: event.subject,
-            payload: Answer::read(&event.payload),
-        };
         Self {
             height: block.height,
             term: block.term,
@@ -66,7 +52,7 @@ impl From<v1::Block> for BlockFacts {
             root: hex::encode(block.root),
             state_digest: hex::encode(block.state_digest),
             transactions: block.transactions.into_iter().map(TransactionFacts::from).collect(),
-            events: block.events.into_iter().map(event).collect(),
+            events: block.events.into_iter().map(EventFacts::from).collect(),
         }
     }
 }
@@ -96,12 +82,17 @@ impl Facts for BlockFacts {
             }
             table.write(out, 0)?;
         }
-        if !self.events.is_empty() {
+        let own = self.events.iter().map(|event| ("-".to_owned(), event));
+        let caused = self
+            .transactions
+            .iter()
+            .flat_map(|cause| cause.events.iter().map(|event| (cause.index.to_string(), event)));
+        let mut events = own.chain(caused).peekable();
+        if events.peek().is_some() {
             writeln!(out)?;
-            let mut table = Table::new(["EVENT", "SUBJECT", "DETAILS"]);
-            for event in &self.events {
-                let name = format!("{} {}", event.chaincode, event.name);
-                table.row([name, event.subject.clone(), event.payload.to_text().replace('\n', " ")]);
+            let mut table = Table::new(["INDEX", "EVENT", "SUBJECT", "DETAILS"]);
+            for (index, event) in events {
+                table.row([index, event.what(), event.subject.clone(), event.details()]);
             }
             table.write(out, 0)?;
         }

@@ -1,6 +1,7 @@
 //! `tx`: one transaction of the chain.
 
 use super::code_text;
+use super::event::EventFacts;
 use crate::answer::Answer;
 use crate::cli::Global;
 use crate::failure::Failure;
@@ -49,6 +50,7 @@ pub(super) struct TransactionFacts {
     args: Vec<Answer>,
     pub(super) code: String,
     message: String,
+    pub(super) events: Vec<EventFacts>,
     #[serde(flatten)]
     response: Answer,
 }
@@ -69,6 +71,7 @@ impl From<v1::TransactionRecord> for TransactionFacts {
             args: body.args.iter().map(|arg| Answer::read(arg)).collect(),
             code: code_text(verdict.code),
             message: verdict.message,
+            events: record.events.into_iter().map(EventFacts::from).collect(),
             response: Answer::read(&record.response),
         }
     }
@@ -106,6 +109,9 @@ impl Facts for TransactionFacts {
         table.pair("creator", &self.creator);
         table.pair("call", self.call());
         table.pair("verdict", format!("{} {}", self.code, self.message).trim_end());
+        for event in &self.events {
+            table.pair("event", format!("{}  {}  {}", event.what(), event.subject, event.details()));
+        }
         table.write(out, 0)?;
         let response = self.response.to_text();
         if response.is_empty() { Ok(()) } else { writeln!(out, "response\n{response}") }
