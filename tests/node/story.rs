@@ -148,7 +148,7 @@ fn revoking_an_identity_ends_its_grants_in_the_same_block() {
     assert_eq!(names(&block["transactions"], "function"), ["revoke"]);
     let events = &block["transactions"][0]["events"];
     assert_eq!(names(events, "name"), ["revoked", "released"]);
-    assert_eq!(events[1]["payload"]["reason"], "revoked");
+    assert_eq!(events[1]["payload"]["response"]["reason"], "revoked");
     let robot = farhad.json(&["robot", "show", "Turtlebot4"]);
     assert_eq!((&robot["UnderOp"], &robot["owner"]), (&false.into(), &"".into()));
     let grant = farhad.json(&["acquire", "Turtlebot4"]);
