@@ -96,7 +96,7 @@ impl Gateway for GatewayService {
         self.caller(&request)?;
         let (answers, mut answer) = mpsc::unbounded_channel();
         let permit = self.permit().await?;
-        self.node.submit(request.into_inner(), Waiter { answers, _permit: permit });
+        self.node.submit(request.into_inner(), Waiter { answers, _permit: permit }).await;
         answer.recv().await.ok_or_else(|| Status::unavailable("the node is stopping"))?.map(Response::new)
     }
 

@@ -18,8 +18,8 @@ const PERIOD: Duration = Duration::from_millis(50);
 const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 /// World state in memory that is stored at once.
 const DIRTY_BYTES_MAX: usize = 4 * 1024 * 1024;
-/// Waiters and disk are looked at this often.
-const WATCH_PERIOD: Duration = Duration::from_secs(1);
+/// Waiters are looked at this often.
+const SWEEP_PERIOD: Duration = Duration::from_secs(1);
 /// With less space than this left, nothing more is accepted: what was accepted must still fit.
 const FREE_BYTES_MIN: u64 = 16 * 1024 * 1024;
 
@@ -37,7 +37,7 @@ impl Housekeeping {
     pub(crate) fn start(node: Arc<NodeView>, store: Arc<BlockStore>, data: PathBuf) -> io::Result<Self> {
         let (stop, stopped) = mpsc::channel();
         let thread = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
-            let mut rounds = Rounds { node, store, data, flushed: Instant::now(), watched: None };
+            let mut rounds = Rounds { node, store, data, flushed: Instant::now(), swept: None };
             while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
                 rounds.round();
             }
@@ -60,11 +60,12 @@ struct Rounds {
     store: Arc<BlockStore>,
     data: PathBuf,
     flushed: Instant,
-    watched: Option<Instant>,
+    swept: Option<Instant>,
 }
 
 impl Rounds {
     fn round(&mut self) {
+        self.watch_disk();
         if let Err(error) = self.store.prepare() {
             tracing::debug!(%error, "cannot zero the log ahead");
         }
@@ -72,15 +73,18 @@ impl Rounds {
         if dirty > DIRTY_BYTES_MAX || (dirty > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {
             self.flush();
         }
-        if self.watched.is_none_or(|watched| watched.elapsed() >= WATCH_PERIOD) {
-            self.watched = Some(Instant::now());
+        if self.swept.is_none_or(|swept| swept.elapsed() >= SWEEP_PERIOD) {
+            self.swept = Some(Instant::now());
             self.node.waiters.sweep();
-            self.watch_disk();
         }
     }
 
     fn flush(&mut self) {
         self.flushed = Instant::now();
+        if self.node.disk_full.load(Ordering::Relaxed) {
+            // The blocks have it; what the log still has to write goes first.
+            return;
+        }
         match self.node.ledger.state().flush() {
             Ok(()) => {}
             Err(fault) if fault.code == Code::DiskFull => self.set_full(true),

@@ -33,7 +33,7 @@ impl NodeView {
     }
 
     /// Waits until this node has executed the block at a height.
-    async fn reach(&self, height: u64) -> Result<(), Rejection> {
+    pub(super) async fn reach(&self, height: u64) -> Result<(), Rejection> {
         let mut head = self.blocks.head();
         let reached = tokio::time::timeout(WAIT_FOR_HEIGHT, head.wait_for(|reached| *reached >= height)).await;
         match reached {

@@ -35,7 +35,7 @@ pub(super) fn stream(
             };
             let Some(Ok(request)) = request else { return };
             let Ok(permit) = gateway.permit().await else { return };
-            gateway.node.submit(request, Waiter { answers: answers.clone(), _permit: permit });
+            gateway.node.submit(request, Waiter { answers: answers.clone(), _permit: permit }).await;
         }
     });
     UnboundedReceiverStream::new(verdicts)
@@ -43,7 +43,14 @@ pub(super) fn stream(
 
 impl NodeView {
     /// Admits a transaction and hands it to the orderer. The waiter is answered now or when the verdict is known.
-    pub(super) fn submit(&self, request: SubmitRequest, waiter: Waiter) {
+    pub(super) async fn submit(&self, request: SubmitRequest, waiter: Waiter) {
+        if request.min_height > self.ledger.tip().height
+            && let Err(reason) = self.reach(request.min_height).await
+        {
+            let id = Transaction::decode(request.transaction).ok().map(|transaction| transaction.id());
+            let _gone = waiter.answers.send(Ok(refused(id.as_ref(), &reason)));
+            return;
+        }
         let transaction = match self.admit(request) {
             Ok(transaction) => transaction,
             Err(answer) => {

@@ -137,7 +137,9 @@ impl World {
         let fingerprint = founded.authorities[0].fingerprint;
         let salma = enrol(&admin, &home, ("Salma", Role::Member), "Rover", addresses[0], fingerprint).await;
         let farhad = enrol(&admin, &home, ("Farhad", Role::Member), "Rover", addresses[0], fingerprint).await;
-        register_rover(&owner, topic, kind).await;
+        let height = register_rover(&owner, topic, kind).await;
+        // The owner asked the other node: Salma's may be a moment behind it.
+        salma.query_at(height, "abac", "robots", Vec::new()).await.unwrap();
         Self { salma, farhad, _nodes: nodes, directory }
     }
 
@@ -216,10 +218,10 @@ async fn enrol(
     Client::connect(&context).await.unwrap()
 }
 
-async fn register_rover(owner: &Client, topic: &str, kind: &str) {
+async fn register_rover(owner: &Client, topic: &str, kind: &str) -> u64 {
     let service = serde_json::json!({"topic": topic, "type": kind, "mode": "exclusive", "max_age_ms": 5000});
     let spec = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "services": [service]});
-    owner.invoke("abac", "setup", vec![Bytes::from(spec.to_string())]).await.unwrap();
+    owner.invoke("abac", "setup", vec![Bytes::from(spec.to_string())]).await.unwrap().height
 }
 
 async fn connect(context: &Context) -> Client {

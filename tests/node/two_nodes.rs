@@ -1,11 +1,15 @@
 //! The demo's topology: Org1's node orders, Org2's follows. What goes in at one comes out at the other.
 
 use crate::support::network::{message, register_robots};
-use crate::support::{Fleet, connect, until};
+use crate::support::{Fleet, connect, until, wire};
 use ledger::Code;
 use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
-use ledger_api::{Client, Context, Subscription};
+use ledger_api::{Call, Client, Context, Subscription};
+use std::time::Duration;
+
+/// Longer than any wait of the test.
+const PATIENCE: Duration = Duration::from_secs(60);
 
 /// The same person, at another node.
 fn at(context: &Context, fleet: &Fleet, node: usize) -> Context {
@@ -24,6 +28,24 @@ async fn agree(leader: &Client, learner: &Client, height: u64) -> StatusResponse
         Some(one)
     })
     .await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let _nodes = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let leader = connect(&at(&owner, &fleet, 0)).await;
+    register_robots(&leader, "exclusive").await;
+    let seen = leader.height_seen();
+    let channel = wire::channel(&at(&owner, &fleet, 1), true).await;
+    let call = Call { chaincode: "msp".into(), function: "organisations".into(), args: Vec::new(), ttl: PATIENCE };
+    let transaction = leader.prepare(call).unwrap();
+    // A height that will never come: the learner waits, and then says that it is behind instead of judging by less.
+    let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen + 1_000_000).await.unwrap();
+    assert_eq!(wire::code(&answer), u32::from(Code::Behind.number()));
+    let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen).await.unwrap();
+    assert_eq!(wire::code(&answer), 0);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

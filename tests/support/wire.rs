@@ -32,7 +32,16 @@ pub async fn channel(context: &Context, named: bool) -> Channel {
 
 /// Submits bytes that need be no transaction.
 pub async fn submit(channel: &Channel, transaction: impl Into<ledger::Bytes>) -> Result<SubmitResponse, tonic::Status> {
-    let request = v1::SubmitRequest { transaction: transaction.into() };
+    submit_from(channel, transaction, 0).await
+}
+
+/// As [`submit`], to be looked at from a height on.
+pub async fn submit_from(
+    channel: &Channel,
+    transaction: impl Into<ledger::Bytes>,
+    min_height: u64,
+) -> Result<SubmitResponse, tonic::Status> {
+    let request = v1::SubmitRequest { transaction: transaction.into(), min_height };
     let mut client = GatewayClient::new(channel.clone()).max_encoding_message_size(64 << 20);
     client.submit(request).await.map(tonic::Response::into_inner)
 }

@@ -6,7 +6,7 @@
 use super::Committed;
 use super::session::{Session, is_final};
 use crate::report::accepted;
-use crate::v1::{SubmitRequest, SubmitResponse};
+use crate::v1::SubmitResponse;
 use ledger::transaction::{TRANSACTION_BYTES_MAX, Transaction};
 use ledger::{Bytes, Class, Code, Hash, Rejection};
 use std::collections::HashMap;
@@ -35,7 +35,7 @@ pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
 
 pub(super) type Verdict = Result<Committed, Rejection>;
-type Outgoing = mpsc::UnboundedSender<SubmitRequest>;
+type Outgoing = mpsc::UnboundedSender<Bytes>;
 
 /// What an answer means for the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -279,8 +279,7 @@ impl InFlight {
 
 impl Entry {
     fn send(&mut self, outgoing: Option<&Outgoing>, now: Instant) {
-        let request = SubmitRequest { transaction: self.encoded.clone() };
-        if outgoing.is_some_and(|outgoing| outgoing.send(request).is_ok()) {
+        if outgoing.is_some_and(|outgoing| outgoing.send(self.encoded.clone()).is_ok()) {
             self.state = State::Sent(now);
             self.attempts += 1;
         } else {

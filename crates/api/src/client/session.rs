@@ -19,6 +19,7 @@ use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
 use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
+use tokio_stream::StreamExt;
 use tokio_stream::wrappers::UnboundedReceiverStream;
 use tonic::Streaming;
 use tonic::transport::Channel;
@@ -44,7 +45,7 @@ pub(super) struct Session {
     /// Is there another node to go to?
     several: bool,
     /// Largest height seen in an answer or delivery.
-    seen: AtomicU64,
+    seen: Arc<AtomicU64>,
 }
 
 /// The connection as it is now.
@@ -86,6 +87,7 @@ impl Session {
             certificate: credentials.certificate.clone(),
             network: credentials.network,
             patience: options.connect,
+            seen: Arc::default(),
         };
         let opened = dialer.round().await?;
         let (link, _) = watch::channel(Link { number: 0, connection: opened.connection.clone(), broken: None });
@@ -97,7 +99,7 @@ impl Session {
             link,
             unwanted,
             several: dialer.nodes.len() > 1,
-            seen: AtomicU64::new(0),
+            seen: Arc::clone(&dialer.seen),
         });
         let answers = session.install(1, opened);
         let keeper = Keeper { session: Arc::downgrade(&session), dialer, complaints };
@@ -210,12 +212,14 @@ struct Dialer {
     certificate: Bytes,
     network: Hash,
     patience: Duration,
+    /// Largest height seen: a node that is behind it waits before it looks at a transaction.
+    seen: Arc<AtomicU64>,
 }
 
 /// A connection with its stream of transactions.
 struct Opened {
     connection: Connection,
-    requests: mpsc::UnboundedSender<SubmitRequest>,
+    requests: mpsc::UnboundedSender<Bytes>,
     answers: Streaming<SubmitResponse>,
     /// What the node's clock showed at a moment.
     clock: u64,
@@ -254,8 +258,11 @@ impl Dialer {
                 .next("check the address, or select the context of that network"));
         }
         let (requests, outgoing) = mpsc::unbounded_channel();
+        let seen = Arc::clone(&self.seen);
+        let outgoing = UnboundedReceiverStream::new(outgoing)
+            .map(move |transaction| SubmitRequest { transaction, min_height: seen.load(Ordering::Relaxed) });
         let mut gateway = up.gateway();
-        let answers = timeout(self.patience, gateway.submit_stream(UnboundedReceiverStream::new(outgoing))).await;
+        let answers = timeout(self.patience, gateway.submit_stream(outgoing)).await;
         let answers = answers.map_err(|_| late())?.map_err(|status| up.connection.refusal(&status))?.into_inner();
         Ok(Opened { connection: up.connection, requests, answers, clock, at })
     }

@@ -65,6 +65,8 @@ pub(crate) struct Node {
     script: Mutex<Arc<Script>>,
     /// Every transaction as it came, in order.
     pub(crate) received: Mutex<Vec<Bytes>>,
+    /// Height that the client had seen when it sent each of them.
+    pub(crate) min_heights: Mutex<Vec<u64>>,
     attempts: Mutex<BTreeMap<Hash, usize>>,
     pub(crate) subscriptions: Mutex<Vec<v1::SubscribeRequest>>,
     /// Height of the newest block with an event.
@@ -104,6 +106,7 @@ impl Fake {
             chain,
             script: Mutex::new(Arc::new(|_, _| Reaction::Commit)),
             received: Mutex::default(),
+            min_heights: Mutex::default(),
             attempts: Mutex::default(),
             subscriptions: Mutex::default(),
             height: watch::Sender::new(0),
@@ -127,6 +130,10 @@ impl Fake {
     /// From now on transactions are treated so; the number counts how often the same one came.
     pub(crate) fn script(&self, script: impl Fn(&Transaction, usize) -> Reaction + Send + Sync + 'static) {
         *self.node.script.lock().unwrap() = Arc::new(script);
+    }
+
+    pub(crate) fn min_heights(&self) -> Vec<u64> {
+        self.node.min_heights.lock().unwrap().clone()
     }
 
     pub(crate) fn received(&self) -> Vec<Bytes> {
@@ -319,6 +326,7 @@ impl Gateway for Shared {
         let node = Arc::clone(&self.0);
         tokio::spawn(async move {
             while let Some(Ok(request)) = requests.next().await {
+                node.min_heights.lock().unwrap().push(request.min_height);
                 if let Some(answer) = node.submit(&request.transaction) {
                     let _gone = answers.send(Ok(answer));
                 }

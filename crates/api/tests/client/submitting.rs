@@ -35,6 +35,17 @@ async fn an_executed_call_answers_with_height_and_response() {
 }
 
 #[tokio::test]
+async fn a_node_is_told_what_the_client_has_seen_so_that_it_does_not_judge_by_less() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    for _ in 0..3 {
+        client.invoke("abac", "acquire", vec!["Turtlebot4".into()]).await.unwrap();
+    }
+    assert_eq!(node.min_heights(), [0, 1, 2]);
+}
+
+#[tokio::test]
 async fn a_lost_connection_sends_the_same_bytes_through_the_next_node() {
     let authority = Arc::new(Authority::new());
     let chain = Arc::new(Chain::default());

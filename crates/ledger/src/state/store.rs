@@ -6,7 +6,8 @@ use crate::rejection::Rejection;
 use bytes::Bytes;
 use std::ops::Bound;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::{PoisonError, RwLock};
 
 /// Bytes of sled's page cache: small, for a node on a robot; hot keys live in [`super::State`]'s memory anyway.
 const CACHE_BYTES: u64 = 16 * 1024 * 1024;
@@ -35,7 +36,10 @@ pub trait Store: Send + Sync {
 /// The store on disk. sled 0.34 is called beta by its authors: whatever it reports or panics about means that the
 /// directory is to be deleted and rebuilt from blocks, never that data is lost.
 pub struct SledStore {
-    tree: sled::Db,
+    directory: PathBuf,
+    /// After a failed write sled answers every call with that failure, so it is opened anew: what it holds then is the
+    /// last batch that was written whole, and [`super::State`] still has what came later. None if even that failed.
+    tree: RwLock<Option<sled::Db>>,
 }
 
 impl SledStore {
@@ -44,17 +48,35 @@ impl SledStore {
     /// # Errors
     /// [`Code::Corrupt`] for whatever sled reports or panics about, [`Code::DiskFull`] if there is no space.
     pub fn open(directory: &Path) -> Result<Self, Rejection> {
-        let config = sled::Config::new()
-            .path(directory)
-            .flush_every_ms(None)
-            .cache_capacity(CACHE_BYTES)
-            .mode(sled::Mode::LowSpace);
-        match catch_unwind(AssertUnwindSafe(|| config.open())) {
-            Ok(Ok(tree)) => Ok(Self { tree }),
-            Ok(Err(error)) => Err(fault(&error)),
-            Err(_) => Err(Rejection::new(Code::Corrupt, "the state store cannot be opened: it panicked")
-                .next("delete the state directory; the node rebuilds it from the blocks")),
+        Ok(Self { directory: directory.to_owned(), tree: RwLock::new(Some(open(directory)?)) })
+    }
+
+    fn read<T>(&self, body: impl FnOnce(&sled::Db) -> Result<T, sled::Error>) -> Result<T, Rejection> {
+        match &*self.tree.read().unwrap_or_else(PoisonError::into_inner) {
+            Some(tree) => guard(|| body(tree)),
+            None => Err(Rejection::new(Code::DiskFailed, "the state store could not be opened again after a failure")),
         }
+    }
+
+    fn reopen(&self) {
+        let mut slot = self.tree.write().unwrap_or_else(PoisonError::into_inner);
+        // The old one first: it holds the lock of the directory.
+        *slot = None;
+        match open(&self.directory) {
+            Ok(tree) => *slot = Some(tree),
+            Err(fault) => tracing::error!(%fault, "the state store cannot be opened again"),
+        }
+    }
+}
+
+fn open(directory: &Path) -> Result<sled::Db, Rejection> {
+    let config =
+        sled::Config::new().path(directory).flush_every_ms(None).cache_capacity(CACHE_BYTES).mode(sled::Mode::LowSpace);
+    match catch_unwind(AssertUnwindSafe(|| config.open())) {
+        Ok(Ok(tree)) => Ok(tree),
+        Ok(Err(error)) => Err(fault(&error)),
+        Err(_) => Err(Rejection::new(Code::Corrupt, "the state store cannot be opened: it panicked")
+            .next("delete the state directory; the node rebuilds it from the blocks")),
     }
 }
 
@@ -77,14 +99,14 @@ fn fault(error: &sled::Error) -> Rejection {
 
 impl Store for SledStore {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, Rejection> {
-        guard(|| Ok(self.tree.get(key)?.map(|value| Bytes::copy_from_slice(&value))))
+        self.read(|tree| Ok(tree.get(key)?.map(|value| Bytes::copy_from_slice(&value))))
     }
 
     fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
-        guard(|| {
+        self.read(|tree| {
             let start = after.map_or(Bound::Included(prefix), Bound::Excluded);
             let mut pairs = Vec::new();
-            for pair in self.tree.range::<&[u8], _>((start, Bound::Unbounded)).take(limit) {
+            for pair in tree.range::<&[u8], _>((start, Bound::Unbounded)).take(limit) {
                 let (key, value) = pair?;
                 if !key.starts_with(prefix) {
                     break;
@@ -96,7 +118,7 @@ impl Store for SledStore {
     }
 
     fn write(&self, batch: &WriteSet, tip: (&[u8], &[u8])) -> Result<(), Rejection> {
-        guard(|| {
+        let written = self.read(|tree| {
             let mut stored = sled::Batch::default();
             for (key, value) in batch {
                 match value {
@@ -105,8 +127,12 @@ impl Store for SledStore {
                 }
             }
             stored.insert(tip.0, tip.1);
-            self.tree.apply_batch(stored)?;
-            self.tree.flush().map(drop)
-        })
+            tree.apply_batch(stored)?;
+            tree.flush().map(drop)
+        });
+        if written.is_err() {
+            self.reopen();
+        }
+        written
     }
 }
