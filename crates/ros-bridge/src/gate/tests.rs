@@ -241,6 +241,20 @@ fn what_was_on_its_way_when_the_robot_was_stopped_does_not_pass() {
 }
 
 #[test]
+fn a_signer_who_allows_much_time_does_not_get_past_a_stop_either() {
+    let network = Network::new();
+    let patient = User { not_after: NOW + 30 * SECOND, ..network.salma.clone() };
+    let mut gate = network.gate(&service("open"), &[]);
+    gate.stopped(now());
+    assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW - 1), Err(Refused::BeforeStop));
+    assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW), Ok(1));
+    let mut gate = network.gate(&service("open"), &[]);
+    assert!(gate.released(&released("Org1/Farhad", 3), NOW), "in open mode every release stops the robot");
+    assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW - 1), Err(Refused::BeforeStop));
+    assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW), Ok(1));
+}
+
+#[test]
 fn the_end_of_a_grant_stops_the_robot_and_its_holder() {
     let network = Network::new();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
