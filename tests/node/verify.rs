@@ -156,14 +156,8 @@ async fn a_forger_who_makes_all_checksums_fit_is_found_out() {
             entry.data = payload.to_bytes();
             fs::write(&path, write(right.clone(), &header, crc, &records)).unwrap();
             let byte = format!("{file} byte {offset}");
-            let told = fleet.ctl().run(&["verify", &data]);
-            if state == "kept" {
-                told.refused(1, &["LGR-5004", &byte]);
-            } else {
-                // Nothing is left to compare with: the signature alone shows that nobody has signed this.
-                let report = fleet.ctl().json(&["verify", &data]);
-                assert_eq!(report["verdicts"]["BAD_SIGNATURE"], 1, "{report}");
-            }
+            // Without the state nothing is left to compare with: the signature alone shows that nobody signed this.
+            fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-5004", &byte]);
             faults += 1;
         }
     }

@@ -154,9 +154,10 @@ impl Verification {
 
     /// What the node kept of a block must be what executing it gives.
     fn compare_result(&mut self, height: u64, place: &str) -> Result<(), Rejection> {
-        let Some(stored) = &self.stored else { return Ok(()) };
-        let Some(kept) = crate::chain::stored_result(stored, height)? else { return Ok(()) };
         let Some(computed) = self.ledger.result(height)? else { return Ok(()) };
+        let kept =
+            self.stored.as_ref().map(|stored| crate::chain::stored_result(stored, height)).transpose()?.flatten();
+        let Some(kept) = kept else { return check_signed(&computed, height, place) };
         self.report.results_compared += 1;
         match difference(&computed, &kept) {
             None => Ok(()),
@@ -198,6 +199,16 @@ impl Verification {
         }
         self.report.uncommitted = self.pending.len() as u64;
         Ok(Report { height: tip.height, block_hash: tip.hash, state_digest: tip.digest, ..self.report })
+    }
+}
+
+/// Nodes order only what they have admitted. Where nothing was kept that shows such a transaction to have been ordered as
+/// it is, one that nobody can have signed means that somebody has changed it since.
+fn check_signed(computed: &BlockResult, height: u64, place: &str) -> Result<(), Rejection> {
+    let forged = |code| matches!(code, Code::BadSignature | Code::Malformed);
+    match computed.results.iter().position(|result| forged(result.code())) {
+        None => Ok(()),
+        Some(index) => Err(wrong(place, format!("nobody has signed transaction {index} of block {height} as it is"))),
     }
 }
 
