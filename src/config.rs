@@ -190,7 +190,13 @@ impl Config {
         let mut config = Self::default();
         let mut reader = Reader::parse(text, path);
         reader.root(|root| config.read(root));
-        config.data = path.parent().unwrap_or(Path::new("")).join(&config.data);
+        let directory = path.parent().unwrap_or(Path::new(""));
+        config.data = directory.join(&config.data);
+        if let Some(toml::Value::String(context)) =
+            config.bridge.as_mut().and_then(|bridge| bridge.get_mut("context_dir"))
+        {
+            *context = directory.join(&*context).to_string_lossy().into_owned();
+        }
         reader.finish().map(|()| config)
     }
 

@@ -193,3 +193,10 @@ fn many_faults_and_deep_nesting_are_bounded() {
     let deep = format!("data = {}", "[".repeat(100_000));
     assert!(!faults(&deep).is_empty());
 }
+
+#[test]
+fn paths_of_the_bridge_are_relative_to_the_file_as_well() {
+    let text = "[bridge]\ncontext_dir = \"contexts/robot\"\n";
+    let config = Config::parse(text, Path::new("/etc/ledgerd/ledgerd.toml")).unwrap();
+    assert_eq!(config.bridge.unwrap()["context_dir"].as_str(), Some("/etc/ledgerd/contexts/robot"));
+}
