@@ -75,28 +75,37 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     let home = home()?;
     // Before the node runs, which owns its CAs from then on.
     let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
-    let contexts = write_contexts(&data, &config.listen, &home)?;
-    let node = builder.start(&config).await?;
-    let address = node.address().to_string();
-    let robots = match fresh {
-        true => register_robots(&home, contexts.last()).await?,
-        false => Vec::new(),
-    };
+    let (contexts, network) = write_contexts(&data, &config.listen, &home)?;
     let facts = Facts {
-        address,
+        address: config.listen.clone(),
         ca_fingerprint,
         data,
         contexts: contexts.clone(),
-        network: node.ledger().network(),
-        robots,
+        network,
+        robots: Vec::new(),
         version: env!("CARGO_PKG_VERSION"),
     };
-    print(&facts, options.json, temporary.is_some())?;
-    let outcome = until_stopped(node).await;
+    let played = play(builder, &config, facts, &home, (fresh, options.json, temporary.is_some())).await;
     if temporary.is_some() {
-        forget_contexts(&home, &contexts, facts.network);
+        forget_contexts(&home, &contexts, network);
     }
-    outcome
+    played
+}
+
+/// Runs the node until it is told to stop.
+async fn play(
+    builder: &NodeBuilder,
+    config: &Config,
+    mut facts: Facts,
+    home: &Path,
+    (fresh, as_json, temporary): (bool, bool, bool),
+) -> Result<(), Rejection> {
+    let node = builder.start(config).await?;
+    if fresh {
+        facts.robots = register_robots(home, facts.contexts.last()).await?;
+    }
+    print(&facts, as_json, temporary)?;
+    until_stopped(node).await
 }
 
 /// One node that orders, and carries the CAs of both organisations.
@@ -134,19 +143,18 @@ fn context_name(organisation: &str) -> String {
     format!("dev-{}-admin", organisation.to_lowercase())
 }
 
-/// A context for the admin of each organisation, made anew at each start.
-fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<Vec<String>, Rejection> {
-    ORGANISATIONS
-        .iter()
-        .map(|organisation| {
-            let name = context_name(organisation);
-            let admin = ("Admin", Role::Admin);
-            let mut context = issue(data, organisation, admin, BTreeMap::new(), address, wall())?;
-            context.name.clone_from(&name);
-            context.save(home)?;
-            Ok(name)
-        })
-        .collect()
+/// A context for the admin of each organisation, made anew at each start; their names, and the network's.
+fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<(Vec<String>, Hash), Rejection> {
+    let (mut names, mut network) = (Vec::new(), Hash::ZERO);
+    for organisation in ORGANISATIONS {
+        let admin = ("Admin", Role::Admin);
+        let mut context = issue(data, organisation, admin, BTreeMap::new(), address, wall())?;
+        context.name = context_name(organisation);
+        context.save(home)?;
+        network = context.network;
+        names.push(context.name);
+    }
+    Ok((names, network))
 }
 
 /// The robots of the paper, registered by their owner.

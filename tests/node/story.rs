@@ -213,3 +213,20 @@ fn a_kept_network_goes_on_where_it_was_even_after_kill_9() {
         dev.process.kill();
     }
 }
+
+#[test]
+fn a_network_for_playing_that_cannot_start_leaves_nothing_behind() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let home = tempfile::tempdir().unwrap();
+    let started = std::process::Command::new(env!("CARGO_BIN_EXE_ledgerd"))
+        .args(["dev", "--listen", &taken.local_addr().unwrap().to_string()])
+        .env("LEDGERD_HOME", home.path())
+        .env("TMPDIR", home.path())
+        .output()
+        .unwrap();
+    assert_eq!(started.status.code(), Some(3));
+    assert!(String::from_utf8(started.stderr).unwrap().contains("cannot listen"));
+    assert_eq!(std::fs::read_dir(home.path().join("contexts")).unwrap().count(), 0, "contexts");
+    let left: Vec<_> = std::fs::read_dir(home.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert!(left.iter().all(|name| name == "contexts" || name == "current"), "{left:?}");
+}
