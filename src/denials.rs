@@ -5,8 +5,6 @@ use ledger_api::v1::Denial;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, PoisonError};
 
-use crate::waiters::verdict;
-
 /// Refusals kept; a flood of the same one takes one place.
 const KEPT_MAX: usize = 1000;
 /// Bytes of a subject that are kept.
@@ -35,7 +33,7 @@ impl Denials {
             chaincode: body.map(|body| body.chaincode.clone()).unwrap_or_default(),
             function: body.map(|body| body.function.clone()).unwrap_or_default(),
             subject: subject.map(|arg| String::from_utf8_lossy(arg).into_owned()).unwrap_or_default(),
-            verdict: Some(verdict(&refusal.rejection)),
+            verdict: Some((&refusal.rejection).into()),
             count: 1,
         };
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);

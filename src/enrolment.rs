@@ -9,7 +9,6 @@ mod tries;
 
 use crate::ca::{CertificateAuthority, IssuedCertificate, Registered};
 use crate::listen::Caller;
-use crate::waiters::verdict;
 use ledger::identity::{Identity, Role};
 use ledger::network::Genesis;
 use ledger::{Bytes, Code, Ledger, Rejection};
@@ -89,7 +88,7 @@ impl Enrolment for EnrolmentService {
                 if rejection.code == Code::EnrolmentRefused {
                     tokio::time::sleep_until(came + REFUSAL_TIME).await;
                 }
-                v1::EnrolResponse { verdict: Some(verdict(&rejection)), ..v1::EnrolResponse::default() }
+                v1::EnrolResponse { verdict: Some((&rejection).into()), ..v1::EnrolResponse::default() }
             }
         }))
     }
@@ -103,7 +102,7 @@ impl Enrolment for EnrolmentService {
             Err(rejection) => Err(rejection),
         };
         Ok(Response::new(registered.unwrap_or_else(|rejection| v1::RegisterResponse {
-            verdict: Some(verdict(&rejection)),
+            verdict: Some((&rejection).into()),
             ..v1::RegisterResponse::default()
         })))
     }
@@ -120,7 +119,7 @@ impl Enrolment for EnrolmentService {
             Err(rejection) => Err(rejection),
         };
         Ok(Response::new(listed.unwrap_or_else(|rejection| v1::ListIdentitiesResponse {
-            verdict: Some(verdict(&rejection)),
+            verdict: Some((&rejection).into()),
             ..v1::ListIdentitiesResponse::default()
         })))
     }

@@ -83,21 +83,15 @@ fn answer(waiting: Vec<(Instant, Waiter)>, response: &SubmitResponse) {
     }
 }
 
-/// A refusal as clients see it.
-pub(crate) fn verdict(rejection: &Rejection) -> Verdict {
-    let Rejection { code, message, found, wanted, next } = rejection.clone();
-    Verdict { code: code.number().into(), message, found, wanted, next }
-}
-
 /// The verdict of an executed transaction.
 pub(crate) fn verdict_of(result: &TransactionResult) -> Verdict {
-    result.outcome().map_or_else(|rejection| verdict(&rejection), |_| Verdict::default())
+    result.outcome().map_or_else(|rejection| Verdict::from(&rejection), |_| Verdict::default())
 }
 
 /// The answer for a transaction that was not ordered.
 pub(crate) fn refused(id: Option<&Hash>, rejection: &Rejection) -> SubmitResponse {
     let id = id.map(|id| id.0.to_vec().into()).unwrap_or_default();
-    SubmitResponse { id, verdict: Some(verdict(rejection)), ..SubmitResponse::default() }
+    SubmitResponse { id, verdict: Some(rejection.into()), ..SubmitResponse::default() }
 }
 
 /// The answer for a transaction that was executed before.

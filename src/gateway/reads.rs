@@ -1,7 +1,7 @@
 //! Questions about the committed state, the chain and the node.
 
 use super::{NodeView, status};
-use crate::waiters::{verdict, verdict_of};
+use crate::waiters::verdict_of;
 use ledger::identity::{Identity, Role};
 use ledger::result::{BlockKind, EmittedEvent};
 use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
@@ -27,7 +27,7 @@ impl NodeView {
             Ok((response, height)) => QueryResponse { verdict: Some(Verdict::default()), response, height },
             Err(rejection) => {
                 let height = self.ledger.tip().height;
-                QueryResponse { verdict: Some(verdict(&rejection)), response: Bytes::new(), height }
+                QueryResponse { verdict: Some((&rejection).into()), response: Bytes::new(), height }
             }
         })
     }
