@@ -118,7 +118,12 @@ fn plan(data: &Path, address: &str) -> NetworkPlan {
         address: address.to_owned(),
         voter: true,
     };
-    NetworkPlan { label: LABEL.into(), organisations: organisations.into(), nodes: vec![node] }
+    NetworkPlan {
+        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+        label: LABEL.into(),
+        organisations: organisations.into(),
+        nodes: vec![node],
+    }
 }
 
 /// The genesis names the node's address, so a free port is chosen before it is written.

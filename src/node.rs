@@ -135,7 +135,7 @@ impl Node {
             }),
             disk_full: Arc::clone(&disk_full),
         });
-        let engine = engine(config, &genesis, me.id, &ledger, &store)?;
+        let engine = engine(config, me.id, &ledger, &store)?;
         let tick = Duration::from_millis(config.order.tick_ms);
         let orderer = Orderer::start(engine, Arc::clone(&shared), tick)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
@@ -301,14 +301,11 @@ fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Res
 
 fn engine(
     config: &Config,
-    genesis: &ledger::network::Genesis,
     id: u64,
     ledger: &Ledger,
     store: &Arc<ledger::block_store::BlockStore>,
 ) -> Result<Engine, Rejection> {
-    let ids = |voter| genesis.nodes.iter().filter(move |node| node.voter == voter).map(|node| node.id);
-    let membership = ledger_raft::Membership::new(ids(true), ids(false));
-    let mut settings = EngineConfig::new(id, membership, crate::random::number()?);
+    let mut settings = EngineConfig::new(id, ledger.members()?, crate::random::number()?);
     settings.applied = ledger.tip().height;
     settings.election_tick = count(config.order.election_ticks);
     settings.heartbeat_tick = (settings.election_tick / 5).max(1);

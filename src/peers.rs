@@ -7,7 +7,7 @@ use ledger::identity::Role;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource, client_config_expecting};
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::peer_server::Peer;
-use ledger_api::v1::{PeerClosed, PeerFrame};
+use ledger_api::v1::{self, PeerClosed, PeerFrame};
 use ledger_raft::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
 use rustls_pki_types::ServerName;
 use std::collections::BTreeMap;
@@ -219,5 +219,36 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
             }
         }
         Ok(Response::new(PeerClosed {}))
+    }
+
+    async fn chain(&self, _: Request<v1::ChainRequest>) -> Result<Response<v1::ChainResponse>, Status> {
+        Err(Status::unimplemented("chain"))
+    }
+
+    type BlocksStream = ReceiverStream<Result<v1::BlockEntries, Status>>;
+
+    async fn blocks(&self, _: Request<v1::BlocksRequest>) -> Result<Response<Self::BlocksStream>, Status> {
+        Err(Status::unimplemented("blocks"))
+    }
+
+    async fn snapshot(&self, _: Request<v1::SnapshotRequest>) -> Result<Response<v1::SnapshotResponse>, Status> {
+        Err(Status::unimplemented("snapshot"))
+    }
+
+    type SnapshotChunksStream = ReceiverStream<Result<v1::SnapshotChunk, Status>>;
+
+    async fn snapshot_chunks(
+        &self,
+        _: Request<v1::SnapshotChunksRequest>,
+    ) -> Result<Response<Self::SnapshotChunksStream>, Status> {
+        Err(Status::unimplemented("snapshot chunks"))
+    }
+
+    async fn digest(&self, _: Request<v1::DigestRequest>) -> Result<Response<v1::DigestResponse>, Status> {
+        Err(Status::unimplemented("digest"))
+    }
+
+    async fn writes(&self, _: Request<v1::WritesRequest>) -> Result<Response<v1::WritesResponse>, Status> {
+        Err(Status::unimplemented("writes"))
     }
 }

@@ -42,6 +42,8 @@ pub struct NetworkPlan {
     pub organisations: Vec<PlannedOrganisation>,
     /// Its first nodes; they are numbered in this order.
     pub nodes: Vec<PlannedNode>,
+    /// Every node makes a snapshot of the world state at heights that this number divides.
+    pub snapshot_every: u64,
 }
 
 /// An organisation of a plan.
@@ -184,7 +186,8 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
         voter: node.voter,
     });
     let label = plan.label.clone();
-    let genesis = Genesis { rules: RULES_VERSION, label, created: now, salt, organisations, nodes: nodes.collect() };
+    let (nodes, snapshot_every) = (nodes.collect(), plan.snapshot_every);
+    let genesis = Genesis { rules: RULES_VERSION, label, created: now, salt, organisations, nodes, snapshot_every };
     let document = genesis.to_bytes()?;
     let (genesis, network) = Genesis::from_bytes(&document)?;
     for (node, stage) in plan.nodes.iter().zip(staged) {

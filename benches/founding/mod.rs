@@ -74,7 +74,12 @@ impl Founding {
         });
         let organisations =
             [OPERATORS, OWNERS].map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
-        let plan = NetworkPlan { label: "bench".into(), organisations: organisations.into(), nodes: planned.collect() };
+        let plan = NetworkPlan {
+            snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+            label: "bench".into(),
+            organisations: organisations.into(),
+            nodes: planned.collect(),
+        };
         let founded = found(&plan, clock()).unwrap();
         let entry = nodes[0].1.as_str();
         let identity = |organisation: &str, who, attributes| {

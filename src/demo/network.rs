@@ -163,7 +163,12 @@ fn plan(data: &[PathBuf; 2], addresses: &[String; 2]) -> NetworkPlan {
                 voter: index == 0,
             }
         });
-    NetworkPlan { label: "demo".into(), organisations: organisations.into(), nodes: nodes.collect() }
+    NetworkPlan {
+        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+        label: "demo".into(),
+        organisations: organisations.into(),
+        nodes: nodes.collect(),
+    }
 }
 
 /// Two addresses that nobody uses at the moment.

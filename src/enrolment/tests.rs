@@ -24,6 +24,7 @@ fn fixture() -> Fixture {
     let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
     let data: PathBuf = place.path().join("node1");
     let plan = NetworkPlan {
+        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
         label: "fleet".into(),
         organisations: vec![organisation("Org1"), organisation("Org2")],
         nodes: vec![PlannedNode {

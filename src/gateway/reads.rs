@@ -64,6 +64,7 @@ impl NodeView {
             name: member.name,
             organisation: member.organisation,
             address: member.address,
+            role: if member.voter { "voter".into() } else { "learner".into() },
             voter: member.voter,
             connected,
         });
@@ -93,6 +94,7 @@ impl NodeView {
             subscribers: self.subscribers.load(Ordering::Relaxed),
             payload_bytes_max: self.limits.payload_bytes_max,
             resident_bytes: resident_bytes(),
+            ..StatusResponse::default()
         })
     }
 

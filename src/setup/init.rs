@@ -69,6 +69,7 @@ fn init_at(options: &InitOptions, now: u64) -> Result<String, Rejection> {
     let address = address(options, &config.listen)?;
     let organisation = &options.organisation;
     let plan = NetworkPlan {
+        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
         label: options.label.clone().unwrap_or_else(|| organisation.clone()),
         organisations: vec![PlannedOrganisation { name: organisation.clone(), key: options.key }],
         nodes: vec![PlannedNode {

@@ -21,6 +21,7 @@ fn node(place: &Path, name: &str, organisation: &str, voter: bool) -> PlannedNod
 
 fn plan(place: &Path) -> NetworkPlan {
     NetworkPlan {
+        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
         label: "fleet".into(),
         organisations: vec![
             PlannedOrganisation { name: "Org1".into(), key: KeyKind::Ed25519 },

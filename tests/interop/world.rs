@@ -111,7 +111,12 @@ impl World {
             voter: i == 0,
         });
         let organisations = names.map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
-        let plan = NetworkPlan { label: "interop".into(), organisations: organisations.into(), nodes: nodes.collect() };
+        let plan = NetworkPlan {
+            snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+            label: "interop".into(),
+            organisations: organisations.into(),
+            nodes: nodes.collect(),
+        };
         let founded = found(&plan, now).unwrap();
         let identity = |i: usize, name: &str, role| {
             issue(&data[i], names[i], (name, role), BTreeMap::new(), addresses[i], now).unwrap()

@@ -125,6 +125,7 @@ impl Fleet {
         });
         let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
         let plan = NetworkPlan {
+            snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
             label: "test".into(),
             organisations: vec![organisation("Org1"), organisation("Org2")],
             nodes: planned.collect(),

@@ -7,9 +7,10 @@ use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead
 use crate::code::Code;
 use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
+use crate::governance::{Governance, ORGANISATION_KEYS, certificate_key, read_members, revoked_key};
 use crate::identities::{Identities, check_revoked};
 use crate::identity::Identity;
-use crate::membership::{Membership, ORGANISATION_KEYS, certificate_key, revoked_key};
+use crate::members::Membership;
 use crate::msp::Msps;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
@@ -86,7 +87,7 @@ impl Ledger {
     /// [`Code::Corrupt`] if the state is of another network or cannot be read: rebuild it then.
     pub fn open(genesis_bytes: &[u8], mut registry: Registry, state: Arc<State>) -> Result<Self, Rejection> {
         let (founding, network) = Genesis::from_bytes(genesis_bytes)?;
-        registry.install(Arc::new(Membership))?;
+        registry.install(Arc::new(Governance))?;
         if state.tip().is_none() {
             let (tip, writes) = genesis(&founding, network)?;
             state.commit(writes, tip);
@@ -124,6 +125,14 @@ impl Ledger {
     /// Where execution stands.
     pub fn tip(&self) -> Tip {
         self.state.tip().unwrap_or(Tip { height: 0, term: 0, time: 0, hash: self.network, digest: Hash::ZERO })
+    }
+
+    /// Who votes and who follows, as of [`Ledger::tip`].
+    ///
+    /// # Errors
+    /// A fault of the store; [`Code::Corrupt`] if the record cannot be read.
+    pub fn members(&self) -> Result<Membership, Rejection> {
+        read_members(&*self.state)
     }
 
     /// Executes the next block and makes its writes visible.

@@ -98,6 +98,8 @@ codes! {
     LimitExceeded = 1014 "LIMIT_EXCEEDED" Invalid;
     /// A user's own chaincode refused the call.
     Refused = 1015 "REFUSED" Denied;
+    /// This node has dropped the blocks that were asked for.
+    Pruned = 1016 "PRUNED" Invalid;
 
     /// The certificate is not of an organisation of this network.
     Untrusted = 2001 "UNTRUSTED" Denied;
@@ -170,6 +172,8 @@ codes! {
     ChainInvalid = 5004 "CHAIN_INVALID" Failure;
     /// Something inside failed; the log has the details.
     Internal = 5005 "INTERNAL" Failure;
+    /// The world state of this node differs from that of most others.
+    Diverged = 5006 "DIVERGED" Failure;
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid;

@@ -4,9 +4,9 @@ use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
 use crate::chaincode::{Environment, Event, Overlay, Registry, StateRead};
 use crate::code::Code;
 use crate::entry::{Entry, EntryKind};
+use crate::governance::{MEMBERS_KEY, certificate_key, found, members_record, read_members};
 use crate::identities::Identities;
 use crate::identity::Identity;
-use crate::membership::{certificate_key, found};
 use crate::network::Genesis;
 use crate::rejection::Rejection;
 use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
@@ -79,6 +79,12 @@ impl Executor<'_> {
             ids.push(id);
             results.push(TransactionResult::from(outcome));
             events.extend(emitted.into_iter().map(|event| EmittedEvent { index: Some(position), event }));
+        }
+
+        if kind == BlockKind::Membership
+            && let Some(members) = read_members(&*self.state)?.after(entry)
+        {
+            overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
         }
 
         let world = overlay.finish()?;

@@ -3,8 +3,8 @@
 use crate::Hash;
 use crate::chaincode::{Overlay, StateRead};
 use crate::code::Code;
+use crate::governance::{ORGANISATION_KEYS, certificate_key, read_organisation, revoked_key};
 use crate::identity::Identity;
-use crate::membership::{ORGANISATION_KEYS, certificate_key, read_organisation, revoked_key};
 use crate::msp::{Msp, Msps};
 use crate::rejection::Rejection;
 use crate::transaction::Transaction;

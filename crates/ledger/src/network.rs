@@ -9,6 +9,8 @@ use std::collections::BTreeSet;
 
 /// Most bytes of a genesis document.
 pub const GENESIS_BYTES_MAX: usize = 1024 * 1024;
+/// Blocks between two snapshots, unless the network's founder chose otherwise.
+pub const SNAPSHOT_EVERY_DEFAULT: u64 = 10_000;
 /// The version of the rules by which blocks are executed.
 pub const RULES_VERSION: u32 = 1;
 
@@ -28,6 +30,8 @@ pub struct Genesis {
     pub organisations: Vec<FoundingOrganisation>,
     /// The founding nodes.
     pub nodes: Vec<FoundingNode>,
+    /// Every node makes a snapshot of the world state at heights that this number divides.
+    pub snapshot_every: u64,
 }
 
 /// A founding organisation and its verifying material.
@@ -92,6 +96,9 @@ impl Genesis {
         let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();
         if names.is_empty() || names.len() != genesis.organisations.len() {
             return Err(wrong("organisations must be named and their names differ".into()));
+        }
+        if genesis.snapshot_every == 0 {
+            return Err(wrong("snapshot_every is 0, wanted a number of blocks".into()));
         }
         let mut ids = BTreeSet::new();
         for node in &genesis.nodes {

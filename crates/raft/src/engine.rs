@@ -13,12 +13,12 @@ pub use status::{PeerStatus, Replication, Status};
 
 use crate::interface::{Input, Output, Role, RoleChange};
 use crate::log::Log;
-use crate::membership::Membership;
 use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
 use crate::queue::Queues;
 use ledger::block::Payload;
 use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger::entry::EntryKind;
+use ledger::members::Membership;
 use ledger::{Code, Rejection};
 use raft::{RawNode, StateRole};
 use std::collections::VecDeque;
@@ -105,7 +105,7 @@ impl Engine {
         if stored.commit > last {
             return Err(EngineError::LogLost { last, commit: stored.commit });
         }
-        let membership = config::recover_members(&config, &store)?;
+        let membership = config.membership.clone();
         let log = Log::new(Arc::clone(&store), &membership, applied);
         let settings = raft::Config {
             id: config.id,

@@ -1,8 +1,8 @@
 //! What goes into the engine and what comes out.
 
-use crate::membership::{Membership, MembershipChange};
 use crate::message::PeerMessage;
 use ledger::entry::Entry;
+use ledger::members::{Membership, MembershipChange};
 use ledger::{Bytes, Rejection};
 
 /// How urgent a transaction is.
@@ -86,8 +86,8 @@ pub enum Output {
     Commit(Vec<Entry>),
     /// Who leads has changed.
     Role(RoleChange),
-    /// The members have changed with the block of this height. [`crate::EngineConfig`] takes this pair at the next
-    /// start, which then needs not read the log from its beginning.
+    /// The members have changed with the block of this height. The execution of the block keeps them
+    /// ([`ledger::Ledger::members`]), so that [`crate::EngineConfig`] knows them at the next start.
     Membership {
         /// Height of the change.
         height: u64,

@@ -28,13 +28,12 @@
 mod engine;
 mod interface;
 mod log;
-mod membership;
 mod message;
 mod queue;
 
 pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Status};
 pub use interface::{Input, Lane, Output, Role, RoleChange};
-pub use membership::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
+pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
     CONTEXT_BYTES_MAX, ENTRIES_MAX, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
     Transactions, WireEntry,

@@ -1,9 +1,9 @@
 //! The block store as the `raft` crate's log.
 
-use crate::membership::Membership;
 use crate::message::ENTRIES_MAX;
 use crate::message::convert::entry_into_raft;
 use ledger::block_store::{BlockStore, StoreError};
+use ledger::members::Membership;
 use raft::eraftpb::{ConfState, Entry, HardState, Snapshot};
 use raft::{GetEntriesContext, RaftState, Result, Storage, StorageError};
 use std::sync::Arc;
@@ -144,8 +144,8 @@ pub(crate) fn membership(state: &ConfState) -> Membership {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::membership::{Change, MembershipChange};
     use crate::message::convert::change_into_raft;
+    use ledger::members::{Change, MembershipChange};
     use proptest::prelude::*;
     use raft::{Changer, ProgressTracker};
 

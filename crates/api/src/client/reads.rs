@@ -51,7 +51,13 @@ impl Client {
         function: &str,
         args: Vec<Bytes>,
     ) -> Result<Answer, Rejection> {
-        let request = v1::QueryRequest { chaincode: chaincode.into(), function: function.into(), args, min_height };
+        let request = v1::QueryRequest {
+            chaincode: chaincode.into(),
+            function: function.into(),
+            args,
+            min_height,
+            linearizable: false,
+        };
         let ask = |up: Up| {
             let request = request.clone();
             async move { up.gateway().query(request).await }

@@ -430,6 +430,21 @@ impl Enrolment for Shared {
         Ok(Response::new(v1::RegisterResponse { verdict, secret, organisation: "Org1".into() }))
     }
 
+    async fn renew(&self, _: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
+        Err(Status::unimplemented("renewal"))
+    }
+
+    async fn genesis(&self, _: Request<v1::GenesisRequest>) -> Result<Response<v1::GenesisResponse>, Status> {
+        Err(Status::unimplemented("genesis"))
+    }
+
+    async fn join_organisation(
+        &self,
+        _: Request<v1::JoinOrganisationRequest>,
+    ) -> Result<Response<v1::JoinOrganisationResponse>, Status> {
+        Err(Status::unimplemented("joining"))
+    }
+
     async fn list_identities(
         &self,
         _request: Request<v1::ListIdentitiesRequest>,

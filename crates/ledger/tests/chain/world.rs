@@ -156,6 +156,7 @@ impl World {
             label: "test".into(),
             created: NOW - SECOND,
             salt: Hash::ZERO,
+            snapshot_every: 100,
             organisations: vec![organisation("Org1", &org1), organisation("Org2", &org2)],
             nodes: vec![FoundingNode {
                 id: 1,

@@ -1,19 +1,14 @@
 //! How an engine is set up, and what keeps it from starting.
 
-use super::READ_BYTES;
-use crate::membership::Membership;
-use ledger::block_store::BlockStore;
+use ledger::members::Membership;
 
 /// How an engine is set up. Times are counted in ticks.
 #[derive(Clone, Debug)]
 pub struct EngineConfig {
     /// This node; never 0.
     pub id: u64,
-    /// The members as of `membership_height`: those of the genesis at height 0, or a pair that
-    /// [`Output::Membership`] told. Later changes up to `applied` are read from the log.
+    /// The members as of `applied`, which the state machine holds.
     pub membership: Membership,
-    /// See `membership`.
-    pub membership_height: u64,
     /// Last height that the state machine holds. Blocks after it come as [`Output::Commit`].
     pub applied: u64,
     /// Ticks without a leader after which a node stands for election; the real timeout is drawn from once to twice.
@@ -45,7 +40,6 @@ impl EngineConfig {
         Self {
             id,
             membership,
-            membership_height: 0,
             applied: 0,
             election_tick: 20,
             heartbeat_tick: 4,
@@ -84,39 +78,7 @@ pub enum EngineError {
         /// Height known to be committed.
         commit: u64,
     },
-    /// Members cannot be recovered.
-    #[error("members are known at height {height} only: found the log starting at {first}, wanted at most {}", height + 1)]
-    MembersUnknown {
-        /// Height of the members given.
-        height: u64,
-        /// First height of the log.
-        first: u64,
-    },
-    /// A block cannot be read.
-    #[error("log cannot be read: {0}")]
-    Store(String),
     /// The configuration contradicts itself.
     #[error("ordering cannot be configured so: {0}")]
     Config(String),
-}
-
-/// Folds the changes after the known height into the members.
-pub(super) fn recover_members(config: &EngineConfig, store: &BlockStore) -> Result<Membership, EngineError> {
-    let (known, first) = (config.membership_height, store.first_index());
-    if known < config.applied && first > known + 1 {
-        return Err(EngineError::MembersUnknown { height: known, first });
-    }
-    let mut members = config.membership.clone();
-    let mut next = known + 1;
-    while next <= config.applied {
-        let entries = store
-            .entries(next..config.applied + 1, READ_BYTES)
-            .map_err(|error| EngineError::Store(error.to_string()))?;
-        let Some(last) = entries.last().map(|entry| entry.index) else {
-            return Err(EngineError::Store(format!("block {next} is missing")));
-        };
-        members = members.fold(&entries);
-        next = last + 1;
-    }
-    Ok(members)
 }

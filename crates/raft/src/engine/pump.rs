@@ -7,12 +7,12 @@
 use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
 use crate::interface::{Output, Role, RoleChange};
 use crate::log::membership;
-use crate::membership::MembershipChange;
 use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
 use crate::message::{ENTRIES_MAX, PeerMessage, RaftMessage};
 use ledger::block::Payload;
 use ledger::block_store::StoreError;
 use ledger::entry::{Entry, EntryKind, HardState};
+use ledger::members::MembershipChange;
 use raft::eraftpb::{Message, MessageType};
 use raft::{INVALID_ID, StateRole};
 

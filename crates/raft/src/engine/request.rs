@@ -2,9 +2,9 @@
 
 use super::Engine;
 use crate::interface::{Input, Output};
-use crate::membership::MembershipChange;
 use crate::message::convert::proposal;
 use ledger::entry::EntryKind;
+use ledger::members::MembershipChange;
 use ledger::{Code, Rejection};
 
 /// Reads that wait for a majority to confirm the leader.

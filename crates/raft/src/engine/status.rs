@@ -2,8 +2,8 @@
 
 use super::Engine;
 use crate::interface::RoleChange;
-use crate::membership::Membership;
 use crate::queue::QueueStatus;
+use ledger::members::Membership;
 use raft::{ProgressState, StateRole};
 
 impl Engine {

@@ -2,9 +2,9 @@
 //! outside.
 
 use super::{RaftKind, RaftMessage, WireEntry};
-use crate::membership::MembershipChange;
 use ledger::Bytes;
 use ledger::entry::{Entry, EntryKind};
+use ledger::members::MembershipChange;
 use raft::eraftpb;
 use raft::eraftpb::MessageType;
 

@@ -8,9 +8,10 @@
 //! | `revocations` | | anyone | JSON array of [`RevocationRecord`] |
 
 use crate::certificate::Certificate;
-use crate::chaincode::{Chaincode, Context, Revocation};
+use crate::chaincode::{Chaincode, Context, Revocation, StateRead};
 use crate::code::Code;
 use crate::identity::Role;
+use crate::members::Membership;
 use crate::network::{FoundingOrganisation, Genesis};
 use crate::rejection::Rejection;
 use crate::{Hash, WriteSet};
@@ -44,9 +45,9 @@ pub struct RevocationRecord {
 }
 
 /// The chaincode; every node installs it.
-pub struct Membership;
+pub struct Governance;
 
-impl Chaincode for Membership {
+impl Chaincode for Governance {
     fn name(&self) -> &'static str {
         NAME
     }
@@ -70,11 +71,30 @@ impl Chaincode for Membership {
 
 /// The writes of the genesis block.
 pub(crate) fn found(genesis: &Genesis) -> Result<WriteSet, Rejection> {
-    genesis
+    let ids = |voter| genesis.nodes.iter().filter(move |node| node.voter == voter).map(|node| node.id);
+    let members = (Bytes::from_static(MEMBERS_KEY), Some(members_record(&Membership::new(ids(true), ids(false)))?));
+    let organisations = genesis
         .organisations
         .iter()
-        .map(|organisation| Ok((full(&organisation_key(&organisation.name)), Some(json(organisation)?))))
-        .collect()
+        .map(|organisation| Ok((full(&organisation_key(&organisation.name)), Some(json(organisation)?))));
+    organisations.chain([Ok(members)]).collect()
+}
+
+/// Where the members stand: written by the execution of the blocks that change them, never by a transaction.
+pub(crate) const MEMBERS_KEY: &[u8] = b"msp\0members";
+
+/// Who votes and who follows.
+pub(crate) fn read_members(state: &dyn StateRead) -> Result<Membership, Rejection> {
+    let record = state.get(MEMBERS_KEY)?;
+    record.and_then(|record| serde_json::from_slice(&record).ok()).ok_or_else(|| {
+        Rejection::new(Code::Corrupt, "the members on the ledger cannot be read")
+            .next("delete the state directory; the node rebuilds it from the blocks")
+    })
+}
+
+/// The members as they stand under [`MEMBERS_KEY`].
+pub(crate) fn members_record(members: &Membership) -> Result<Bytes, Rejection> {
+    json(members)
 }
 
 /// Keys of the organisations start with this; a block that writes one changes whom the next block trusts.

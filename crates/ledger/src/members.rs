@@ -4,9 +4,10 @@
 //! them here as well lets a node recover its members from the log, and refuse an impossible change before it is
 //! ordered.
 
-use ledger::Bytes;
-use ledger::entry::{Entry, EntryKind};
+use crate::entry::{Entry, EntryKind};
+use bytes::Bytes;
 use prost::Message as _;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
 /// Most nodes that one change may name. Bounds what a hostile change costs.
@@ -37,9 +38,11 @@ pub enum Change {
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct MembershipChange {
     #[prost(uint32, tag = "1")]
-    pub(crate) transition: u32,
+    /// See above.
+    pub transition: u32,
     #[prost(message, repeated, tag = "2")]
-    pub(crate) changes: Vec<Single>,
+    /// See above.
+    pub changes: Vec<Single>,
     /// Free for the caller, at most 1 KiB; comes back in the committed entry.
     #[prost(bytes = "bytes", tag = "3")]
     pub context: Bytes,
@@ -47,11 +50,13 @@ pub struct MembershipChange {
 
 /// One change as it is encoded.
 #[derive(Clone, Copy, PartialEq, Eq, prost::Message)]
-pub(crate) struct Single {
+pub struct Single {
+    /// 0 voter, 1 remove, 2 learner.
     #[prost(uint32, tag = "1")]
-    pub(crate) kind: u32,
+    pub kind: u32,
+    /// The node; never 0.
     #[prost(uint64, tag = "2")]
-    pub(crate) node: u64,
+    pub node: u64,
 }
 
 /// Why a change is impossible.
@@ -85,7 +90,8 @@ pub enum MembershipError {
 }
 
 /// The members of a network.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Membership {
     /// Who votes.
     pub voters: BTreeSet<u64>,
@@ -250,7 +256,7 @@ impl Membership {
     }
 
     /// The members after this entry, if it is a change and possible.
-    pub(crate) fn after(&self, entry: &Entry) -> Option<Self> {
+    pub fn after(&self, entry: &Entry) -> Option<Self> {
         if entry.kind != EntryKind::ConfChangeV2 {
             return None;
         }
