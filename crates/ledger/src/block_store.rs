@@ -5,7 +5,8 @@
 //! calls [`BlockStore::prepare`] now and then, so that flushes write into space that is already there.
 //!
 //! Nothing is truncated in place: an entry of a lower index supersedes what follows it. What is committed is never
-//! superseded.
+//! superseded. The log need not begin at 1: [`BlockStore::prune`] drops old segments, and [`BlockStore::begin_after`] lets
+//! a node that is far behind go on after a snapshot.
 //!
 //! When the disk fails: any failed write or sync poisons the store, and every later `append`, `flush` and `prepare`
 //! returns that first error; entries can still be read. The node ends, and the next start decides by what is on disk.
@@ -15,26 +16,28 @@
 
 mod ahead;
 mod error;
+mod files;
+mod first;
 mod index;
+mod read;
 mod recent;
 mod recovery;
-mod stored;
+mod state;
 mod writer;
 
-use std::ops::Range;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use ahead::{Ahead, Marks};
-use index::LogIndex;
-use recent::{Recent, weight};
-use recovery::{check_entry, check_hard_state};
-use stored::StoredSegment;
+use files::Files;
+use state::{Staged, State};
 use writer::{Failure, Writer, Written, lock};
 
 use crate::disk::Disk;
 use crate::entry::{Entry, HardState};
 use crate::segment::{ENTRY_BYTES_MAX, HEADER_BYTES, Record, SEGMENT_BYTES_MAX};
+
+pub use crate::segment::Base;
 
 pub use error::StoreError;
 pub use recovery::{Recovery, TornTail};
@@ -72,8 +75,10 @@ impl Options {
 
 /// The log of one network on one disk. Share it by reference: every method takes `&self`.
 ///
-/// Locks are taken in the order of the fields; input and output happen under the first two only.
+/// Locks are taken in the order of the fields; input and output happen under the first three only.
 pub struct BlockStore {
+    /// Held by the one who drops segments.
+    dropping: Mutex<()>,
     /// The end of the log; held by the one who flushes.
     writer: Mutex<Writer>,
     /// What is zeroed ahead; held by the one who prepares, and by a flush that goes beyond the zeros.
@@ -81,37 +86,9 @@ pub struct BlockStore {
     /// What readers need; held shortly.
     state: Mutex<State>,
     marks: Marks,
+    files: Files,
     disk: Arc<dyn Disk>,
     segment_bytes: u64,
-}
-
-struct State {
-    index: LogIndex,
-    recent: Recent,
-    staged: Staged,
-    /// Of what is being written, entries from this index on have been superseded since. `u64::MAX`: none.
-    superseded_from: u64,
-    hard_state: HardState,
-    committed: u64,
-    /// All segments; the one with sequence number `n` at place `n - 1`.
-    segments: Vec<Arc<StoredSegment>>,
-    /// The error that ended writing.
-    poison: Option<StoreError>,
-}
-
-/// What waits for the disk. Entries are gapless and none is superseded.
-#[derive(Default)]
-struct Staged {
-    entries: Vec<Entry>,
-    /// Written after the entries, so that it never calls committed what is not there.
-    hard_state: Option<HardState>,
-    bytes: usize,
-}
-
-/// One entry to be read: in memory, or where on disk.
-enum Source {
-    Memory(Entry),
-    Disk(u64, index::Location, Arc<StoredSegment>),
 }
 
 impl BlockStore {
@@ -128,14 +105,13 @@ impl BlockStore {
             )));
         }
         let found = recovery::recover(disk.as_ref(), &network, cache_bytes)?;
-        let active = found.segments.last().cloned();
         let marks = Marks::default();
         marks.position.store(found.tail.end, Ordering::Release);
         marks.zeroed.store(found.length, Ordering::Release);
         let ahead = Ahead {
-            active: active.as_ref().map(|segment| (segment.name.clone(), Arc::clone(&segment.file))),
+            active: found.active.as_ref().map(|active| (active.segment.name.clone(), Arc::clone(&active.file))),
             spare: None,
-            newest: active.as_ref().map_or(0, |segment| segment.sequence),
+            newest: found.active.as_ref().map_or(0, |active| active.segment.sequence),
             beginning: false,
         };
         let writer = Writer {
@@ -143,10 +119,11 @@ impl BlockStore {
             network,
             segment_bytes,
             salt,
-            active,
+            active: found.active,
             end: found.tail.end,
             previous: found.tail.previous,
-            next_index: found.next_index,
+            newest: found.tail.newest,
+            hard_state: found.written,
             buffer: Vec::new(),
         };
         let state = State {
@@ -160,10 +137,12 @@ impl BlockStore {
             poison: None,
         };
         let store = Self {
+            dropping: Mutex::default(),
             writer: Mutex::new(writer),
             ahead: Mutex::new(ahead),
             state: Mutex::new(state),
             marks,
+            files: Files::new(Arc::clone(&disk)),
             disk,
             segment_bytes,
         };
@@ -261,11 +240,11 @@ impl BlockStore {
     }
 
     /// Oldest entry. With an empty log it is one above [`last_index`](Self::last_index).
-    pub const fn first_index(&self) -> u64 {
-        1
+    pub fn first_index(&self) -> u64 {
+        self.state().index.base().index + 1
     }
 
-    /// Newest entry, durable or not; 0 if there is none.
+    /// Newest entry, durable or not; one below [`first_index`](Self::first_index) if there is none.
     pub fn last_index(&self) -> u64 {
         self.state().index.last()
     }
@@ -280,156 +259,12 @@ impl BlockStore {
         self.state().hard_state
     }
 
-    /// Term of an entry, without reading the disk.
+    /// Term of an entry, without reading the disk; also of the one before the first, which is 0 for index 0.
     pub fn term(&self, index: u64) -> Option<u64> {
         self.state().index.term(index)
     }
 
-    /// One entry, or none if the log does not have it.
-    pub fn entry(&self, index: u64) -> Result<Option<Entry>, StoreError> {
-        let source = self.state().source(index);
-        source.map(Source::read).transpose()
-    }
-
-    /// The entries of `range` that the log has, as many as fit into `bytes_max` bytes of records, but one at least.
-    pub fn entries(&self, range: Range<u64>, bytes_max: usize) -> Result<Vec<Entry>, StoreError> {
-        let mut sources = Vec::new();
-        {
-            let state = self.state();
-            let mut bytes = 0_usize;
-            for index in range.start.max(1)..range.end.min(state.index.last().saturating_add(1)) {
-                let Some(source) = state.source(index) else { break };
-                bytes = bytes.saturating_add(source.bytes());
-                if bytes > bytes_max && !sources.is_empty() {
-                    break;
-                }
-                sources.push(source);
-            }
-        }
-        sources.into_iter().map(Source::read).collect()
-    }
-
     fn state(&self) -> MutexGuard<'_, State> {
         lock(&self.state)
-    }
-}
-
-impl State {
-    fn writable(&self) -> Result<(), StoreError> {
-        self.poison.clone().map_or(Ok(()), Err)
-    }
-
-    /// Ends writing; returns the error that did so first.
-    fn poison(&mut self, error: StoreError) -> StoreError {
-        self.poison.get_or_insert(error).clone()
-    }
-
-    /// What a caller may do wrong without harm.
-    fn check_limits(&self, entries: &[Entry]) -> Result<(), StoreError> {
-        let mut wanted = self.index.last() + 1;
-        let mut bytes = self.staged.bytes;
-        for (place, entry) in entries.iter().enumerate() {
-            let starts = place == 0 && (1..=wanted).contains(&entry.index);
-            if !starts && entry.index != wanted {
-                return Err(StoreError::Gap { found: entry.index, wanted });
-            }
-            wanted = entry.index.saturating_add(1);
-            let found_bytes = entry.data.len();
-            if found_bytes > ENTRY_BYTES_MAX {
-                return Err(StoreError::TooLarge { index: entry.index, found_bytes, max_bytes: ENTRY_BYTES_MAX });
-            }
-            bytes = bytes.saturating_add(weight(entry));
-        }
-        if bytes > STAGED_BYTES_MAX && !entries.is_empty() {
-            return Err(StoreError::StageFull { staged_bytes: bytes, max_bytes: STAGED_BYTES_MAX });
-        }
-        Ok(())
-    }
-
-    /// What only a broken orderer does.
-    fn check_rules(&self, entries: &[Entry], hard_state: Option<&HardState>) -> Result<(), String> {
-        if let Some(first) = entries.first() {
-            check_entry(&self.index, first, self.committed)?;
-        }
-        for pair in entries.windows(2) {
-            if let [before, after] = pair
-                && after.term < before.term
-            {
-                return Err(format!("entry {} has term {}, the one before {}", after.index, after.term, before.term));
-            }
-        }
-        let last = entries.last().map_or(self.index.last(), |entry| entry.index);
-        hard_state.map_or(Ok(()), |new| check_hard_state(&self.hard_state, new, last))
-    }
-
-    fn stage(&mut self, entry: Entry) {
-        self.superseded_from =
-            if entry.index <= self.index.last() { self.superseded_from.min(entry.index) } else { self.superseded_from };
-        self.index.append(entry.index, entry.term);
-        self.recent.append(entry.clone());
-        self.staged.push(entry);
-    }
-
-    /// Notes where entries are that became durable.
-    fn complete(&mut self, written: Written) -> Result<(), String> {
-        self.segments.extend(written.segments);
-        for (index, location) in written.entries {
-            if index < self.superseded_from && !self.index.place(index, location) {
-                return Err(format!("entry {index} was written, the log on disk ended at {}", self.index.durable()));
-            }
-        }
-        self.recent.trim(self.index.durable());
-        Ok(())
-    }
-
-    /// Takes back what could not be written: all but the first `placed` entries.
-    fn restage(&mut self, staged: Staged, placed: usize) {
-        let since = std::mem::take(&mut self.staged);
-        let kept = staged.entries.into_iter().skip(placed).filter(|entry| entry.index < self.superseded_from);
-        for entry in kept.collect::<Vec<_>>().into_iter().chain(since.entries) {
-            self.staged.push(entry);
-        }
-        self.staged.hard_state = since.hard_state.or(staged.hard_state);
-    }
-
-    fn source(&self, index: u64) -> Option<Source> {
-        if let Some(entry) = self.recent.get(index) {
-            return Some(Source::Memory(entry.clone()));
-        }
-        let location = self.index.location(index)?;
-        let segment = self.segments.get(usize::try_from(location.sequence.checked_sub(1)?).ok()?)?;
-        Some(Source::Disk(index, location, Arc::clone(segment)))
-    }
-}
-
-impl Staged {
-    const fn is_empty(&self) -> bool {
-        self.entries.is_empty() && self.hard_state.is_none()
-    }
-
-    /// Adds an entry; those it supersedes never need to be written.
-    fn push(&mut self, entry: Entry) {
-        while let Some(last) = self.entries.last().filter(|last| last.index >= entry.index) {
-            self.bytes -= weight(last);
-            self.entries.pop();
-        }
-        self.bytes += weight(&entry);
-        self.entries.push(entry);
-    }
-}
-
-impl Source {
-    fn bytes(&self) -> usize {
-        match self {
-            Self::Memory(entry) => weight(entry),
-            Self::Disk(_, location, _) => location.bytes as usize,
-        }
-    }
-
-    fn read(self) -> Result<Entry, StoreError> {
-        match self {
-            Self::Memory(entry) => Ok(entry),
-            Self::Disk(index, location, segment) => segment.read(index, location),
-        }
     }
 }

@@ -1,7 +1,8 @@
 //! The files of the log: what their bytes mean, and how to read them without trusting them.
 //!
 //! A store is a directory of segments, `0000000001-00000000000000000001.seg` and so on: sequence number, then the index
-//! of the first entry. A segment is a [`SegmentHeader`] followed by records (see [`RecordHeader`]) without gaps, then
+//! of the first entry. Old segments may be dropped from the front (then every one that is left still tells where the log
+//! begins and begins with the hard state); a gap between segments is damage. A segment is a [`SegmentHeader`] followed by records (see [`RecordHeader`]) without gaps, then
 //! zeros to the end of the file. All numbers are little endian.
 //!
 //! A segment is written as `….new` and takes its final name only when its header and first records, and all of its
@@ -19,10 +20,13 @@ mod record;
 mod scan;
 mod window;
 
-pub use header::{HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, parse_name, segment_name};
+pub use header::{
+    Base, HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, parse_name, segment_name,
+};
 pub use record::{
     ENTRY_BYTES_MAX, RECORD_BYTES_MAX, RECORD_HEADER_BYTES, Record, RecordHeader, decode_record, encode_record,
     encoded_bytes,
 };
 pub use scan::{Found, Scan, scan};
 pub(crate) use scan::{ScannedSegment, Tail};
+pub(crate) use window::Window;

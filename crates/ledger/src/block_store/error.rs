@@ -57,12 +57,30 @@ pub enum StoreError {
         wanted: [u8; 32],
     },
     /// Entries to append do not continue the log. Nothing was staged.
-    #[error("entry {found} cannot be appended: the log continues with {wanted} or an earlier index from 1 on")]
+    #[error("entry {found} cannot be appended: the log continues with {wanted}, or with an earlier index that it has")]
     Gap {
         /// Index found.
         found: u64,
         /// Index that would continue the log.
         wanted: u64,
+    },
+    /// The log cannot begin after this snapshot: it holds the block itself, or later ones that were promised. Nothing was
+    /// changed.
+    #[error(
+        "the log cannot begin after block {index} of term {term}: it goes from {first} to {last}, {committed} of it \
+         committed; drop what is older than the snapshot instead"
+    )]
+    NotBehind {
+        /// Height of the snapshot.
+        index: u64,
+        /// Term of its block.
+        term: u64,
+        /// First index of the log.
+        first: u64,
+        /// Last index of the log.
+        last: u64,
+        /// Newest index known to be committed.
+        committed: u64,
     },
     /// An entry is larger than a record may be. Nothing was staged.
     #[error("entry {index} has {found_bytes} bytes of data, at most {max_bytes} fit; send less in one block")]
@@ -109,7 +127,10 @@ impl From<StoreError> for Rejection {
             StoreError::Corrupt { .. } | StoreError::WrongNetwork { .. } => Code::Corrupt,
             StoreError::TooLarge { .. } => Code::TooLarge,
             StoreError::StageFull { .. } => Code::Overloaded,
-            StoreError::Gap { .. } | StoreError::Violation(_) | StoreError::Options(_) => Code::Internal,
+            StoreError::Gap { .. }
+            | StoreError::NotBehind { .. }
+            | StoreError::Violation(_)
+            | StoreError::Options(_) => Code::Internal,
         };
         Self::new(code, error.to_string())
     }

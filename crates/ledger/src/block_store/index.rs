@@ -1,96 +1,205 @@
-//! Where each entry is on disk, and its term.
+//! Where entries are on disk, and their terms.
 //!
-//! Twelve bytes an entry, plus a few for each change of term. Only this file knows that every location is in memory, so
-//! it may become sparse (one location in many, the rest found by reading on from there).
+//! Sparse, so that memory stays flat however long the log: the place of one entry in many is kept, the others are found
+//! by reading on from there. Terms are kept for each run of entries of one term.
 
-/// Where a durable entry is.
+use std::collections::VecDeque;
+
+use crate::segment::{Base, LogPosition};
+
+/// How many bytes of records may lie between two entries whose places are kept: what reading one entry costs at most.
+const MARK_BYTES: u32 = 128 << 10;
+
+/// The place of an entry from which those after it, up to the next mark, follow in the same file and in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Location {
-    /// Sequence number of its segment.
-    pub(super) sequence: u32,
+pub(super) struct Mark {
+    pub(super) index: u64,
     /// First byte of its record.
-    pub(super) offset: u32,
-    /// Bytes of its record.
-    pub(super) bytes: u32,
+    pub(super) position: LogPosition,
 }
-
-const _: () = assert!(size_of::<Location>() <= 16);
 
 /// The logical log: every index once, superseded entries gone.
 #[derive(Debug, Default)]
 pub(super) struct LogIndex {
-    /// Location of entry `i` at place `i - 1`; ends with the newest durable entry.
-    locations: Vec<Location>,
+    /// What the log follows.
+    base: Base,
+    /// Ascending; none above `durable`.
+    marks: VecDeque<Mark>,
     /// First index of each run of entries of one term, and the term.
-    terms: Vec<(u64, u64)>,
+    terms: VecDeque<(u64, u64)>,
+    /// Newest durable entry.
+    durable: u64,
     /// Newest entry, durable or not.
     last: u64,
+    /// The entry that was written last, whether or not it has been superseded since.
+    written: u64,
 }
 
 impl LogIndex {
+    /// An empty log that goes on after `base`.
+    pub(super) fn new(base: Base) -> Self {
+        Self { base, durable: base.index, last: base.index, ..Self::default() }
+    }
+
+    pub(super) const fn base(&self) -> Base {
+        self.base
+    }
+
     pub(super) const fn last(&self) -> u64 {
         self.last
     }
 
     /// Newest durable entry.
-    pub(super) fn durable(&self) -> u64 {
-        self.locations.len() as u64
+    pub(super) const fn durable(&self) -> u64 {
+        self.durable
     }
 
-    pub(super) fn location(&self, index: u64) -> Option<Location> {
-        self.locations.get(usize::try_from(index.checked_sub(1)?).ok()?).copied()
+    /// The marks from which the durable entries from `index` on are found, in order; none if it is not one of them.
+    pub(super) fn marks(&self, index: u64) -> impl Iterator<Item = Mark> {
+        let has = index > self.base.index && index <= self.durable;
+        let from = self.marks.partition_point(|mark| mark.index <= index).checked_sub(1).filter(|_| has);
+        self.marks.range(from.unwrap_or(self.marks.len())..).copied()
     }
 
+    /// The term of an entry, or of the one that the log follows.
     pub(super) fn term(&self, index: u64) -> Option<u64> {
-        if index == 0 || index > self.last {
+        if index > self.last || index < self.base.index {
             return None;
+        }
+        if index == self.base.index {
+            return Some(self.base.term);
         }
         let run = self.terms.partition_point(|(first, _)| *first <= index).checked_sub(1)?;
         self.terms.get(run).map(|(_, term)| *term)
     }
 
     /// Adds an entry, superseding what has its index or a higher one. `index` is at most one above the last.
+    ///
+    /// At or below the base only while a log is read that was cut short: there an entry that is left may have superseded
+    /// one that is gone.
     pub(super) fn append(&mut self, index: u64, term: u64) {
-        let keep = usize::try_from(index.saturating_sub(1)).unwrap_or(usize::MAX);
-        self.locations.truncate(keep);
-        while self.terms.last().is_some_and(|(first, _)| *first >= index) {
-            self.terms.pop();
+        self.durable = self.durable.min(index.saturating_sub(1));
+        while self.marks.back().is_some_and(|mark| mark.index >= index) {
+            self.marks.pop_back();
         }
-        if self.terms.last().is_none_or(|(_, last)| *last != term) {
-            self.terms.push((index, term));
+        while self.terms.back().is_some_and(|(first, _)| *first >= index) {
+            self.terms.pop_back();
+        }
+        if index == self.base.index {
+            self.base.term = term;
+        } else if index > self.base.index && self.terms.back().is_none_or(|(_, last)| *last != term) {
+            self.terms.push_back((index, term));
         }
         self.last = index;
     }
 
-    /// Notes that entry `index` is durable. False if it is not the one after the newest durable entry.
-    pub(super) fn place(&mut self, index: u64, location: Location) -> bool {
-        let next = index == self.durable() + 1 && index <= self.last;
-        if next {
-            self.locations.push(location);
+    /// Notes that entry `index` was written, but had been superseded before it was durable.
+    pub(super) const fn pass(&mut self, index: u64) {
+        self.written = index;
+    }
+
+    /// Notes that entry `index` is durable at `position`, which is behind what was written before it. False if it is not
+    /// the one after the newest durable entry.
+    pub(super) fn place(&mut self, index: u64, position: LogPosition) -> bool {
+        let follows = index == std::mem::replace(&mut self.written, index) + 1;
+        if index != self.durable + 1 || index > self.last {
+            return false;
         }
-        next
+        self.durable = index;
+        if index <= self.base.index {
+            return true;
+        }
+        let near = |mark: &Mark| {
+            mark.position.sequence == position.sequence
+                && position.offset.checked_sub(mark.position.offset).is_some_and(|bytes| bytes < MARK_BYTES)
+        };
+        if !follows || !self.marks.back().is_some_and(near) {
+            self.marks.push_back(Mark { index, position });
+        }
+        true
+    }
+
+    /// Forgets what is before entry `first` (in the log, or one above its end) and in segments before `oldest`, which are
+    /// none of its or later entries.
+    pub(super) fn drop_before(&mut self, first: u64, oldest: u32) {
+        let Some(term) = first.checked_sub(1).and_then(|index| self.term(index)) else { return };
+        self.base = Base { index: first - 1, term };
+        while self.marks.front().is_some_and(|mark| mark.position.sequence < oldest) {
+            self.marks.pop_front();
+        }
+        let run = self.terms.partition_point(|(start, _)| *start <= first);
+        if let Some(before) = run.checked_sub(1) {
+            self.terms.drain(..before);
+            if let Some((start, _)) = self.terms.front_mut() {
+                *start = (*start).max(first);
+            }
+        }
+        self.marks.shrink_to(self.marks.len() * 2);
     }
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
+    fn at(offset: u32) -> LogPosition {
+        LogPosition { sequence: 1, offset }
+    }
+
     #[test]
-    fn a_lower_index_supersedes_terms_and_locations() {
+    fn a_lower_index_supersedes_terms_and_places() {
         let mut index = LogIndex::default();
-        let location = Location { sequence: 1, offset: 96, bytes: 42 };
         for (entry, term) in [(1, 1), (2, 1), (3, 2), (4, 4)] {
             index.append(entry, term);
         }
-        assert!(index.place(1, location) && index.place(2, location) && index.place(3, location));
-        assert!(!index.place(5, location));
-        assert_eq!([0, 1, 2, 3, 4, 5].map(|at| index.term(at)), [None, Some(1), Some(1), Some(2), Some(4), None]);
+        assert!(index.place(1, at(96)) && index.place(2, at(150)) && index.place(3, at(200)));
+        assert!(!index.place(5, at(250)));
+        assert_eq!(
+            [0, 1, 2, 3, 4, 5].map(|at| index.term(at)),
+            [0, 1, 1, 2, 4, 9].map(|term| (term < 9).then_some(term))
+        );
         index.append(2, 5);
         assert_eq!([1, 2, 3].map(|at| index.term(at)), [Some(1), Some(5), None]);
         assert_eq!((index.durable(), index.last()), (1, 2));
-        assert_eq!(index.location(1).unwrap(), location);
-        assert_eq!(index.location(2), None);
+        assert_eq!(index.marks(1).collect::<Vec<_>>(), [Mark { index: 1, position: at(96) }]);
+        assert_eq!(index.marks(2).count(), 0);
+        assert!(index.place(2, at(300)));
+        assert_eq!(index.marks(2).collect::<Vec<_>>(), [Mark { index: 2, position: at(300) }]);
+    }
+
+    #[test]
+    fn memory_does_not_grow_with_every_entry_and_shrinks_when_the_front_is_dropped() {
+        let mut index = LogIndex::default();
+        for entry in 1..=100_000 {
+            index.append(entry, entry / 40_000);
+            let position = LogPosition { sequence: 1 + entry as u32 / 1000, offset: 96 + entry as u32 % 1000 * 400 };
+            assert!(index.place(entry, position));
+        }
+        let kept = index.marks.len();
+        assert!(kept < 500, "{kept}");
+        index.drop_before(50_000, 51);
+        assert_eq!((index.base().index, index.last(), index.term(49_998)), (49_999, 100_000, None));
+        assert_eq!([49_999, 50_000, 80_000].map(|at| index.term(at)), [Some(1), Some(1), Some(2)]);
+        assert_eq!(index.marks(50_000).next().map(|mark| mark.index), Some(50_000));
+        assert!(index.marks.len() * 2 <= kept + 4);
+        index.drop_before(100_001, 102);
+        assert_eq!((index.term(100_000), index.marks.len(), index.last()), (Some(2), 0, 100_000));
+        index.append(100_001, 7);
+        assert_eq!(index.term(100_001), Some(7));
+    }
+
+    #[test]
+    fn what_was_written_in_vain_is_not_walked_over() {
+        let mut index = LogIndex::default();
+        for (entry, term) in [(1, 1), (2, 1), (3, 1)] {
+            index.append(entry, term);
+        }
+        index.append(2, 2);
+        // The write of 1 to 3 was under way: only 1 counts.
+        assert!(index.place(1, at(96)));
+        index.pass(2);
+        index.pass(3);
+        assert!(index.place(2, at(300)));
+        assert_eq!(index.marks(1).map(|mark| mark.position.offset).collect::<Vec<_>>(), [96, 300]);
     }
 }

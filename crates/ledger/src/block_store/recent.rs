@@ -23,6 +23,25 @@ impl Recent {
         self.entries.get(usize::try_from(index.checked_sub(first)?).ok()?)
     }
 
+    /// The oldest entry held.
+    pub(super) fn first(&self) -> Option<u64> {
+        self.entries.front().map(|entry| entry.index)
+    }
+
+    /// Forgets the entries before `first`.
+    pub(super) fn drop_before(&mut self, first: u64) {
+        while let Some(oldest) = self.entries.front().filter(|oldest| oldest.index < first) {
+            self.bytes -= weight(oldest);
+            self.entries.pop_front();
+        }
+    }
+
+    /// Forgets everything.
+    pub(super) fn clear(&mut self) {
+        self.entries.clear();
+        self.bytes = 0;
+    }
+
     /// Adds the entry, superseding what has its index or a higher one.
     pub(super) fn append(&mut self, entry: Entry) {
         while let Some(last) = self.entries.back().filter(|last| last.index >= entry.index) {

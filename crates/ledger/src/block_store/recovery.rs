@@ -1,24 +1,28 @@
 //! Opening a store: read everything, believe what is proven, repair a torn tail, refuse rot.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 use super::StoreError;
 use super::ahead::write_zeros;
-use super::index::{Location, LogIndex};
+use super::files::StoredSegment;
+use super::index::LogIndex;
 use super::recent::Recent;
-use super::stored::StoredSegment;
-use crate::disk::Disk;
+use super::writer::Active;
+use crate::disk::{Disk, DiskFile};
 use crate::entry::{Entry, HardState};
-use crate::segment::{Found, HEADER_BYTES, Record, ScannedSegment, Tail, scan};
+use crate::segment::{Found, HEADER_BYTES, Record, Scan, ScannedSegment, Tail, scan};
 
 /// What opening a store found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Recovery {
     /// How many segments there are.
     pub segments: usize,
-    /// The newest entry; 0 if there is none.
+    /// The oldest entry. Above 1 if older ones were dropped, or if somebody has removed their files.
+    pub first_index: u64,
+    /// The newest entry; one below `first_index` if there is none.
     pub last_index: u64,
-    /// The newest hard state.
+    /// The newest hard state; what is older than the log counts as committed.
     pub hard_state: HardState,
     /// The torn tail that was zeroed. The caller should compare `last_index` with what it knows to be committed.
     pub torn: Option<TornTail>,
@@ -41,32 +45,33 @@ pub struct TornTail {
 pub(super) struct Recovered {
     pub(super) index: LogIndex,
     pub(super) recent: Recent,
-    pub(super) segments: Vec<Arc<StoredSegment>>,
-    /// End of the log in the newest segment, and length of that file.
-    pub(super) tail: Tail,
+    pub(super) segments: VecDeque<Arc<StoredSegment>>,
+    /// The newest segment and the length of its file.
+    pub(super) active: Option<Active>,
     pub(super) length: u64,
-    /// The index after the newest entry written, superseded or not.
-    pub(super) next_index: u64,
+    /// End of the log in it.
+    pub(super) tail: Tail,
+    /// The newest hard state as written.
+    pub(super) written: HardState,
     pub(super) report: Recovery,
 }
 
 pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -> Result<Recovered, StoreError> {
     let mut scan = scan(disk, Some(network))?;
-    let mut report = Recovery { segments: scan.segments().len(), ..Recovery::default() };
-    let mut index = LogIndex::default();
+    let base = scan.base();
+    let mut report = Recovery { segments: scan.segments().len(), first_index: base.index + 1, ..Recovery::default() };
+    let mut index = LogIndex::new(base);
     let mut recent = Recent::new(cache_bytes);
-    let mut next_index = 1;
     for found in scan.by_ref() {
         match found? {
-            Found::Record { file, position, bytes, record, .. } => {
+            Found::Record { file, position, record, .. } => {
                 let refuse = |what: String, at| StoreError::corrupt(&file, position.offset.into(), what, at);
                 match record {
                     Record::Entry(entry) => {
                         let at = entry.index;
-                        next_index = at.saturating_add(1);
                         check_entry(&index, &entry, report.hard_state.commit).map_err(|what| refuse(what, at))?;
                         index.append(at, entry.term);
-                        index.place(at, Location { sequence: position.sequence, offset: position.offset, bytes });
+                        index.place(at, position);
                         recent.append(entry);
                         recent.trim(at);
                     }
@@ -82,32 +87,54 @@ pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -
             }
         }
     }
+    recent.drop_before(report.first_index);
     report.last_index = index.last();
     let tail = scan.tail();
-    let length = match scan.segments().last() {
-        Some(newest) => settle(newest, tail, report.torn.as_ref())?,
-        None => 0,
-    };
+    let mut length = 0;
+    let mut active = None;
+    if let Some(newest) = scan.segments().last() {
+        if index.last() < base.index {
+            let what = format!("the log was cut to begin at {}, but it ends before", report.first_index);
+            return Err(StoreError::corrupt(&newest.name, tail.end, what, index.last() + 1));
+        }
+        let file = disk.open(&newest.name).map_err(|error| StoreError::io("open", &newest.name, error))?;
+        length = settle(&newest.name, file.as_ref(), tail, report.torn.as_ref())?;
+        active = Some(Active { segment: stored(newest), file });
+    }
+    tidy(disk, &scan, &mut report)?;
+    let written = report.hard_state;
+    // What was dropped had been committed, even if nobody got to write that down.
+    report.hard_state.commit = report.hard_state.commit.max(base.index);
+    let segments = scan.segments().iter().map(stored).collect();
+    Ok(Recovered { index, recent, segments, active, length, tail, written, report })
+}
+
+/// Removes what an interrupted change of files has left behind, and names what is not ours.
+fn tidy(disk: &dyn Disk, scan: &Scan<'_>, report: &mut Recovery) -> Result<(), StoreError> {
+    let remove = |name: &String| disk.remove(name).map_err(|error| StoreError::io("remove", name, error));
+    // The segment that made these void must have its name for good before they go.
+    let sync = || disk.sync_dir().map_err(|error| StoreError::io("sync the directory", ".", error));
+    if !scan.void().is_empty() {
+        sync()?;
+        scan.void().iter().try_for_each(remove)?;
+    }
     for name in scan.ignored() {
         // Unfinished segments were never part of the log.
         if name.strip_suffix(".new").is_some_and(|number| number.len() == 10 && number.parse::<u32>().is_ok()) {
-            disk.remove(name).map_err(|error| StoreError::io("remove", name, error))?;
+            remove(name)?;
         } else {
             report.ignored.push(name.clone());
         }
     }
-    disk.sync_dir().map_err(|error| StoreError::io("sync the directory", ".", error))?;
-    let segments = scan.segments().iter().map(stored).collect();
-    Ok(Recovered { index, recent, segments, tail, length, next_index, report })
+    sync()
 }
 
 /// Makes sure that what was read is on disk, and that zeros follow it; returns the length of the file.
 ///
 /// What its own records do not prove durable is written again: it may be in the page cache only, and after a failed
 /// sync the kernel takes such pages for clean, so a sync alone would not save them.
-fn settle(newest: &ScannedSegment, tail: Tail, torn: Option<&TornTail>) -> Result<u64, StoreError> {
+fn settle(name: &str, file: &dyn DiskFile, tail: Tail, torn: Option<&TornTail>) -> Result<u64, StoreError> {
     const PIECE_BYTES: u64 = 1 << 20;
-    let ScannedSegment { name, file, .. } = newest;
     let mut at = tail.proven.max(HEADER_BYTES);
     while at < tail.end {
         let mut piece = vec![0; usize::try_from(PIECE_BYTES.min(tail.end - at)).unwrap_or(0)];
@@ -119,7 +146,7 @@ fn settle(newest: &ScannedSegment, tail: Tail, torn: Option<&TornTail>) -> Resul
         at += count as u64;
     }
     if let Some(torn) = torn {
-        write_zeros(file.as_ref(), name, torn.offset, torn.offset + torn.bytes)?;
+        write_zeros(file, name, torn.offset, torn.offset + torn.bytes)?;
     }
     file.sync_data().map_err(|error| StoreError::io("sync", name, error))?;
     file.len().map_err(|error| StoreError::io("measure", name, error))
@@ -130,7 +157,7 @@ fn stored(segment: &ScannedSegment) -> Arc<StoredSegment> {
         name: segment.name.to_string(),
         sequence: segment.header.sequence,
         salt: segment.header.salt,
-        file: Arc::clone(&segment.file),
+        first_index: segment.header.first_index,
     })
 }
 

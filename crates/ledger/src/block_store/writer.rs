@@ -6,11 +6,10 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use super::StoreError;
 use super::ahead::{Ahead, Marks, Spare, write_zeros};
-use super::index::Location;
-use super::stored::StoredSegment;
+use super::files::StoredSegment;
 use crate::disk::{Disk, DiskFile};
-use crate::entry::Entry;
-use crate::segment::{HEADER_BYTES, LogPosition, Record, SegmentHeader, encode_record, encoded_bytes, segment_name};
+use crate::entry::{Entry, HardState};
+use crate::segment::{Base, LogPosition, Record, SegmentHeader, encode_record, encoded_bytes, segment_name};
 
 /// A buffer larger than this is given back after use.
 const BUFFER_KEPT_BYTES: usize = 1 << 20;
@@ -21,22 +20,31 @@ pub(super) struct Writer {
     pub(super) network: [u8; 32],
     pub(super) segment_bytes: u64,
     pub(super) salt: Box<dyn FnMut() -> u64 + Send>,
-    /// The newest segment; none in a new store.
-    pub(super) active: Option<Arc<StoredSegment>>,
+    /// The newest segment and its file; none in a new store.
+    pub(super) active: Option<Active>,
     /// End of its records.
     pub(super) end: u64,
     /// CRC the next record names.
     pub(super) previous: u32,
-    /// The index after the newest entry written.
-    pub(super) next_index: u64,
+    /// Index and term of the newest entry written.
+    pub(super) newest: Base,
+    /// The newest hard state written: every segment begins with one, so that older segments can be dropped.
+    pub(super) hard_state: HardState,
     /// Reused for encoding.
     pub(super) buffer: Vec<u8>,
+}
+
+/// The segment that is being written.
+#[derive(Clone)]
+pub(super) struct Active {
+    pub(super) segment: Arc<StoredSegment>,
+    pub(super) file: Arc<dyn DiskFile>,
 }
 
 /// What became durable.
 #[derive(Default)]
 pub(super) struct Written {
-    pub(super) entries: Vec<(u64, Location)>,
+    pub(super) entries: Vec<(u64, LogPosition)>,
     pub(super) segments: Vec<Arc<StoredSegment>>,
 }
 
@@ -55,8 +63,11 @@ struct Run {
     /// Offset of the buffer's first byte.
     start: u64,
     previous: u32,
-    entries: Vec<(u64, Location)>,
-    next_index: u64,
+    /// What is on disk before anything of the run is.
+    durable_upto: LogPosition,
+    entries: Vec<(u64, LogPosition)>,
+    newest: Base,
+    hard_state: HardState,
 }
 
 struct Fresh {
@@ -89,29 +100,62 @@ impl Writer {
     ) -> Result<(), Failure> {
         let mut run = self.continue_segment();
         for record in records {
-            let bytes = encoded_bytes(&record) as u64;
             let at = run.start + self.buffer.len() as u64;
             // A record larger than a segment gets one of its own.
-            let fits = at + bytes <= self.segment_bytes || at == HEADER_BYTES;
+            let fits = at + encoded_bytes(&record) as u64 <= self.segment_bytes;
             if (run.fresh.is_none() && self.active.is_none()) || !fits {
                 self.commit(run, ahead, marks, written)?;
-                run = self.begin_segment(ahead)?;
+                run = self.begin_segment(self.durable(), ahead)?;
             }
-            let Some(segment) = run.fresh.as_ref().map(|fresh| &fresh.segment).or(self.active.as_ref()) else {
-                return Err(Failure::Fatal(StoreError::Violation("no segment to write to".to_owned())));
-            };
-            let at = run.start + self.buffer.len() as u64;
-            let offset = u32::try_from(at)
-                .map_err(|_| Failure::Fatal(StoreError::Violation(format!("{} is too long", segment.name))))?;
-            let durable_upto = self.durable();
-            run.previous = encode_record(&record, segment.salt, offset, run.previous, durable_upto, &mut self.buffer);
-            if let Record::Entry(Entry { index, .. }) = record {
-                let location = Location { sequence: segment.sequence, offset, bytes: bytes as u32 };
-                run.entries.push((index, location));
-                run.next_index = index + 1;
-            }
+            self.encode(&mut run, &record)?;
         }
         self.commit(run, ahead, marks, written)
+    }
+
+    /// Begins the log anew, after `base`: what is in older segments is void as soon as this one has its name.
+    pub(super) fn begin_after(
+        &mut self,
+        base: Base,
+        hard_state: HardState,
+        ahead: &Mutex<Ahead>,
+        marks: &Marks,
+    ) -> Result<Arc<StoredSegment>, Failure> {
+        let before = (self.newest, self.hard_state, self.previous);
+        (self.newest, self.hard_state, self.previous) = (base, hard_state, 0);
+        let mut written = Written::default();
+        let result = self
+            .begin_segment(LogPosition::default(), ahead)
+            .and_then(|run| self.commit(run, ahead, marks, &mut written));
+        if !matches!(result, Err(Failure::Fatal(_))) {
+            lock(ahead).beginning = false;
+        }
+        if let Err(failure) = result {
+            (self.newest, self.hard_state, self.previous) = before;
+            return Err(failure);
+        }
+        let none = || Failure::Fatal(StoreError::Violation("no segment was begun".to_owned()));
+        written.segments.pop().ok_or_else(none)
+    }
+
+    /// Adds a record to the run.
+    fn encode(&mut self, run: &mut Run, record: &Record) -> Result<(), Failure> {
+        let active = self.active.as_ref().map(|active| &active.segment);
+        let Some(segment) = run.fresh.as_ref().map(|fresh| &fresh.segment).or(active) else {
+            return Err(Failure::Fatal(StoreError::Violation("no segment to write to".to_owned())));
+        };
+        let at = run.start + self.buffer.len() as u64;
+        let offset = u32::try_from(at)
+            .map_err(|_| Failure::Fatal(StoreError::Violation(format!("{} is too long", segment.name))))?;
+        let durable_upto = run.durable_upto;
+        run.previous = encode_record(record, segment.salt, offset, run.previous, durable_upto, &mut self.buffer);
+        match record {
+            Record::Entry(Entry { index, term, .. }) => {
+                run.entries.push((*index, LogPosition { sequence: segment.sequence, offset }));
+                run.newest = Base { index: *index, term: *term };
+            }
+            Record::HardState(hard_state) => run.hard_state = *hard_state,
+        }
+        Ok(())
     }
 
     /// Everything before this is on disk.
@@ -119,18 +163,23 @@ impl Writer {
         let end = u32::try_from(self.end).unwrap_or(u32::MAX);
         self.active
             .as_ref()
-            .map_or_else(LogPosition::default, |segment| LogPosition { sequence: segment.sequence, offset: end })
+            .map_or_else(LogPosition::default, |active| LogPosition { sequence: active.segment.sequence, offset: end })
     }
 
     fn continue_segment(&mut self) -> Run {
         self.buffer.clear();
         self.buffer.shrink_to(BUFFER_KEPT_BYTES);
-        Run { fresh: None, start: self.end, previous: self.previous, entries: Vec::new(), next_index: self.next_index }
+        self.run(None, self.end, self.previous, self.durable())
     }
 
-    fn begin_segment(&mut self, ahead: &Mutex<Ahead>) -> Result<Run, Failure> {
-        let durable_upto = self.durable();
-        let sequence = durable_upto.sequence + 1;
+    fn run(&self, fresh: Option<Fresh>, start: u64, previous: u32, durable_upto: LogPosition) -> Run {
+        let (newest, hard_state) = (self.newest, self.hard_state);
+        Run { fresh, start, previous, durable_upto, entries: Vec::new(), newest, hard_state }
+    }
+
+    /// `durable_upto`: end of the log so far, or the default if the log begins with this segment.
+    fn begin_segment(&mut self, durable_upto: LogPosition, ahead: &Mutex<Ahead>) -> Result<Run, Failure> {
+        let sequence = self.durable().sequence + 1;
         let spare = {
             let mut ahead = lock(ahead);
             ahead.beginning = true;
@@ -146,10 +195,11 @@ impl Writer {
         let header = SegmentHeader {
             sequence,
             network: self.network,
-            first_index: self.next_index,
+            first_index: self.newest.index + 1,
             salt: (self.salt)(),
             durable_upto,
             previous: self.previous,
+            previous_term: self.newest.term,
         };
         let (bytes, crc) = header.encode();
         self.buffer.clear();
@@ -158,10 +208,13 @@ impl Writer {
             name: segment_name(sequence, header.first_index),
             sequence,
             salt: header.salt,
-            file: Arc::clone(&spare.file),
+            first_index: header.first_index,
         });
-        let fresh = Some(Fresh { spare, segment });
-        Ok(Run { fresh, start: 0, previous: crc, entries: Vec::new(), next_index: self.next_index })
+        let mut run = self.run(Some(Fresh { spare, segment }), 0, crc, durable_upto);
+        if self.hard_state != HardState::default() {
+            self.encode(&mut run, &Record::HardState(self.hard_state))?;
+        }
+        Ok(run)
     }
 
     /// Puts the buffer on disk.
@@ -175,20 +228,20 @@ impl Writer {
             Some(fresh) => {
                 self.commit_fresh(&fresh, end, ahead, marks)?;
                 written.segments.push(Arc::clone(&fresh.segment));
-                self.active = Some(fresh.segment);
+                self.active = Some(Active { segment: fresh.segment, file: fresh.spare.file });
             }
         }
         self.end = end;
         self.previous = run.previous;
-        self.next_index = run.next_index;
+        (self.newest, self.hard_state) = (run.newest, run.hard_state);
         written.entries.extend(run.entries);
         self.buffer.clear();
         Ok(())
     }
 
     fn commit_in_place(&self, start: u64, end: u64, ahead: &Mutex<Ahead>, marks: &Marks) -> Result<(), Failure> {
-        let Some(segment) = &self.active else { return Ok(()) };
-        let write = || segment.file.write_at(&self.buffer, start);
+        let Some(Active { segment, file }) = &self.active else { return Ok(()) };
+        let write = || file.write_at(&self.buffer, start);
         let result = if end <= marks.zeroed.load(Ordering::Acquire) {
             marks.position.store(end, Ordering::Release);
             write()
@@ -206,11 +259,11 @@ impl Writer {
             Ok(()) => {}
             Err(error) if error.kind() == ErrorKind::StorageFull => {
                 let full = disk_error("write", &segment.name, end - start, error);
-                return Err(undo(segment, start, end, full, ahead, marks));
+                return Err(undo(&segment.name, file.as_ref(), (start, end), full, ahead, marks));
             }
             Err(error) => return Err(Failure::Fatal(StoreError::io("write", &segment.name, error))),
         }
-        segment.file.sync_data().map_err(|error| Failure::Fatal(StoreError::io("sync", &segment.name, error)))
+        file.sync_data().map_err(|error| Failure::Fatal(StoreError::io("sync", &segment.name, error)))
     }
 
     /// The file gets its name, and the name its place, only when the content is on disk.
@@ -233,7 +286,7 @@ impl Writer {
         let mut ahead = lock(ahead);
         ahead.newest = segment.sequence;
         ahead.beginning = false;
-        ahead.active = Some((segment.name.clone(), Arc::clone(&segment.file)));
+        ahead.active = Some((segment.name.clone(), Arc::clone(&spare.file)));
         marks.position.store(end, Ordering::Release);
         marks.zeroed.store(end.max(spare.zeroed), Ordering::Release);
         Ok(())
@@ -242,19 +295,19 @@ impl Writer {
 
 /// Takes back a write that found the disk full, so that zeros follow the log as before.
 fn undo(
-    segment: &StoredSegment,
-    start: u64,
-    end: u64,
+    name: &str,
+    file: &dyn DiskFile,
+    (start, end): (u64, u64),
     full: StoreError,
     ahead: &Mutex<Ahead>,
     marks: &Marks,
 ) -> Failure {
     let _ahead = lock(ahead);
     let zeroed = marks.zeroed.load(Ordering::Acquire);
-    let cut = |file: &dyn DiskFile| if file.len()? > zeroed { file.set_len(zeroed) } else { Ok(()) };
-    let undone = cut(segment.file.as_ref())
-        .map_err(|error| StoreError::io("shorten", &segment.name, error))
-        .and_then(|()| write_zeros(segment.file.as_ref(), &segment.name, start, end.min(zeroed)));
+    let cut = || if file.len()? > zeroed { file.set_len(zeroed) } else { Ok(()) };
+    let undone = cut()
+        .map_err(|error| StoreError::io("shorten", name, error))
+        .and_then(|()| write_zeros(file, name, start, end.min(zeroed)));
     marks.position.store(start, Ordering::Release);
     match undone {
         Ok(()) => Failure::Undone(full),

@@ -6,7 +6,7 @@ use std::fmt;
 pub const HEADER_BYTES: u64 = 96;
 
 /// The format this code writes, and the only one it reads.
-pub const VERSION: u32 = 1;
+pub const VERSION: u32 = 2;
 
 /// Largest segment: offsets are kept in 32 bits, with room for one record beyond the end.
 pub const SEGMENT_BYTES_MAX: u64 = 1 << 30;
@@ -46,19 +46,29 @@ impl fmt::Display for LogPosition {
     }
 }
 
+/// What a log follows: the newest entry that is not in it any more. Index and term 0: the genesis.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Base {
+    /// Its index.
+    pub index: u64,
+    /// Its term.
+    pub term: u64,
+}
+
 /// The head of a segment.
 ///
 /// | offset | bytes | field | why |
 /// |---|---|---|---|
 /// | 0 | 8 | magic `LEDGRSEG` | a foreign file is named as such |
-/// | 8 | 4 | format version, 1 | an older program refuses a newer file; the header's size and the place of its CRC never change |
+/// | 8 | 4 | format version, 2 | an older program refuses a newer file; the header's size and the place of its CRC never change |
 /// | 12 | 4 | sequence | order of the segments; equals the name, so a renamed or missing file is noticed |
 /// | 16 | 32 | network | hash of the genesis block; a store of another network is refused |
 /// | 48 | 8 | first index | the index that follows the newest entry before this segment; equals the name |
 /// | 56 | 8 | salt | random; seeds the records' CRCs, so that bytes of another segment or of a payload never parse |
-/// | 64 | 8 | durable_upto | end of the predecessor's records, a [`LogPosition`]; all of it was durable before this segment got its name. 0 in the first |
-/// | 72 | 4 | previous | header CRC of the predecessor's last record (or of its header, if none): the chain goes across files. 0 in the first |
-/// | 76 | 16 | zero | reserved |
+/// | 64 | 8 | durable_upto | end of the predecessor's records, a [`LogPosition`]; all of it was durable before this segment got its name. 0 in a segment that begins a log: the first of all, or the first after a snapshot, which makes those before it void |
+/// | 72 | 4 | previous | header CRC of the predecessor's last record (or of its header, if none): the chain goes across files. 0 in a segment that begins a log |
+/// | 76 | 8 | previous term | term of the entry before the first index, 0 for index 0: the orderer asks for it when older segments are gone |
+/// | 84 | 8 | zero | reserved |
 /// | 92 | 4 | CRC-32C of bytes 0 to 91 | damage is noticed; the first record names it as its predecessor |
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SegmentHeader {
@@ -74,9 +84,21 @@ pub struct SegmentHeader {
     pub durable_upto: LogPosition,
     /// CRC of what precedes this header in the chain.
     pub previous: u32,
+    /// Term of the newest entry before this segment.
+    pub previous_term: u64,
 }
 
 impl SegmentHeader {
+    /// Does the log begin here, whatever older segments there are?
+    pub fn begins_log(&self) -> bool {
+        self.durable_upto == LogPosition::default()
+    }
+
+    /// Where the log begins if this is its oldest segment.
+    pub const fn base(&self) -> Base {
+        Base { index: self.first_index.saturating_sub(1), term: self.previous_term }
+    }
+
     /// The bytes to store, and their CRC, which the first record names as its predecessor.
     pub fn encode(&self) -> (Vec<u8>, u32) {
         let mut bytes = Vec::with_capacity(HEADER_BYTES as usize);
@@ -88,6 +110,7 @@ impl SegmentHeader {
         bytes.extend(self.salt.to_le_bytes());
         bytes.extend(self.durable_upto.to_u64().to_le_bytes());
         bytes.extend(self.previous.to_le_bytes());
+        bytes.extend(self.previous_term.to_le_bytes());
         bytes.resize(CRC_AT, 0);
         let crc = crc32c::crc32c(&bytes);
         bytes.extend(crc.to_le_bytes());
@@ -119,7 +142,11 @@ impl SegmentHeader {
             salt: take(&mut rest).map(u64::from_le_bytes).ok_or_else(short)?,
             durable_upto: take(&mut rest).map(u64::from_le_bytes).map(LogPosition::from_u64).ok_or_else(short)?,
             previous: take(&mut rest).map(u32::from_le_bytes).ok_or_else(short)?,
+            previous_term: take(&mut rest).map(u64::from_le_bytes).ok_or_else(short)?,
         };
+        if header.first_index == 0 {
+            return Err((48, "the first index is 0, which is the genesis and in no log".to_owned()));
+        }
         Ok((header, crc))
     }
 }

@@ -92,6 +92,11 @@ impl RecordHeader {
         Ok(header)
     }
 
+    /// Is the payload an entry?
+    pub const fn is_entry(&self) -> bool {
+        self.kind == TYPE_ENTRY
+    }
+
     /// Bytes of header and payload.
     pub const fn record_bytes(&self) -> usize {
         RECORD_HEADER_BYTES + self.length as usize

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use super::header::{HEADER_BYTES, LogPosition, SegmentHeader, parse_name};
+use super::header::{Base, HEADER_BYTES, LogPosition, SegmentHeader, parse_name};
 use super::record::{RECORD_HEADER_BYTES, Record, RecordHeader, decode_record};
 use super::window::Window;
 use crate::block_store::StoreError;
-use crate::disk::{Disk, DiskFile};
+use crate::disk::Disk;
 
 /// What a scan came upon.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -38,8 +38,11 @@ pub enum Found {
 }
 
 /// Iterator over the records of a store; ends after the first error.
-pub struct Scan {
+pub struct Scan<'a> {
+    disk: &'a dyn Disk,
     segments: Vec<ScannedSegment>,
+    /// Segments that are void since the log was begun anew after a snapshot.
+    void: Vec<String>,
     /// Files that are no segments.
     ignored: Vec<String>,
     /// Which segment is being read.
@@ -50,20 +53,21 @@ pub struct Scan {
     previous: u32,
     /// Up to where the newest segment is proven durable by its own records.
     proven: u64,
-    /// The index after the newest entry seen, for messages.
+    /// The index after the newest entry seen.
     next_index: u64,
+    /// Its term.
+    last_term: u64,
     window: Option<Window>,
     done: bool,
 }
 
-/// A segment that a scan opened.
+/// A segment that a scan has seen the header of.
 #[derive(Clone)]
 pub(crate) struct ScannedSegment {
     pub(crate) name: Arc<str>,
     pub(crate) header: SegmentHeader,
     /// CRC of the header.
     pub(crate) crc: u32,
-    pub(crate) file: Arc<dyn DiskFile>,
 }
 
 /// Where the log ends, once a scan is done.
@@ -75,29 +79,33 @@ pub(crate) struct Tail {
     pub(crate) previous: u32,
     /// Up to where its own records prove the newest segment durable.
     pub(crate) proven: u64,
+    /// Index and term of the newest entry written, superseded or not.
+    pub(crate) newest: Base,
 }
 
-/// Opens every segment of `disk` and checks the headers; the iterator then reads the records.
+/// Checks the header of every segment of `disk`; the iterator then reads the records.
 ///
 /// `network`: refuse segments of another one. Changes nothing, so it works on a disk that is open for reading only.
-pub fn scan(disk: &dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan, StoreError> {
+pub fn scan<'a>(disk: &'a dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan<'a>, StoreError> {
     let names = disk.list().map_err(|error| StoreError::io("list", ".", error))?;
-    let mut segments: Vec<ScannedSegment> = Vec::new();
-    let mut ignored = Vec::new();
-    for name in names {
+    let (mut segments, mut void, mut ignored) = (Vec::<ScannedSegment>::new(), Vec::new(), Vec::new());
+    // From the newest to the one that begins the log. Names sort as their numbers do.
+    for name in names.into_iter().rev() {
         let Some((sequence, first_index)) = parse_name(&name) else {
             ignored.push(name);
             continue;
         };
-        // Names sort as their numbers do.
-        let before = segments.last();
-        let wanted = before.map_or(1, |segment| segment.header.sequence.saturating_add(1));
-        if sequence != wanted {
-            let what = format!("this is segment {sequence}, but segment {wanted} is missing or there twice");
-            return Err(StoreError::corrupt(&name, 0, what, before.map_or(1, |segment| segment.header.first_index)));
+        let after = segments.last();
+        if after.is_some_and(|after| after.header.begins_log()) {
+            void.push(name);
+            continue;
         }
-        let segment = open_segment(disk, &name, first_index)?;
-        let header = &segment.header;
+        if let Some(after) = after.filter(|after| sequence.checked_add(1) != Some(after.header.sequence)) {
+            let wanted = after.header.sequence.saturating_sub(1);
+            let what = format!("this is segment {sequence}, but segment {wanted} is missing or there twice");
+            return Err(StoreError::corrupt(&name, 0, what, first_index));
+        }
+        let (header, crc) = read_header(disk, &name, first_index)?;
         if let Some(wanted) = network.filter(|wanted| **wanted != header.network) {
             return Err(StoreError::WrongNetwork { file: name, found: header.network, wanted: *wanted });
         }
@@ -106,27 +114,54 @@ pub fn scan(disk: &dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan, StoreEr
                 format!("the header says segment {}, first index {}: renamed?", header.sequence, header.first_index);
             return Err(StoreError::corrupt(&name, 12, what, first_index));
         }
-        if header.durable_upto.sequence != sequence - 1 {
+        if !header.begins_log() && Some(header.durable_upto.sequence) != sequence.checked_sub(1) {
             return Err(StoreError::corrupt(&name, 64, "the header does not follow the segment before", first_index));
         }
-        segments.push(segment);
+        segments.push(ScannedSegment { name: name.into(), header, crc });
     }
-    Ok(Scan { segments, ignored, at: 0, offset: 0, previous: 0, proven: 0, next_index: 1, window: None, done: false })
+    segments.reverse();
+    void.reverse();
+    ignored.reverse();
+    let oldest = segments.first().map(|segment| segment.header);
+    let base = oldest.as_ref().map_or_else(Base::default, SegmentHeader::base);
+    Ok(Scan {
+        disk,
+        segments,
+        void,
+        ignored,
+        at: 0,
+        offset: 0,
+        previous: oldest.map_or(0, |header| header.previous),
+        proven: 0,
+        next_index: base.index + 1,
+        last_term: base.term,
+        window: None,
+        done: false,
+    })
 }
 
-fn open_segment(disk: &dyn Disk, name: &str, first_index: u64) -> Result<ScannedSegment, StoreError> {
+fn read_header(disk: &dyn Disk, name: &str, first_index: u64) -> Result<(SegmentHeader, u32), StoreError> {
     let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
     let mut bytes = [0; HEADER_BYTES as usize];
     let count = file.read_at(&mut bytes, 0).map_err(|error| StoreError::io("read", name, error))?;
-    let (header, crc) = SegmentHeader::decode(bytes.get(..count).unwrap_or_default())
-        .map_err(|(offset, what)| StoreError::corrupt(name, offset, what, first_index))?;
-    Ok(ScannedSegment { name: name.into(), header, crc, file })
+    SegmentHeader::decode(bytes.get(..count).unwrap_or_default())
+        .map_err(|(offset, what)| StoreError::corrupt(name, offset, what, first_index))
 }
 
-impl Scan {
+impl Scan<'_> {
     /// Names of files in the directory that are no segments.
     pub fn ignored(&self) -> &[String] {
         &self.ignored
+    }
+
+    /// What the log follows: an entry that was dropped or never had, or the genesis.
+    pub fn base(&self) -> Base {
+        self.segments.first().map_or_else(Base::default, |oldest| oldest.header.base())
+    }
+
+    /// Names of segments that are no part of the log any more: it was begun anew after a snapshot.
+    pub fn void(&self) -> &[String] {
+        &self.void
     }
 
     pub(crate) fn segments(&self) -> &[ScannedSegment] {
@@ -135,7 +170,8 @@ impl Scan {
 
     /// Where the log ends; meaningful when the iterator has ended without an error.
     pub(crate) const fn tail(&self) -> Tail {
-        Tail { end: self.offset, previous: self.previous, proven: self.proven }
+        let newest = Base { index: self.next_index.saturating_sub(1), term: self.last_term };
+        Tail { end: self.offset, previous: self.previous, proven: self.proven, newest }
     }
 
     fn step(&mut self) -> Result<Option<Found>, StoreError> {
@@ -146,7 +182,8 @@ impl Scan {
             let read = |error| StoreError::io("read", name, error);
             if self.window.is_none() {
                 self.enter(&segment)?;
-                self.window = Some(Window::new(Arc::clone(&segment.file)).map_err(read)?);
+                let file = self.disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
+                self.window = Some(Window::new(file).map_err(read)?);
             }
             let next_index = self.next_index;
             let corrupt = |offset, what: &str| StoreError::corrupt(name, offset, what, next_index);
@@ -174,6 +211,7 @@ impl Scan {
                     }
                     if let Record::Entry(entry) = &record {
                         self.next_index = entry.index.saturating_add(1);
+                        self.last_term = entry.term;
                     }
                     let bytes = narrow(header.record_bytes() as u64);
                     let durable_upto = header.durable_upto;
@@ -206,6 +244,13 @@ impl Scan {
                 format!("the header says entry {} comes next, found {}", segment.header.first_index, self.next_index);
             return Err(StoreError::corrupt(&segment.name, 48, what, self.next_index));
         }
+        if segment.header.previous_term != self.last_term {
+            let what = format!(
+                "the header says the entry before is of term {}, found {}",
+                segment.header.previous_term, self.last_term
+            );
+            return Err(StoreError::corrupt(&segment.name, 76, what, self.next_index));
+        }
         self.offset = HEADER_BYTES;
         self.proven = HEADER_BYTES;
         self.previous = segment.crc;
@@ -213,7 +258,7 @@ impl Scan {
     }
 }
 
-impl Iterator for Scan {
+impl Iterator for Scan<'_> {
     type Item = Result<Found, StoreError>;
 
     fn next(&mut self) -> Option<Self::Item> {

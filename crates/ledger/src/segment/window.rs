@@ -8,7 +8,7 @@ use crate::disk::DiskFile;
 /// How much is read at once.
 const WINDOW_BYTES: usize = 256 << 10;
 
-pub(super) struct Window {
+pub(crate) struct Window {
     file: Arc<dyn DiskFile>,
     /// Length of the file when the view was made.
     length: u64,
@@ -18,13 +18,13 @@ pub(super) struct Window {
 }
 
 impl Window {
-    pub(super) fn new(file: Arc<dyn DiskFile>) -> io::Result<Self> {
+    pub(crate) fn new(file: Arc<dyn DiskFile>) -> io::Result<Self> {
         let length = file.len()?;
         Ok(Self { file, length, start: 0, bytes: Vec::new() })
     }
 
     /// The bytes from `offset` on: `count`, or fewer where the file ends.
-    pub(super) fn get(&mut self, offset: u64, count: usize) -> io::Result<&[u8]> {
+    pub(crate) fn get(&mut self, offset: u64, count: usize) -> io::Result<&[u8]> {
         let rest = usize::try_from(self.length.saturating_sub(offset)).unwrap_or(usize::MAX);
         let count = count.min(rest);
         let held = offset.checked_sub(self.start).and_then(|at| usize::try_from(at).ok());

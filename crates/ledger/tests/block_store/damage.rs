@@ -153,19 +153,24 @@ fn a_lost_sector_that_had_been_durable_is_refused() {
 }
 
 #[test]
-fn a_missing_renamed_or_doubled_segment_is_refused() {
-    let (disk, _) = small_store();
-    let [first, second] = segments(&disk).try_into().unwrap();
+fn a_gap_between_segments_and_a_renamed_or_doubled_one_are_refused() {
+    let disk = SimDisk::new(1);
+    let (store, _) = open_with(&disk, 300).unwrap();
+    for index in 1..=12 {
+        flush_entry(&store, plain(index, 1));
+    }
+    let names = segments(&disk);
+    let (last, second) = (names.last().unwrap(), &names[1]);
     for change in 0..4 {
         let damaged = disk.copy(3);
-        let contents = damaged.contents(&second).unwrap();
+        let contents = damaged.contents(last).unwrap();
         match change {
-            0 => damaged.remove(&first).unwrap(),
-            1 => damaged.rename(&second, "0000000003-00000000000000000007.seg").unwrap(),
+            0 => damaged.remove(second).unwrap(),
+            1 => damaged.rename(last, "0000000099-00000000000000000007.seg").unwrap(),
             2 => damaged.set_contents("0000000002-00000000000000000099.seg", &contents),
-            _ => damaged.set_contents("0000000003-00000000000000000011.seg", &contents),
+            _ => damaged.set_contents("0000000099-00000000000000000013.seg", &contents),
         }
-        assert!(matches!(open_with(&damaged, 500), Err(StoreError::Corrupt { .. })), "change {change}");
+        assert!(matches!(open_with(&damaged, 300), Err(StoreError::Corrupt { .. })), "change {change}");
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod damage;
 mod faults;
+mod first;
 mod model;
 
 use std::sync::Arc;
@@ -62,7 +63,8 @@ fn segments(disk: &SimDisk) -> Vec<String> {
 fn what_was_flushed_is_there_after_a_crash() {
     let disk = SimDisk::new(1);
     let (store, recovery) = open(&disk);
-    assert_eq!((recovery, store.first_index(), store.last_index()), (Recovery::default(), 1, 0));
+    assert_eq!((recovery.segments, recovery.first_index, recovery.last_index), (0, 1, 0));
+    assert_eq!((store.first_index(), store.last_index()), (1, 0));
     let entries = [
         plain(1, 1),
         Entry { index: 2, term: 1, kind: EntryKind::ConfChange, data: Bytes::new() },
@@ -79,7 +81,7 @@ fn what_was_flushed_is_there_after_a_crash() {
     assert_eq!((recovery.segments, recovery.last_index, recovery.torn), (1, 3, None));
     assert_eq!((store.hard_state(), store.committed(), store.durable_index()), (hard_state, 2, 3));
     assert_eq!(all(&store), entries);
-    assert_eq!([0, 1, 2, 3, 4].map(|index| store.term(index)), [None, Some(1), Some(1), Some(2), None]);
+    assert_eq!([0, 1, 2, 3, 4].map(|index| store.term(index)), [Some(0), Some(1), Some(1), Some(2), None]);
     assert_eq!(store.entry(3).unwrap().as_ref(), entries.get(2));
     assert_eq!((store.entry(0).unwrap(), store.entry(4).unwrap()), (None, None));
 }
@@ -284,8 +286,9 @@ fn a_real_directory_keeps_the_log_and_can_be_scanned_offline() {
     }
     assert!(RealDisk::open(&path).is_err(), "locked");
     drop(store);
-    let records: Vec<Found> =
-        scan(&RealDisk::open_read_only(&path).unwrap(), None).unwrap().collect::<Result<_, _>>().unwrap();
+    let disk = RealDisk::open_read_only(&path).unwrap();
+    let records: Vec<Found> = scan(&disk, None).unwrap().collect::<Result<_, _>>().unwrap();
+    drop(disk);
     assert_eq!(records.len(), 50);
     assert!(matches!(&records[49], Found::Record { record: Record::Entry(entry), .. } if entry.index == 50));
     let (store, _) = BlockStore::open(Arc::new(RealDisk::open(&path).unwrap()), options(1 << 12)).unwrap();
