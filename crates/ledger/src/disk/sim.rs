@@ -1,6 +1,6 @@
 //! A disk in memory that does on purpose what real ones do by accident. Deterministic: the seed decides.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{self, ErrorKind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -110,11 +110,30 @@ impl SimDisk {
             file.crash(&mut inner);
         }
         inner.files = files;
+        inner.free();
     }
 
     /// The process is killed but the machine goes on: handles die, the page cache stays.
     pub fn kill(&self) {
-        self.inner().generation += 1;
+        let mut inner = self.inner();
+        inner.generation += 1;
+        inner.free();
+    }
+
+    /// Rot: flips one bit of a file, for good. False if there is no such file or bit.
+    pub fn flip(&self, name: &str, bit: u64) -> bool {
+        let mut inner = self.inner();
+        let Some(id) = inner.names.get(name).copied() else { return false };
+        let Some(file) = inner.files.get_mut(id) else { return false };
+        let Ok(at) = usize::try_from(bit / 8) else { return false };
+        let mut flipped = false;
+        for content in [&mut file.cache, &mut file.durable] {
+            if let Some(byte) = content.get_mut(at) {
+                *byte ^= 1 << (bit % 8);
+                flipped = true;
+            }
+        }
+        flipped
     }
 
     /// Makes the `nth` write from now (1 = the next) go wrong.
@@ -244,6 +263,21 @@ impl Disk for SimDisk {
 impl Inner {
     fn used_bytes(&self) -> u64 {
         self.names.values().filter_map(|id| self.files.get(*id)).map(|file| file.cache.len() as u64).sum()
+    }
+
+    /// Gives back the memory of files that nobody can reach any more; only when all handles are dead.
+    fn free(&mut self) {
+        let pending = self.pending_names.iter().filter_map(|change| match change {
+            NameChange::Set(_, id) => Some(*id),
+            NameChange::Remove(_) => None,
+        });
+        let reachable: BTreeSet<usize> =
+            pending.chain(self.names.values().copied()).chain(self.durable_names.values().copied()).collect();
+        for (id, file) in self.files.iter_mut().enumerate() {
+            if !reachable.contains(&id) {
+                *file = FileState::default();
+            }
+        }
     }
 
     fn change_name(&mut self, change: NameChange) {
