@@ -255,6 +255,9 @@ impl Order {
             }
             Output::ReadReady { .. } => {}
             Output::Refused { input, reason } => tracing::warn!(?input, %reason, "ordering refused a request"),
+            Output::Behind { from, first_index } => {
+                tracing::warn!(from, first_index, "this node is behind what others still send");
+            }
             Output::Failed(reason) => (self.shared.fatal)(reason),
         }
     }

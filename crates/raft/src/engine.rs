@@ -1,5 +1,6 @@
 //! The pump around the `raft` crate: inputs in, outputs out, nothing else.
 
+mod behind;
 mod config;
 mod guard;
 mod logger;
@@ -13,7 +14,7 @@ pub use status::{PeerStatus, Replication, Status};
 
 use crate::interface::{Input, Output, Role, RoleChange};
 use crate::log::Log;
-use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
+use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind};
 use crate::queue::Queues;
 use ledger::block::Payload;
 use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
@@ -21,7 +22,7 @@ use ledger::entry::EntryKind;
 use ledger::members::Membership;
 use ledger::{Code, Rejection};
 use raft::{RawNode, StateRole};
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 /// Entries committed but not executed beyond which a node does not stand for election: it could not order before it
@@ -88,6 +89,15 @@ pub struct Engine {
     attempts: u64,
     /// Ticks since a leader was last known.
     leaderless_ticks: usize,
+    /// Ticks until a transfer of leadership may be tried again without anybody asking for it.
+    transfer_rest: usize,
+    /// Ticks since the start.
+    ticks: u64,
+    /// When each member was last heard of, in ticks, as a leader counts: from its election or the member's coming in on.
+    /// The crate's own mark (`recent_active`) is cleared with every check of the quorum.
+    heard: BTreeMap<u64, u64>,
+    /// Reads taken in from others; makes their names unique, see `guard.rs`.
+    reads: u64,
     /// Set once the store has failed.
     failed: bool,
 }
@@ -104,6 +114,10 @@ impl Engine {
         }
         if stored.commit > last {
             return Err(EngineError::LogLost { last, commit: stored.commit });
+        }
+        let first = store.first_index();
+        if applied + 1 < first {
+            return Err(EngineError::StateBehind { applied, first });
         }
         let membership = config.membership.clone();
         let log = Log::new(Arc::clone(&store), &membership, applied);
@@ -150,6 +164,10 @@ impl Engine {
             told,
             attempts: 0,
             leaderless_ticks: 0,
+            transfer_rest: 0,
+            ticks: 0,
+            heard: BTreeMap::new(),
+            reads: 0,
             failed: false,
             config,
         };
@@ -176,18 +194,25 @@ impl Engine {
             Input::Campaign => self.campaign(),
             Input::Unreachable { peer } => self.raw.report_unreachable(peer),
         }
+        if self.failed {
+            return;
+        }
         if self.membership.is_alone(self.config.id) && !self.is_leader() {
             // Nobody else can lead, so there is nothing to wait for.
             self.campaign();
         }
         if let Err(error) = self.pump(now, out) {
-            self.failed = true;
-            tracing::error!(%error, "block store failed; ordering stops");
             let reason = Rejection::new(Code::DiskFailed, format!("block store failed: {error}"))
                 .next("see the log; restart the node when the disk is in order");
-            out.push(Output::Failed(reason));
+            self.fail(reason, out);
         }
         self.draw_timeout();
+    }
+
+    fn fail(&mut self, reason: Rejection, out: &mut Vec<Output>) {
+        self.failed = true;
+        tracing::error!(%reason, "ordering stops");
+        out.push(Output::Failed(reason));
     }
 
     fn tick(&mut self, out: &mut Vec<Output>) {
@@ -203,6 +228,9 @@ impl Engine {
                 self.attempts += 1;
             }
         }
+        self.ticks += 1;
+        self.transfer_rest = self.transfer_rest.saturating_sub(1);
+        self.tell_who_is_behind(out);
         self.leaderless_ticks = if self.told.leader.is_some() { 0 } else { self.leaderless_ticks + 1 };
         if self.leaderless_ticks > 2 * self.config.election_tick {
             self.drop_waiting(out);
@@ -210,15 +238,28 @@ impl Engine {
     }
 
     fn receive(&mut self, from: u64, message: PeerMessage, out: &mut Vec<Output>) {
+        if let Some(heard) = self.heard.get_mut(&from) {
+            *heard = self.ticks;
+        }
         match message {
-            PeerMessage::Raft(message) => match self.admit(from, message) {
-                Ok(message) => {
-                    if let Err(error) = self.raw.step(message) {
-                        tracing::debug!(from, %error, "message has no effect");
+            PeerMessage::Raft(message) if self.lacks_committed(from, &message) => {
+                self.has_lost_blocks(from, message.commit, out);
+            }
+            PeerMessage::Raft(message) => {
+                let heartbeat = (message.kind == i32::from(RaftKind::Heartbeat)).then_some(message.commit);
+                match self.admit(from, message) {
+                    Ok(message) => {
+                        if let Err(error) = self.raw.step(message) {
+                            tracing::debug!(from, %error, "message has no effect");
+                        }
                     }
+                    Err(reason) => return tracing::warn!(from, reason, "message of a peer is ignored"),
                 }
-                Err(reason) => tracing::warn!(from, reason, "message of a peer is ignored"),
-            },
+                if let Some(known) = heartbeat {
+                    self.tell_what_is_held(from, known);
+                }
+            }
+            PeerMessage::Behind(behind) => self.told_behind(from, behind.first_index, out),
             PeerMessage::Forward(transactions) => self.forwarded(from, transactions, out),
             PeerMessage::Returned(transactions) => self.returned(transactions, out),
         }
@@ -240,6 +281,8 @@ impl Engine {
         let log = &raft.raft_log;
         raft.promotable()
             && log.persisted == log.last_index()
+            // The crate reads what is not applied, and fails if it was dropped (`Raft::hup`).
+            && log.applied + 1 >= self.store.first_index()
             && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
     }
 
@@ -249,6 +292,11 @@ impl Engine {
         let raft = &self.raw.raft;
         let silent = !self.is_leader() && raft.election_elapsed > 2 * self.config.election_tick;
         (raft.leader_id != raft::INVALID_ID && !silent).then_some(raft.leader_id)
+    }
+
+    /// The node has said something within the shortest election timeout; as a leader knows.
+    fn is_active(&self, node: u64) -> bool {
+        self.heard.get(&node).is_some_and(|heard| self.ticks - heard <= self.config.election_tick as u64)
     }
 
     fn is_leader(&self) -> bool {

@@ -46,12 +46,14 @@ pub enum Input {
         height: u64,
     },
     /// A linearizable read wants to know how far this node must be. Answered by [`Output::ReadReady`] or
-    /// [`Output::Refused`], or, when the leader changes meanwhile, not at all: ask again after a timeout.
+    /// [`Output::Refused`], or, when a message is lost, the leader changes meanwhile, or is so new that it has committed
+    /// nothing (it drops what others ask), not at all: ask again after a timeout, with another context.
     ReadIndex {
         /// Comes back with the answer; must not repeat while the engine lives.
         context: u64,
     },
-    /// A leader hands over to this voter. Proposals pause until it is done or an election timeout has passed.
+    /// A leader hands over to this voter. Proposals pause until it is done or an election timeout has passed; see
+    /// `Status::transferring_to`. Asking again for the same voter meanwhile changes nothing; for another is refused.
     TransferLeadership {
         /// The voter that shall lead.
         to: u64,
@@ -115,7 +117,17 @@ pub enum Output {
         /// Why.
         reason: Rejection,
     },
-    /// The block store failed. The engine does nothing any more; the process should end.
+    /// Blocks before `first_index` do not come by themselves any more: the leader has dropped them, or takes them for
+    /// held here. Repeated with every heartbeat until the driver ends this engine, fetches at least the blocks up to
+    /// `first_index - 1` from its peers, and starts a new one.
+    Behind {
+        /// The leader that says so.
+        from: u64,
+        /// The first block that replication still brings.
+        first_index: u64,
+    },
+    /// The block store failed, or has lost what this voter promised to keep. The engine does nothing any more; the
+    /// process should end.
     Failed(Rejection),
 }
 

@@ -16,6 +16,9 @@
 //! - on [`Output::Flush`], call `flush` of the block store on the disk thread and answer [`Input::Persisted`]; several
 //!   flushes may be served by one, answered with the largest number;
 //! - on [`Output::Commit`], execute the blocks in order and answer [`Input::Applied`];
+//! - on [`Output::Behind`], end this engine, fetch the blocks (or a snapshot and the blocks after it) from peers into the
+//!   block store and the state machine, and start a new engine from there;
+//! - drop old blocks (`BlockStore::prune`) only up to the last [`Input::Applied`] that is stored durably;
 //! - send [`Output::Send`] over a connection whose peer is authenticated; hand in what comes with that peer's id.
 //!   Messages may be lost, repeated and reordered.
 //!
@@ -30,15 +33,17 @@ mod interface;
 mod log;
 mod message;
 mod queue;
+mod reconcile;
 
 pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Status};
 pub use interface::{Input, Lane, Output, Role, RoleChange};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
-    CONTEXT_BYTES_MAX, ENTRIES_MAX, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
+    Behind, CONTEXT_BYTES_MAX, ENTRIES_MAX, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
     Transactions, WireEntry,
 };
 pub use queue::{
     CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX, DATA_QUEUE_TRANSACTIONS_MAX,
     QueueStatus,
 };
+pub use reconcile::{Desired, PROMOTION_LAG_MAX, next_step, successor};

@@ -20,13 +20,16 @@ pub(crate) struct Log {
 
 impl Log {
     /// `applied` is the last height that the state machine holds. It is committed, whatever the hard state says: the
-    /// commit index is not flushed for its own sake and may lag behind.
+    /// commit index is not flushed for its own sake and may lag behind. So is what came before a log that was cut off.
+    ///
+    /// Blocks that were fetched from a peer may be of a term that this node never heard of: then it has not voted in it.
     pub(crate) fn new(store: Arc<BlockStore>, members: &Membership, applied: u64) -> Self {
         let stored = store.hard_state();
+        let newest = store.term(store.last_index()).unwrap_or(0);
         let hard_state = HardState {
-            term: stored.term,
-            vote: stored.vote,
-            commit: stored.commit.max(applied),
+            term: stored.term.max(newest),
+            vote: if stored.term >= newest { stored.vote } else { raft::INVALID_ID },
+            commit: stored.commit.max(applied).max(store.first_index().saturating_sub(1)),
             ..HardState::default()
         };
         let state = RaftState { hard_state, conf_state: conf_state(members) };
@@ -54,6 +57,9 @@ impl Storage for Log {
     /// - to hand out committed ones (a size limit): we read those from the store ourselves, see `engine/pump.rs`, so
     ///   index and term are enough;
     /// - to look for changes of members before an election (no size limit): the kind is needed, the data is not.
+    ///
+    /// Old segments may be dropped by another thread at any moment. What is not there any more is `Compacted`, and never
+    /// a gap.
     fn entries(
         &self,
         low: u64,
@@ -69,6 +75,9 @@ impl Storage for Log {
                 let high = high.min(low.saturating_add(ENTRIES_PER_READ));
                 let bytes = max_size.map_or(usize::MAX, |bytes| usize::try_from(bytes).unwrap_or(usize::MAX));
                 match self.store.entries(low..high, bytes) {
+                    Ok(entries) if entries.first().is_none_or(|first| first.index != low) => {
+                        Err(StorageError::Compacted.into())
+                    }
                     Ok(entries) => Ok(entries.into_iter().map(entry_into_raft).collect()),
                     Err(error) => {
                         // A peer that needs damaged old blocks must not bring down the leader: it serves the others.
@@ -94,15 +103,14 @@ impl Storage for Log {
         }
     }
 
+    /// What was cut off has term 0, as the crate has it (`RaftLog::term`): it asks in two steps, between which old
+    /// segments may be dropped, and fails on `Compacted` in the second (`handle_append_entries`).
     fn term(&self, index: u64) -> Result<u64> {
-        if index == 0 {
-            return Ok(0);
+        match self.store.term(index) {
+            Some(term) => Ok(term),
+            None if index < self.store.first_index() => Ok(0),
+            None => Err(StorageError::Unavailable.into()),
         }
-        self.store.term(index).ok_or_else(|| {
-            let reason =
-                if index < self.store.first_index() { StorageError::Compacted } else { StorageError::Unavailable };
-            reason.into()
-        })
     }
 
     fn first_index(&self) -> Result<u64> {
@@ -113,7 +121,8 @@ impl Storage for Log {
         Ok(self.store.last_index())
     }
 
-    /// Catch-up by snapshot does not go through the log.
+    /// Asked for when a peer needs blocks that were dropped. It is told so (`engine/behind.rs`) and fetches them itself:
+    /// the crate knows of no snapshot, so `ProgressState::Snapshot` never happens.
     fn snapshot(&self, _request_index: u64, _to: u64) -> Result<Snapshot> {
         Err(StorageError::SnapshotTemporarilyUnavailable.into())
     }

@@ -51,12 +51,23 @@ pub enum PeerMessage {
     /// From the leader, or from a node that is not the leader any more: these were not ordered.
     #[prost(message, tag = "3")]
     Returned(Transactions),
+    /// From the leader: what you need next was dropped here; fetch it from whoever has it.
+    #[prost(message, tag = "4")]
+    Behind(Behind),
 }
 
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4")]
     kind: Option<PeerMessage>,
+}
+
+/// Where the sender's log begins.
+#[derive(Clone, Copy, PartialEq, Eq, prost::Message)]
+pub struct Behind {
+    /// Height of its oldest block.
+    #[prost(uint64, tag = "1")]
+    pub first_index: u64,
 }
 
 /// Transactions on their way to the leader, or back.
@@ -200,6 +211,7 @@ impl PeerMessage {
             Self::Forward(sent) | Self::Returned(sent) => {
                 limit(sent.control.len() + sent.data.len(), TRANSACTIONS_MAX, "transactions")
             }
+            Self::Behind(_) => Ok(()),
         }
     }
 }

@@ -68,6 +68,16 @@ pub enum EngineError {
         /// Last height of the log.
         last: u64,
     },
+    /// The log begins after the block that the state machine needs next.
+    #[error(
+        "state is behind the log: found state at height {applied}, log from {first} on; fetch a snapshot from a peer, or blocks from {applied} on"
+    )]
+    StateBehind {
+        /// Height of the state.
+        applied: u64,
+        /// First height of the log.
+        first: u64,
+    },
     /// The log lost what it knew to be committed.
     #[error(
         "log has lost committed blocks: found last height {last}, wanted at least {commit}; restore the disk, or join again as a new node"

@@ -2,9 +2,9 @@
 //!
 //! Peers are authenticated, but a broken or hostile one must not bring others down. The crate trusts messages and
 //! panics (or counts wrongly) on some that no correct peer sends; each check here names the place. It also holds the
-//! fix of raft-rs #557, which 0.7.0 lacks.
+//! fix of raft-rs #557, which 0.7.0 lacks, and one for reads, see [`Engine::admit`].
 
-use super::request::READS_PENDING_MAX;
+use super::request::{READ_NAME_BYTES, READS_PENDING_MAX};
 use super::{Engine, UNPERSISTED_BYTES_MAX};
 use crate::message::RaftMessage;
 use raft::ProgressState;
@@ -12,7 +12,11 @@ use raft::eraftpb::{Message, MessageType};
 
 impl Engine {
     /// The message for the crate, or why it is ignored.
-    pub(super) fn admit(&self, from: u64, message: RaftMessage) -> Result<Message, &'static str> {
+    ///
+    /// A read of another node gets a name that the crate sees once. It would count acknowledgements by name alone
+    /// (`ReadOnly::recv_ack`): when the network repeats the question of an answered read, late acknowledgements of the
+    /// first one would confirm a leader that is deposed since, and with it every read that waits (etcd #20418).
+    pub(super) fn admit(&mut self, from: u64, message: RaftMessage) -> Result<Message, &'static str> {
         let mut message = message.into_raft(from, self.config.id).ok_or("it is of an unknown kind")?;
         if from == raft::INVALID_ID || from == self.config.id {
             return Err("it claims to come from this node");
@@ -22,10 +26,8 @@ impl Engine {
         let stale = message.term < raft.term;
         match message.get_msg_type() {
             MessageType::MsgHeartbeat if !stale && message.commit > log.last_index() => {
-                // `commit_to` panics. Also what a node sees that lost its disk: it must not vote on, or serve.
-                Err(
-                    "it says that more is committed than this node holds: this node has lost blocks, or the peer is broken",
-                )
+                // `commit_to` panics. From the leader it means that this node has lost blocks: see `behind.rs`.
+                Err("it says that more is committed than this node holds")
             }
             MessageType::MsgAppend if message.index > 0 && message.log_term == 0 => {
                 // An index beyond the log has term 0 in the crate, so this would match and leave a gap.
@@ -46,11 +48,20 @@ impl Engine {
             MessageType::MsgReadIndex if raft.pending_read_count() >= READS_PENDING_MAX => {
                 Err("too many reads wait for confirmation")
             }
-            MessageType::MsgReadIndex if message.entries.first().is_none_or(|entry| entry.data.is_empty()) => {
-                Err("its read has no name")
+            MessageType::MsgReadIndex
+                if message.entries.first().is_none_or(|entry| entry.data.len() != READ_NAME_BYTES) =>
+            {
+                Err("its read has no name as reads have")
             }
             MessageType::MsgTimeoutNow if !self.may_campaign() => {
                 Err("this node is too far behind to take over the leadership")
+            }
+            MessageType::MsgReadIndex => {
+                self.reads += 1;
+                if let Some(entry) = message.mut_entries().first_mut() {
+                    entry.data = [&entry.data, &self.reads.to_be_bytes()[..]].concat().into();
+                }
+                Ok(message)
             }
             _ => Ok(message),
         }

@@ -52,6 +52,7 @@ impl Engine {
             // at the same height and term.
             self.barrier = raft.raft_log.last_index();
             self.last_time = self.newest_time();
+            self.heard = self.membership.nodes().into_iter().map(|node| (node, self.ticks)).collect();
         }
         if leads || role != Role::Leader {
             self.own.clear();
@@ -118,6 +119,14 @@ impl Engine {
                 return Ok(());
             }
             let entries = self.store.entries(self.emitted + 1..until + 1, READ_BYTES)?;
+            if let Some(first) = entries.first()
+                && first.index != self.emitted + 1
+            {
+                let (wanted, found) = (self.emitted + 1, first.index);
+                return Err(StoreError::Violation(format!(
+                    "block {wanted} was dropped before it was executed, the log begins at {found}"
+                )));
+            }
             let Some(last) = entries.last().map(|entry| entry.index) else { return Ok(()) };
             let bytes = entries.iter().map(|entry| entry.data.len() + 64).sum();
             self.emitted = last;
@@ -144,6 +153,11 @@ impl Engine {
             }
         }
         self.membership = next.clone();
+        let nodes = next.nodes();
+        self.heard.retain(|node, _| nodes.contains(node));
+        for node in nodes {
+            self.heard.entry(node).or_insert(self.ticks);
+        }
         if !next.is_voter(self.config.id) && self.raw.raft.state != StateRole::Follower {
             // The crate would go on leading (or win the election) without a vote of its own, and once it has no place
             // among the members it fails on its own progress.

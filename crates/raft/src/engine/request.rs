@@ -7,6 +7,11 @@ use ledger::entry::EntryKind;
 use ledger::members::MembershipChange;
 use ledger::{Code, Rejection};
 
+/// Length of the name of a read.
+pub(super) const READ_NAME_BYTES: usize = 24;
+/// Election timeouts to rest after a transfer of leadership, before the planner tries again: each attempt stops the
+/// ordering, for an election timeout if the target does not take over.
+const TRANSFER_REST_TIMEOUTS: usize = 10;
 /// Reads that wait for a majority to confirm the leader.
 pub(super) const READS_PENDING_MAX: usize = 4096;
 
@@ -17,8 +22,10 @@ impl Engine {
         [self.config.id, self.config.seed, context].iter().flat_map(|part| part.to_be_bytes()).collect()
     }
 
-    /// The context in the name of a read, if it is of this start of this node.
+    /// The context in the name of a read, if it is of this start of this node. What the leader has appended does not
+    /// count.
     pub(super) fn read_context(&self, name: &[u8]) -> Option<u64> {
+        let (name, _) = name.split_at_checked(READ_NAME_BYTES)?;
         let (_, context) = name.split_at_checked(16)?;
         let context = u64::from_be_bytes(context.try_into().ok()?);
         (self.read_name(context) == name).then_some(context)
@@ -44,20 +51,16 @@ impl Engine {
 
     /// Transfers of leadership and changes of members: both only by a leader that is ready to order.
     pub(super) fn administer(&mut self, input: Input, out: &mut Vec<Output>) {
-        let result = if !self.may_propose() {
+        let result = if let Input::TransferLeadership { to } = &input
+            && self.is_leader()
+        {
+            self.transfer(*to)
+        } else if !self.may_propose() {
             Err(Rejection::new(Code::NoLeader, "this node is not the leader, or not ready to order")
                 .found(format!("leader {:?}", self.told.leader))
                 .next("ask the leader, or again later"))
         } else {
             match &input {
-                Input::TransferLeadership { to } if !self.membership.is_voter(*to) => {
-                    Err(Rejection::new(Code::BadArgument, format!("node {to} is not a voter"))
-                        .wanted(format!("one of {:?}", self.membership.voters)))
-                }
-                Input::TransferLeadership { to } => {
-                    self.raw.transfer_leader(*to);
-                    Ok(())
-                }
                 Input::ChangeMembership(change) => self.change_membership(change),
                 _ => Ok(()),
             }
@@ -65,6 +68,33 @@ impl Engine {
         if let Err(reason) = result {
             out.push(Output::Refused { input: Box::new(input), reason });
         }
+    }
+
+    /// The crate sends the target what it lacks, then tells it to stand for election at once; it gives up after an
+    /// election timeout. A target that does not answer would cost that time for nothing, so it is refused.
+    fn transfer(&mut self, to: u64) -> Result<(), Rejection> {
+        let raft = &self.raw.raft;
+        let refused = match raft.lead_transferee {
+            _ if !self.membership.voters.contains(&to) => {
+                Rejection::new(Code::BadArgument, format!("node {to} is not a voter"))
+                    .wanted(format!("one of {:?}", self.membership.voters))
+            }
+            _ if to == self.config.id => return Ok(()),
+            Some(under_way) if under_way == to => return Ok(()),
+            Some(under_way) => Rejection::new(Code::Overloaded, "another transfer of leadership is under way")
+                .found(format!("a transfer to node {under_way}"))
+                .next("ask again when it is done or has failed, in less than a second"),
+            None if !self.is_active(to) => {
+                Rejection::new(Code::Overloaded, format!("node {to} does not answer, so it cannot lead"))
+                    .next("choose another voter, or ask again when it is up")
+            }
+            None => {
+                self.transfer_rest = TRANSFER_REST_TIMEOUTS * self.config.election_tick;
+                self.raw.transfer_leader(to);
+                return Ok(());
+            }
+        };
+        Err(refused)
     }
 
     fn change_membership(&mut self, change: &MembershipChange) -> Result<(), Rejection> {

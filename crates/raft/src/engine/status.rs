@@ -25,7 +25,7 @@ impl Engine {
                     matched: progress.matched,
                     next: progress.next_idx,
                     replication: replication(progress.state),
-                    recently_active: progress.recent_active,
+                    recently_active: self.is_active(*node),
                 })
                 .collect(),
             _ => Vec::new(),
@@ -39,6 +39,10 @@ impl Engine {
             persisted: raft.raft_log.persisted,
             last: raft.raft_log.last_index(),
             may_propose: self.may_propose(),
+            changing: self.membership.is_joint() || raft.has_pending_conf(),
+            transferring_to: raft.lead_transferee,
+            transfer_rests: self.transfer_rest > 0,
+            first: self.store.first_index(),
             membership: self.membership.clone(),
             peers,
             control: self.queues.control.status(),
@@ -64,6 +68,14 @@ pub struct Status {
     pub last: u64,
     /// It leads and has executed everything that was there when it was elected.
     pub may_propose: bool,
+    /// A change of members may be under way: the next one must wait.
+    pub changing: bool,
+    /// The voter that a leader is handing over to. Cleared when that has failed.
+    pub transferring_to: Option<u64>,
+    /// A transfer was tried not long ago; nobody but an operator should ask for the next one.
+    pub transfer_rests: bool,
+    /// First height of the log; `last + 1` if it is empty.
+    pub first: u64,
     /// The members as of the last height handed out.
     pub membership: Membership,
     /// The others, as a leader sees them; empty elsewhere. In order of node.
@@ -85,7 +97,7 @@ pub struct PeerStatus {
     pub next: u64,
     /// How entries are sent to it.
     pub replication: Replication,
-    /// It was heard of within the last election timeout.
+    /// It was heard of within the last (shortest) election timeout.
     pub recently_active: bool,
 }
 

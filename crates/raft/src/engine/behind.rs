@@ -1,0 +1,103 @@
+//! Nodes that lack blocks which replication does not bring any more.
+//!
+//! The log of a leader begins where its old segments were dropped. A follower that needs what was before cannot be
+//! served by Raft: there are no Raft snapshots. The leader says so ([`PeerMessage::Behind`]), the follower's driver
+//! fetches blocks or a snapshot from any peer, and a new engine goes on from there ([`Engine::tell_what_is_held`]).
+
+use super::Engine;
+use crate::interface::Output;
+use crate::message::{Behind, PeerMessage, RaftKind, RaftMessage};
+use ledger::{Code, Rejection};
+use raft::StateRole;
+use raft::eraftpb::{Message, MessageType};
+
+impl Engine {
+    /// A leader's heartbeat has just gone out: who answers and needs what is not there any more, is told.
+    ///
+    /// The next entry to send points below the log only after that node has refused a later one, or after it was known
+    /// to hold less.
+    pub(super) fn tell_who_is_behind(&self, out: &mut Vec<Output>) {
+        let raft = &self.raw.raft;
+        if raft.state != StateRole::Leader || raft.heartbeat_elapsed() != 0 {
+            return;
+        }
+        let first_index = self.store.first_index();
+        let mut behind: Vec<u64> = raft
+            .prs()
+            .iter()
+            .filter(|(node, progress)| {
+                **node != self.config.id && progress.recent_active && progress.next_idx < first_index
+            })
+            .map(|(node, _)| *node)
+            .collect();
+        behind.sort_unstable();
+        for to in behind {
+            tracing::debug!(to, first_index, "peer needs blocks that were dropped");
+            out.push(Output::Send { to, message: PeerMessage::Behind(Behind { first_index }) });
+        }
+    }
+
+    /// A peer says that its log begins at `first_index`. Believed of the leader only. What counts is what is committed
+    /// here: the entries after it may be others than the leader's.
+    pub(super) fn told_behind(&self, from: u64, first_index: u64, out: &mut Vec<Output>) {
+        let committed = self.raw.raft.raft_log.committed;
+        if self.is_leader() || self.leader() != Some(from) || committed >= first_index.saturating_sub(1) {
+            tracing::debug!(from, first_index, "peer takes this node for far behind, which it is not");
+            return;
+        }
+        tracing::info!(from, first_index, committed, "this node is too far behind to be served by the leader's log");
+        out.push(Output::Behind { from, first_index });
+    }
+
+    /// The leader of this or a later term says in a heartbeat that more is committed than this log holds. Heartbeats
+    /// name nothing that the follower has not acknowledged as durable (raft-rs `send_heartbeat`), so this node has lost
+    /// blocks.
+    pub(super) fn lacks_committed(&self, from: u64, message: &RaftMessage) -> bool {
+        let raft = &self.raw.raft;
+        message.kind == i32::from(RaftKind::Heartbeat)
+            && message.commit > raft.raft_log.last_index()
+            && from != raft::INVALID_ID
+            && from != self.config.id
+            && match message.term.cmp(&raft.term) {
+                std::cmp::Ordering::Less => false,
+                std::cmp::Ordering::Equal => raft.leader_id == raft::INVALID_ID || raft.leader_id == from,
+                std::cmp::Ordering::Greater => true,
+            }
+    }
+
+    /// A learner has promised nothing to anybody and may fetch what it lost. A voter has helped to commit by keeping
+    /// entries and a vote; without them its voice could elect a leader that lacks acknowledged blocks, so it stops. (A
+    /// member that lies here can stop a voter, as it can depose a leader by naming a high term: Raft trusts members. A
+    /// restart cures it.)
+    pub(super) fn has_lost_blocks(&mut self, from: u64, committed: u64, out: &mut Vec<Output>) {
+        let last = self.raw.raft.raft_log.last_index();
+        if !self.membership.is_voter(self.config.id) {
+            tracing::warn!(from, last, committed, "blocks are missing that this node has acknowledged before");
+            out.push(Output::Behind { from, first_index: committed.saturating_add(1) });
+            return;
+        }
+        let reason = Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had acknowledged")
+            .found(format!("log that ends at height {last}"))
+            .wanted(format!("at least height {committed}, which node {from} knows to be on this disk"))
+            .next("restore the disk; or take this node out and join again with a new id: it must not vote any more");
+        self.fail(reason, out);
+    }
+
+    /// After a heartbeat that was accepted: the leader knows less of this node than is committed here, as after
+    /// fetching blocks elsewhere. Saying so lets the leader go on behind them.
+    ///
+    /// Safe because what is committed is in the log of every later leader (Raft §5.4.3, leader completeness), and
+    /// because only what is on this disk is named.
+    pub(super) fn tell_what_is_held(&mut self, leader: u64, known: u64) {
+        let raft = &mut self.raw.raft;
+        let held = raft.raft_log.committed.min(raft.raft_log.persisted);
+        if raft.state != StateRole::Follower || raft.leader_id != leader || known >= held {
+            return;
+        }
+        let mut message = Message::default();
+        message.set_msg_type(MessageType::MsgAppendResponse);
+        (message.from, message.to, message.term) = (raft.id, leader, raft.term);
+        (message.index, message.commit) = (held, held);
+        raft.msgs.push(message);
+    }
+}

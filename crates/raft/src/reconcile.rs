@@ -1,0 +1,122 @@
+//! From the members that the ledger wants to the next step towards them.
+//!
+//! The ledger says who shall vote and who shall follow (node records of chaincode `msp`). The leader's driver asks
+//! [`next_step`] on every tick and commit and carries out the answer. Nothing is remembered between two steps: whoever
+//! leads next goes on from what it sees.
+
+use crate::engine::{PeerStatus, Status};
+use crate::interface::Input;
+use ledger::members::{Change, MembershipChange};
+use std::cmp::Reverse;
+use std::collections::BTreeSet;
+
+/// How far behind the newest committed block a node may be to become a voter, in blocks: what replication brings within
+/// a moment. Further back, its missing vote would hold up commits.
+pub const PROMOTION_LAG_MAX: u64 = 1000;
+
+/// The members that the ledger wants. A node in neither set shall not be a member; one in both shall vote.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Desired {
+    /// Who shall vote.
+    pub voters: BTreeSet<u64>,
+    /// Who shall follow.
+    pub learners: BTreeSet<u64>,
+}
+
+/// What a leader should do next to bring the members to what is desired; nothing if all is done, or while something is
+/// under way, or while waiting for a node to catch up.
+///
+/// In this order, one step at a time:
+/// 1. nodes that are missing come in as learners, which costs nobody's vote anything;
+/// 2. learners that shall vote and have caught up are promoted, and voters that shall not vote lose their vote in the
+///    same joint change, so that replacing one needs no larger majority in between; losing a vote waits for a
+///    replacement that is on its way;
+/// 3. a leader that shall lose its own vote hands over to the desired voter that has caught up most, which goes on;
+/// 4. nodes that shall be no members go.
+///
+/// A change is made only if a majority of the voters after it answers and is near the end of the log: a network is never
+/// led into a membership that cannot order. So there is always a voter left, too.
+pub fn next_step(desired: &Desired, status: &Status) -> Option<Input> {
+    if !status.may_propose || status.changing || status.transferring_to.is_some() || desired.voters.is_empty() {
+        return None;
+    }
+    let present = status.membership.nodes();
+    if let Some(node) = desired.voters.union(&desired.learners).find(|node| !present.contains(node)) {
+        return Some(change([Change::AddLearner(*node)]));
+    }
+    let voters = &status.membership.voters;
+    if let Some(step) = change_voters(desired, status, voters) {
+        return Some(step);
+    }
+    if !desired.voters.contains(&status.id) && voters.contains(&status.id) {
+        let to = (!status.transfer_rests).then(|| best(status, |node| desired.voters.contains(&node))).flatten()?;
+        return Some(Input::TransferLeadership { to });
+    }
+    let gone = status
+        .membership
+        .learners
+        .iter()
+        .find(|node| !desired.learners.contains(node) && !desired.voters.contains(node))?;
+    Some(change([Change::Remove(*gone)]))
+}
+
+/// The voter to which a leader should hand over before it stops: one that answers, and of those the one that lacks
+/// least. None if no other voter answers.
+pub fn successor(status: &Status) -> Option<u64> {
+    best(status, |_| true)
+}
+
+fn change_voters(desired: &Desired, status: &Status, voters: &BTreeSet<u64>) -> Option<Input> {
+    let missing = || desired.voters.difference(voters);
+    let joining: Vec<u64> = missing().copied().filter(|node| is_ready(status, *node)).collect();
+    // One that is silent holds nobody's removal up: that may be urgent. (A new one counts as heard for a while.)
+    let waiting =
+        missing().any(|node| !is_ready(status, *node) && peer(status, *node).is_some_and(|peer| peer.recently_active));
+    let leaving: Vec<u64> = voters
+        .iter()
+        .copied()
+        .filter(|node| !waiting && *node != status.id && !desired.voters.contains(node))
+        .collect();
+    let after: BTreeSet<u64> = voters.iter().chain(&joining).copied().filter(|node| !leaving.contains(node)).collect();
+    if &after == voters || !can_order(status, &after) {
+        return None;
+    }
+    let joining = joining.into_iter().map(Change::AddVoter);
+    let leaving = leaving.into_iter().map(|node| match desired.learners.contains(&node) {
+        true => Change::AddLearner(node),
+        false => Change::Remove(node),
+    });
+    Some(change(joining.chain(leaving)))
+}
+
+/// A majority of these voters answers and is near the end of the log. (The leader itself does and is.)
+fn can_order(status: &Status, voters: &BTreeSet<u64>) -> bool {
+    let ready = voters.iter().filter(|node| **node == status.id || is_ready(status, **node)).count();
+    ready > voters.len() / 2
+}
+
+fn is_ready(status: &Status, node: u64) -> bool {
+    let caught_up = |peer: &PeerStatus| peer.matched > 0 && peer.matched + PROMOTION_LAG_MAX >= status.commit;
+    peer(status, node).is_some_and(|peer| peer.recently_active && caught_up(peer))
+}
+
+fn peer(status: &Status, node: u64) -> Option<&PeerStatus> {
+    status.peers.iter().find(|peer| peer.node == node)
+}
+
+/// The voter that lacks least, of those that answer; the lowest id of several.
+fn best(status: &Status, wanted: impl Fn(u64) -> bool) -> Option<u64> {
+    status
+        .peers
+        .iter()
+        .filter(|peer| peer.recently_active && status.membership.voters.contains(&peer.node) && wanted(peer.node))
+        .max_by_key(|peer| (peer.matched, Reverse(peer.node)))
+        .map(|peer| peer.node)
+}
+
+fn change(changes: impl IntoIterator<Item = Change>) -> Input {
+    Input::ChangeMembership(MembershipChange::new(changes))
+}
+
+#[cfg(test)]
+mod tests;
