@@ -1,13 +1,16 @@
-//! Seeded storms: loss, duplicates, reordering, partitions, crashes that lose and tear, changes of members. The cluster
-//! checks safety at every step (see `cluster`); afterwards everything heals and must serve.
+//! Seeded storms: loss, duplicates, reordering, partitions, crashes that lose and tear, processes that are stopped and go
+//! on, logs that are cut off, changes of members. The cluster checks safety at every step (see `cluster`); afterwards
+//! everything heals and must serve.
+//!
+//! In every other storm the members follow wishes as the ledger would record them, through the planner.
 //!
 //! `LEDGER_RAFT_SEED=n cargo test -p ledger-raft --test chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
 
 mod cluster;
 
-use cluster::{CALM, Cluster, Faults};
-use ledger_raft::{Change, Input, Lane, MembershipChange, Role};
+use cluster::{CALM, Cluster, Faults, Random};
+use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
 use std::collections::BTreeSet;
 
 const SEEDS: u64 = 60;
@@ -21,13 +24,36 @@ struct Coverage {
     changes: u64,
     blocks: u64,
     joint: u64,
+    behind: u64,
+    snapshots: u64,
+    fetched: u64,
+    reads: u64,
+    wishes: u64,
+}
+
+/// Somebody votes; of the others each votes, follows or goes.
+fn wish(random: &mut Random, all: &[u64]) -> Desired {
+    let mut wish = Desired::default();
+    for id in all {
+        match random.below(3) {
+            0 => wish.voters.insert(*id),
+            1 => wish.learners.insert(*id),
+            _ => false,
+        };
+    }
+    let first = all[random.below(all.len() as u64) as usize];
+    wish.learners.remove(&first);
+    wish.voters.insert(first);
+    wish
 }
 
 fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
     let voters: &[u64] = if seed.is_multiple_of(3) { &[1, 2, 3, 4, 5] } else { &[1, 2, 3] };
     let learners: &[u64] = &[8, 9];
-    let mut cluster = Cluster::new(seed, voters, learners);
-    let all: Vec<u64> = cluster.nodes.keys().copied().collect();
+    let segment_bytes = if seed % 4 < 3 { 1024 } else { 32 * 1024 };
+    let mut cluster = Cluster::with_segments(seed, voters, learners, segment_bytes);
+    let planned = seed.is_multiple_of(2);
+    let mut all: Vec<u64> = cluster.nodes.keys().copied().collect();
     cluster.faults = Faults {
         lose: cluster.random.below(15),
         duplicate: cluster.random.below(15),
@@ -42,6 +68,15 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
         if cluster.random.percent(4) && down.len() < 2 && down.insert(any) {
             cluster.crash(any);
             coverage.crashes += 1;
+        }
+        if planned && round == 100 {
+            // Ids are never used twice: a node that comes again is another one.
+            cluster.join(10);
+            all.push(10);
+        }
+        if planned && cluster.random.percent(3) {
+            cluster.desired = Some(wish(&mut cluster.random, &all));
+            coverage.wishes += 1;
         }
         if cluster.random.percent(10)
             && let Some(id) = down.pop_first()
@@ -59,7 +94,7 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
                 coverage.partitions += 1;
             }
             2..=4 => cluster.cut.clear(),
-            5 => {
+            5 if !planned => {
                 let Some(leader) = cluster.leader() else { continue };
                 let change = match cluster.random.below(3) {
                     0 => vec![Change::AddVoter(8)],
@@ -75,14 +110,22 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
             7 => cluster.input(any, Input::ReadIndex { context: round }),
             8 => cluster.input(any, Input::Unreachable { peer: any }),
             9 => cluster.input(any, Input::Campaign),
+            10..=15 => {
+                let keep = cluster.random.below(5);
+                cluster.prune(any, keep);
+            }
+            16 if !cluster.is_paused(any) => cluster.pause(any),
+            17..=19 => all.iter().for_each(|id| cluster.resume(*id)),
             _ => {}
         }
         cluster.run_units(15);
+        assert!(cluster.nodes.values().all(|node| node.failed.is_none()));
         coverage.joint += u64::from(cluster.nodes.values().any(|node| node.members.is_joint()));
     }
     // Everything heals.
     cluster.cut.clear();
     cluster.faults = CALM;
+    all.iter().for_each(|id| cluster.resume(*id));
     for id in down {
         cluster.start(id);
     }
@@ -95,15 +138,24 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
         cluster.submit(leader, Lane::Data, "healed");
         cluster.run(20);
     }
-    cluster.until("the healed cluster serves everywhere", 100, |cluster| {
-        cluster.converged() && all.iter().all(|id| cluster.has_executed(*id, "healed"))
+    if let Some(wish) = cluster.desired.clone() {
+        cluster.until("the members become those desired", 3000, |cluster| {
+            let members = cluster.members();
+            members == Membership::new(wish.voters.clone(), wish.learners.clone())
+        });
+    }
+    cluster.until("the healed cluster serves everywhere", 300, |cluster| {
+        cluster.converged() && cluster.members().nodes().iter().all(|id| cluster.has_executed(*id, "healed"))
     });
     cluster.check_log_matching();
     let leading = all.iter().filter(|id| cluster.engine(**id).status().role.role == Role::Leader).count();
     assert_eq!(leading, 1);
-    let joint = cluster.nodes.values().filter(|node| node.members.is_joint()).count();
-    assert_eq!(joint, 0, "a change of members is complete in the end");
+    assert!(!cluster.members().is_joint(), "a change of members is complete in the end");
     coverage.elections += cluster.leaders.len() as u64;
+    coverage.behind += cluster.behind.told;
+    coverage.snapshots += cluster.behind.snapshots;
+    coverage.fetched += cluster.behind.fetched;
+    coverage.reads += cluster.nodes.values().map(|node| node.reads.len() as u64).sum::<u64>();
     coverage.blocks += cluster.chosen.len() as u64;
     coverage.changes +=
         cluster.chosen.iter().filter(|entry| entry.kind != ledger::entry::EntryKind::Normal).count() as u64;
@@ -125,8 +177,9 @@ fn no_storm_breaks_a_promise() {
         storm(*seed, &mut coverage);
     }
     eprintln!("{coverage:?}");
-    let Coverage { crashes, partitions, elections, changes, blocks, joint } = coverage;
+    let Coverage { crashes, partitions, elections, changes, blocks, joint, .. } = coverage;
     if seeds.len() > 1 {
+        assert!(coverage.snapshots > 10 && coverage.fetched > 10 && coverage.reads > 100 && coverage.wishes > 100);
         assert!(crashes > 300 && partitions > 300 && elections > 200 && changes > 50 && joint > 20 && blocks > 2000);
     }
 }

@@ -2,12 +2,14 @@
 //! everything, so a failing run can be repeated. Invariants are checked at every step.
 #![allow(dead_code, unreachable_pub, clippy::allow_attributes, reason = "each test file uses its own part")]
 
+mod catch_up;
+
 use ledger::Bytes;
 use ledger::block::Payload;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::SimDisk;
 use ledger::entry::{Entry, EntryKind};
-use ledger_raft::{Engine, EngineConfig, Input, Lane, Membership, Output, PeerMessage, Role};
+use ledger_raft::{Desired, Engine, EngineConfig, Input, Lane, Membership, Output, PeerMessage, Role, next_step};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -67,6 +69,10 @@ pub struct Node {
     pub refused: Vec<(Input, ledger::Rejection)>,
     pub reads: Vec<(u64, u64)>,
     pub members: Membership,
+    /// What is to happen when a process that is stopped goes on; none while it runs.
+    held: Option<Vec<Event>>,
+    /// Why the engine has stopped for good.
+    pub failed: Option<ledger::Rejection>,
 }
 
 pub struct Cluster {
@@ -83,6 +89,13 @@ pub struct Cluster {
     /// What happened, as text; equal for equal seeds.
     pub trace: u64,
     pub commits_per_step_max: usize,
+    /// What the ledger wants the members to be; a leader sees to it with every tick.
+    pub desired: Option<Desired>,
+    /// How often nodes were told that they are behind, and what they did.
+    pub behind: catch_up::Counts,
+    segment_bytes: u64,
+    /// Blocks that were chosen when a read was asked for; its answer names no earlier one.
+    asked: BTreeMap<(u64, u64), u64>,
     genesis: Membership,
     events: BTreeMap<(u64, u64), (u64, u64, Event)>,
     sequence: u64,
@@ -92,6 +105,11 @@ pub struct Cluster {
 
 impl Cluster {
     pub fn new(seed: u64, voters: &[u64], learners: &[u64]) -> Self {
+        Self::with_segments(seed, voters, learners, 32 * 1024)
+    }
+
+    /// Small segments, so that there are old ones to drop.
+    pub fn with_segments(seed: u64, voters: &[u64], learners: &[u64], segment_bytes: u64) -> Self {
         let genesis = Membership::new(voters.iter().copied(), learners.iter().copied());
         let mut cluster = Self {
             nodes: BTreeMap::new(),
@@ -103,6 +121,10 @@ impl Cluster {
             leaders: BTreeMap::new(),
             trace: 0,
             commits_per_step_max: 0,
+            desired: None,
+            behind: catch_up::Counts::default(),
+            segment_bytes,
+            asked: BTreeMap::new(),
             genesis,
             events: BTreeMap::new(),
             sequence: 0,
@@ -127,6 +149,8 @@ impl Cluster {
             refused: Vec::new(),
             reads: Vec::new(),
             members: self.genesis.clone(),
+            held: None,
+            failed: None,
         };
         self.nodes.insert(id, node);
         self.start(id);
@@ -135,10 +159,11 @@ impl Cluster {
     pub fn start(&mut self, id: u64) {
         let (seed, salt, configure, genesis) =
             (self.random.next(), self.random.next(), self.configure, self.genesis.clone());
+        let segment_bytes = self.segment_bytes;
         let node = self.nodes.get_mut(&id).unwrap();
         assert!(node.up.is_none());
         let mut options = Options::new([7; 32], move || salt);
-        options.segment_bytes = 32 * 1024;
+        options.segment_bytes = segment_bytes;
         let (store, _) = BlockStore::open(Arc::new(node.disk.clone()), options).unwrap();
         let store = Arc::new(store);
         node.members = genesis.clone().fold(&node.state);
@@ -155,6 +180,7 @@ impl Cluster {
     pub fn crash(&mut self, id: u64) {
         let node = self.nodes.get_mut(&id).unwrap();
         node.up = None;
+        node.held = None;
         node.disk.crash();
         let unsaved = (node.state.len() - node.saved) as u64;
         node.saved += self.random.below(unsaved + 1) as usize;
@@ -168,12 +194,28 @@ impl Cluster {
     }
 
     pub fn input(&mut self, id: u64, input: Input) {
-        let now = self.now;
-        let Some((engine, _)) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return };
+        let (now, chosen) = (self.now, self.chosen.len() as u64);
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        let (start, Some((engine, _))) = (node.start, node.up.as_mut()) else { return };
+        if let Input::ReadIndex { context } = input {
+            self.asked.insert((id, context), chosen);
+        }
         let mut out = Vec::new();
         engine.step(now, input, &mut out);
         for output in out {
+            if self.nodes[&id].start != start {
+                // The engine has ended; so has what it still wanted.
+                break;
+            }
             self.output(id, output);
+        }
+    }
+
+    /// What the leader's driver does with every tick.
+    fn reconcile(&mut self, id: u64) {
+        let Some((engine, _)) = &self.nodes[&id].up else { return };
+        if let Some(step) = self.desired.as_ref().and_then(|desired| next_step(desired, &engine.status())) {
+            self.input(id, step);
         }
     }
 
@@ -220,12 +262,16 @@ impl Cluster {
                 node.members = membership;
                 assert_eq!(node.members, self.genesis.clone().fold(&node.state[..height as usize]));
             }
-            Output::ReadReady { context, index } => self.nodes.get_mut(&id).unwrap().reads.push((context, index)),
+            Output::ReadReady { context, index } => {
+                assert!(index >= self.asked[&(id, context)], "a read at node {id} sees what was there before it");
+                self.nodes.get_mut(&id).unwrap().reads.push((context, index));
+            }
+            Output::Behind { first_index, .. } => self.catch_up(id, first_index),
             Output::Dropped { transaction, reason } => {
                 self.nodes.get_mut(&id).unwrap().dropped.push((transaction, reason.code));
             }
             Output::Refused { input, reason } => self.nodes.get_mut(&id).unwrap().refused.push((*input, reason)),
-            Output::Failed(reason) => panic!("node {id} failed: {reason}"),
+            Output::Failed(reason) => self.nodes.get_mut(&id).unwrap().failed = Some(reason),
         }
     }
 
@@ -248,6 +294,10 @@ impl Cluster {
             }
             let ((at, _), (id, start, event)) = entry.remove_entry();
             self.now = at;
+            if let Some(held) = self.nodes.get_mut(&id).and_then(|node| node.held.as_mut()) {
+                held.push(event);
+                continue;
+            }
             let alive = self.nodes.get(&id).is_some_and(|node| node.up.is_some() && node.start == start);
             match event {
                 // A message of before a restart may still come.
@@ -259,6 +309,7 @@ impl Cluster {
                 Event::Tick => {
                     self.schedule(id, TICK, Event::Tick);
                     self.input(id, Input::Tick);
+                    self.reconcile(id);
                 }
                 Event::Flush { ready } => {
                     self.nodes[&id].up.as_ref().unwrap().1.flush().unwrap();
@@ -316,22 +367,26 @@ impl Cluster {
         self.nodes[&id].state.iter().rev().any(|entry| transactions([entry]).iter().any(|found| found == transaction))
     }
 
-    /// All live nodes hold the same chain, which is everything that was ever committed.
+    /// The members after everything that is committed.
+    pub fn members(&self) -> Membership {
+        self.genesis.clone().fold(&self.chosen)
+    }
+
+    /// All live members hold the same chain, which is everything that was ever committed.
     pub fn converged(&self) -> bool {
-        self.nodes.values().filter(|node| node.up.is_some()).all(|node| node.state.len() == self.chosen.len())
+        let members = self.members();
+        let live = self.nodes.values().filter(|node| node.up.is_some() && members.contains(node.id));
+        live.into_iter().all(|node| node.state.len() == self.chosen.len())
     }
 
     /// Logs that agree on index and term agree on everything up to there.
     pub fn check_log_matching(&self) {
-        let logs: Vec<Vec<Entry>> = self
-            .nodes
-            .values()
-            .filter_map(|node| node.up.as_ref())
-            .map(|(_, store)| store.entries(1..store.last_index() + 1, usize::MAX).unwrap())
-            .collect();
-        for (nth, one) in logs.iter().enumerate() {
-            for other in logs.iter().skip(nth + 1) {
-                let common = one.iter().zip(other).rposition(|(a, b)| a.term == b.term).map_or(0, |last| last + 1);
+        let stores: Vec<_> = self.nodes.values().filter_map(|node| Some(&node.up.as_ref()?.1)).collect();
+        for (nth, one) in stores.iter().enumerate() {
+            for other in stores.iter().skip(nth + 1) {
+                let range = one.first_index().max(other.first_index())..one.last_index().min(other.last_index()) + 1;
+                let [one, other] = [one, other].map(|store| store.entries(range.clone(), usize::MAX).unwrap());
+                let common = one.iter().zip(&other).rposition(|(a, b)| a.term == b.term).map_or(0, |last| last + 1);
                 assert_eq!(one[..common], other[..common]);
             }
         }
