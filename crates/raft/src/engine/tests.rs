@@ -315,3 +315,118 @@ fn a_read_of_an_earlier_start_is_not_answered() {
     assert_eq!(later.read_context(&name), None);
     assert_eq!(later.read_context(b"short"), None);
 }
+
+fn read_ready(out: &[Output]) -> Vec<u64> {
+    out.iter()
+        .filter_map(|output| match output {
+            Output::ReadReady { context, .. } => Some(*context),
+            _ => None,
+        })
+        .collect()
+}
+
+fn heartbeat_contexts(out: &[Output]) -> Vec<ledger::Bytes> {
+    out.iter()
+        .filter_map(|output| match output {
+            Output::Send { to: 3, message: PeerMessage::Raft(message) }
+                if message.kind == i32::from(RaftKind::Heartbeat) =>
+            {
+                Some(message.context.clone())
+            }
+            _ => None,
+        })
+        .collect()
+}
+
+/// etcd #20418. The leader is deposed without knowing; what is on its way to it is old.
+#[test]
+fn a_repeated_question_and_late_answers_confirm_no_read() {
+    let mut engine = leader(3);
+    let question = || {
+        message(2, RaftKind::ReadIndex, |message| {
+            message.term = 0;
+            message.context = vec![7; 24].into();
+        })
+    };
+    let out = step(&mut engine, question());
+    let asked = heartbeat_contexts(&out);
+    let [context] = &asked[..] else { panic!("found {asked:?}") };
+    let answer = message(3, RaftKind::HeartbeatResponse, |message| message.context = context.clone());
+    let out = step(&mut engine, answer.clone());
+    assert!(sent(&out).contains(&RaftKind::ReadIndexResponse));
+    // An own read, then the question once more, then the answer to the first one once more.
+    let mut out = step(&mut engine, Input::ReadIndex { context: 99 });
+    out.extend(step(&mut engine, question()));
+    let named = heartbeat_contexts(&out);
+    assert!(!named.contains(context), "found {named:?}");
+    let out = step(&mut engine, answer);
+    assert!(read_ready(&out).is_empty() && !sent(&out).contains(&RaftKind::ReadIndexResponse), "found {out:?}");
+    // A true answer confirms.
+    let now = message(3, RaftKind::HeartbeatResponse, |message| message.context = named[1].clone());
+    let out = step(&mut engine, now);
+    assert_eq!(read_ready(&out), [99]);
+}
+
+#[test]
+fn without_names_of_the_leaders_own_the_crate_answers_from_late_acknowledgements() {
+    let mut engine = leader(3);
+    let raw = |engine: &mut Engine, kind, name: &[u8]| {
+        let wire = RaftMessage { kind: i32::from(kind), context: name.to_vec().into(), ..RaftMessage::default() };
+        let mut message = wire.into_raft(3, 1).unwrap();
+        message.term = u64::from(kind != RaftKind::ReadIndex);
+        engine.raw.step(message).unwrap();
+    };
+    raw(&mut engine, RaftKind::ReadIndex, b"a");
+    raw(&mut engine, RaftKind::HeartbeatResponse, b"a");
+    engine.raw.read_index(b"own".to_vec());
+    raw(&mut engine, RaftKind::ReadIndex, b"a");
+    raw(&mut engine, RaftKind::HeartbeatResponse, b"a");
+    assert_eq!(engine.raw.raft.pending_read_count(), 0, "the crate is repaired: the names can go");
+}
+
+#[test]
+fn a_heartbeat_that_knows_less_is_answered_with_what_is_committed_on_this_disk() {
+    let mut engine = engine(1, &[1, 2, 3], &[]);
+    let append = message(2, RaftKind::Append, |message| {
+        message.entries =
+            (1..=3).map(|index| WireEntry { index, term: 1, kind: 1, data: ledger::Bytes::new() }).collect();
+        message.commit = 2;
+    });
+    let mut out = Vec::new();
+    engine.step(0, append, &mut out);
+    let heartbeat = |commit| message(2, RaftKind::Heartbeat, |message| message.commit = commit);
+    out.clear();
+    engine.step(0, heartbeat(0), &mut out);
+    let Some(ready) = engine.pending.iter().map(|ready| ready.number).max() else { panic!("a write is under way") };
+    engine.store.flush().unwrap();
+    engine.step(0, Input::Persisted { ready }, &mut out);
+    let held = |out: &[Output]| -> Vec<u64> {
+        out.iter()
+            .filter_map(|output| match output {
+                Output::Send { message: PeerMessage::Raft(message), .. }
+                    if message.kind == i32::from(RaftKind::AppendResponse) =>
+                {
+                    Some(message.index)
+                }
+                _ => None,
+            })
+            .collect()
+    };
+    assert_eq!(held(&out), [3], "the answer to the append; the heartbeat came before anything was on disk");
+    let (before, same) = (step(&mut engine, heartbeat(1)), step(&mut engine, heartbeat(2)));
+    assert_eq!((held(&before), held(&same)), (vec![2], vec![]));
+}
+
+#[test]
+fn a_voter_that_misses_what_it_acknowledged_stops_and_a_learner_asks_for_it() {
+    let lost = |term| message(2, RaftKind::Heartbeat, move |message| (message.term, message.commit) = (term, 10));
+    let out = step(&mut engine(1, &[1, 2, 3], &[]), lost(4));
+    assert!(matches!(&out[..], [Output::Failed(_)]), "found {out:?}");
+    let out = step(&mut engine(1, &[2], &[1]), lost(4));
+    assert_eq!(out, [Output::Behind { from: 2, first_index: 11 }]);
+    // Not from a leader of the past, nor from another one in the term of this leader.
+    let mut late = engine(1, &[1, 2, 3], &[]);
+    step(&mut late, message(3, RaftKind::Heartbeat, |message| message.term = 5));
+    assert!(!step(&mut late, lost(4)).iter().any(|output| matches!(output, Output::Failed(_))));
+    assert!(!step(&mut late, lost(5)).iter().any(|output| matches!(output, Output::Failed(_))));
+}

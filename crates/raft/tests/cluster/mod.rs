@@ -97,6 +97,7 @@ pub struct Cluster {
     /// Blocks that were chosen when a read was asked for; its answer names no earlier one.
     asked: BTreeMap<(u64, u64), u64>,
     genesis: Membership,
+    current: Membership,
     events: BTreeMap<(u64, u64), (u64, u64, Event)>,
     sequence: u64,
     /// Changes an engine's configuration before it starts.
@@ -125,6 +126,7 @@ impl Cluster {
             behind: catch_up::Counts::default(),
             segment_bytes,
             asked: BTreeMap::new(),
+            current: genesis.clone(),
             genesis,
             events: BTreeMap::new(),
             sequence: 0,
@@ -280,7 +282,10 @@ impl Cluster {
         assert_eq!(entry.index, node.state.len() as u64 + 1, "node {id} executes in order, once");
         match self.chosen.get(node.state.len()) {
             Some(chosen) => assert_eq!(*chosen, entry, "node {id} executes what was committed"),
-            None => self.chosen.push(entry.clone()),
+            None => {
+                self.current = self.current.after(&entry).unwrap_or_else(|| self.current.clone());
+                self.chosen.push(entry.clone());
+            }
         }
         node.state.push(entry);
     }
@@ -369,7 +374,7 @@ impl Cluster {
 
     /// The members after everything that is committed.
     pub fn members(&self) -> Membership {
-        self.genesis.clone().fold(&self.chosen)
+        self.current.clone()
     }
 
     /// All live members hold the same chain, which is everything that was ever committed.
