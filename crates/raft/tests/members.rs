@@ -1,5 +1,5 @@
 //! The life of members: in as a learner, a voter, the leader, demoted, out, and in again under another id.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 mod cluster;
 

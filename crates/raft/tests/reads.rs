@@ -1,5 +1,5 @@
 //! Linearizable reads: no answer is older than the question, whoever led meanwhile. `cluster` checks that of every answer.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 mod cluster;
 

@@ -362,7 +362,8 @@ fn a_repeated_question_and_late_answers_confirm_no_read() {
     let out = step(&mut engine, answer);
     assert!(read_ready(&out).is_empty() && !sent(&out).contains(&RaftKind::ReadIndexResponse), "found {out:?}");
     // A true answer confirms.
-    let now = message(3, RaftKind::HeartbeatResponse, |message| message.context = named[1].clone());
+    let last = named.last().unwrap().clone();
+    let now = message(3, RaftKind::HeartbeatResponse, |message| message.context = last);
     let out = step(&mut engine, now);
     assert_eq!(read_ready(&out), [99]);
 }

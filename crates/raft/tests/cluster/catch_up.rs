@@ -77,7 +77,7 @@ impl Cluster {
             node.state = donor;
             assert!(node.state.len() as u64 + 1 >= first_index.min(self.chosen.len() as u64));
         }
-        drop(Arc::into_inner(store).expect("the engine has ended"));
+        assert!(Arc::into_inner(store).is_some(), "the engine has ended");
         self.start(id);
     }
 
