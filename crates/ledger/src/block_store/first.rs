@@ -1,5 +1,6 @@
 //! Where the log begins: dropping what is old, and beginning anew after a snapshot.
 
+use std::io::ErrorKind;
 use std::sync::Arc;
 
 use super::files::StoredSegment;
@@ -64,8 +65,11 @@ impl BlockStore {
     }
 
     fn remove(&self, segment: &StoredSegment) -> Result<(), StoreError> {
-        self.files.close(segment.sequence);
-        let removed = self.disk.remove(&segment.name);
+        self.files.close_before(segment.sequence + 1);
+        let removed = match self.disk.remove(&segment.name) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+            removed => removed,
+        };
         removed.map_err(|error| self.state().poison(StoreError::io("remove", &segment.name, error)))
     }
 
