@@ -23,6 +23,7 @@ pub mod msp;
 pub mod network;
 mod rejection;
 pub mod result;
+pub mod retention;
 pub mod segment;
 pub mod state;
 pub mod transaction;

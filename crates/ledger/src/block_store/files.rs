@@ -19,6 +19,8 @@ pub(super) struct StoredSegment {
     pub(super) salt: u64,
     /// The index that follows the newest entry before it.
     pub(super) first_index: u64,
+    /// Bytes of the segment before it; 0 if it begins the log.
+    pub(super) bytes_before: u32,
 }
 
 /// Opens segments on demand and keeps those open that were used last.

@@ -9,7 +9,31 @@ use super::writer::{Failure, lock};
 use super::{Base, BlockStore, StoreError};
 use crate::entry::HardState;
 
+/// A segment that is finished: no entry is written to it any more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Finished {
+    /// The index that follows the newest entry before it.
+    pub first_index: u64,
+    /// The index that follows the newest entry in it: [`BlockStore::prune`] drops it at this one.
+    pub next_index: u64,
+    /// Its size.
+    pub bytes: u64,
+}
+
 impl BlockStore {
+    /// The finished segments, the oldest first.
+    pub fn finished(&self) -> Vec<Finished> {
+        let state = self.state();
+        let pairs = state.segments.iter().zip(state.segments.iter().skip(1));
+        pairs
+            .map(|(segment, next)| Finished {
+                first_index: segment.first_index,
+                next_index: next.first_index,
+                bytes: next.bytes_before.into(),
+            })
+            .collect()
+    }
+
     /// Drops whole segments, the oldest first, all of whose entries are below `keep_from`, committed and durable; never
     /// the one that is being written. Answers with the new first index, which may be the old one.
     ///

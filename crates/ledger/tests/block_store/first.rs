@@ -30,7 +30,14 @@ fn old_segments_are_dropped_and_the_log_goes_on_where_it_was() {
     let disk = SimDisk::new(1);
     let store = filled(&disk, 60);
     let before = segments(&disk).len();
+    let finished = store.finished();
+    assert_eq!(finished.len(), before - 1);
+    assert!(finished.windows(2).all(|pair| pair[0].next_index == pair[1].first_index));
+    assert!(finished.iter().all(|segment| segment.bytes > 500 && segment.bytes <= SEGMENT_BYTES), "{finished:?}");
+    assert_eq!(open_with(&disk.copy(7), SEGMENT_BYTES).unwrap().0.finished(), finished);
     let first = store.prune(31).unwrap();
+    assert_eq!(store.finished()[..], finished[before - segments(&disk).len()..]);
+    assert!(finished.iter().any(|segment| segment.next_index == first));
     assert!(first > 20 && first <= 31, "{first}");
     assert!(segments(&disk).len() < before);
     let term = |index: u64| index / 10 + 1;
