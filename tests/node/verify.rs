@@ -197,3 +197,37 @@ async fn a_torn_tail_is_told_and_a_cut_before_what_was_durable_is_refused() {
     fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500"]);
     println!("verify: 4 cuts");
 }
+
+#[tokio::test]
+async fn the_blocks_of_a_running_node_are_archived_and_the_archive_verifies_alone() {
+    let fleet = Fleet::found(1);
+    fleet.nodes[0].configure("[limits]\npayload_bytes_max = 65536\n[storage]\nsegment_mib = 1\n");
+    let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
+    let mut node = fleet.nodes[0].start();
+    let owner = connect(&owner).await;
+    register_robots(&owner, "open").await;
+    let client = connect(&salma).await;
+    let image = vec![7; 40_000];
+    let (data, to) = (fleet.nodes[0].data.to_string_lossy().into_owned(), fleet.path().join("archive"));
+    let archive = ["ledger", "archive", &data, "--to", &to.to_string_lossy()];
+    let mut last_height = 0;
+    for round in 0..3 {
+        for seq in 0..40 {
+            client.invoke("abac", "set", message(0, round * 40 + seq, &image)).await.unwrap();
+        }
+        let archived = fleet.ctl().json(&archive);
+        assert!(archived["segments_copied"].as_u64() > Some(0), "{archived}");
+        assert!(archived["last_height"].as_u64() > Some(last_height), "{archived}");
+        last_height = archived["last_height"].as_u64().unwrap();
+        let report = fleet.ctl().json(&["verify", &to.to_string_lossy()]);
+        assert_eq!((&report["ok"], &report["first_height"]), (&true.into(), &1.into()));
+        assert!(
+            report["height"].as_u64().unwrap() + report["uncommitted"].as_u64().unwrap() == last_height,
+            "{report}"
+        );
+    }
+    node.check();
+    node.interrupt();
+    assert_eq!(fleet.ctl().json(&["verify", &data])["transactions"], 121);
+    println!("archive: up to block {last_height}");
+}

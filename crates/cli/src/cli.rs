@@ -66,6 +66,8 @@ enum Command {
     Block(ledger::Block),
     Tx(ledger::Tx),
     Denials(denials::Denials),
+    #[command(subcommand)]
+    Ledger(ledger::Ledger),
     Verify(verify::Verify),
     Explain(explain::Explain),
     Completions(completions::Completions),
@@ -105,6 +107,7 @@ impl Cli {
             Command::Block(command) => command.run(global, output).await,
             Command::Tx(command) => command.run(global, output).await,
             Command::Denials(command) => command.run(global, output).await,
+            Command::Ledger(command) => command.run(output),
             Command::Verify(command) => command.run(output),
             Command::Explain(command) => command.run(output),
             Command::Completions(command) => command.run(output),

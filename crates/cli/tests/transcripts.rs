@@ -211,6 +211,15 @@ fn enrolling_with_a_fingerprint_that_is_none_ends_with_3() {
 }
 
 #[test]
+fn archiving_what_is_no_data_directory_ends_with_3_and_makes_nothing() {
+    let machine = Machine::new();
+    let to = machine.home.path().join("archive");
+    let words = ["ledger", "archive", "/nowhere/ledger", "--to", &to.to_string_lossy()];
+    machine.run(&words).refused(3, "LGR-7002", &["/nowhere/ledger", "genesis.json"]);
+    assert!(!to.exists());
+}
+
+#[test]
 fn verifying_what_is_no_directory_ends_with_3() {
     Machine::new().run(&["verify", "/nowhere/ledger"]).refused(3, "LGR-7002", &["/nowhere/ledger"]);
 }

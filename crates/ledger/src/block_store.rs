@@ -40,6 +40,7 @@ use crate::segment::{ENTRY_BYTES_MAX, HEADER_BYTES, Record, SEGMENT_BYTES_MAX};
 pub use crate::segment::Base;
 
 pub use error::StoreError;
+pub use first::Finished;
 pub use recovery::{Recovery, TornTail};
 
 /// Default size of a segment.

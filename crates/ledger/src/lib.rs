@@ -3,6 +3,7 @@
 //! Nothing here knows a network, an async runtime or a clock: time and randomness are arguments, and the disk is
 //! a trait. So the whole of it runs in a simulator as it runs in a node.
 
+pub mod archive;
 pub mod block;
 pub mod block_store;
 pub mod certificate;
@@ -22,6 +23,7 @@ pub mod msp;
 pub mod network;
 mod rejection;
 pub mod result;
+pub mod retention;
 pub mod segment;
 pub mod state;
 pub mod transaction;

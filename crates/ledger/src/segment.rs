@@ -28,5 +28,5 @@ pub use record::{
     encoded_bytes,
 };
 pub use scan::{Found, Scan, scan};
-pub(crate) use scan::{ScannedSegment, Tail};
+pub(crate) use scan::{ScannedSegment, Tail, check_sealed};
 pub(crate) use window::Window;

@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
-use ledger::verify::{Report, verify_directory};
+use ledger::verify::{Dissent, Report, verify_directory};
 use ledger::{Code, Registry, Rejection};
 use ledger_abac::AccessControl;
 use serde::Serialize;
@@ -10,14 +10,16 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Check the chain in the data directory of a stopped node: every hash, every signature, every verdict executed again.
+/// Check the chain in the data directory of a stopped node, or in an archive: every hash, every signature, every verdict
+/// executed again.
 ///
-/// Nothing that the node has computed is trusted. Exits with 1 and names the first byte that is wrong. A node that was
+/// Nothing that the node has computed is trusted. What nodes have attested is compared. Exits with 1 and names the first
+/// byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the others. A node that was
 /// built with chaincode of your own is verified by a program built with the same chaincode (ledger::verify).
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl verify /var/lib/ledgerd")]
 pub(crate) struct Verify {
-    /// The node's data directory, or a copy of it
+    /// The node's data directory, a copy of it, or an archive
     #[arg(value_name = "DIR")]
     directory: PathBuf,
 }
@@ -37,14 +39,26 @@ impl Facts for Verified<'_> {
         let verdicts: Vec<_> = verdicts.iter().map(|(name, count)| format!("{name} {count}")).collect();
         let mut table = Table::pairs();
         table.pair("network", network);
+        if let Some(begun) = &self.report.begun {
+            let by: Vec<_> = begun.attested_by.iter().map(String::as_str).collect();
+            let by = if by.is_empty() { "nobody, in these blocks".into() } else { by.join(", ") };
+            table.pair("begins after", format!("the snapshot at height {}, {}", begun.height, begun.content));
+            table.pair("attested by", by);
+        }
         table.pair("block hash", block_hash);
         table.pair("state digest", state_digest);
         table.pair("transactions", transactions);
         table.pair("verdicts", verdicts.join(", "));
         table.pair("results compared", self.report.results_compared);
         table.pair("state compared", if self.report.state_compared { "yes" } else { "no" });
+        table.pair("attestations", format!("{} agree", self.report.attestations_agreeing));
+        for dissent in &self.report.dissents {
+            let Dissent { height, node, digest, .. } = dissent;
+            table.pair("differs", format!("{node} attested state digest {digest} at height {height}"));
+        }
         if self.report.uncommitted > 0 {
-            table.pair("uncommitted", format!("{} entries, never promised to anybody", self.report.uncommitted));
+            table
+                .pair("uncommitted", format!("{} entries that are not known to be committed", self.report.uncommitted));
         }
         if self.report.torn_bytes > 0 {
             table.pair("torn", format!("{} bytes of a write that was never acknowledged", self.report.torn_bytes));

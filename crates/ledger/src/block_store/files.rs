@@ -19,13 +19,22 @@ pub(super) struct StoredSegment {
     pub(super) salt: u64,
     /// The index that follows the newest entry before it.
     pub(super) first_index: u64,
+    /// Bytes of the segment before it; 0 if it begins the log.
+    pub(super) bytes_before: u32,
 }
 
 /// Opens segments on demand and keeps those open that were used last.
 pub(super) struct Files {
     disk: Arc<dyn Disk>,
+    open: Mutex<Open>,
+}
+
+#[derive(Default)]
+struct Open {
     /// The one used last is at the back.
-    open: Mutex<VecDeque<(u32, Arc<dyn DiskFile>)>>,
+    files: VecDeque<(u32, Arc<dyn DiskFile>)>,
+    /// Segments before this one are dropped: kept open, they would keep their place on the disk.
+    oldest: u32,
 }
 
 impl Files {
@@ -43,22 +52,27 @@ impl Files {
         Ok(file)
     }
 
-    /// Closes a segment, once its readers are done.
-    pub(super) fn close(&self, sequence: u32) {
-        self.take(sequence);
+    /// Closes the segments before `oldest`, once their readers are done.
+    pub(super) fn close_before(&self, oldest: u32) {
+        let mut open = lock(&self.open);
+        open.oldest = oldest;
+        open.files.retain(|(sequence, _)| *sequence >= oldest);
     }
 
     fn take(&self, sequence: u32) -> Option<Arc<dyn DiskFile>> {
-        let mut open = lock(&self.open);
-        let place = open.iter().rposition(|(number, _)| *number == sequence)?;
-        open.remove(place).map(|(_, file)| file)
+        let files = &mut lock(&self.open).files;
+        let place = files.iter().rposition(|(number, _)| *number == sequence)?;
+        files.remove(place).map(|(_, file)| file)
     }
 
     fn put(&self, sequence: u32, file: &Arc<dyn DiskFile>) {
         let mut open = lock(&self.open);
-        open.push_back((sequence, Arc::clone(file)));
-        if open.len() > OPEN_MAX {
-            open.pop_front();
+        if sequence < open.oldest {
+            return;
+        }
+        open.files.push_back((sequence, Arc::clone(file)));
+        if open.files.len() > OPEN_MAX {
+            open.files.pop_front();
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Where the log begins: dropping what is old, and beginning anew after a snapshot.
 
+use std::io::ErrorKind;
 use std::sync::Arc;
 
 use super::files::StoredSegment;
@@ -8,7 +9,31 @@ use super::writer::{Failure, lock};
 use super::{Base, BlockStore, StoreError};
 use crate::entry::HardState;
 
+/// A segment that is finished: no entry is written to it any more.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Finished {
+    /// The index that follows the newest entry before it.
+    pub first_index: u64,
+    /// The index that follows the newest entry in it: [`BlockStore::prune`] drops it at this one.
+    pub next_index: u64,
+    /// Its size.
+    pub bytes: u64,
+}
+
 impl BlockStore {
+    /// The finished segments, the oldest first.
+    pub fn finished(&self) -> Vec<Finished> {
+        let state = self.state();
+        let pairs = state.segments.iter().zip(state.segments.iter().skip(1));
+        pairs
+            .map(|(segment, next)| Finished {
+                first_index: segment.first_index,
+                next_index: next.first_index,
+                bytes: next.bytes_before.into(),
+            })
+            .collect()
+    }
+
     /// Drops whole segments, the oldest first, all of whose entries are below `keep_from`, committed and durable; never
     /// the one that is being written. Answers with the new first index, which may be the old one.
     ///
@@ -64,8 +89,11 @@ impl BlockStore {
     }
 
     fn remove(&self, segment: &StoredSegment) -> Result<(), StoreError> {
-        self.files.close(segment.sequence);
-        let removed = self.disk.remove(&segment.name);
+        self.files.close_before(segment.sequence + 1);
+        let removed = match self.disk.remove(&segment.name) {
+            Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
+            removed => removed,
+        };
         removed.map_err(|error| self.state().poison(StoreError::io("remove", &segment.name, error)))
     }
 

@@ -158,6 +158,7 @@ fn stored(segment: &ScannedSegment) -> Arc<StoredSegment> {
         sequence: segment.header.sequence,
         salt: segment.header.salt,
         first_index: segment.header.first_index,
+        bytes_before: segment.header.durable_upto.offset,
     })
 }
 

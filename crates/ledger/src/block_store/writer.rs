@@ -209,6 +209,7 @@ impl Writer {
             sequence,
             salt: header.salt,
             first_index: header.first_index,
+            bytes_before: durable_upto.offset,
         });
         let mut run = self.run(Some(Fresh { spare, segment }), 0, crc, durable_upto);
         if self.hard_state != HardState::default() {

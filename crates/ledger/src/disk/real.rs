@@ -43,10 +43,7 @@ impl RealDisk {
     ///
     /// Fails with [`ErrorKind::ResourceBusy`] while a node has the directory open for writing.
     pub fn open_read_only(path: impl Into<PathBuf>) -> io::Result<Self> {
-        let path = path.into();
-        if !fs::metadata(&path)?.is_dir() {
-            return Err(io::Error::new(ErrorKind::NotADirectory, format!("{} is not a directory", path.display())));
-        }
+        let Self { path, .. } = Self::open_beside_writer(path)?;
         let lock = match File::open(path.join(LOCK_FILE)) {
             Ok(lock) => {
                 lock.try_lock_shared().map_err(|error| busy(&path, error))?;
@@ -56,6 +53,16 @@ impl RealDisk {
             Err(error) => return Err(error),
         };
         Ok(Self { path, writable: false, _lock: lock })
+    }
+
+    /// Opens an existing directory for reading only, beside a node that may be writing to it: only files that do not change
+    /// any more can be read from it sensibly, and any of them may be removed meanwhile.
+    pub fn open_beside_writer(path: impl Into<PathBuf>) -> io::Result<Self> {
+        let path = path.into();
+        if !fs::metadata(&path)?.is_dir() {
+            return Err(io::Error::new(ErrorKind::NotADirectory, format!("{} is not a directory", path.display())));
+        }
+        Ok(Self { path, writable: false, _lock: None })
     }
 
     /// The directory.
@@ -168,6 +175,7 @@ mod tests {
         let busy = RealDisk::open(first.path()).unwrap_err();
         assert_eq!(busy.kind(), ErrorKind::ResourceBusy);
         assert_eq!(RealDisk::open_read_only(first.path()).unwrap_err().kind(), ErrorKind::ResourceBusy);
+        assert!(RealDisk::open_beside_writer(first.path()).unwrap().create("a").is_err());
         let path = first.path().to_owned();
         drop(first);
         RealDisk::open(path).unwrap();

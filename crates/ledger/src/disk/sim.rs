@@ -42,8 +42,10 @@ struct Inner {
     /// How many bytes all files together may have.
     capacity_bytes: Option<u64>,
     /// Calls so far, and those that are to fail.
+    reads: u64,
     writes: u64,
     syncs: u64,
+    read_faults: BTreeSet<u64>,
     write_faults: BTreeMap<u64, Fault>,
     sync_faults: BTreeMap<u64, Fault>,
     dir_sync_fails: bool,
@@ -82,8 +84,10 @@ impl SimDisk {
             files: Vec::new(),
             generation: 0,
             capacity_bytes: None,
+            reads: 0,
             writes: 0,
             syncs: 0,
+            read_faults: BTreeSet::new(),
             write_faults: BTreeMap::new(),
             sync_faults: BTreeMap::new(),
             dir_sync_fails: false,
@@ -95,6 +99,7 @@ impl SimDisk {
     pub fn crash(&self) {
         let mut inner = self.inner();
         inner.generation += 1;
+        inner.read_faults.clear();
         inner.write_faults.clear();
         inner.sync_faults.clear();
         inner.dir_sync_fails = false;
@@ -134,6 +139,13 @@ impl SimDisk {
             }
         }
         flipped
+    }
+
+    /// Makes the `nth` read from now (1 = the next) fail.
+    pub fn fail_read(&self, nth: u64) {
+        let mut inner = self.inner();
+        let at = inner.reads + nth;
+        inner.read_faults.insert(at);
     }
 
     /// Makes the `nth` write from now (1 = the next) go wrong.
@@ -354,6 +366,10 @@ impl SimFile {
 impl DiskFile for SimFile {
     fn read_at(&self, buf: &mut [u8], offset: u64) -> io::Result<usize> {
         self.with(|inner| {
+            inner.reads += 1;
+            if inner.read_faults.remove(&inner.reads) {
+                return Err(io::Error::other("simulated failure of a read"));
+            }
             let file = inner.files.get(self.id).ok_or_else(|| not_found("file"))?;
             let rest = file.cache.get(offset as usize..).unwrap_or_default();
             let count = rest.len().min(buf.len());

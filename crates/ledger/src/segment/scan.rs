@@ -47,6 +47,8 @@ pub struct Scan<'a> {
     ignored: Vec<String>,
     /// Which segment is being read.
     at: usize,
+    /// How many are to be read; the one after them is only compared with where they end.
+    until: usize,
     /// Where its next record starts; 0 before the header was looked at.
     offset: u64,
     /// CRC the next record has to name.
@@ -122,22 +124,19 @@ pub fn scan<'a>(disk: &'a dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan<'
     segments.reverse();
     void.reverse();
     ignored.reverse();
-    let oldest = segments.first().map(|segment| segment.header);
-    let base = oldest.as_ref().map_or_else(Base::default, SegmentHeader::base);
-    Ok(Scan {
-        disk,
-        segments,
-        void,
-        ignored,
-        at: 0,
-        offset: 0,
-        previous: oldest.map_or(0, |header| header.previous),
-        proven: 0,
-        next_index: base.index + 1,
-        last_term: base.term,
-        window: None,
-        done: false,
-    })
+    let until = segments.len();
+    Ok(Scan { void, ignored, ..Scan::over(disk, segments, until) })
+}
+
+/// Reads every record of the segment in file `name`, and checks that it ends where `next`, the one after it, says.
+pub(crate) fn check_sealed(
+    disk: &dyn Disk,
+    name: &str,
+    segment: &ScannedSegment,
+    next: &ScannedSegment,
+) -> Result<(), StoreError> {
+    let segment = ScannedSegment { name: name.into(), ..segment.clone() };
+    Scan::over(disk, vec![segment, next.clone()], 1).try_for_each(|found| found.map(drop))
 }
 
 fn read_header(disk: &dyn Disk, name: &str, first_index: u64) -> Result<(SegmentHeader, u32), StoreError> {
@@ -148,7 +147,27 @@ fn read_header(disk: &dyn Disk, name: &str, first_index: u64) -> Result<(Segment
         .map_err(|(offset, what)| StoreError::corrupt(name, offset, what, first_index))
 }
 
-impl Scan<'_> {
+impl<'a> Scan<'a> {
+    fn over(disk: &'a dyn Disk, segments: Vec<ScannedSegment>, until: usize) -> Self {
+        let oldest = segments.first().map(|segment| segment.header);
+        let base = oldest.as_ref().map_or_else(Base::default, SegmentHeader::base);
+        Self {
+            disk,
+            segments,
+            void: Vec::new(),
+            ignored: Vec::new(),
+            at: 0,
+            until,
+            offset: 0,
+            previous: oldest.map_or(0, |header| header.previous),
+            proven: 0,
+            next_index: base.index + 1,
+            last_term: base.term,
+            window: None,
+            done: false,
+        }
+    }
+
     /// Names of files in the directory that are no segments.
     pub fn ignored(&self) -> &[String] {
         &self.ignored
@@ -177,6 +196,10 @@ impl Scan<'_> {
     fn step(&mut self) -> Result<Option<Found>, StoreError> {
         loop {
             let Some(segment) = self.segments.get(self.at).cloned() else { return Ok(None) };
+            if self.at == self.until {
+                self.enter(&segment)?;
+                return Ok(None);
+            }
             let successor = self.segments.get(self.at + 1).map(|next| next.header.durable_upto.offset);
             let name = &segment.name;
             let read = |error| StoreError::io("read", name, error);

@@ -59,6 +59,33 @@ fn what_a_restart_reports_is_on_disk_even_after_a_failed_sync() {
 }
 
 #[test]
+fn a_failed_read_is_told_and_changes_nothing() {
+    let disk = SimDisk::new(1);
+    let (store, _) = open_with(&disk, 300).unwrap();
+    for index in 1..=12 {
+        flush_entry(&store, plain(index, 1));
+    }
+    disk.fail_read(2);
+    assert!(matches!(store.entries(1..13, usize::MAX), Err(StoreError::Io { operation: "read", .. })));
+    assert_eq!(all(&store).len(), 12);
+    flush_entry(&store, plain(13, 1));
+    drop(store);
+    let mut failed = 0;
+    loop {
+        let before = disk.contents(&segments(&disk)[0]);
+        disk.fail_read(failed + 1);
+        let Err(error) = open_with(&disk, 300) else { break };
+        assert!(matches!(error, StoreError::Io { operation: "read", .. }), "{error}");
+        assert_eq!(disk.contents(&segments(&disk)[0]), before);
+        disk.crash();
+        failed += 1;
+    }
+    assert!(failed >= 2 * segments(&disk).len() as u64, "{failed} reads");
+    disk.crash();
+    assert_eq!(all(&open_with(&disk, 300).unwrap().0).len(), 13);
+}
+
+#[test]
 fn a_full_disk_is_told_and_forgotten_when_there_is_room_again() {
     for prepared in [false, true] {
         for room in 0..200 {

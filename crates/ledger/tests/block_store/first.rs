@@ -30,7 +30,14 @@ fn old_segments_are_dropped_and_the_log_goes_on_where_it_was() {
     let disk = SimDisk::new(1);
     let store = filled(&disk, 60);
     let before = segments(&disk).len();
+    let finished = store.finished();
+    assert_eq!(finished.len(), before - 1);
+    assert!(finished.windows(2).all(|pair| pair[0].next_index == pair[1].first_index));
+    assert!(finished.iter().all(|segment| segment.bytes > 500 && segment.bytes <= SEGMENT_BYTES), "{finished:?}");
+    assert_eq!(open_with(&disk.copy(7), SEGMENT_BYTES).unwrap().0.finished(), finished);
     let first = store.prune(31).unwrap();
+    assert_eq!(store.finished()[..], finished[before - segments(&disk).len()..]);
+    assert!(finished.iter().any(|segment| segment.next_index == first));
     assert!(first > 20 && first <= 31, "{first}");
     assert!(segments(&disk).len() < before);
     let term = |index: u64| index / 10 + 1;
@@ -313,10 +320,18 @@ fn no_more_than_a_bounded_number_of_segments_is_open() {
         flush_entry(&store, plain(index, 1));
     }
     assert_eq!(all(&store).len(), 800);
+    // Some of those that are dropped are among those kept open.
+    store.set_committed(800);
+    assert!(store.prune(790).unwrap() > 780);
+    assert!(open_files() <= 5, "{}", open_files());
+    for index in 801..=1600 {
+        flush_entry(&store, plain(index, 1));
+    }
+    assert_eq!(all(&store).len() as u64, 1601 - store.first_index());
     assert!(std::fs::read_dir(&path).unwrap().count() > 80);
     assert!(open_files() <= 70, "{}", open_files());
     drop(store);
     let (store, _) = BlockStore::open(Arc::new(RealDisk::open(&path).unwrap()), options(600)).unwrap();
     assert!(open_files() <= 70, "{}", open_files());
-    assert_eq!(store.entry(1).unwrap(), Some(plain(1, 1)));
+    assert_eq!(store.entry(800).unwrap(), Some(plain(800, 1)));
 }

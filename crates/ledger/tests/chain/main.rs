@@ -1,6 +1,7 @@
 //! The rules of execution: each test fails if its rule is taken away.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
+mod archive;
 mod world;
 
 use ledger::block::Payload;

@@ -1,0 +1,55 @@
+//! `ledger archive`: write old blocks out.
+
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use ledger::archive::{Report, archive};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+
+/// Copy the finished blocks of a node to an archive, which `ledgerctl verify` checks by itself.
+///
+/// The node may run meanwhile. Run it again to add what has been finished since: put it into a timer, and let `retention`
+/// of the node keep blocks for longer than that takes. Blocks that are still being written follow with the next run.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl ledger archive /var/lib/ledgerd --to /backup/fleet")]
+pub(crate) struct Archive {
+    /// The node's data directory
+    #[arg(value_name = "DATA_DIR")]
+    directory: PathBuf,
+    /// The archive; made if it is not there
+    #[arg(long, value_name = "DIR")]
+    to: PathBuf,
+}
+
+#[derive(Serialize)]
+struct Archived<'a> {
+    archive: &'a Path,
+    #[serde(flatten)]
+    report: Report,
+}
+
+impl Facts for Archived<'_> {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Report { network, first_height, last_height, segments_copied, bytes_copied, snapshot } = &self.report;
+        if last_height < first_height {
+            writeln!(out, "{} is empty: the node has not finished a segment of blocks yet", self.archive.display())?;
+        } else {
+            writeln!(out, "{} holds blocks {first_height} to {last_height}", self.archive.display())?;
+        }
+        let mut table = Table::pairs();
+        table.pair("network", network);
+        table.pair("copied now", format!("{segments_copied} segments, {bytes_copied} bytes"));
+        if let Some(height) = snapshot {
+            table.pair("begins after", format!("the snapshot at height {height}"));
+        }
+        table.write(out, 2)
+    }
+}
+
+impl Archive {
+    pub(crate) fn run(self, output: &mut Output) -> Result<(), Failure> {
+        let report = archive(&self.directory, &self.to)?;
+        output.show(&Archived { archive: &self.to, report })
+    }
+}

@@ -1,0 +1,228 @@
+//! What nodes have signed about the chain, compared with what its blocks give.
+
+use crate::Hash;
+use crate::chain::{Ledger, Outcome};
+use crate::chaincode::StateRead;
+use crate::code::Code;
+use crate::rejection::Rejection;
+use crate::state::Tip;
+use crate::transaction::Transaction;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How many blocks back an attestation is compared; nodes attest within seconds.
+const HEIGHTS_MAX: usize = 100_000;
+
+/// Most differences that are told one by one.
+const DISSENTS_MAX: usize = 100;
+
+/// Keys of the records of attestations in the world state: organisation and name of the node follow.
+const ATTESTATION_KEYS: &str = "msp\0attestation/";
+
+/// A node signed something else than these blocks give.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Dissent {
+    /// Height that it attested.
+    pub height: u64,
+    /// Who, e.g. `Org2/node3`.
+    pub node: String,
+    /// Block hash that it signed.
+    pub hash: Hash,
+    /// State digest that it signed.
+    pub digest: Hash,
+}
+
+/// The record that an attestation leaves.
+#[derive(Deserialize)]
+struct Record {
+    height: u64,
+    hash: Hash,
+    digest: Hash,
+    #[serde(default)]
+    content: Option<Hash>,
+}
+
+/// The computed chain, and who signed what about it.
+#[derive(Default)]
+pub(super) struct Attested {
+    heights: BTreeMap<u64, Height>,
+    /// The snapshot that the chain was begun from: height and content.
+    snapshot: Option<(u64, Hash)>,
+    /// Attestations that agree.
+    pub(super) agreeing: u64,
+    pub(super) dissents: Vec<Dissent>,
+    /// Nodes that attested the snapshot which the chain was begun from.
+    pub(super) snapshot_attested_by: BTreeSet<String>,
+}
+
+struct Height {
+    hash: Hash,
+    digest: Hash,
+    agreeing: BTreeSet<String>,
+    dissenting: BTreeSet<String>,
+}
+
+impl Attested {
+    /// The chain begins with the state of a snapshot.
+    pub(super) fn begin(&mut self, height: u64, content: Hash) {
+        self.snapshot = Some((height, content));
+    }
+
+    /// Notes what the blocks give.
+    ///
+    /// # Errors
+    /// As [`finish`](Self::finish), for what is too long ago to be attested still.
+    pub(super) fn computed(&mut self, tip: &Tip) -> Result<(), Rejection> {
+        let (agreeing, dissenting) = Default::default();
+        self.heights.insert(tip.height, Height { hash: tip.hash, digest: tip.digest, agreeing, dissenting });
+        while self.heights.len() > HEIGHTS_MAX {
+            let Some((height, oldest)) = self.heights.pop_first() else { break };
+            oldest.judge(height)?;
+        }
+        Ok(())
+    }
+
+    /// Compares the attestations in an executed block.
+    ///
+    /// # Errors
+    /// A fault of the state; [`Code::ChainInvalid`] for a snapshot that a node attested otherwise.
+    pub(super) fn block(&mut self, ledger: &Ledger, outcome: &Outcome) -> Result<(), Rejection> {
+        for emitted in &outcome.events {
+            if emitted.event.chaincode != "msp" || emitted.event.name != "attested" {
+                continue;
+            }
+            let position = emitted.index.and_then(|index| usize::try_from(index).ok());
+            let Some(bytes) = position.and_then(|index| outcome.transactions.get(index)) else { continue };
+            let transaction = Transaction::decode(bytes.clone())?;
+            let Some(creator) = Hash::from_slice(&transaction.body().creator) else { continue };
+            let Some(node) = ledger.creator_name(&creator) else { continue };
+            let Some(record) = ledger.state().get(format!("{ATTESTATION_KEYS}{node}").as_bytes())? else { continue };
+            let record: Record = serde_json::from_slice(&record).map_err(|error| {
+                Rejection::new(Code::ChainInvalid, format!("the attestation of {node} cannot be read: {error}"))
+            })?;
+            self.attestation(node, &record)?;
+        }
+        Ok(())
+    }
+
+    fn attestation(&mut self, node: String, record: &Record) -> Result<(), Rejection> {
+        let Record { height, hash, digest, content } = record;
+        if let (Some((begun, wanted)), Some(content)) = (self.snapshot, *content)
+            && begun == *height
+        {
+            if content != wanted {
+                let what = format!("{node} attested another snapshot at height {height} than the blocks begin from");
+                return Err(Rejection::new(Code::ChainInvalid, what)
+                    .found(format!("content {wanted}"))
+                    .wanted(format!("content {content}")));
+            }
+            self.snapshot_attested_by.insert(node.clone());
+        }
+        let Some(computed) = self.heights.get_mut(height) else { return Ok(()) };
+        if (computed.hash, computed.digest) == (*hash, *digest) {
+            self.agreeing += u64::from(computed.agreeing.insert(node));
+            return Ok(());
+        }
+        if computed.dissenting.insert(node.clone()) && self.dissents.len() < DISSENTS_MAX {
+            self.dissents.push(Dissent { height: *height, node, hash: *hash, digest: *digest });
+        }
+        Ok(())
+    }
+
+    /// Judges what is left.
+    ///
+    /// # Errors
+    /// [`Code::ChainInvalid`] with height and nodes if more nodes signed something else than these blocks give than signed
+    /// this.
+    pub(super) fn finish(&self) -> Result<(), Rejection> {
+        self.heights.iter().try_for_each(|(height, found)| found.judge(*height))
+    }
+}
+
+impl Height {
+    fn judge(&self, height: u64) -> Result<(), Rejection> {
+        if self.dissenting.len() <= self.agreeing.len() {
+            return Ok(());
+        }
+        let names: Vec<&str> = self.dissenting.iter().map(String::as_str).collect();
+        let what =
+            format!("block {height}: {} attested another block or state than these blocks give", names.join(", "));
+        Err(Rejection::new(Code::ChainInvalid, what)
+            .found(format!(
+                "block hash {}, state digest {}; {} nodes agree",
+                self.hash,
+                self.digest,
+                self.agreeing.len()
+            ))
+            .wanted("what most of those who attested this height have signed")
+            .next("compare with the directory of one of these nodes"))
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn tip(height: u64) -> Tip {
+        let [hash, digest] = ["hash", "digest"].map(|what| Hash::of(&[what.as_bytes(), &height.to_be_bytes()]));
+        Tip { height, term: 1, time: height, hash, digest }
+    }
+
+    fn right(height: u64) -> Record {
+        Record { height, hash: tip(height).hash, digest: tip(height).digest, content: None }
+    }
+
+    fn wrong(height: u64) -> Record {
+        Record { digest: Hash::ZERO, ..right(height) }
+    }
+
+    fn chain(last: u64) -> Attested {
+        let mut attested = Attested::default();
+        (1..=last).for_each(|height| attested.computed(&tip(height)).unwrap());
+        attested
+    }
+
+    #[test]
+    fn a_node_that_attested_something_else_is_named_with_the_height() {
+        let mut attested = chain(20);
+        for node in ["Org1/a", "Org2/b", "Org2/b"] {
+            attested.attestation(node.into(), &right(7)).unwrap();
+        }
+        attested.attestation("Org2/c".into(), &wrong(7)).unwrap();
+        attested.attestation("Org2/c".into(), &wrong(99)).unwrap();
+        attested.finish().unwrap();
+        let named: Vec<_> = attested.dissents.iter().map(|dissent| (dissent.height, dissent.node.as_str())).collect();
+        assert_eq!((attested.agreeing, named), (2, vec![(7, "Org2/c")]));
+    }
+
+    #[test]
+    fn blocks_that_more_nodes_contradict_than_confirm_are_wrong() {
+        let mut attested = chain(20);
+        attested.attestation("Org1/a".into(), &wrong(3)).unwrap();
+        let refused = attested.finish().unwrap_err();
+        assert!(refused.code == Code::ChainInvalid && refused.message.contains("block 3: Org1/a"), "{refused}");
+        attested.attestation("Org2/b".into(), &right(3)).unwrap();
+        attested.finish().unwrap();
+        attested.attestation("Org2/c".into(), &wrong(3)).unwrap();
+        assert!(attested.finish().is_err());
+    }
+
+    #[test]
+    fn memory_is_bounded_and_what_is_forgotten_was_judged() {
+        let mut attested = chain(HEIGHTS_MAX as u64 + 5);
+        assert_eq!(attested.heights.len(), HEIGHTS_MAX);
+        attested.attestation("Org1/a".into(), &wrong(6)).unwrap();
+        assert!(attested.computed(&tip(HEIGHTS_MAX as u64 + 6)).is_err());
+    }
+
+    #[test]
+    fn a_snapshot_that_a_node_attested_otherwise_is_refused() {
+        let mut attested = chain(20);
+        attested.begin(10, tip(10).hash);
+        attested.attestation("Org1/a".into(), &Record { content: Some(tip(10).hash), ..right(10) }).unwrap();
+        assert!(attested.snapshot_attested_by.contains("Org1/a"));
+        let other = Record { content: Some(Hash::ZERO), ..right(10) };
+        assert!(attested.attestation("Org2/b".into(), &other).unwrap_err().message.contains("Org2/b"));
+    }
+}

@@ -1,0 +1,183 @@
+//! Executing the blocks again and comparing with what the node kept.
+
+use super::attested::Attested;
+use super::begin::{Beginning, Begun};
+use super::{Report, wrong};
+use crate::Hash;
+use crate::chain::Ledger;
+use crate::code::Code;
+use crate::entry::Entry;
+use crate::rejection::Rejection;
+use crate::result::BlockResult;
+use crate::state::{State, Tip};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// Writes of the verified state that gather before they are moved together.
+const DIRTY_BYTES_MAX: usize = 8 * 1024 * 1024;
+
+pub(super) struct Verification {
+    ledger: Ledger,
+    state: Arc<State>,
+    /// What the node has kept.
+    stored: Option<State>,
+    attested: Attested,
+    /// The snapshot that was begun from: its height and content.
+    snapshot: Option<(u64, Hash)>,
+    /// Height and term of the newest block that is in the state already.
+    begun: Tip,
+    /// Entries that are not known to be committed yet, and where they stand.
+    pending: VecDeque<(Entry, String)>,
+    committed: u64,
+    /// Where the log breaks off, and what is wrong there, if it does not end properly.
+    torn: Option<String>,
+    report: Report,
+}
+
+impl Verification {
+    pub(super) fn begin(beginning: Beginning, stored: Option<State>, report: Report) -> Result<Self, Rejection> {
+        let Beginning { ledger, state, snapshot } = beginning;
+        let begun = ledger.tip();
+        let mut attested = Attested::default();
+        attested.computed(&begun)?;
+        if let Some((height, content)) = snapshot {
+            attested.begin(height, content);
+        }
+        let report = Report { first_height: begun.height + 1, ..report };
+        let (pending, committed) = (VecDeque::new(), begun.height);
+        let mut verification =
+            Self { ledger, state, stored, attested, snapshot, begun, pending, committed, torn: None, report };
+        verification.compare_tip("the state that was begun from")?;
+        Ok(verification)
+    }
+
+    /// The log ends with a write that was cut off.
+    pub(super) fn torn(&mut self, bytes: u64, place: String) {
+        self.report.torn_bytes = bytes;
+        self.torn = Some(place);
+    }
+
+    pub(super) fn entry(&mut self, entry: Entry, place: &str) -> Result<(), Rejection> {
+        let reached = self.ledger.tip().height;
+        if entry.index <= reached && reached > self.begun.height {
+            return Err(wrong(place, format!("block {} is written again after it was committed", entry.index)));
+        }
+        self.pending.retain(|(pending, _)| pending.index < entry.index);
+        if entry.index <= reached {
+            return self.skip(&entry, place);
+        }
+        self.pending.push_back((entry, place.to_owned()));
+        Ok(())
+    }
+
+    /// An entry that is in the snapshot already. Only the last of them can be compared: with its term.
+    fn skip(&self, entry: &Entry, place: &str) -> Result<(), Rejection> {
+        let Tip { height, term, .. } = self.begun;
+        let superseded = entry.index == height && entry.term < term;
+        if height == 0 || entry.index < height || entry.term == term || superseded {
+            return Ok(());
+        }
+        Err(wrong(place, format!("block {height} is not the one that the snapshot holds"))
+            .found(format!("term {}", entry.term))
+            .wanted(format!("term {term}")))
+    }
+
+    /// Everything up to this height is committed: executes it.
+    pub(super) fn commit(&mut self, height: u64) -> Result<(), Rejection> {
+        self.committed = self.committed.max(height);
+        while let Some((entry, place)) = self.pending.pop_front_if(|(entry, _)| entry.index <= self.committed) {
+            let outcome = self.ledger.apply(&entry).map_err(|fault| wrong(&place, fault.to_string()))?;
+            self.report.transactions += outcome.results.len() as u64;
+            for result in &outcome.results {
+                *self.report.verdicts.entry(result.code().name()).or_default() += 1;
+            }
+            self.compare_result(entry.index, &place)?;
+            self.compare_tip(&place)?;
+            self.attested.computed(&self.ledger.tip())?;
+            self.attested.block(&self.ledger, &outcome)?;
+            if self.state.dirty_bytes() > DIRTY_BYTES_MAX {
+                self.state.flush()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// What the node kept of a block must be what executing it gives.
+    fn compare_result(&mut self, height: u64, place: &str) -> Result<(), Rejection> {
+        let Some(computed) = self.ledger.result(height)? else { return Ok(()) };
+        let kept =
+            self.stored.as_ref().map(|stored| crate::chain::stored_result(stored, height)).transpose()?.flatten();
+        let Some(kept) = kept else { return check_signed(&computed, height, place) };
+        self.report.results_compared += 1;
+        match difference(&computed, &kept) {
+            None => Ok(()),
+            Some(what) => {
+                Err(wrong(place, format!("block {height} does not give the result that the node kept: {what}")))
+            }
+        }
+    }
+
+    /// At the height of the savepoint, hash and digest must be the same.
+    fn compare_tip(&mut self, place: &str) -> Result<(), Rejection> {
+        let (computed, Some(kept)) = (self.ledger.tip(), self.stored.as_ref().and_then(State::tip)) else {
+            return Ok(());
+        };
+        if kept.height != computed.height {
+            return Ok(());
+        }
+        self.report.state_compared = true;
+        if kept == computed {
+            return Ok(());
+        }
+        let Tip { height, hash, digest, .. } = computed;
+        Err(wrong(place, format!("the savepoint at height {height} does not fit the blocks"))
+            .found(format!("block hash {}, state digest {}", kept.hash, kept.digest))
+            .wanted(format!("block hash {hash}, state digest {digest}")))
+    }
+
+    pub(super) fn finish(mut self) -> Result<Report, Rejection> {
+        // Executed means committed, even if the log did not get to say so before the node was killed.
+        let executed = self.stored.as_ref().and_then(State::tip).map_or(0, |tip| tip.height);
+        self.commit(executed)?;
+        let tip = self.ledger.tip();
+        if tip.height < executed {
+            let place = self.torn.map(|torn| format!("{torn}, and ")).unwrap_or_default();
+            let what = format!("{place}the world state has executed blocks that are not there");
+            return Err(Rejection::new(Code::ChainInvalid, what)
+                .found(format!("blocks up to height {}", tip.height))
+                .wanted(format!("blocks up to height {executed}")));
+        }
+        self.attested.finish()?;
+        self.report.uncommitted = self.pending.len() as u64;
+        self.report.attestations_agreeing = self.attested.agreeing;
+        self.report.dissents = self.attested.dissents;
+        self.report.begun = self.snapshot.map(|(height, content)| {
+            let attested_by = self.attested.snapshot_attested_by;
+            Begun { height, content, attested_by }
+        });
+        Ok(Report { height: tip.height, block_hash: tip.hash, state_digest: tip.digest, ..self.report })
+    }
+}
+
+/// Nodes order only what they have admitted. Where nothing was kept that shows such a transaction to have been ordered as
+/// it is, one that nobody can have signed means that somebody has changed it since.
+fn check_signed(computed: &BlockResult, height: u64, place: &str) -> Result<(), Rejection> {
+    let forged = |code| matches!(code, Code::BadSignature | Code::Malformed);
+    match computed.results.iter().position(|result| forged(result.code())) {
+        None => Ok(()),
+        Some(index) => Err(wrong(place, format!("nobody has signed transaction {index} of block {height} as it is"))),
+    }
+}
+
+/// The first thing in which two results differ.
+fn difference(computed: &BlockResult, kept: &BlockResult) -> Option<String> {
+    if computed.previous != kept.previous || computed.root != kept.root {
+        return Some("another hash".into());
+    }
+    for (index, (computed, kept)) in computed.results.iter().zip(&kept.results).enumerate() {
+        if computed != kept {
+            return Some(format!("transaction {index}: found {}, wanted {}", computed.code(), kept.code()));
+        }
+    }
+    (computed != kept).then(|| "another state digest or other events".into())
+}
