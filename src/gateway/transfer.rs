@@ -1,0 +1,50 @@
+//! Giving the leadership to another node, because an admin asks for it.
+
+use super::NodeView;
+use ledger::identity::{self, Identity};
+use ledger::{Code, Rejection};
+use ledger_api::v1::{TransferLeadershipResponse, Verdict};
+use ledger_raft::{Role, RoleChange};
+use std::time::Duration;
+
+/// Longest time that the other node has to take over.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// As long when the node stops.
+const HANDOVER_TIME_MAX: Duration = Duration::from_secs(1);
+
+impl NodeView {
+    pub(super) async fn transfer_leadership(&self, caller: &Identity, to: u64) -> TransferLeadershipResponse {
+        match self.transfer(caller, to).await {
+            Ok(RoleChange { leader, term, .. }) => TransferLeadershipResponse {
+                verdict: Some(Verdict::default()),
+                leader_id: leader.unwrap_or_default(),
+                term,
+            },
+            Err(reason) => TransferLeadershipResponse { verdict: Some((&reason).into()), leader_id: 0, term: 0 },
+        }
+    }
+
+    /// A node that stops and leads hands over first, so that the others need not wait until they miss it. What is under
+    /// way goes to the next leader.
+    pub(crate) async fn hand_over(&self) {
+        let Ok(orderer) = self.seat.handle() else { return };
+        let status = orderer.status();
+        if status.role.role != Role::Leader || status.membership.voters.len() < 2 {
+            return;
+        }
+        match orderer.transfer(0, HANDOVER_TIME_MAX).await {
+            Ok(RoleChange { leader, .. }) => tracing::info!(leader, "handed over the leadership"),
+            Err(reason) => tracing::warn!(%reason, "could not hand over; the others elect a leader"),
+        }
+    }
+
+    async fn transfer(&self, caller: &Identity, to: u64) -> Result<RoleChange, Rejection> {
+        if caller.role != identity::Role::Admin {
+            return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose who leads", caller.id()))
+                .found(format!("role {}", caller.role))
+                .wanted("role admin"));
+        }
+        tracing::info!(by = %caller.id(), to, "leadership is to be transferred");
+        self.seat.handle()?.transfer(to, PATIENCE).await
+    }
+}
