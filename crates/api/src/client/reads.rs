@@ -211,6 +211,8 @@ impl Client {
                     let stops = refused.code == Code::ShuttingDown;
                     (refused, stops)
                 }
+                // Cut short by the deadline: what the node said before is the better reason.
+                Err(_) if until == deadline && last.is_some() => break,
                 Err(_) => (crate::connect::unreachable(&connection.address, "no answer to a question"), true),
             };
             if is_final(&refused) {
