@@ -23,8 +23,8 @@ use ledger_api::v1::{
     TransferLeadershipRequest, TransferLeadershipResponse,
 };
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Instant;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::Stream;

@@ -27,8 +27,8 @@ use ledger_api::v1::peer_server::PeerServer;
 use ledger_raft::{Engine, EngineConfig, Input, PEER_MESSAGE_BYTES_MAX};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
@@ -157,7 +157,7 @@ impl Node {
             reads,
             executed,
             directory: Arc::clone(&directory),
-            peers,
+            peers: Arc::clone(&peers),
             limits: config.limits.clone(),
             in_flight: Arc::new(Semaphore::new(count(config.limits.in_flight_max).min(Semaphore::MAX_PERMITS))),
             subscribers: Arc::new(AtomicU64::new(0)),
@@ -167,7 +167,7 @@ impl Node {
         });
         let housekeeping = Housekeeping::start(Arc::clone(&view), store, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let peer_service = PeerService::new(directory.subscribe(), move |from, message| {
+        let peer_service = PeerService::new(Arc::clone(&peers), directory.subscribe(), move |from, message| {
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
             // repeats what matters.
             !matches!(seat.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)

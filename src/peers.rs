@@ -11,17 +11,17 @@ mod directory;
 mod link;
 mod service;
 
-pub(crate) use directory::{Directory, Member, Part};
+pub(crate) use directory::{Directory, Member};
 pub(crate) use service::PeerService;
 
 use ledger::Bytes;
 use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_raft::PeerMessage;
-use link::keep_connected;
+use link::Way;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 
 /// Messages that wait for a peer; beyond it they are dropped, and ordering repeats what matters.
 const WAITING_MAX: usize = 1024;
@@ -39,6 +39,8 @@ struct Link {
     address: String,
     waiting: mpsc::Sender<Bytes>,
     connected: Arc<AtomicBool>,
+    /// Ends the pause before the next attempt to connect.
+    wake: Arc<Notify>,
 }
 
 impl Peers {
@@ -67,10 +69,16 @@ impl Peers {
         for member in members.iter().filter(|member| member.id != self.me) {
             links.entry(member.id).or_insert_with(|| {
                 let (waiting, messages) = mpsc::channel(WAITING_MAX);
-                let connected = Arc::new(AtomicBool::new(false));
-                let (identity, trust) = (self.identity.clone(), Arc::clone(&self.trust));
-                tokio::spawn(keep_connected(member.clone(), identity, trust, messages, Arc::clone(&connected)));
-                Link { address: member.address.clone(), waiting, connected }
+                let (connected, wake) = (Arc::new(AtomicBool::new(false)), Arc::new(Notify::new()));
+                let way = Way {
+                    member: member.clone(),
+                    identity: self.identity.clone(),
+                    trust: Arc::clone(&self.trust),
+                    connected: Arc::clone(&connected),
+                    wake: Arc::clone(&wake),
+                };
+                tokio::spawn(way.keep_connected(messages));
+                Link { address: member.address.clone(), waiting, connected, wake }
             });
         }
     }
@@ -87,5 +95,13 @@ impl Peers {
     pub(crate) fn connected(&self, id: u64) -> bool {
         let links = self.links.read().unwrap_or_else(PoisonError::into_inner);
         links.get(&id).is_some_and(|link| link.connected.load(Ordering::Relaxed))
+    }
+
+    /// This node has just called: it is worth trying to reach it now.
+    pub(crate) fn heard_of(&self, id: u64) {
+        let links = self.links.read().unwrap_or_else(PoisonError::into_inner);
+        if let Some(link) = links.get(&id) {
+            link.wake.notify_one();
+        }
     }
 }

@@ -3,7 +3,7 @@
 
 use super::Handle;
 use ledger::{Code, Rejection};
-use ledger_raft::{Input, Role, RoleChange, Status};
+use ledger_raft::{Input, Role, RoleChange, successor};
 use std::time::Duration;
 
 impl Handle {
@@ -46,11 +46,4 @@ impl Handle {
                 .next("see with ledgerctl network status whether it is reachable and has caught up")),
         }
     }
-}
-
-/// The voter that can take over soonest: reachable, and with most of the log.
-fn successor(status: &Status) -> Option<u64> {
-    let voters = status.peers.iter().filter(|peer| status.membership.voters.contains(&peer.node));
-    let best = voters.filter(|peer| peer.recently_active).max_by_key(|peer| (peer.matched, peer.node))?;
-    Some(best.node)
 }

@@ -172,4 +172,3 @@ impl Order {
         *self.status.lock().unwrap_or_else(PoisonError::into_inner) = self.engine.status();
     }
 }
-

@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
-use tokio::sync::mpsc;
+use tokio::sync::{Notify, mpsc};
 use tokio_rustls::TlsConnector;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::{Channel, Endpoint, Uri};
@@ -21,50 +21,65 @@ use tonic::transport::{Channel, Endpoint, Uri};
 /// Time for a connection to be made.
 const CONNECT_TIME_MAX: Duration = Duration::from_secs(3);
 /// Pause before a broken connection is made again: doubles from the first to the last.
-const RECONNECT_PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(2));
+const RECONNECT_PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(1));
 
-/// Keeps a connection to a peer until the sender of its messages is gone.
-pub(super) async fn keep_connected(
-    member: Member,
-    identity: TlsIdentity,
-    trust: Arc<dyn TrustSource>,
-    mut messages: mpsc::Receiver<Bytes>,
-    connected: Arc<AtomicBool>,
-) {
-    let mut pause = RECONNECT_PAUSE.0;
-    let mut last_reason = String::new();
-    while !messages.is_closed() {
-        let reason = match channel(&member, &identity, &trust).await {
-            Ok(channel) => {
-                tracing::debug!(peer = %member.name, address = %member.address, "connected");
-                while messages.try_recv().is_ok() {}
-                let since = Instant::now();
-                connected.store(true, Ordering::Relaxed);
-                let reason;
-                (messages, reason) = stream(channel, messages).await;
-                connected.store(false, Ordering::Relaxed);
-                if since.elapsed() > RECONNECT_PAUSE.1 {
-                    (pause, last_reason) = (RECONNECT_PAUSE.0, String::new());
+/// The way to a peer.
+pub(super) struct Way {
+    pub member: Member,
+    pub identity: TlsIdentity,
+    pub trust: Arc<dyn TrustSource>,
+    /// Set while messages can be sent.
+    pub connected: Arc<AtomicBool>,
+    /// Ends the pause before the next attempt.
+    pub wake: Arc<Notify>,
+}
+
+impl Way {
+    /// Keeps a connection until the sender of the messages is gone.
+    pub(super) async fn keep_connected(self, mut messages: mpsc::Receiver<Bytes>) {
+        let Self { member, identity, trust, connected, wake } = self;
+        let mut pause = RECONNECT_PAUSE.0;
+        let mut last_reason = String::new();
+        while !messages.is_closed() {
+            let reason = match channel(&member, &identity, &trust).await {
+                Ok(channel) => {
+                    tracing::debug!(peer = %member.name, address = %member.address, "connected");
+                    while messages.try_recv().is_ok() {}
+                    let since = Instant::now();
+                    connected.store(true, Ordering::Relaxed);
+                    let reason;
+                    (messages, reason) = stream(channel, messages).await;
+                    connected.store(false, Ordering::Relaxed);
+                    // One that was refused at once is no reason to try sooner.
+                    if since.elapsed() > RECONNECT_PAUSE.1 {
+                        (pause, last_reason) = (RECONNECT_PAUSE.0, String::new());
+                    }
+                    reason
                 }
-                reason
+                Err(reason) => reason,
+            };
+            if messages.is_closed() {
+                return;
             }
-            Err(reason) => reason,
-        };
-        if messages.is_closed() {
-            return;
+            // The same reason once, not twice a second.
+            if reason != last_reason {
+                tracing::info!(peer = %member.name, address = %member.address, %reason, "not connected; trying on");
+                last_reason = reason;
+            }
+            if tokio::time::timeout(pause, wake.notified()).await.is_ok() {
+                pause = RECONNECT_PAUSE.0;
+            }
+            pause = (pause * 2).min(RECONNECT_PAUSE.1);
         }
-        // The same reason once, not twice a second.
-        if reason != last_reason {
-            tracing::info!(peer = %member.name, address = %member.address, %reason, "not connected; trying on");
-            last_reason = reason;
-        }
-        tokio::time::sleep(pause).await;
-        pause = (pause * 2).min(RECONNECT_PAUSE.1);
     }
 }
 
 /// A connection to a peer, whose certificate must be of that node.
-pub(super) async fn channel(member: &Member, identity: &TlsIdentity, trust: &Arc<dyn TrustSource>) -> Result<Channel, String> {
+pub(super) async fn channel(
+    member: &Member,
+    identity: &TlsIdentity,
+    trust: &Arc<dyn TrustSource>,
+) -> Result<Channel, String> {
     let expected = format!("{}/{}", member.organisation, member.name);
     let trust = ServerTrust::Network(Arc::clone(trust));
     let config =
@@ -124,4 +139,3 @@ fn causes(error: &dyn Error) -> String {
     }
     text
 }
-

@@ -1,6 +1,6 @@
 //! The service that other nodes call.
 
-use super::Member;
+use super::{Member, Peers};
 use crate::listen::Caller;
 use ledger::identity::Role;
 use ledger_api::v1::peer_server::Peer;
@@ -13,14 +13,15 @@ use tonic::{Request, Response, Status, Streaming};
 
 /// The service that takes the messages of other nodes. `deliver` answers false when the node is stopping.
 pub(crate) struct PeerService<D> {
+    peers: Arc<Peers>,
     members: watch::Receiver<Arc<[Member]>>,
     deliver: D,
 }
 
 impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
     /// Takes calls from these members only, as they change.
-    pub(crate) fn new(members: watch::Receiver<Arc<[Member]>>, deliver: D) -> Self {
-        Self { members, deliver }
+    pub(crate) fn new(peers: Arc<Peers>, members: watch::Receiver<Arc<[Member]>>, deliver: D) -> Self {
+        Self { peers, members, deliver }
     }
 
     /// The calling node, which must be a member now.
@@ -29,9 +30,8 @@ impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
             .and_then(|caller| caller.identity.as_ref())
             .ok_or_else(|| Status::unauthenticated("found no certificate, wanted one of a node of this network"))?;
         let members = self.members.borrow();
-        let member = members
-            .iter()
-            .find(|member| member.organisation == identity.organisation && member.name == identity.name);
+        let member =
+            members.iter().find(|member| member.organisation == identity.organisation && member.name == identity.name);
         match member {
             Some(member) if identity.role == Role::Node => Ok(member.clone()),
             _ => Err(Status::permission_denied(format!(
@@ -56,6 +56,7 @@ async fn removed(members: &mut watch::Receiver<Arc<[Member]>>, id: u64) {
 impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerService<D> {
     async fn messages(&self, request: Request<Streaming<PeerFrame>>) -> Result<Response<PeerClosed>, Status> {
         let member = self.sender(request.extensions().get::<Caller>())?;
+        self.peers.heard_of(member.id);
         let mut frames = request.into_inner();
         let mut members = self.members.clone();
         let removed = removed(&mut members, member.id);

@@ -91,10 +91,8 @@ async fn a_linearizable_read_asks_the_leader_and_is_refused_without_one() {
     for node in 0..2 {
         network.nodes[node] = Some(network.fleet.nodes[node].start());
     }
-    until("a leader confirms again", || async {
-        learner.query_linearizable("abac", "robots", Vec::new()).await.ok()
-    })
-    .await;
+    until("a leader confirms again", || async { learner.query_linearizable("abac", "robots", Vec::new()).await.ok() })
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
