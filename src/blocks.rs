@@ -67,6 +67,11 @@ impl Blocks {
         }
     }
 
+    /// The oldest block that is kept.
+    pub(crate) fn first_height(&self) -> u64 {
+        self.store.first_index()
+    }
+
     fn recent(&self, height: u64) -> Option<Arc<Outcome>> {
         let recent = self.recent.read().unwrap_or_else(PoisonError::into_inner);
         let first = recent.outcomes.front()?.header.height;

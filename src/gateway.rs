@@ -3,14 +3,15 @@
 mod reads;
 mod submit;
 mod subscribe;
+mod transfer;
 
 use crate::blocks::Blocks;
 use crate::clock::{Clock, wall};
 use crate::config::Limits;
 use crate::denials::Denials;
 use crate::listen::Caller;
-use crate::orderer::Orderer;
-use crate::peers::Member;
+use crate::orderer::{Executed, Reads, Seat};
+use crate::peers::{Directory, Member, Peers};
 use crate::waiters::{Waiter, Waiters};
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
@@ -19,10 +20,11 @@ use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
     Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, QueryRequest,
     QueryResponse, StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
+    TransferLeadershipRequest, TransferLeadershipResponse,
 };
 use std::pin::Pin;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::{Arc, RwLock};
 use std::time::Instant;
 use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::Stream;
@@ -37,7 +39,7 @@ pub(crate) struct GatewayService {
 
 /// What the gateway sees of its node.
 pub(crate) struct NodeView {
-    /// This node.
+    /// This node, as it was known when it started.
     pub me: Member,
     /// Name of the network for people.
     pub label: String,
@@ -49,10 +51,16 @@ pub(crate) struct NodeView {
     pub waiters: Arc<Waiters>,
     /// What was refused.
     pub denials: Denials,
-    /// Ordering; gone when the node stops.
-    pub orderer: RwLock<Option<Orderer>>,
-    /// The other nodes and whether they are connected.
-    pub peers: Box<dyn Fn() -> Vec<(Member, bool)> + Send + Sync>,
+    /// Where ordering is, when it is.
+    pub seat: Arc<Seat>,
+    /// Linearizable reads that wait.
+    pub reads: Arc<Reads>,
+    /// What was executed.
+    pub executed: Arc<Executed>,
+    /// Who belongs to the network.
+    pub directory: Arc<Directory>,
+    /// The ways to the other nodes.
+    pub peers: Arc<Peers>,
     /// Limits of the configuration.
     pub limits: Limits,
     /// Transactions that may be in flight.
@@ -147,5 +155,13 @@ impl Gateway for GatewayService {
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {
         let caller = self.caller(&request)?;
         self.node.denied(&caller, request.into_inner().limit).map(Response::new).map_err(|rejection| status(&rejection))
+    }
+
+    async fn transfer_leadership(
+        &self,
+        request: Request<TransferLeadershipRequest>,
+    ) -> Result<Response<TransferLeadershipResponse>, Status> {
+        let caller = self.caller(&request)?;
+        Ok(Response::new(self.node.transfer_leadership(&caller, request.into_inner().node_id).await))
     }
 }

@@ -10,8 +10,8 @@ use crate::enrolment::EnrolmentService;
 use crate::gateway::{GatewayService, NodeView};
 use crate::housekeeping::Housekeeping;
 use crate::listen::accept;
-use crate::orderer::{Orderer, Shared};
-use crate::peers::{Member, PeerService, Peers};
+use crate::orderer::{Executed, Orderer, Reads, Seat, Shared};
+use crate::peers::{Directory, Member, PeerService, Peers};
 use crate::stores::Stores;
 use crate::waiters::Waiters;
 use ledger::block::PAYLOAD_BYTES_MAX;
@@ -27,9 +27,8 @@ use ledger_api::v1::peer_server::PeerServer;
 use ledger_raft::{Engine, EngineConfig, Input, PEER_MESSAGE_BYTES_MAX};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::sync::mpsc::TrySendError;
-use std::sync::{Arc, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::sync::{Semaphore, watch};
@@ -111,9 +110,8 @@ impl Node {
         let trust: Arc<dyn TrustSource> = Arc::new(Trust { ledger: Arc::clone(&ledger) });
         let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
-        let members: Vec<Member> = genesis.nodes.iter().map(Member::from).collect();
-        let me = own_membership(&tls, &ledger, &members)?;
-        let others: Vec<Member> = members.iter().filter(|member| member.id != me.id).cloned().collect();
+        let directory = Arc::new(Directory::read(&genesis, &ledger));
+        let me = own_membership(&tls, &ledger, &directory.members())?;
         let listener = listen(&config.listen).await?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
 
@@ -122,24 +120,31 @@ impl Node {
         let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
         let waiters = Arc::new(Waiters::default());
         let disk_full = Arc::new(AtomicBool::new(false));
+        let peers = Peers::new(me.id, tls.clone(), Arc::clone(&trust));
+        let (reads, executed) = (Arc::new(Reads::default()), Arc::new(Executed::default()));
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
             blocks: Arc::clone(&blocks),
             waiters: Arc::clone(&waiters),
-            peers: Peers::connect(others.clone(), &tls, &trust),
+            reads: Arc::clone(&reads),
+            directory: Arc::clone(&directory),
+            peers: Arc::clone(&peers),
             clock: clock.clone(),
             fatal: Box::new(move |reason| {
                 tracing::error!(%reason, "the node cannot go on");
                 failed_sender.send_replace(Some(reason));
             }),
             disk_full: Arc::clone(&disk_full),
+            executed: Arc::clone(&executed),
         });
+        peers.follow(&directory);
         let engine = engine(config, me.id, &ledger, &store)?;
         let tick = Duration::from_millis(config.order.tick_ms);
         let orderer = Orderer::start(engine, Arc::clone(&shared), tick)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let inbox = orderer.inbox();
+        let seat = Arc::new(Seat::empty());
+        seat.take_in(orderer);
 
         let view = Arc::new(NodeView {
             me,
@@ -148,8 +153,11 @@ impl Node {
             blocks,
             waiters,
             denials: Denials::default(),
-            orderer: RwLock::new(Some(orderer)),
-            peers: Box::new(move || shared.peers.members().map(|(member, up)| (member.clone(), up)).collect()),
+            seat: Arc::clone(&seat),
+            reads,
+            executed,
+            directory: Arc::clone(&directory),
+            peers: Arc::clone(&peers),
             limits: config.limits.clone(),
             in_flight: Arc::new(Semaphore::new(count(config.limits.in_flight_max).min(Semaphore::MAX_PERMITS))),
             subscribers: Arc::new(AtomicU64::new(0)),
@@ -159,9 +167,10 @@ impl Node {
         });
         let housekeeping = Housekeeping::start(Arc::clone(&view), store, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let peer_service = PeerService::new(others, move |from, message| {
-            // A full inbox drops the message, as a network might: ordering repeats what matters.
-            !matches!(inbox.try_send(Input::Message { from, message }), Err(TrySendError::Disconnected(_)))
+        let peer_service = PeerService::new(Arc::clone(&peers), directory.subscribe(), move |from, message| {
+            // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
+            // repeats what matters.
+            !matches!(seat.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
         });
         let mut authorities = CertificateAuthority::open_all(&config.data)?;
         for authority in &mut authorities {
@@ -220,24 +229,23 @@ impl Node {
         }
     }
 
-    /// Ends the node: no new calls, the verdicts that are under way, then the stores.
+    /// Ends the node: the leadership goes to another voter, no new calls, the verdicts that are under way, then the
+    /// stores.
     pub async fn stop(self) {
         if let Some(bridge) = self.bridge {
             bridge.stop().await;
         }
+        self.view.hand_over().await;
         self.view.in_flight.close();
         self.stop.send_replace(true);
-        let orderer = self.view.orderer.write().unwrap_or_else(PoisonError::into_inner).take();
         let mut server = self.server;
         if tokio::time::timeout(STOP_TIME_MAX, &mut server).await.is_err() {
             server.abort();
             let _aborted = server.await;
         }
-        let housekeeping = self.housekeeping;
+        let (seat, housekeeping) = (Arc::clone(&self.view.seat), self.housekeeping);
         let ended = tokio::task::spawn_blocking(move || {
-            if let Some(mut orderer) = orderer {
-                orderer.stop();
-            }
+            seat.stop();
             housekeeping.stop();
         });
         if ended.await.is_err() {
@@ -310,13 +318,6 @@ fn engine(
     settings.election_tick = count(config.order.election_ticks);
     settings.heartbeat_tick = (settings.election_tick / 5).max(1);
     Engine::new(settings, Arc::clone(store)).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))
-}
-
-impl From<&ledger::network::FoundingNode> for Member {
-    fn from(node: &ledger::network::FoundingNode) -> Self {
-        let ledger::network::FoundingNode { id, name, organisation, address, voter } = node.clone();
-        Self { id, name, organisation, address, voter }
-    }
 }
 
 /// What the node trusts: the organisations on its ledger.

@@ -9,7 +9,6 @@ use ledger_api::v1::{
     Block, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse, TransactionRecord,
     Verdict,
 };
-use std::sync::PoisonError;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 use tonic::Status;
@@ -21,7 +20,11 @@ const DENIALS_DEFAULT: u32 = 100;
 
 impl NodeView {
     pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
-        self.reach(request.min_height).await.map_err(|rejection| status(&rejection))?;
+        let height = match request.linearizable {
+            true => self.reads.confirmed_height(&self.seat).await.map_err(|rejection| status(&rejection))?,
+            false => 0,
+        };
+        self.reach(request.min_height.max(height)).await.map_err(|rejection| status(&rejection))?;
         let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
         Ok(match answer {
             Ok((response, height)) => QueryResponse { verdict: Some(Verdict::default()), response, height },
@@ -48,25 +51,31 @@ impl NodeView {
 
     pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {
         let tip = self.ledger.tip();
-        let orderer = self.orderer.read().unwrap_or_else(PoisonError::into_inner);
-        let orderer = orderer.as_ref().ok_or_else(|| Rejection::new(Code::ShuttingDown, "the node is stopping"))?;
-        let ordering = orderer.status();
-        let matched = |id| ordering.peers.iter().find(|peer| peer.node == id).map_or(0, |peer| peer.matched);
-        let role = match ordering.role.role {
-            ledger_raft::Role::Follower if !self.me.voter => "learner",
-            ledger_raft::Role::Follower => "follower",
-            ledger_raft::Role::Candidate => "candidate",
-            ledger_raft::Role::Leader => "leader",
+        let ordering = self.seat.status();
+        let members = self.directory.members();
+        let me = members.iter().find(|member| member.id == self.me.id);
+        let leading = ordering.as_ref().map(|ordering| ordering.role);
+        let role = match (leading.map(|change| change.role), me) {
+            (Some(ledger_raft::Role::Leader), _) => "leader",
+            (Some(ledger_raft::Role::Candidate), _) => "candidate",
+            (_, None) => "removed",
+            (_, Some(me)) if me.votes() => "follower",
+            (_, Some(me)) => me.role(),
         };
-        let peers = (self.peers)().into_iter().map(|(member, connected)| PeerStatus {
+        let matched = |id| {
+            let peers = ordering.iter().flat_map(|ordering| &ordering.peers);
+            peers.filter(|peer| peer.node == id).map(|peer| peer.matched).next().unwrap_or_default()
+        };
+        let others = members.iter().filter(|member| member.id != self.me.id);
+        let peers = others.map(|member| PeerStatus {
             node_id: member.id,
             matched: matched(member.id),
-            name: member.name,
-            organisation: member.organisation,
-            address: member.address,
-            role: if member.voter { "voter".into() } else { "learner".into() },
-            voter: member.voter,
-            connected,
+            name: member.name.clone(),
+            organisation: member.organisation.clone(),
+            address: member.address.clone(),
+            role: member.role().into(),
+            voter: member.votes(),
+            connected: self.peers.connected(member.id),
         });
         Ok(StatusResponse {
             version: env!("CARGO_PKG_VERSION").into(),
@@ -76,24 +85,26 @@ impl NodeView {
             node_name: self.me.name.clone(),
             organisation: self.me.organisation.clone(),
             role: role.into(),
-            leader_id: ordering.role.leader.unwrap_or_default(),
-            term: ordering.role.term,
+            leader_id: leading.and_then(|change| change.leader).unwrap_or_default(),
+            term: leading.map_or(tip.term, |change| change.term),
             height: tip.height,
             block_hash: tip.hash.0.to_vec().into(),
             block_time: tip.time,
             state_digest: tip.digest.0.to_vec().into(),
             // Ordering reports now and then; what is executed is committed in any case.
-            committed: ordering.commit.max(tip.height),
-            last_index: ordering.last.max(tip.height),
+            committed: ordering.as_ref().map_or(0, |ordering| ordering.commit).max(tip.height),
+            last_index: ordering.as_ref().map_or(0, |ordering| ordering.last).max(tip.height),
             clock: self.clock.now().max(tip.time),
             uptime_ms: u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX),
             chaincodes: self.ledger.registry().names().into_iter().map(str::to_owned).collect(),
             refused: self.denials.counts(),
-            executed: orderer.executed(),
+            executed: self.executed.counts(),
             peers: peers.collect(),
             subscribers: self.subscribers.load(Ordering::Relaxed),
             payload_bytes_max: self.limits.payload_bytes_max,
             resident_bytes: resident_bytes(),
+            first_height: self.blocks.first_height(),
+            catching_up_to: self.seat.catching_up_to().unwrap_or_default(),
             ..StatusResponse::default()
         })
     }

@@ -6,8 +6,8 @@ use ledger::transaction::Transaction;
 use ledger::{Admission, Code, Refusal, Rejection};
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::{Input, Lane};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use std::sync::{Arc, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tokio_stream::StreamExt;
 use tokio_stream::wrappers::UnboundedReceiverStream;
@@ -64,11 +64,8 @@ impl NodeView {
             self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
         self.waiters.add(id, waiter);
-        let orderer = self.orderer.read().unwrap_or_else(PoisonError::into_inner);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
-        if !orderer.as_ref().is_some_and(|orderer| orderer.input(input)) {
-            let reason = Rejection::new(Code::Overloaded, "the node cannot take more transactions now")
-                .next("submit the same transaction again in a moment");
+        if let Err(reason) = self.seat.input(input) {
             self.waiters.refuse(&id, &reason);
         }
     }

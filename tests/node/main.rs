@@ -19,6 +19,7 @@ mod config;
 mod crash;
 mod disk_full;
 mod hostile;
+mod leadership;
 mod rebuild;
 mod story;
 mod two_nodes;

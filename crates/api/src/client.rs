@@ -6,17 +6,20 @@
 //!     in_flight   transactions without a verdict yet; survives the connection
 //!     clock       the node's clock
 //!   reads         queries, status, blocks, registrations
+//!   leadership    choosing who leads
 //!   events        subscriptions that resume where they were cut off
 //! ```
 
 mod clock;
 mod events;
 mod in_flight;
+mod leadership;
 mod reads;
 mod session;
 
 pub use events::{EventStream, Subscription};
 pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Pending};
+pub use leadership::Leadership;
 pub use reads::{Answer, Registered};
 
 use crate::connect::Credentials;

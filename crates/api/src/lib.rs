@@ -27,7 +27,7 @@ mod report;
 pub mod tls;
 
 pub use client::{
-    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Options, Pending, Registered,
+    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending, Registered,
     Subscription,
 };
 pub use connect::Credentials;

@@ -51,13 +51,27 @@ impl Client {
         function: &str,
         args: Vec<Bytes>,
     ) -> Result<Answer, Rejection> {
-        let request = v1::QueryRequest {
-            chaincode: chaincode.into(),
-            function: function.into(),
-            args,
-            min_height,
-            linearizable: false,
-        };
+        let (chaincode, function) = (chaincode.into(), function.into());
+        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, linearizable: false }).await
+    }
+
+    /// As [`Client::query`], on a state that reflects everything that any node had acknowledged to anybody before this
+    /// call. Costs a round from the node to the leader, and from there to a majority.
+    ///
+    /// # Errors
+    /// As [`Client::query`]; [`Code::NoLeader`] if no leader could confirm it before the deadline.
+    pub async fn query_linearizable(
+        &self,
+        chaincode: &str,
+        function: &str,
+        args: Vec<Bytes>,
+    ) -> Result<Answer, Rejection> {
+        let (chaincode, function) = (chaincode.into(), function.into());
+        let min_height = self.height_seen();
+        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, linearizable: true }).await
+    }
+
+    async fn query_for(&self, request: v1::QueryRequest) -> Result<Answer, Rejection> {
         let ask = |up: Up| {
             let request = request.clone();
             async move { up.gateway().query(request).await }
@@ -172,7 +186,7 @@ impl Client {
     }
 
     /// Asks until a node answers, or the deadline has passed. `check` finds the verdict in an answer.
-    async fn ask<R, F, A>(&self, call: F, check: impl Fn(&R) -> Result<(), Rejection>) -> Result<R, Rejection>
+    pub(super) async fn ask<R, F, A>(&self, call: F, check: impl Fn(&R) -> Result<(), Rejection>) -> Result<R, Rejection>
     where
         F: Fn(Up) -> A,
         A: Future<Output = Result<Response<R>, Status>>,
@@ -197,6 +211,8 @@ impl Client {
                     let stops = refused.code == Code::ShuttingDown;
                     (refused, stops)
                 }
+                // Cut short by the deadline: what the node said before is the better reason.
+                Err(_) if until == deadline && last.is_some() => break,
                 Err(_) => (crate::connect::unreachable(&connection.address, "no answer to a question"), true),
             };
             if is_final(&refused) {

@@ -397,6 +397,13 @@ impl Gateway for Shared {
     async fn denials(&self, _request: Request<v1::DenialsRequest>) -> Result<Response<v1::DenialsResponse>, Status> {
         Ok(Response::new(v1::DenialsResponse::default()))
     }
+
+    async fn transfer_leadership(
+        &self,
+        _request: Request<v1::TransferLeadershipRequest>,
+    ) -> Result<Response<v1::TransferLeadershipResponse>, Status> {
+        Ok(Response::new(v1::TransferLeadershipResponse::default()))
+    }
 }
 
 #[tonic::async_trait]

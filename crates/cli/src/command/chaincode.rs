@@ -32,6 +32,9 @@ Example:
   ledgerctl query abac robots
   ledgerctl query abac authorize Turtlebot4/cmd_vel")]
 pub(crate) struct Query {
+    /// Answer from a state that has everything that any node had acknowledged before, at the cost of asking the leader
+    #[arg(long)]
+    linearizable: bool,
     #[command(flatten)]
     call: Call,
 }
@@ -108,7 +111,11 @@ impl Invoke {
 impl Query {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let (chaincode, function, args) = self.call.read()?;
-        let answer = Session::open(global).await?.client.query(&chaincode, &function, args).await?;
+        let client = Session::open(global).await?.client;
+        let answer = match self.linearizable {
+            true => client.query_linearizable(&chaincode, &function, args).await?,
+            false => client.query(&chaincode, &function, args).await?,
+        };
         output.show(&Queried { height: answer.height, answer: Answer::read(&answer.response) })
     }
 }

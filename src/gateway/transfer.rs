@@ -1,0 +1,60 @@
+//! Giving the leadership to another node, because an admin asks for it.
+
+use super::NodeView;
+use ledger::identity::{self, Identity};
+use ledger::{Code, Rejection};
+use ledger_api::v1::{TransferLeadershipResponse, Verdict};
+use ledger_raft::{Role, RoleChange};
+use std::time::{Duration, Instant};
+
+/// Longest time that the other node has to take over.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// As long when the node stops.
+const HANDOVER_TIME_MAX: Duration = Duration::from_secs(1);
+/// Pause before it is tried again.
+const HANDOVER_PAUSE: Duration = Duration::from_millis(20);
+
+impl NodeView {
+    pub(super) async fn transfer_leadership(&self, caller: &Identity, to: u64) -> TransferLeadershipResponse {
+        match self.transfer(caller, to).await {
+            Ok(RoleChange { leader, term, .. }) => TransferLeadershipResponse {
+                verdict: Some(Verdict::default()),
+                leader_id: leader.unwrap_or_default(),
+                term,
+            },
+            Err(reason) => TransferLeadershipResponse { verdict: Some((&reason).into()), leader_id: 0, term: 0 },
+        }
+    }
+
+    /// A node that stops and leads hands over first, so that the others need not wait until they miss it. What is under
+    /// way goes to the next leader.
+    pub(crate) async fn hand_over(&self) {
+        let Ok(orderer) = self.seat.handle() else { return };
+        let deadline = Instant::now() + HANDOVER_TIME_MAX;
+        loop {
+            let status = orderer.status();
+            if status.role.role != Role::Leader || status.membership.voters.len() < 2 {
+                return;
+            }
+            let left = deadline.saturating_duration_since(Instant::now());
+            match orderer.transfer(0, left).await {
+                Ok(RoleChange { leader, .. }) => return tracing::info!(leader, "handed over the leadership"),
+                Err(reason) if left.is_zero() => {
+                    return tracing::warn!(%reason, "could not hand over; the others elect a leader");
+                }
+                // Perhaps the others have just come back, and are heard of in a moment.
+                Err(_) => tokio::time::sleep(HANDOVER_PAUSE).await,
+            }
+        }
+    }
+
+    async fn transfer(&self, caller: &Identity, to: u64) -> Result<RoleChange, Rejection> {
+        if caller.role != identity::Role::Admin {
+            return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose who leads", caller.id()))
+                .found(format!("role {}", caller.role))
+                .wanted("role admin"));
+        }
+        tracing::info!(by = %caller.id(), to, "leadership is to be transferred");
+        self.seat.handle()?.transfer(to, PATIENCE).await
+    }
+}

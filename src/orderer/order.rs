@@ -1,0 +1,174 @@
+//! The order thread: owns the engine, writes the log.
+
+use super::Shared;
+use ledger::block_store::StoreError;
+use ledger::entry::Entry;
+use ledger::transaction::Transaction;
+use ledger_raft::{Engine, Input, Output, Role, RoleChange, Status};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::watch;
+
+/// Inputs taken before the log is written, so that a flood cannot put off the write.
+const INPUTS_PER_WRITE_MAX: usize = 4096;
+/// Pause before a write is tried again that found no space.
+const FULL_DISK_PAUSE: Duration = Duration::from_millis(100);
+
+/// The order thread.
+pub(super) struct Order {
+    engine: Engine,
+    stop: Arc<AtomicBool>,
+    leading: bool,
+    shared: Arc<Shared>,
+    committed: Sender<Vec<Entry>>,
+    outputs: Vec<Output>,
+    /// Number of the newest flush that the engine waits for.
+    flush: Option<u64>,
+    status: Arc<Mutex<Status>>,
+    role: watch::Sender<RoleChange>,
+    deadline: Arc<AtomicU64>,
+    /// The deadline for which an empty block was asked for, and the height then: asked once until a block came.
+    asked_for: (u64, u64),
+}
+
+impl Order {
+    pub(super) fn new(
+        engine: Engine,
+        shared: Arc<Shared>,
+        stop: Arc<AtomicBool>,
+        committed: Sender<Vec<Entry>>,
+        status: Arc<Mutex<Status>>,
+        role: watch::Sender<RoleChange>,
+        deadline: Arc<AtomicU64>,
+    ) -> Self {
+        let (leading, outputs, flush, asked_for) = (false, Vec::new(), None, (0, 0));
+        Self { engine, stop, leading, shared, committed, outputs, flush, status, role, deadline, asked_for }
+    }
+
+    pub(super) fn run(mut self, inputs: &Receiver<Input>, tick: Duration) {
+        let mut next_tick = Instant::now();
+        while !self.stop.load(Ordering::Relaxed) {
+            if next_tick <= Instant::now() {
+                self.step(Input::Tick);
+                next_tick = (next_tick + tick).max(Instant::now());
+                self.report();
+            }
+            self.meet_deadline();
+            let wait = match self.flush {
+                Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
+                Some(_) => Duration::ZERO,
+                None => self.idle_time(next_tick),
+            };
+            match inputs.recv_timeout(wait) {
+                Ok(input) => self.step(input),
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return,
+            }
+            for _ in 0..INPUTS_PER_WRITE_MAX {
+                match inputs.try_recv() {
+                    Ok(input) => self.step(input),
+                    Err(_) => break,
+                }
+            }
+            if !self.write() {
+                return;
+            }
+        }
+    }
+
+    /// Until the next tick, or the next deadline of a chaincode if that is earlier.
+    fn idle_time(&self, next_tick: Instant) -> Duration {
+        let until_tick = next_tick.saturating_duration_since(Instant::now());
+        let deadline = self.deadline.load(Ordering::Relaxed);
+        match deadline.saturating_sub(self.shared.clock.now()) {
+            // Asked for already, or not ours to meet.
+            0 => until_tick,
+            _ if !self.leading => until_tick,
+            left => until_tick.min(Duration::from_micros(left)),
+        }
+    }
+
+    /// Orders an empty block when something is due and no traffic moved block time past it.
+    fn meet_deadline(&mut self) {
+        let deadline = self.deadline.load(Ordering::Relaxed);
+        if !self.leading || self.shared.clock.now() < deadline {
+            return;
+        }
+        let asking_for = (deadline, self.shared.ledger.tip().height);
+        if self.asked_for != asking_for {
+            self.asked_for = asking_for;
+            self.step(Input::ProposeEmpty);
+        }
+    }
+
+    /// Makes the log durable if the engine waits for it. False if the node cannot go on.
+    fn write(&mut self) -> bool {
+        let Some(ready) = self.flush.take() else { return true };
+        match self.shared.store.flush() {
+            Ok(_) => {
+                self.step(Input::Persisted { ready });
+                true
+            }
+            Err(StoreError::DiskFull { .. }) => {
+                // Nothing of it is on disk and nobody was told otherwise: it is tried again until there is space.
+                self.shared.disk_full.store(true, Ordering::Relaxed);
+                self.flush = Some(ready);
+                true
+            }
+            Err(error) => {
+                (self.shared.fatal)(error.into());
+                false
+            }
+        }
+    }
+
+    fn step(&mut self, input: Input) {
+        let mut outputs = std::mem::take(&mut self.outputs);
+        self.engine.step(self.shared.clock.now(), input, &mut outputs);
+        for output in outputs.drain(..) {
+            self.carry_out(output);
+        }
+        self.outputs = outputs;
+    }
+
+    fn carry_out(&mut self, output: Output) {
+        match output {
+            Output::Send { to, message } => {
+                self.shared.peers.send(to, &message);
+            }
+            Output::Flush { ready } => self.flush = Some(ready),
+            Output::Commit(entries) => {
+                // The other end is only gone when the node has failed already.
+                let _stopping = self.committed.send(entries);
+            }
+            Output::Role(change) => {
+                self.leading = change.role == Role::Leader;
+                self.asked_for = (0, 0);
+                tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
+                self.report();
+                self.role.send_replace(change);
+            }
+            Output::Membership { height, membership } => tracing::info!(height, ?membership, "members changed"),
+            Output::Dropped { transaction, reason } => {
+                if let Ok(transaction) = Transaction::decode(transaction) {
+                    self.shared.waiters.refuse(&transaction.id(), &reason);
+                }
+            }
+            Output::ReadReady { context, index } => self.shared.reads.answer(context, Ok(index)),
+            Output::Refused { input, reason } => match *input {
+                Input::ReadIndex { context } => self.shared.reads.answer(context, Err(reason)),
+                input => tracing::warn!(?input, %reason, "ordering refused a request"),
+            },
+            Output::Behind { from, first_index } => {
+                tracing::warn!(from, first_index, "this node is behind what others still send");
+            }
+            Output::Failed(reason) => (self.shared.fatal)(reason),
+        }
+    }
+
+    fn report(&self) {
+        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = self.engine.status();
+    }
+}

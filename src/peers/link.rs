@@ -1,0 +1,141 @@
+//! One outgoing connection: made, used until it breaks, made again.
+
+use super::Member;
+use hyper_util::rt::TokioIo;
+use ledger::Bytes;
+use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource, client_config_expecting};
+use ledger_api::v1::PeerFrame;
+use ledger_api::v1::peer_client::PeerClient;
+use ledger_raft::PEER_MESSAGE_BYTES_MAX;
+use rustls_pki_types::ServerName;
+use std::error::Error;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+use tokio::net::TcpStream;
+use tokio::sync::{Notify, mpsc};
+use tokio_rustls::TlsConnector;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::transport::{Channel, Endpoint, Uri};
+
+/// Time for a connection to be made.
+const CONNECT_TIME_MAX: Duration = Duration::from_secs(3);
+/// Pause before a broken connection is made again: doubles from the first to the last.
+const RECONNECT_PAUSE: (Duration, Duration) = (Duration::from_millis(50), Duration::from_secs(1));
+
+/// The way to a peer.
+pub(super) struct Way {
+    pub member: Member,
+    pub identity: TlsIdentity,
+    pub trust: Arc<dyn TrustSource>,
+    /// Set while messages can be sent.
+    pub connected: Arc<AtomicBool>,
+    /// Ends the pause before the next attempt.
+    pub wake: Arc<Notify>,
+}
+
+impl Way {
+    /// Keeps a connection until the sender of the messages is gone.
+    pub(super) async fn keep_connected(self, mut messages: mpsc::Receiver<Bytes>) {
+        let Self { member, identity, trust, connected, wake } = self;
+        let mut pause = RECONNECT_PAUSE.0;
+        let mut last_reason = String::new();
+        while !messages.is_closed() {
+            let reason = match channel(&member, &identity, &trust).await {
+                Ok(channel) => {
+                    tracing::debug!(peer = %member.name, address = %member.address, "connected");
+                    while messages.try_recv().is_ok() {}
+                    let since = Instant::now();
+                    connected.store(true, Ordering::Relaxed);
+                    let reason;
+                    (messages, reason) = stream(channel, messages).await;
+                    connected.store(false, Ordering::Relaxed);
+                    // One that was refused at once is no reason to try sooner.
+                    if since.elapsed() > RECONNECT_PAUSE.1 {
+                        (pause, last_reason) = (RECONNECT_PAUSE.0, String::new());
+                    }
+                    reason
+                }
+                Err(reason) => reason,
+            };
+            if messages.is_closed() {
+                return;
+            }
+            // The same reason once, not twice a second.
+            if reason != last_reason {
+                tracing::info!(peer = %member.name, address = %member.address, %reason, "not connected; trying on");
+                last_reason = reason;
+            }
+            if tokio::time::timeout(pause, wake.notified()).await.is_ok() {
+                pause = RECONNECT_PAUSE.0;
+            }
+            pause = (pause * 2).min(RECONNECT_PAUSE.1);
+        }
+    }
+}
+
+/// A connection to a peer, whose certificate must be of that node.
+pub(super) async fn channel(
+    member: &Member,
+    identity: &TlsIdentity,
+    trust: &Arc<dyn TrustSource>,
+) -> Result<Channel, String> {
+    let expected = format!("{}/{}", member.organisation, member.name);
+    let trust = ServerTrust::Network(Arc::clone(trust));
+    let config =
+        client_config_expecting(Some(identity.clone()), trust, &expected).map_err(|error| error.to_string())?;
+    let tls = TlsConnector::from(Arc::new(config));
+    let address = member.address.clone();
+    let connect = tower::service_fn(move |_: Uri| {
+        let (tls, address) = (tls.clone(), address.clone());
+        async move {
+            let socket = TcpStream::connect(&address).await?;
+            socket.set_nodelay(true)?;
+            let name = ServerName::try_from("node.ledgerd.invalid").map_err(std::io::Error::other)?;
+            Ok::<_, std::io::Error>(TokioIo::new(tls.connect(name, socket).await?))
+        }
+    });
+    Endpoint::from_static("http://node.ledgerd.invalid")
+        .connect_timeout(CONNECT_TIME_MAX)
+        .http2_keep_alive_interval(Duration::from_secs(2))
+        .keep_alive_timeout(Duration::from_secs(2))
+        .keep_alive_while_idle(true)
+        .connect_with_connector(connect)
+        .await
+        .map_err(|error| causes(&error))
+}
+
+/// Sends until the connection breaks; answers with what is left to send from, and why it broke.
+async fn stream(channel: Channel, messages: mpsc::Receiver<Bytes>) -> (mpsc::Receiver<Bytes>, String) {
+    let (frames, outgoing) = mpsc::channel(1);
+    let mut client = PeerClient::new(channel).max_encoding_message_size(PEER_MESSAGE_BYTES_MAX + 64);
+    let call = client.messages(ReceiverStream::new(outgoing));
+    tokio::pin!(call);
+    let mut messages = messages;
+    let ended = |ended: Result<_, tonic::Status>| match ended {
+        Ok(_) => "the peer closed the stream".to_owned(),
+        Err(status) => status.message().to_owned(),
+    };
+    loop {
+        let message = tokio::select! {
+            end = &mut call => return (messages, ended(end)),
+            message = messages.recv() => message,
+        };
+        let Some(message) = message else { return (messages, String::new()) };
+        tokio::select! {
+            end = &mut call => return (messages, ended(end)),
+            sent = frames.send(PeerFrame { message }) => if sent.is_err() { return (messages, String::new()) },
+        }
+    }
+}
+
+/// An error with its causes in one line.
+fn causes(error: &dyn Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(error) = cause {
+        text = format!("{text}: {error}");
+        cause = error.source();
+    }
+    text
+}

@@ -1,0 +1,114 @@
+//! The service that other nodes call.
+
+use super::{Member, Peers};
+use crate::listen::Caller;
+use ledger::identity::Role;
+use ledger_api::v1::peer_server::Peer;
+use ledger_api::v1::{self, PeerClosed, PeerFrame};
+use ledger_raft::PeerMessage;
+use std::sync::Arc;
+use tokio::sync::watch;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status, Streaming};
+
+/// The service that takes the messages of other nodes. `deliver` answers false when the node is stopping.
+pub(crate) struct PeerService<D> {
+    peers: Arc<Peers>,
+    members: watch::Receiver<Arc<[Member]>>,
+    deliver: D,
+}
+
+impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
+    /// Takes calls from these members only, as they change.
+    pub(crate) fn new(peers: Arc<Peers>, members: watch::Receiver<Arc<[Member]>>, deliver: D) -> Self {
+        Self { peers, members, deliver }
+    }
+
+    /// The calling node, which must be a member now.
+    fn sender(&self, caller: Option<&Caller>) -> Result<Member, Status> {
+        let identity = caller
+            .and_then(|caller| caller.identity.as_ref())
+            .ok_or_else(|| Status::unauthenticated("found no certificate, wanted one of a node of this network"))?;
+        let members = self.members.borrow();
+        let member =
+            members.iter().find(|member| member.organisation == identity.organisation && member.name == identity.name);
+        match member {
+            Some(member) if identity.role == Role::Node => Ok(member.clone()),
+            _ => Err(Status::permission_denied(format!(
+                "found {} with role {}, wanted the certificate of a node of this network",
+                identity.id(),
+                identity.role
+            ))),
+        }
+    }
+}
+
+/// Waits until this node is no member any more.
+async fn removed(members: &mut watch::Receiver<Arc<[Member]>>, id: u64) {
+    let gone = members.wait_for(|members| !members.iter().any(|member| member.id == id)).await.is_ok();
+    if !gone {
+        // The node itself ends; its streams end with its server.
+        std::future::pending::<()>().await;
+    }
+}
+
+#[tonic::async_trait]
+impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerService<D> {
+    async fn messages(&self, request: Request<Streaming<PeerFrame>>) -> Result<Response<PeerClosed>, Status> {
+        let member = self.sender(request.extensions().get::<Caller>())?;
+        self.peers.heard_of(member.id);
+        let mut frames = request.into_inner();
+        let mut members = self.members.clone();
+        let removed = removed(&mut members, member.id);
+        tokio::pin!(removed);
+        loop {
+            let frame = tokio::select! {
+                biased;
+                () = &mut removed => {
+                    tracing::info!(peer = %member.name, "is no member any more; closing its stream");
+                    return Err(Status::permission_denied("this node was removed from the network"));
+                }
+                frame = frames.message() => frame?,
+            };
+            let Some(PeerFrame { message }) = frame else { return Ok(Response::new(PeerClosed {})) };
+            let message = PeerMessage::decode(message).map_err(|error| {
+                tracing::warn!(peer = %member.name, %error, "message is not usable; closing the stream");
+                Status::invalid_argument(error.to_string())
+            })?;
+            if !(self.deliver)(member.id, message) {
+                return Err(Status::unavailable("the node is stopping"));
+            }
+        }
+    }
+
+    async fn chain(&self, _: Request<v1::ChainRequest>) -> Result<Response<v1::ChainResponse>, Status> {
+        Err(Status::unimplemented("chain"))
+    }
+
+    type BlocksStream = ReceiverStream<Result<v1::BlockEntries, Status>>;
+
+    async fn blocks(&self, _: Request<v1::BlocksRequest>) -> Result<Response<Self::BlocksStream>, Status> {
+        Err(Status::unimplemented("blocks"))
+    }
+
+    async fn snapshot(&self, _: Request<v1::SnapshotRequest>) -> Result<Response<v1::SnapshotResponse>, Status> {
+        Err(Status::unimplemented("snapshot"))
+    }
+
+    type SnapshotChunksStream = ReceiverStream<Result<v1::SnapshotChunk, Status>>;
+
+    async fn snapshot_chunks(
+        &self,
+        _: Request<v1::SnapshotChunksRequest>,
+    ) -> Result<Response<Self::SnapshotChunksStream>, Status> {
+        Err(Status::unimplemented("snapshot chunks"))
+    }
+
+    async fn digest(&self, _: Request<v1::DigestRequest>) -> Result<Response<v1::DigestResponse>, Status> {
+        Err(Status::unimplemented("digest"))
+    }
+
+    async fn writes(&self, _: Request<v1::WritesRequest>) -> Result<Response<v1::WritesResponse>, Status> {
+        Err(Status::unimplemented("writes"))
+    }
+}

@@ -1,0 +1,194 @@
+//! Who leads: reads that ask the leader, transfers on demand and at the end of a node, clients that go on.
+
+use crate::support::network::{NodeWish, free_address, message, now, register_robots};
+use crate::support::process::Process;
+use crate::support::{Fleet, connect, until};
+use ledger::Code;
+use ledger::identity::Role;
+use ledger_api::v1::StatusResponse;
+use ledger_api::{Client, Context, Options};
+use std::time::{Duration, Instant};
+
+/// Three voters of both organisations, and a learner.
+struct Network {
+    nodes: Vec<Option<Process>>,
+    owner: Context,
+    salma: Context,
+    fleet: Fleet,
+}
+
+impl Network {
+    fn start() -> Self {
+        let wish = |name: &str, organisation: &str, voter| NodeWish {
+            name: name.into(),
+            organisation: organisation.into(),
+            voter,
+            address: free_address(),
+        };
+        let wishes = [
+            wish("node1", "Org1", true),
+            wish("node2", "Org2", true),
+            wish("node3", "Org1", true),
+            wish("node4", "Org2", false),
+        ];
+        let fleet = Fleet::found_with(&wishes, now());
+        let owner = fleet.owner();
+        let salma = fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]);
+        let nodes = fleet.nodes.iter().map(|place| Some(place.start())).collect();
+        Self { nodes, owner, salma, fleet }
+    }
+
+    /// A person at one node only.
+    async fn at(&self, person: &Context, node: usize) -> Client {
+        connect(&Context { nodes: vec![self.fleet.nodes[node].address.clone()], ..person.clone() }).await
+    }
+
+    /// A person who knows all nodes and begins at this one.
+    async fn from(&self, person: &Context, node: usize) -> Client {
+        let address = |at: usize| self.fleet.nodes[(node + at) % self.fleet.nodes.len()].address.clone();
+        connect(&Context { nodes: (0..self.fleet.nodes.len()).map(address).collect(), ..person.clone() }).await
+    }
+
+    fn process(&mut self, node: usize) -> &mut Process {
+        self.nodes[node].as_mut().unwrap()
+    }
+}
+
+/// Waits until this node knows of a leader other than `not`.
+async fn leader(client: &Client, not: u64) -> StatusResponse {
+    until("there is a leader", || async {
+        let status = client.status().await.ok()?;
+        (status.leader_id != 0 && status.leader_id != not).then_some(status)
+    })
+    .await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_linearizable_read_asks_the_leader_and_is_refused_without_one() {
+    let mut network = Network::start();
+    let (voter, learner) = (network.at(&network.owner, 0).await, network.at(&network.owner, 3).await);
+    register_robots(&voter, "exclusive").await;
+    let salma = network.at(&network.salma, 0).await;
+    for round in 0..20 {
+        let grant = salma.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
+        let answer = learner.query_linearizable("abac", "grants", Vec::new()).await.unwrap();
+        assert!(answer.height >= grant.height, "round {round}: {} after {}", answer.height, grant.height);
+        salma.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap();
+    }
+    let asked = learner.query_linearizable("abac", "robots", Vec::new()).await.unwrap();
+    // Nobody can confirm that the leader leads when the majority is gone: the learner still answers from its own
+    // state, but not as if that were the newest.
+    for node in 0..2 {
+        network.process(node).kill();
+    }
+    let hasty = Options { deadline: Duration::from_secs(2), ..Options::default() };
+    let nodes = vec![network.fleet.nodes[3].address.clone()];
+    let learner = Client::connect_with(nodes, network.owner.credentials().unwrap(), hasty).await.unwrap();
+    let own = learner.query("abac", "robots", Vec::new()).await.unwrap();
+    assert_eq!(own.response, asked.response);
+    let refused = learner.query_linearizable("abac", "robots", Vec::new()).await.unwrap_err();
+    assert_eq!(refused.code, Code::NoLeader, "{refused}");
+    for node in 0..2 {
+        network.nodes[node] = Some(network.fleet.nodes[node].start());
+    }
+    until("a leader confirms again", || async { learner.query_linearizable("abac", "robots", Vec::new()).await.ok() })
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_admin_chooses_who_leads() {
+    let network = Network::start();
+    let owner = network.at(&network.owner, 3).await;
+    let first = leader(&owner, 0).await.leader_id;
+    let to = first % 3 + 1;
+    // Asked at the learner: the client finds the leader.
+    let chosen = owner.transfer_leadership(to).await.unwrap();
+    assert_eq!(chosen.leader, to);
+    assert_eq!(owner.transfer_leadership(to).await.unwrap().leader, to, "already so");
+    let best = owner.transfer_leadership(0).await.unwrap();
+    assert_ne!(best.leader, to);
+    assert!(best.term > chosen.term);
+    let refused = owner.transfer_leadership(4).await.unwrap_err();
+    assert_eq!(refused.code, Code::BadArgument, "a learner cannot lead: {refused}");
+    let salma = network.at(&network.salma, 3).await;
+    assert_eq!(salma.transfer_leadership(to).await.unwrap_err().code, Code::NotAdmin);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_node_restarts_in_turn_and_a_client_goes_on_exactly_once() {
+    let mut network = Network::start();
+    let owner = network.from(&network.owner, 0).await;
+    register_robots(&owner, "open").await;
+    let salma = network.from(&network.salma, 1).await;
+    let running = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
+    let load = tokio::spawn({
+        let (running, salma) = (std::sync::Arc::clone(&running), salma.clone());
+        async move {
+            let (mut done, mut gap, mut last) = (Vec::new(), Duration::ZERO, Instant::now());
+            while running.load(std::sync::atomic::Ordering::Relaxed) {
+                let seq = done.len() as u64;
+                done.push(salma.invoke("abac", "set", message(0, seq + 1, &seq.to_be_bytes())).await.unwrap());
+                gap = gap.max(last.elapsed());
+                last = Instant::now();
+            }
+            (done, gap)
+        }
+    });
+    let (mut handed_over, mut killed) = (0, 0);
+    for node in [0, 1, 2, 0, 1, 2] {
+        let status = owner.status().await.unwrap();
+        let leads = leader(&owner, 0).await.leader_id == node as u64 + 1;
+        if leads && handed_over > 0 {
+            network.process(node).kill();
+            killed += 1;
+        } else {
+            let before = network.process(node).stderr().matches("handed over the leadership").count();
+            network.process(node).interrupt();
+            let after = network.process(node).stderr().matches("handed over the leadership").count();
+            handed_over += after - before;
+            assert!(!leads || after > before, "a leader that stops hands over:\n{}", network.process(node).stderr());
+        }
+        network.nodes[node] = Some(network.fleet.nodes[node].start());
+        let back = network.at(&network.owner, node).await;
+        until("the node is back", || async {
+            let now = back.status().await.ok()?;
+            (now.height > status.height && now.leader_id != 0).then_some(())
+        })
+        .await;
+    }
+    // Somebody led all the time; make sure that it was stopped once, and killed once.
+    while handed_over == 0 || killed == 0 {
+        let leading = usize::try_from(leader(&owner, 0).await.leader_id - 1).unwrap();
+        if handed_over == 0 {
+            network.process(leading).interrupt();
+            handed_over += network.process(leading).stderr().matches("handed over the leadership").count();
+        } else {
+            network.process(leading).kill();
+            killed += 1;
+        }
+        leader(&owner, leading as u64 + 1).await;
+        network.nodes[leading] = Some(network.fleet.nodes[leading].start());
+    }
+    running.store(false, std::sync::atomic::Ordering::Relaxed);
+    let (done, gap) = load.await.unwrap();
+    let last = done.last().unwrap().height;
+    for node in 0..4 {
+        let observer = network.at(&network.owner, node).await;
+        until("the node is at the last height", || async {
+            (observer.status().await.ok()?.height >= last).then_some(())
+        })
+        .await;
+        for committed in &done {
+            let found = observer.transaction(committed.id).await.unwrap();
+            assert_eq!((found.height, found.index), (committed.height, committed.index), "node {node}");
+        }
+    }
+    let mut places: Vec<_> = done.iter().map(|committed| (committed.height, committed.index)).collect();
+    assert!(places.is_sorted(), "one after the other");
+    places.dedup();
+    assert_eq!(places.len(), done.len(), "no two at one place");
+    println!(
+        "leadership: {} transactions, {handed_over} handed over, {killed} leaders killed, longest gap {gap:?}",
+        done.len()
+    );
+}
