@@ -87,6 +87,30 @@ impl NodePlace {
     }
 }
 
+/// A node that is to be founded.
+#[derive(Clone)]
+pub struct NodeWish {
+    pub name: String,
+    pub organisation: String,
+    pub voter: bool,
+    pub address: String,
+}
+
+impl NodeWish {
+    /// A voter of Org1 and, if there are to be two nodes, a learner of Org2: the paper's topology.
+    fn paper(nodes: usize) -> Vec<Self> {
+        let wish = |name: &str, organisation: &str, voter| Self {
+            name: name.into(),
+            organisation: organisation.into(),
+            voter,
+            address: free_address(),
+        };
+        let mut both = vec![wish("org1-node", "Org1", true), wish("org2-node", "Org2", false)];
+        both.truncate(nodes);
+        both
+    }
+}
+
 /// The paper's organisations on nodes in a temporary directory: Org1 with the users, Org2 which owns the robots.
 pub struct Fleet {
     pub nodes: Vec<NodePlace>,
@@ -103,25 +127,27 @@ impl Fleet {
 
     /// As [`Fleet::found`], by another clock.
     pub fn found_at(nodes: usize, now: u64) -> Self {
+        Self::found_with(&NodeWish::paper(nodes), now)
+    }
+
+    /// Founds a network of these nodes; the first one of each organisation carries its CA. Nothing runs yet.
+    pub fn found_with(wishes: &[NodeWish], now: u64) -> Self {
         let directory = tempfile::Builder::new().prefix("ledgerd-test-").tempdir().unwrap();
-        let places: Vec<_> = ["Org1", "Org2"]
-            .iter()
-            .take(nodes)
-            .map(|organisation| NodePlace {
-                name: format!("{}-node", organisation.to_lowercase()),
-                organisation: (*organisation).to_owned(),
-                data: directory.path().join(organisation),
-                address: free_address(),
-                config: directory.path().join(format!("{organisation}.toml")),
-                logs: directory.path().to_owned(),
-            })
-            .collect();
-        let planned = places.iter().enumerate().map(|(index, place)| PlannedNode {
+        let place = |wish: &NodeWish| NodePlace {
+            name: wish.name.clone(),
+            organisation: wish.organisation.clone(),
+            data: directory.path().join(&wish.name),
+            address: wish.address.clone(),
+            config: directory.path().join(format!("{}.toml", wish.name)),
+            logs: directory.path().to_owned(),
+        };
+        let places: Vec<_> = wishes.iter().map(place).collect();
+        let planned = places.iter().zip(wishes).map(|(place, wish)| PlannedNode {
             name: place.name.clone(),
             organisation: place.organisation.clone(),
             data: place.data.clone(),
             address: place.address.clone(),
-            voter: index == 0,
+            voter: wish.voter,
         });
         let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
         let plan = NetworkPlan {
