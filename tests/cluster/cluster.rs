@@ -28,8 +28,10 @@ pub struct Cluster {
     observers: Vec<Client>,
     /// The admin of Org2, who owns the robots.
     pub owner: Context,
-    /// Members of Org1 who may use Turtlebot4.
+    /// Members of Org1 who may use Turtlebot4 and publish all the time.
     pub people: Vec<Context>,
+    /// One more, who only does what a test says.
+    pub guest: Context,
     pub fleet: Fleet,
 }
 
@@ -59,11 +61,11 @@ impl Cluster {
             place.configure("[storage]\nsegment_mib = 4");
         }
         let owner = fleet.owner();
-        let people =
-            ["Salma", "Farhad", "Nadia"].map(|name| fleet.issue("Org1", name, Role::Member, &["Turtlebot4", "Husky"]));
+        let person = |name| fleet.issue("Org1", name, Role::Member, &["Turtlebot4", "Husky"]);
+        let (people, guest) = (["Salma", "Farhad", "Nadia"].map(person), person("Omar"));
         let enter = (0..NODES).map(|_| Box::new(|command| command) as Enter).collect();
         let nodes = (0..NODES).map(|_| None).collect();
-        Self { nodes, enter, observers: Vec::new(), owner, people: people.into(), fleet }
+        Self { nodes, enter, observers: Vec::new(), owner, people: people.into(), guest, fleet }
     }
 
     /// From now on, this node starts in these surroundings.

@@ -8,7 +8,9 @@ use crate::own_network::isolated;
 use crate::rounds;
 use crate::site::Site;
 use crate::support::network::message;
+use crate::support::wait::PATIENCE;
 use crate::support::{Dice, until};
+use ledger_api::Call;
 use std::future::Future;
 use std::time::Duration;
 
@@ -48,7 +50,8 @@ fn a_leader_that_is_cut_off_is_replaced_and_comes_back_as_a_follower() {
         for round in 0..2 * rounds() {
             let (leader, before) = cluster.leader_among(&[0, 1, 2]).await;
             // Every second time the learner stays with it: a majority of nodes is no majority of voters.
-            site.part(if round % 2 == 0 { &[leader, 3][..] } else { &[leader][..] });
+            let minority = [leader, 3];
+            site.part(&minority[..2 - round as usize % 2]);
             partitions += 1;
             let (_, after) = cluster.leader_among(&others(leader)).await;
             assert!(after.term > before.term);
@@ -123,22 +126,16 @@ fn a_client_whose_gateway_is_in_the_minority_goes_on_through_another_node() {
             for with_learner in [false, true] {
                 let (leader, _) = cluster.leader_among(&[0, 1, 2]).await;
                 let gateway = others(leader)[0];
-                let client = cluster.client_from(&cluster.owner, gateway).await;
+                let client = cluster.client_from(&cluster.guest, gateway).await;
                 assert_eq!(&*client.node(), cluster.fleet.nodes[gateway].address);
                 let minority = if with_learner { vec![gateway, 3] } else { vec![gateway] };
-                // Under way when the network breaks, and begun while it is broken.
-                let policies = |client: &ledger_api::Client| client.invoke("abac", "setup", vec![]);
-                let _warm = policies(&client).await;
+                let first = 10 * partitions;
                 let transaction = |number: u64| {
-                    let args = message(0, 1_000_000 * (1 + partitions) + number, b"minority");
-                    let call = ledger_api::Call {
-                        chaincode: "abac".into(),
-                        function: "set".into(),
-                        args,
-                        ttl: crate::support::wait::PATIENCE,
-                    };
+                    let args = message(0, first + number, b"minority");
+                    let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: PATIENCE };
                     client.prepare(call).unwrap()
                 };
+                // One is under way when the network breaks, one begins while it is broken.
                 let before = client.submit_nowait(&transaction(1));
                 site.part(&minority);
                 partitions += 1;
@@ -168,15 +165,15 @@ fn after_links_that_flap_everybody_agrees_and_serves() {
         let mut dice = Dice::roll("flapping");
         let mut changes = 0;
         for round in 0..20 * rounds() {
+            let one = dice.below(NODES as u64) as usize;
+            let other = (one + 1 + dice.below(NODES as u64 - 1) as usize) % NODES;
             match dice.below(3) {
-                // One link in one direction, one in both, one node.
-                0 => site.cut(dice.below(NODES as u64) as usize, dice.below(NODES as u64) as usize),
+                0 => site.cut(one, other),
                 1 => {
-                    let (one, other) = (dice.below(NODES as u64) as usize, dice.below(NODES as u64) as usize);
                     site.cut(one, other);
                     site.cut(other, one);
                 }
-                _ => site.part(&[dice.below(NODES as u64) as usize]),
+                _ => site.part(&[one]),
             }
             changes += 1;
             // Not waits for anything: the rhythm of the fault.
