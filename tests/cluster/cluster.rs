@@ -151,10 +151,6 @@ impl Cluster {
         .await
     }
 
-    /// The leader, as soon as there is one.
-    pub async fn leader(&self) -> usize {
-        self.leader_among(&[0, 1, 2]).await.0
-    }
 
     /// The height at which all nodes are, as soon as they are all at the same one, which is at least this.
     pub async fn converge(&self, height: u64) -> u64 {

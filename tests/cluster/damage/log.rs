@@ -47,7 +47,7 @@ struct Outcomes {
 impl Log {
     fn read(network: [u8; 32], segments: &[PathBuf]) -> Self {
         let name = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
-        let files: Vec<_> = segments.iter().map(|path| (name(path), std::fs::read(path).unwrap())).collect();
+        let mut files: Vec<_> = segments.iter().map(|path| (name(path), std::fs::read(path).unwrap())).collect();
         let disk = disk(&files);
         let mut records = Vec::new();
         for found in scan(disk.as_ref(), Some(&network)).unwrap() {
@@ -55,6 +55,9 @@ impl Log {
             let (start, file) = (position.offset as usize, files.iter().position(|(name, _)| **name == *file).unwrap());
             records.push(Placed { file, start, end: start + bytes as usize, durable_upto, position, record });
         }
+        // Most of the newest segment is zeros that were written ahead; a few sectors of them will do.
+        let end: usize = records.last().map_or(0, |last: &Placed| last.end);
+        files.last_mut().unwrap().1.truncate((end.div_ceil(SECTOR_BYTES) + EMPTY_SECTORS) * SECTOR_BYTES);
         Self { network, files, records }
     }
 

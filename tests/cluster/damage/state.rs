@@ -19,7 +19,7 @@ use std::sync::Arc;
 /// Unit in which disks rot.
 const SECTOR_BYTES: usize = 512;
 /// Sectors that are damaged, spread over all files of the store; times the rounds.
-const SECTORS: u64 = 60;
+const SECTORS: u64 = 30;
 
 /// Everything in the world state, and the digest that led there.
 type World = (Hash, Vec<(Bytes, Bytes)>);
@@ -42,7 +42,7 @@ fn worlds(data: &Path, scratch: &Path) -> BTreeMap<u64, World> {
 }
 
 /// Files of a directory with something in them.
-fn files(directory: &Path) -> Vec<PathBuf> {
+pub fn files(directory: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();
     for entry in fs::read_dir(directory).unwrap() {
         let path = entry.unwrap().path();
@@ -63,7 +63,7 @@ fn sectors(content: &[u8]) -> Vec<usize> {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_state_store_with_a_flipped_bit_in_any_sector_leads_to_the_state_that_the_blocks_give() {
+async fn a_state_store_with_damage_in_any_sector_leads_to_the_state_that_the_blocks_give() {
     let mut dice = Dice::roll("damaged states");
     let history = History::killed().await;
     let place = &history.cluster.fleet.nodes[1];
@@ -88,9 +88,15 @@ async fn a_state_store_with_a_flipped_bit_in_any_sector_leads_to_the_state_that_
         let damaged = config.data.join(path.strip_prefix(&place.data).unwrap());
         let mut content = fs::read(&damaged).unwrap();
         let byte = sector + dice.below(SECTOR_BYTES.min(content.len() - sector) as u64) as usize;
-        content[byte] ^= 1 << dice.below(8);
+        let end = content.len().min(sector + SECTOR_BYTES);
+        // Rot, or a write that never came.
+        let how = if faults % 3 == 2 { "zeroed" } else { "flipped" };
+        match how {
+            "zeroed" => content[*sector..end].fill(0),
+            _ => content[byte] ^= 1 << dice.below(8),
+        }
         fs::write(&damaged, content).unwrap();
-        let what = format!("{} byte {byte}", path.file_name().unwrap().to_string_lossy());
+        let what = format!("{} byte {byte} {how}", path.file_name().unwrap().to_string_lossy());
         let node = Node::builder().start(&config).await.unwrap_or_else(|refused| panic!("{what}: {refused}"));
         let ledger = Arc::clone(node.ledger());
         let tip = ledger.tip();
@@ -104,7 +110,7 @@ async fn a_state_store_with_a_flipped_bit_in_any_sector_leads_to_the_state_that_
         fs::remove_dir_all(&config.data).unwrap();
     }
     println!(
-        "faults injected: {faults} flipped bits in {} files of state stores ({} sectors in use), {rebuilt} made anew \
+        "faults injected: {faults} flipped bits and zeroed sectors in {} files of state stores ({} sectors in use), {rebuilt} made anew \
          from the blocks",
         names.len(),
         places.len()
