@@ -150,6 +150,7 @@ impl Order {
         while !self.stop.load(Ordering::Relaxed) {
             if next_tick <= Instant::now() {
                 self.step(Input::Tick);
+                self.leave_full_disk();
                 next_tick = (next_tick + tick).max(Instant::now());
                 self.report();
             }
@@ -185,6 +186,19 @@ impl Order {
             0 => until_tick,
             _ if !self.leading => until_tick,
             left => until_tick.min(Duration::from_micros(left)),
+        }
+    }
+
+    /// A leader without space can promise nothing and answers nobody: another voter shall lead.
+    fn leave_full_disk(&mut self) {
+        if !self.leading || !self.shared.disk_full.load(Ordering::Relaxed) {
+            return;
+        }
+        let status = self.engine.status();
+        let voters = status.peers.iter().filter(|peer| status.membership.voters.contains(&peer.node));
+        let best = voters.filter(|peer| peer.recently_active).max_by_key(|peer| peer.matched);
+        if let Some(to) = best.map(|peer| peer.node) {
+            self.step(Input::TransferLeadership { to });
         }
     }
 
