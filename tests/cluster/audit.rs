@@ -45,7 +45,12 @@ pub async fn links(node: &Client, height: u64) -> Vec<Link> {
             (id, record.verdict.as_ref().unwrap().code)
         });
         let transactions = transactions.collect();
-        Ok::<_, ledger::Rejection>(Link { term: block.term, hash: block.hash, digest: block.state_digest, transactions })
+        Ok::<_, ledger::Rejection>(Link {
+            term: block.term,
+            hash: block.hash,
+            digest: block.state_digest,
+            transactions,
+        })
     };
     stream::iter(1..=height).map(block).buffered(ASKED_AT_ONCE).try_collect().await.unwrap()
 }

@@ -151,7 +151,6 @@ impl Cluster {
         .await
     }
 
-
     /// The height at which all nodes are, as soon as they are all at the same one, which is at least this.
     pub async fn converge(&self, height: u64) -> u64 {
         until(&format!("all nodes are at the same height, at least {height}"), || async {

@@ -34,9 +34,8 @@ async fn told_by(cluster: &Cluster, node: usize, number: u64) -> u32 {
 async fn a_voter_or_a_leader_with_a_full_disk_turns_read_only_and_the_others_go_on() {
     let mut cluster = Cluster::found();
     // All three, so that whoever leads has a disk that can be filled.
-    let disks: Vec<_> = (0..VOTERS)
-        .map(|node| Arc::new(SmallDisk::under(&cluster.fleet.nodes[node], cluster.fleet.path())))
-        .collect();
+    let disks: Vec<_> =
+        (0..VOTERS).map(|node| Arc::new(SmallDisk::under(&cluster.fleet.nodes[node], cluster.fleet.path()))).collect();
     for (node, disk) in disks.iter().enumerate() {
         let disk = Arc::clone(disk);
         cluster.surround(node, Box::new(move |command: Command| disk.enter(&command)));
@@ -88,5 +87,7 @@ async fn a_voter_or_a_leader_with_a_full_disk_turns_read_only_and_the_others_go_
         told.acknowledged.len(),
         told.refused
     );
+    // Users who know other nodes go there.
+    assert_eq!(told.refused.get(&Code::DiskFull), None);
     assert!(full > 0 && full_leaders > 0);
 }

@@ -72,7 +72,8 @@ impl Load {
         self.stop.store(true, Ordering::Relaxed);
         let mut all = Told::default();
         for user in self.users {
-            let told = tokio::time::timeout(2 * PATIENCE, user).await.expect("every transaction gets an answer").unwrap();
+            let told =
+                tokio::time::timeout(2 * PATIENCE, user).await.expect("every transaction gets an answer").unwrap();
             all.acknowledged.extend(told.acknowledged);
             for (code, count) in told.refused {
                 *all.refused.entry(code).or_default() += count;

@@ -68,7 +68,8 @@ async fn a_leader_that_wakes_up_answers_nothing_from_the_past_and_lets_nobody_dr
         let farhad = cluster.client_from(&cluster.people[1], elsewhere).await;
         // Salma drives, and the leader knows it: nothing but what comes is missing when it wakes up.
         let (granted, epoch) = acquire(&salma).await;
-        let known = cluster.observer(leader).query_at(granted, "abac", "robot", vec!["Turtlebot4".into()]).await.unwrap();
+        let known =
+            cluster.observer(leader).query_at(granted, "abac", "robot", vec!["Turtlebot4".into()]).await.unwrap();
         assert_eq!(driver(&known.response), "Org1/Salma");
         let go = Call {
             chaincode: "abac".into(),
@@ -118,6 +119,8 @@ async fn a_leader_that_wakes_up_answers_nothing_from_the_past_and_lets_nobody_dr
         cluster.check();
     }
     audit(&mut cluster, &Told::default()).await;
-    println!("faults injected: {pauses} leaders stopped and woken; {right} right answers and {refused} refusals by them");
+    println!(
+        "faults injected: {pauses} leaders stopped and woken; {right} right answers and {refused} refusals by them"
+    );
     assert!(pauses > 0 && right + refused > 0);
 }

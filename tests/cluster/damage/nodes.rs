@@ -128,10 +128,8 @@ async fn a_damaged_voter_catches_up_to_the_same_digest_or_ends_and_names_file_an
             }
             fs::remove_dir_all(&kept).unwrap();
             load.more("after the damage", 10, &mut cluster).await;
-            until("the victim follows", || async {
-                (cluster.status(victim).await?.height >= target).then_some(())
-            })
-            .await;
+            until("the victim follows", || async { (cluster.status(victim).await?.height >= target).then_some(()) })
+                .await;
         }
     }
     let told = load.finish().await;
