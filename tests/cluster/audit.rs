@@ -3,6 +3,7 @@
 
 use crate::cluster::{Cluster, NODES};
 use crate::load::Told;
+use crate::rounds;
 use futures::{StreamExt, TryStreamExt, stream};
 use ledger::{Bytes, Hash};
 use ledger_api::{Client, Committed};
@@ -10,7 +11,9 @@ use std::collections::HashMap;
 
 /// Questions to one node at a time.
 const ASKED_AT_ONCE: usize = 32;
-/// Acknowledged transactions that are submitted again, of all of them.
+/// Acknowledged transactions that are looked up by their id on every node (all of them are looked for in its blocks), and
+/// that are submitted again. Times the rounds.
+const LOOKED_UP: usize = 300;
 const RESUBMITTED: usize = 30;
 
 /// What every node has at one height.
@@ -85,11 +88,11 @@ pub async fn audit(cluster: &mut Cluster, told: &Told) -> Chain {
     Chain { links: chain }
 }
 
-/// Every acknowledged transaction by its id on every node; and some submitted again, which changes nothing.
+/// Acknowledged transactions by their id on every node; and some submitted again, which changes nothing.
 async fn look_up(cluster: &Cluster, told: &Told) {
     for node in 0..NODES {
         let observer = cluster.observer(node);
-        stream::iter(&told.acknowledged)
+        stream::iter(told.acknowledged.iter().rev().step_by(step(told, LOOKED_UP)))
             .for_each_concurrent(ASKED_AT_ONCE, |told| async move {
                 let id = told.transaction.id();
                 let record = observer.transaction(id).await.unwrap_or_else(|lost| panic!("node {}: {lost}", node + 1));
@@ -100,9 +103,13 @@ async fn look_up(cluster: &Cluster, told: &Told) {
             })
             .await;
     }
-    let step = 1 + told.acknowledged.len() / RESUBMITTED;
-    for (at, told) in told.acknowledged.iter().rev().step_by(step).enumerate() {
+    for (at, told) in told.acknowledged.iter().rev().step_by(step(told, RESUBMITTED)).enumerate() {
         let again = cluster.observer(at % NODES).submit(told.transaction.clone()).await.unwrap();
         assert_eq!(again, told.committed);
     }
+}
+
+/// Every how many of them are so many of all, times the rounds.
+fn step(told: &Told, wanted: usize) -> usize {
+    told.acknowledged.len().div_ceil(wanted * rounds() as usize).max(1)
 }

@@ -18,9 +18,9 @@ use crate::support::network::message;
 use std::fs;
 use std::path::Path;
 
-/// Bytes of the messages that make the log longer than one segment, and how many of them fill one.
+/// Bytes of a large message, and how many of them fill a segment.
 const LARGE_BYTES: usize = 30_000;
-const LARGE_MESSAGES: u64 = 36;
+const FILL_A_SEGMENT: u64 = 36;
 
 /// A network with some history, and its chain.
 struct History {
@@ -29,8 +29,8 @@ struct History {
 }
 
 impl History {
-    /// All nodes run.
-    async fn new() -> Self {
+    /// A history with so many large messages. All nodes run.
+    async fn new(large: u64) -> Self {
         let mut cluster = Cluster::found();
         for place in &cluster.fleet.nodes {
             place.configure("[limits]\npayload_bytes_max = 262144");
@@ -40,7 +40,7 @@ impl History {
         cluster.run("open").await;
         let load = Load::start(&cluster).await;
         let guest = cluster.client_from(&cluster.guest, 0).await;
-        for number in 1..=LARGE_MESSAGES {
+        for number in 1..=large {
             guest.invoke("abac", "set", message(0, number, &vec![number as u8; LARGE_BYTES])).await.unwrap();
         }
         load.more("small messages too", 100, &mut cluster).await;
@@ -50,8 +50,8 @@ impl History {
     }
 
     /// All nodes are gone, as after a power cut.
-    async fn killed() -> Self {
-        let mut history = Self::new().await;
+    async fn killed(large: u64) -> Self {
+        let mut history = Self::new(large).await;
         for node in 0..NODES {
             history.cluster.kill(node);
         }

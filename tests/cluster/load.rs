@@ -19,7 +19,7 @@ use tokio::time::{MissedTickBehavior, interval};
 /// Transactions of one user that wait for their verdict.
 const PIPELINE: usize = 32;
 /// Between two transactions of one user: enough load to hit something, little enough to look up everything.
-const PACE: Duration = Duration::from_millis(20);
+const PACE: Duration = Duration::from_millis(40);
 
 /// A transaction and what its user was told.
 pub struct Acknowledged {

@@ -13,11 +13,11 @@ use std::sync::Arc;
 /// Unit in which disks rot.
 const SECTOR_BYTES: usize = 512;
 /// Records at the end of the log that are cut at every byte.
-const RECORDS_CUT: usize = 3;
-/// In segments before the newest, a bit is flipped in one of so many sectors; with more rounds, in all of them.
-const OLD_SECTORS_STEP: usize = 16;
+const RECORDS_CUT: usize = 4;
 /// Sectors behind the end of the log in which a bit is flipped.
 const EMPTY_SECTORS: usize = 20;
+/// Size of the segments into which the log is written again, so that it has several.
+const SMALL_SEGMENT_BYTES: u64 = 16 * 1024;
 
 /// A record and where it stands.
 struct Placed {
@@ -44,21 +44,55 @@ struct Outcomes {
     refused: u64,
 }
 
+impl Outcomes {
+    fn add(&mut self, other: &Self) {
+        self.repaired += other.repaired;
+        self.refused += other.refused;
+    }
+
+    fn told(&self) -> String {
+        let Self { repaired, refused } = self;
+        format!("{} ({repaired} repaired, {refused} refused)", repaired + refused)
+    }
+}
+
 impl Log {
+    /// The segments of a node.
     fn read(network: [u8; 32], segments: &[PathBuf]) -> Self {
         let name = |path: &PathBuf| path.file_name().unwrap().to_string_lossy().into_owned();
-        let mut files: Vec<_> = segments.iter().map(|path| (name(path), std::fs::read(path).unwrap())).collect();
-        let disk = disk(&files);
-        let mut records = Vec::new();
-        for found in scan(disk.as_ref(), Some(&network)).unwrap() {
+        Self::scan(network, segments.iter().map(|path| (name(path), std::fs::read(path).unwrap())).collect())
+    }
+
+    fn scan(network: [u8; 32], mut files: Vec<(String, Vec<u8>)>) -> Self {
+        let mut records: Vec<Placed> = Vec::new();
+        for found in scan(&disk(&files), Some(&network)).unwrap() {
             let Found::Record { file, position, bytes, durable_upto, record } = found.unwrap() else { continue };
             let (start, file) = (position.offset as usize, files.iter().position(|(name, _)| **name == *file).unwrap());
             records.push(Placed { file, start, end: start + bytes as usize, durable_upto, position, record });
         }
         // Most of the newest segment is zeros that were written ahead; a few sectors of them will do.
-        let end: usize = records.last().map_or(0, |last: &Placed| last.end);
+        let end = records.last().map_or(0, |last| last.end);
         files.last_mut().unwrap().1.truncate((end.div_ceil(SECTOR_BYTES) + EMPTY_SECTORS) * SECTOR_BYTES);
         Self { network, files, records }
+    }
+
+    /// The same entries and hard states, each flushed, in small segments.
+    fn in_small_segments(&self) -> Self {
+        let disk = SimDisk::new(1);
+        let mut options = options(self.network);
+        options.segment_bytes = SMALL_SEGMENT_BYTES;
+        let (store, _) = BlockStore::open(Arc::new(disk.clone()), options).unwrap();
+        for placed in &self.records {
+            match &placed.record {
+                Record::Entry(entry) => store.append(std::slice::from_ref(entry), None).unwrap(),
+                Record::HardState(state) => store.append(&[], Some(state)).unwrap(),
+            }
+            store.flush().unwrap();
+            while store.prepare().unwrap() {}
+        }
+        drop(store);
+        let names = disk.list().unwrap().into_iter().filter(|name| name.ends_with(".seg"));
+        Self::scan(self.network, names.map(|name| (name.clone(), disk.contents(&name).unwrap())).collect())
     }
 
     /// The entries that these records leave.
@@ -79,12 +113,7 @@ impl Log {
     fn open(&self, file: usize, content: Vec<u8>) -> Result<Vec<Entry>, StoreError> {
         let mut files = self.files.clone();
         files[file].1 = content;
-        let mut salt = 0;
-        let options = Options::new(self.network, move || {
-            salt += 1;
-            salt
-        });
-        let (store, recovery) = BlockStore::open(disk(&files), options)?;
+        let (store, recovery) = BlockStore::open(Arc::new(disk(&files)), options(self.network))?;
         store.entries(recovery.first_index..recovery.last_index + 1, usize::MAX)
     }
 
@@ -121,62 +150,74 @@ impl Log {
     }
 }
 
-fn disk(files: &[(String, Vec<u8>)]) -> Arc<dyn Disk> {
+fn disk(files: &[(String, Vec<u8>)]) -> SimDisk {
     let disk = SimDisk::new(1);
     for (name, content) in files {
         disk.set_contents(name, content);
     }
-    Arc::new(disk)
+    disk
+}
+
+fn options(network: [u8; 32]) -> Options {
+    let mut salt = 0;
+    Options::new(network, move || {
+        salt += 1;
+        salt
+    })
+}
+
+impl Log {
+    /// Cuts the newest segment at every byte of its last records: what follows is zero, or not there.
+    fn cut(&self) -> Outcomes {
+        let mut outcomes = Outcomes::default();
+        let newest = self.files.len() - 1;
+        let content = &self.files[newest].1;
+        let here: Vec<_> = self.records.iter().filter(|placed| placed.file == newest).collect();
+        let first = here[here.len().saturating_sub(RECORDS_CUT)].start;
+        for cut in first..here[here.len() - 1].end {
+            let mut zeroed = content.clone();
+            zeroed[cut..].fill(0);
+            // Zeros that stay zeros are no damage.
+            let from = if zeroed == *content { content.len() } else { cut };
+            self.judge(newest, (from, content.len()), zeroed, &mut outcomes);
+            self.judge(newest, (cut, content.len()), content[..cut].to_vec(), &mut outcomes);
+        }
+        outcomes
+    }
+
+    /// Flips a bit in every sector of every segment, and in every byte of their headers.
+    fn flip(&self, dice: &mut Dice) -> Outcomes {
+        let mut outcomes = Outcomes::default();
+        for (file, (_, content)) in self.files.iter().enumerate() {
+            let sectors = (0..content.len()).step_by(SECTOR_BYTES);
+            let in_sectors = sectors.map(|start| (start, SECTOR_BYTES.min(content.len() - start) as u64));
+            for (start, bytes) in in_sectors.chain((0..HEADER_BYTES as usize).map(|byte| (byte, 1))) {
+                let byte = start + dice.below(bytes) as usize;
+                let mut flipped = content.clone();
+                flipped[byte] ^= 1 << dice.below(8);
+                self.judge(file, (byte, byte + 1), flipped, &mut outcomes);
+            }
+        }
+        outcomes
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_log_cut_at_any_byte_or_with_a_flipped_bit_in_any_sector_is_repaired_or_refused_and_never_wrong() {
     let mut dice = Dice::roll("damaged logs");
-    let history = History::killed().await;
+    let history = History::killed(0).await;
     let network = history.cluster.fleet.founded.network.0;
     let (mut cuts, mut flips) = (Outcomes::default(), Outcomes::default());
     // A voter; with more rounds, the others too.
     for place in history.cluster.fleet.nodes.iter().take(rounds() as usize) {
         let log = Log::read(network, &place.segments());
-        assert!(log.files.len() > 1 && log.records.len() > 100, "too little history");
-        let newest = log.files.len() - 1;
-        let last = &log.records[log.records.len() - RECORDS_CUT..];
-        for cut in last[0].start..last[RECORDS_CUT - 1].end {
-            let end = log.files[newest].1.len();
-            let mut zeroed = log.files[newest].1.clone();
-            zeroed[cut..].fill(0);
-            // Zeros that stay zeros are no damage.
-            let same = zeroed == log.files[newest].1;
-            log.judge(newest, (if same { end } else { cut }, end), zeroed, &mut cuts);
-            log.judge(newest, (cut, end), log.files[newest].1[..cut].to_vec(), &mut cuts);
-        }
-        for file in 0..log.files.len() {
-            let length = log.files[file].1.len();
-            let used = log.records.iter().filter(|placed| placed.file == file).map(|placed| placed.end).max().unwrap();
-            let used = used.div_ceil(SECTOR_BYTES);
-            let step = if file == newest || rounds() > 1 { 1 } else { OLD_SECTORS_STEP };
-            for sector in (0..(used + EMPTY_SECTORS).min(length / SECTOR_BYTES)).step_by(step) {
-                let byte = sector * SECTOR_BYTES + dice.below(SECTOR_BYTES as u64) as usize;
-                let mut flipped = log.files[file].1.clone();
-                flipped[byte] ^= 1 << dice.below(8);
-                log.judge(file, (byte, byte + 1), flipped, &mut flips);
-            }
-            // The headers: every byte of them.
-            for byte in 0..HEADER_BYTES as usize {
-                let mut flipped = log.files[file].1.clone();
-                flipped[byte] ^= 1 << dice.below(8);
-                log.judge(file, (byte, byte + 1), flipped, &mut flips);
-            }
-        }
+        let split = log.in_small_segments();
+        assert!(split.files.len() > 2 && split.records.len() > 100, "too little history");
+        cuts.add(&log.cut());
+        cuts.add(&split.cut());
+        flips.add(&log.flip(&mut dice));
+        flips.add(&split.flip(&mut dice));
     }
-    println!(
-        "faults injected: {} cuts of logs ({} repaired, {} refused), {} flipped bits in logs ({} repaired, {} refused)",
-        cuts.repaired + cuts.refused,
-        cuts.repaired,
-        cuts.refused,
-        flips.repaired + flips.refused,
-        flips.repaired,
-        flips.refused
-    );
+    println!("faults injected: {} by cutting logs, {} by flipping bits in logs", cuts.told(), flips.told());
     assert!(cuts.repaired > 0 && flips.repaired > 0 && flips.refused > 0);
 }

@@ -1,7 +1,7 @@
 //! Damage to one voter while the others go on: with the real program it catches up to the same digest, or it ends and
 //! names file and byte.
 
-use super::{History, copy};
+use super::{FILL_A_SEGMENT, History, copy};
 use crate::audit::audit;
 use crate::cluster::VOTERS;
 use crate::load::Load;
@@ -84,7 +84,7 @@ impl Damage {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_damaged_voter_catches_up_to_the_same_digest_or_ends_and_names_file_and_byte() {
     let mut dice = Dice::roll("damaged nodes");
-    let History { mut cluster, .. } = History::new().await;
+    let History { mut cluster, .. } = History::new(FILL_A_SEGMENT).await;
     let load = Load::start(&cluster).await;
     let (mut strikes, mut caught_up, mut refused) = (0, 0, 0);
     for round in 0..rounds() {

@@ -65,7 +65,7 @@ fn sectors(content: &[u8]) -> Vec<usize> {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_state_store_with_damage_in_any_sector_leads_to_the_state_that_the_blocks_give() {
     let mut dice = Dice::roll("damaged states");
-    let history = History::killed().await;
+    let history = History::killed(0).await;
     let place = &history.cluster.fleet.nodes[1];
     let worlds = worlds(&place.data, &history.cluster.fleet.path().join("executed"));
     for (height, (digest, _)) in &worlds {
