@@ -1,13 +1,14 @@
 //! The nodes of a network, and one observer at each.
 
 use crate::support::network::{NodeWish, free_address, now, register_robots};
+use crate::support::wait::PATIENCE;
 use crate::support::{Fleet, Process, connect, until};
 use futures::future::join_all;
 use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Context};
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The nodes by their place in this file's arrays: three voters, then the learner.
 pub const VOTERS: usize = 3;
@@ -149,6 +150,18 @@ impl Cluster {
             leading.max_by_key(|(_, status)| status.term)
         })
         .await
+    }
+    /// Waits until a node is at this height (true) or has ended by itself (false).
+    pub async fn reaches_or_ends(&mut self, what: &str, node: usize, height: u64) -> bool {
+        let deadline = Instant::now() + PATIENCE;
+        while self.process(node).is_running() {
+            if self.status(node).await.is_some_and(|status| status.height >= height) {
+                return true;
+            }
+            assert!(Instant::now() < deadline, "never happened: {what}\n{}", self.process(node).stderr());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        false
     }
 
     /// The height at which all nodes are, as soon as they are all at the same one, which is at least this.
