@@ -4,7 +4,7 @@ use super::Shared;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
-use ledger_raft::{Engine, Input, Output, Role, RoleChange, Status};
+use ledger_raft::{Engine, Input, Output, Role, RoleChange, Status, successor};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -52,6 +52,7 @@ impl Order {
         while !self.stop.load(Ordering::Relaxed) {
             if next_tick <= Instant::now() {
                 self.step(Input::Tick);
+                self.leave_full_disk();
                 next_tick = (next_tick + tick).max(Instant::now());
                 self.report();
             }
@@ -87,6 +88,16 @@ impl Order {
             0 => until_tick,
             _ if !self.leading => until_tick,
             left => until_tick.min(Duration::from_micros(left)),
+        }
+    }
+
+    /// A leader without space can promise nothing and answers nobody: another voter shall lead.
+    fn leave_full_disk(&mut self) {
+        if self.leading
+            && self.shared.disk_full.load(Ordering::Relaxed)
+            && let Some(to) = successor(&self.engine.status())
+        {
+            self.step(Input::TransferLeadership { to });
         }
     }
 

@@ -2,6 +2,7 @@
 //! receive, `ledgerd` carries the messages through a real ledger.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
+#[path = "../support/own_network.rs"]
 mod network;
 mod python;
 mod world;

@@ -1,87 +1,15 @@
 //! A full disk: nothing more is accepted, nothing acknowledged is lost, and with space it goes on.
 
 use crate::support::network::{message, register_robots};
+use crate::support::small_disk::{SmallDisk, fill};
 use crate::support::wait::PATIENCE;
 use crate::support::wire;
-use crate::support::{Fleet, Process, connect, eventually, until};
+use crate::support::{Fleet, Process, connect, until};
 use ledger::Code;
 use ledger::identity::Role;
 use ledger_api::Call;
-use std::fs::{self, File};
-use std::io::Write;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::fs;
 use std::time::{Duration, Instant};
-
-/// Size of the disk.
-const DISK: &str = "size=96m";
-
-/// A small disk in a mount namespace of its own, which ends with the process that holds it: nothing stays mounted.
-struct SmallDisk {
-    holder: Process,
-    users: bool,
-}
-
-impl SmallDisk {
-    /// Mounts a tmpfs over a directory, for processes that [`SmallDisk::enter`]. Needs root or user namespaces.
-    fn over(directory: &Path, logs: &Path) -> Self {
-        let mut reasons = Vec::new();
-        for (flags, users) in [("-rm", true), ("-m", false)] {
-            let name = format!("disk{flags}");
-            let mut command = Command::new("unshare");
-            command.args([
-                flags,
-                "sh",
-                "-c",
-                "mount -t tmpfs -o \"$1\" ledgerd-test \"$0\" && echo mounted && exec sleep 600",
-            ]);
-            command.arg(directory).arg(DISK);
-            let mut holder = Process::start(&name, logs, command);
-            let mounted = eventually("a disk is mounted or refused", || {
-                let mounted = holder.stdout().contains("mounted");
-                (mounted || !holder.is_running()).then_some(mounted)
-            });
-            if mounted {
-                return Self { holder, users };
-            }
-            reasons.push(format!("unshare {flags}: {}", holder.stderr().trim()));
-        }
-        panic!(
-            "this test needs a small disk: run it as root, or allow unprivileged user namespaces\n{}",
-            reasons.join("\n")
-        );
-    }
-
-    /// The command, on the small disk.
-    fn enter(&self, command: &Command) -> Command {
-        let mut entered = Command::new("nsenter");
-        entered.arg("-t").arg(self.holder.id().to_string());
-        if self.users {
-            entered.args(["--preserve-credentials", "-U"]);
-        }
-        entered.args(["-m", "--"]).arg(command.get_program()).args(command.get_args());
-        for (name, value) in command.get_envs() {
-            match value {
-                Some(value) => entered.env(name, value),
-                None => entered.env_remove(name),
-            };
-        }
-        entered
-    }
-
-    /// A path on the small disk, as seen from here.
-    fn seen(&self, path: &Path) -> PathBuf {
-        Path::new("/proc").join(self.holder.id().to_string()).join("root").join(path.strip_prefix("/").unwrap())
-    }
-}
-
-/// Writes until nothing fits any more.
-fn fill(path: &Path) {
-    let mut file = File::create(path).unwrap();
-    for size in [1 << 20, 4096, 1] {
-        while file.write_all(&vec![0x55; size]).is_ok() {}
-    }
-}
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
@@ -89,14 +17,7 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
     let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
     let place = &fleet.nodes[0];
     place.configure("[storage]\nsegment_mib = 4");
-    // The founded directory moves onto the small disk, into the same place.
-    let seed = fleet.path().join("seed");
-    fs::rename(&place.data, &seed).unwrap();
-    fs::create_dir(&place.data).unwrap();
-    let disk = SmallDisk::over(&place.data, fleet.path());
-    let mut copy = Command::new("cp");
-    copy.arg("-a").arg(seed.join(".")).arg(&place.data).stdin(Stdio::null());
-    assert!(disk.enter(&copy).status().unwrap().success());
+    let disk = SmallDisk::under(place, fleet.path());
     let start = || Process::start("small", fleet.path(), disk.enter(&place.command()));
     let mut node = start();
     let auditor = connect(&owner).await;

@@ -5,16 +5,20 @@
 //! | `process` | a child process, killed by its id when the test ends |
 //! | `programs` | where the built programs are |
 //! | `network` | a network on disk, its nodes and identities |
+//! | `small_disk` | a disk that can be full |
 //! | `dev` | `ledgerd dev` with its users |
 //! | `ctl` | one run of `ledgerctl` |
 //! | `wire` | connections below the Rust client |
 //! | `wait` | conditions with a deadline, and a small source of random numbers |
+//!
+//! `own_network` (a network namespace for a test) stands alone: whoever needs it declares it by its path.
 
 pub mod ctl;
 pub mod dev;
 pub mod network;
 pub mod process;
 pub mod programs;
+pub mod small_disk;
 pub mod wait;
 pub mod wire;
 

@@ -71,10 +71,15 @@ impl Process {
         self.child.wait().expect("a killed process ends");
     }
 
-    /// Sends a signal and waits for the process to end.
-    pub fn signal(&mut self, signal: Signal) -> ExitStatus {
+    /// Sends a signal.
+    pub fn send(&self, signal: Signal) {
         let id = i32::try_from(self.id()).ok().and_then(Pid::from_raw).expect("a process id");
         kill_process(id, signal).expect("the signal can be sent");
+    }
+
+    /// Sends a signal and waits for the process to end.
+    pub fn signal(&mut self, signal: Signal) -> ExitStatus {
+        self.send(signal);
         self.wait()
     }
 

@@ -1,7 +1,7 @@
 //! The other side is CycloneDDS, the DDS of `rmw_cyclonedds`, in Python.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../../tests/interop/network.rs"]
+#[path = "../../../tests/support/own_network.rs"]
 mod network;
 #[path = "../../../tests/interop/python.rs"]
 mod python;

@@ -1,7 +1,7 @@
 //! Two participants of ours on a network of their own.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-#[path = "../../../tests/interop/network.rs"]
+#[path = "../../../tests/support/own_network.rs"]
 mod network;
 
 use std::{process::Command, time::Duration};

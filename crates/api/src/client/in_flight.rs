@@ -57,6 +57,8 @@ pub(super) struct InFlight {
     introduced: AtomicBool,
     /// How long a transaction is tried.
     patience: Duration,
+    /// Is there another node to go to?
+    several: bool,
 }
 
 #[derive(Default)]
@@ -99,7 +101,7 @@ enum State {
 }
 
 impl InFlight {
-    pub(super) fn new(creator: Hash, certificate: Bytes, patience: Duration) -> Self {
+    pub(super) fn new(creator: Hash, certificate: Bytes, patience: Duration, several: bool) -> Self {
         Self {
             table: Mutex::default(),
             room: Arc::new(Semaphore::new(UNITS)),
@@ -107,6 +109,7 @@ impl InFlight {
             certificate,
             introduced: AtomicBool::new(false),
             patience,
+            several,
         }
     }
 
@@ -202,9 +205,11 @@ impl InFlight {
         if let Err(refused) = &verdict
             && answer.height == 0
         {
-            if refused.code.class() == Class::Unreachable {
+            // A full disk is one node's trouble.
+            let full = self.several && refused.code == Code::DiskFull;
+            if full || refused.code.class() == Class::Unreachable {
                 entry.rest(refused.clone());
-                let elsewhere = matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
+                let elsewhere = full || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
             if refused.code == Code::UnknownCreator && self.introduce(entry) {

@@ -92,13 +92,15 @@ impl Session {
         let opened = dialer.round().await?;
         let (link, _) = watch::channel(Link { number: 0, connection: opened.connection.clone(), broken: None });
         let (unwanted, complaints) = watch::channel(0);
+        let several = dialer.nodes.len() > 1;
+        let certificate = credentials.certificate.clone();
         let session = Arc::new(Self {
-            in_flight: InFlight::new(credentials.creator(), credentials.certificate.clone(), options.deadline),
+            in_flight: InFlight::new(credentials.creator(), certificate, options.deadline, several),
             clock: Clock::new(),
             options,
             link,
             unwanted,
-            several: dialer.nodes.len() > 1,
+            several,
             seen: Arc::clone(&dialer.seen),
         });
         let answers = session.install(1, opened);

@@ -116,6 +116,18 @@ async fn a_node_without_a_leader_is_left_for_another_one() {
 }
 
 #[tokio::test]
+async fn a_node_with_a_full_disk_is_left_for_another_one_and_believed_where_there_is_none() {
+    let authority = Arc::new(Authority::new());
+    let (full, other) = (Fake::start(&authority).await, Fake::start(&authority).await);
+    full.script(|_, _| Reaction::Refuse(Rejection::new(Code::DiskFull, "the disk is full")));
+    let client = Client::connect(&authority.context(&[&full, &other])).await.unwrap();
+    let done = client.invoke("abac", "acquire", Vec::new()).await.unwrap();
+    assert_eq!(ids(&other.received()), [done.id]);
+    let client = Client::connect(&authority.context(&[&full])).await.unwrap();
+    assert_eq!(client.invoke("abac", "acquire", Vec::new()).await.unwrap_err().code, Code::DiskFull);
+}
+
+#[tokio::test]
 async fn a_full_queue_is_tried_again_over_the_same_connection() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;

@@ -2,7 +2,7 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 mod fake;
-#[path = "../../../../tests/interop/network.rs"]
+#[path = "../../../../tests/support/own_network.rs"]
 mod network;
 
 use std::{

@@ -1,7 +1,7 @@
 //! A network of its own for a test: only `lo`, no multicast, no neighbours.
 //!
-//! DDS talks to everything that it finds. So a test that uses it runs itself again, in a new network namespace, and
-//! reports what happened there. Needs `unshare` (util-linux) and `ip` (iproute2).
+//! DDS talks to everything that it finds, and who tests partitions needs routes to cut. So such a test runs itself
+//! again, in a new network namespace, and reports what happened there. Needs `unshare` (util-linux) and `ip` (iproute2).
 //!
 //! ```ignore
 //! #[test]

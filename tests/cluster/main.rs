@@ -1,0 +1,46 @@
+//! Networks of three voters and a learner in two organisations, as real processes on real disks, and what happens to
+//! such machines: they are killed, cut off, stopped, filled up and damaged. After each fault nothing that was
+//! acknowledged is lost or executed twice, and all nodes agree.
+//!
+//! | module | what happens |
+//! |---|---|
+//! | `kills` | `kill -9` under load, one node at a time and two at a time |
+//! | `partitions` | a leader cut off, one-way loss, a minority with the client's gateway, flapping links |
+//! | `pauses` | a leader that was stopped and wakes up, believing that it still leads |
+//! | `full_disks` | a voter without space, and a leader |
+//! | `damage` | cut and flipped bytes in segments and in the state store |
+//! | `cluster`, `load`, `audit`, `site` | the nodes; users who publish; what must be true at the end; the network |
+//!
+//! `LEDGERD_TEST_ROUNDS` multiplies the faults (default 1), `LEDGERD_TEST_SEED` repeats them.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    unreachable_pub,
+    reason = "tests"
+)]
+
+#[path = "../support/own_network.rs"]
+mod own_network;
+#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
+#[path = "../support/mod.rs"]
+mod support;
+
+mod audit;
+mod cluster;
+mod damage;
+mod full_disks;
+mod kills;
+mod load;
+mod partitions;
+mod pauses;
+mod site;
+
+/// How many times the usual number of faults: `LEDGERD_TEST_ROUNDS`.
+fn rounds() -> u64 {
+    std::env::var("LEDGERD_TEST_ROUNDS").map_or(1, |rounds| rounds.parse().expect("a number of rounds"))
+}
