@@ -1,11 +1,10 @@
 //! Executed blocks for those who read them: recent ones from memory, older ones from the block store and the results
 //! kept beside it.
 
-use ledger::block::Payload;
+use ledger::block::{Header, content};
 use ledger::block_store::BlockStore;
-use ledger::result::BlockKind;
-use ledger::transaction::Transaction;
-use ledger::{Code, Hash, Ledger, Outcome, Rejection};
+use ledger::result::TransactionResult;
+use ledger::{Code, Ledger, Outcome, Rejection};
 use std::collections::VecDeque;
 use std::sync::{Arc, PoisonError, RwLock};
 use tokio::sync::watch;
@@ -81,28 +80,28 @@ impl Blocks {
     fn stored(&self, height: u64) -> Result<Option<Outcome>, Rejection> {
         let Some(result) = self.ledger.result(height)? else { return Ok(None) };
         let Some(entry) = self.store.entry(height)? else { return Ok(None) };
-        let header = result.header(height);
-        if header.term != entry.term {
-            return Err(Rejection::new(Code::Corrupt, format!("block {height} and its result do not belong together"))
-                .found(format!("term {} in the block, {} in the result", entry.term, header.term))
-                .next("stop the node and delete its state directory; it is rebuilt from the blocks"));
-        }
-        let transactions = match result.kind() {
-            BlockKind::Transactions => Payload::from_bytes(entry.data).unwrap_or_default().transactions,
-            BlockKind::Membership | BlockKind::Genesis => Vec::new(),
+        let previous = match height {
+            1 => self.ledger.network(),
+            _ => match self.ledger.result(height - 1)? {
+                Some(before) => before.hash(),
+                None => return Ok(None),
+            },
         };
-        let ids = transactions
-            .iter()
-            .map(|bytes| Transaction::decode(bytes.clone()).map_or(Hash::ZERO, |t| t.id()))
-            .collect();
+        let (root, payload) = content(&entry);
+        let header = Header { height, term: entry.term, time: result.time, previous, root };
         let (hash, digest, kind) = (header.hash(), result.digest(), result.kind());
+        if hash != result.hash() {
+            return Err(Rejection::new(Code::Corrupt, format!("block {height} and its result do not belong together"))
+                .found(format!("hash {hash} of the block, {} of the result", result.hash()))
+                .next("stop the node and delete its directories state/ and results/; it makes them again from the blocks"));
+        }
         Ok(Some(Outcome {
             header,
             hash,
             digest,
             kind,
-            transactions,
-            ids,
+            transactions: payload.unwrap_or_default().transactions,
+            ids: result.results.iter().map(TransactionResult::id).collect(),
             results: result.results,
             events: result.events,
         }))

@@ -1,9 +1,10 @@
-//! What a node does beside its work, on a thread of its own: zero the log ahead, store the world state, answer those
-//! who have waited too long, watch the disk.
+//! What a node does beside its work, on two threads of their own. One zeroes the log ahead, answers those who have waited
+//! too long and watches the disk. The other stores results and world state and makes snapshots, which may take long.
 
 use crate::gateway::NodeView;
 use ledger::Code;
 use ledger::block_store::BlockStore;
+use ledger::snapshot::Snapshots;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -16,66 +17,71 @@ use std::time::{Duration, Instant};
 const PERIOD: Duration = Duration::from_millis(50);
 /// World state is stored this often if it changed: the work that a crash leaves to be done again.
 const FLUSH_PERIOD: Duration = Duration::from_millis(500);
-/// World state in memory that is stored at once.
-const DIRTY_BYTES_MAX: usize = 4 * 1024 * 1024;
+/// Results and world state in memory that are stored at once.
+const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Waiters are looked at this often.
 const SWEEP_PERIOD: Duration = Duration::from_secs(1);
 /// With less space than this left, nothing more is accepted: what was accepted must still fit.
 const FREE_BYTES_MIN: u64 = 16 * 1024 * 1024;
 
-/// The thread.
+/// The threads.
 pub(crate) struct Housekeeping {
-    stop: Sender<()>,
-    thread: JoinHandle<()>,
+    stop: Vec<Sender<()>>,
+    threads: Vec<JoinHandle<()>>,
 }
 
 impl Housekeeping {
-    /// Starts it.
+    /// Starts them.
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(node: Arc<NodeView>, store: Arc<BlockStore>, data: PathBuf) -> io::Result<Self> {
-        let (stop, stopped) = mpsc::channel();
-        let thread = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
-            let mut rounds = Rounds { node, store, data, flushed: Instant::now(), swept: None };
+    pub(crate) fn start(
+        node: Arc<NodeView>,
+        store: Arc<BlockStore>,
+        snapshots: Arc<Snapshots>,
+        data: PathBuf,
+    ) -> io::Result<Self> {
+        let mut keeper = Keeper { node: Arc::clone(&node), snapshots, flushed: Instant::now() };
+        let (stop_storing, stopped) = mpsc::channel();
+        let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
+            while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
+                keeper.round();
+            }
+            keeper.flush();
+        })?;
+        let (stop_rounds, stopped) = mpsc::channel();
+        let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
+            let mut rounds = Rounds { node, store, data, swept: None };
             while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
                 rounds.round();
             }
-            rounds.flush();
         })?;
-        Ok(Self { stop, thread })
+        Ok(Self { stop: vec![stop_rounds, stop_storing], threads: vec![rounds, storing] })
     }
 
-    /// Ends it; the world state is stored a last time.
+    /// Ends them; the world state is stored a last time.
     pub(crate) fn stop(self) {
         drop(self.stop);
-        if self.thread.join().is_err() {
-            tracing::error!("housekeeping had panicked");
+        for thread in self.threads {
+            if thread.join().is_err() {
+                tracing::error!("a thread of housekeeping had panicked");
+            }
         }
     }
 }
 
-struct Rounds {
+/// Stores results and world state.
+struct Keeper {
     node: Arc<NodeView>,
-    store: Arc<BlockStore>,
-    data: PathBuf,
+    snapshots: Arc<Snapshots>,
     flushed: Instant,
-    swept: Option<Instant>,
 }
 
-impl Rounds {
+impl Keeper {
     fn round(&mut self) {
-        self.watch_disk();
-        if let Err(error) = self.store.prepare() {
-            tracing::debug!(%error, "cannot zero the log ahead");
-        }
-        let dirty = self.node.ledger.state().dirty_bytes();
-        if dirty > DIRTY_BYTES_MAX || (dirty > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {
+        let pending = self.node.ledger.pending_bytes();
+        if pending > PENDING_BYTES_MAX || (pending > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {
             self.flush();
-        }
-        if self.swept.is_none_or(|swept| swept.elapsed() >= SWEEP_PERIOD) {
-            self.swept = Some(Instant::now());
-            self.node.waiters.sweep();
         }
     }
 
@@ -85,29 +91,47 @@ impl Rounds {
             // The blocks have it; what the log still has to write goes first.
             return;
         }
-        match self.node.ledger.state().flush() {
+        match self.node.ledger.flush(Some(&self.snapshots)) {
             Ok(()) => {}
-            Err(fault) if fault.code == Code::DiskFull => self.set_full(true),
+            Err(fault) if fault.code == Code::DiskFull => set_full(&self.node, true),
             // Nothing is lost: the blocks have it, and the next start rebuilds what is missing.
             Err(fault) => tracing::error!(%fault, "cannot store the world state"),
+        }
+    }
+}
+
+struct Rounds {
+    node: Arc<NodeView>,
+    store: Arc<BlockStore>,
+    data: PathBuf,
+    swept: Option<Instant>,
+}
+
+impl Rounds {
+    fn round(&mut self) {
+        self.watch_disk();
+        if let Err(error) = self.store.prepare() {
+            tracing::debug!(%error, "cannot zero the log ahead");
+        }
+        if self.swept.is_none_or(|swept| swept.elapsed() >= SWEEP_PERIOD) {
+            self.swept = Some(Instant::now());
+            self.node.waiters.sweep();
         }
     }
 
     fn watch_disk(&self) {
         match free_bytes(&self.data) {
-            Ok(free) => self.set_full(free < FREE_BYTES_MIN),
+            Ok(free) => set_full(&self.node, free < FREE_BYTES_MIN),
             Err(error) => tracing::debug!(%error, "cannot ask how much space is left"),
         }
     }
+}
 
-    fn set_full(&self, full: bool) {
-        if self.node.disk_full.swap(full, Ordering::Relaxed) != full {
-            match full {
-                true => {
-                    tracing::error!(data = %self.data.display(), "the disk is almost full; nothing more is accepted")
-                }
-                false => tracing::info!("there is space on the disk again"),
-            }
+fn set_full(node: &NodeView, full: bool) {
+    if node.disk_full.swap(full, Ordering::Relaxed) != full {
+        match full {
+            true => tracing::error!("the disk is almost full; nothing more is accepted"),
+            false => tracing::info!("there is space on the disk again"),
         }
     }
 }

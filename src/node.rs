@@ -106,7 +106,7 @@ impl Node {
     async fn start(registry: Registry, config: &Config) -> Result<Self, Rejection> {
         let started = Instant::now();
         let genesis_bytes = read(&config.data.join(GENESIS_FILE))?;
-        let Stores { genesis, ledger, store } = Stores::open(config, &genesis_bytes, registry)?;
+        let Stores { genesis, ledger, store, snapshots } = Stores::open(config, &genesis_bytes, registry)?;
         let trust: Arc<dyn TrustSource> = Arc::new(Trust { ledger: Arc::clone(&ledger) });
         let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
@@ -165,7 +165,7 @@ impl Node {
             clock,
             started,
         });
-        let housekeeping = Housekeeping::start(Arc::clone(&view), store, config.data.clone())
+        let housekeeping = Housekeeping::start(Arc::clone(&view), store, snapshots, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let peer_service = PeerService::new(Arc::clone(&peers), directory.subscribe(), move |from, message| {
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering

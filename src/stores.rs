@@ -2,10 +2,13 @@
 
 use crate::config::Config;
 use crate::random;
+use ledger::archive::SNAPSHOTS_DIRECTORY;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
 use ledger::network::Genesis;
-use ledger::state::{SledStore, State};
+use ledger::results::{RESULTS_DIRECTORY, ResultStore};
+use ledger::snapshot::Snapshots;
+use ledger::state::{SledStore, State, Store};
 use ledger::verify::{BLOCKS_DIRECTORY, STATE_DIRECTORY};
 use ledger::{Code, Hash, Ledger, Registry, Rejection};
 use std::path::{Path, PathBuf};
@@ -24,6 +27,8 @@ pub(crate) struct Stores {
     pub ledger: Arc<Ledger>,
     /// The log.
     pub store: Arc<BlockStore>,
+    /// The world state at some heights.
+    pub snapshots: Arc<Snapshots>,
 }
 
 impl Stores {
@@ -34,26 +39,32 @@ impl Stores {
     pub(crate) fn open(config: &Config, genesis_bytes: &[u8], registry: Registry) -> Result<Self, Rejection> {
         let (genesis, network) = Genesis::from_bytes(genesis_bytes)?;
         let store = Arc::new(open_blocks(config, network)?);
-        let directory = config.data.join(STATE_DIRECTORY);
-        let ledger = match open_ledger(&directory, genesis_bytes, &registry, &store) {
+        let snapshots = open_directory(&config.data.join(SNAPSHOTS_DIRECTORY))?;
+        let snapshots = Arc::new(Snapshots::open(Arc::new(snapshots), network)?);
+        let open = || open_ledger(&config.data, genesis_bytes, &registry, &store, &snapshots);
+        let ledger = match open() {
             Ok(ledger) => ledger,
             Err(fault) if fault.code == Code::Corrupt => {
-                let aside = set_aside(&directory)?;
-                tracing::warn!(reason = %fault, aside = %aside.display(), "world state is set aside and rebuilt from the blocks");
-                open_ledger(&directory, genesis_bytes, &registry, &store)?
+                let aside = set_aside(&config.data.join(STATE_DIRECTORY))?;
+                set_aside(&config.data.join(RESULTS_DIRECTORY))?;
+                tracing::warn!(reason = %fault, aside = %aside.display(), "world state and results are set aside and rebuilt from the blocks");
+                open()?
             }
             Err(fault) => return Err(fault),
         };
-        Ok(Self { genesis, ledger: Arc::new(ledger), store })
+        Ok(Self { genesis, ledger: Arc::new(ledger), store, snapshots })
     }
 }
 
-fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> {
-    let directory = config.data.join(BLOCKS_DIRECTORY);
-    let disk = RealDisk::open(&directory).map_err(|error| {
+fn open_directory(directory: &Path) -> Result<RealDisk, Rejection> {
+    RealDisk::open(directory).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot open {}: {error}", directory.display()))
             .next("check that no other node uses this directory, and who may write it")
-    })?;
+    })
+}
+
+fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> {
+    let disk = open_directory(&config.data.join(BLOCKS_DIRECTORY))?;
     // One number from the system; each segment's salt follows from it, unknown to clients.
     let (seed, mut segment) = (random::number()?, 0u64);
     let mut options = Options::new(network.0, move || {
@@ -72,9 +83,21 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
     Ok(store)
 }
 
-fn open_ledger(directory: &Path, genesis: &[u8], registry: &Registry, store: &BlockStore) -> Result<Ledger, Rejection> {
-    let state = Arc::new(State::open(Box::new(SledStore::open(directory)?))?);
-    let ledger = Ledger::open(genesis, registry.clone(), Arc::clone(&state))?;
+fn open_ledger(
+    data: &Path,
+    genesis: &[u8],
+    registry: &Registry,
+    store: &BlockStore,
+    snapshots: &Snapshots,
+) -> Result<Ledger, Rejection> {
+    let (_, network) = Genesis::from_bytes(genesis)?;
+    let kept = SledStore::open(&data.join(STATE_DIRECTORY))?;
+    let results = ResultStore::open(Arc::new(open_directory(&data.join(RESULTS_DIRECTORY))?), network)?;
+    if store.first_index() > 1 && kept.range(b"", None, 1)?.is_empty() {
+        fill(&kept, &results, store, snapshots)?;
+    }
+    let state = Arc::new(State::open(Box::new(kept))?);
+    let ledger = Ledger::open(genesis, registry.clone(), state, Arc::new(results))?;
     let reached = ledger.tip();
     if reached.height > store.last_index() {
         // Not a doubt about the state: the log has lost blocks that were promised. Rebuilding would hide it.
@@ -99,12 +122,25 @@ fn open_ledger(directory: &Path, genesis: &[u8], registry: &Registry, store: &Bl
             ledger.apply(&entry)?;
             next += 1;
         }
-        if state.dirty_bytes() > DIRTY_BYTES_MAX {
-            state.flush()?;
+        if ledger.pending_bytes() > DIRTY_BYTES_MAX {
+            ledger.flush(Some(snapshots))?;
             tracing::info!(height = next - 1, of = committed, "executing blocks again");
         }
     }
     Ok(ledger)
+}
+
+/// The blocks begin above 1: execution begins with the newest snapshot.
+fn fill(kept: &SledStore, results: &ResultStore, store: &BlockStore, snapshots: &Snapshots) -> Result<(), Rejection> {
+    let first = store.first_index();
+    let usable = snapshots.newest().filter(|snapshot| snapshot.manifest().height + 1 >= first);
+    let Some(snapshot) = usable else {
+        return Err(Rejection::new(Code::ChainInvalid, "the world state cannot be rebuilt: older blocks were dropped")
+            .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
+            .next("empty the data directory but for genesis.json, node.pem, node.key and node.json; the node fetches everything again"));
+    };
+    tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "world state begins with a snapshot");
+    snapshot.fill(kept, results)
 }
 
 /// Moves a directory out of the way; what was moved before is deleted.
@@ -112,6 +148,7 @@ fn set_aside(directory: &Path) -> Result<PathBuf, Rejection> {
     let aside = directory.with_extension("damaged");
     let moved = match std::fs::remove_dir_all(&aside) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
+        _ if !directory.exists() => Ok(()),
         _ => std::fs::rename(directory, &aside),
     };
     moved.map_err(|error| {

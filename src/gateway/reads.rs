@@ -115,8 +115,8 @@ impl NodeView {
             return Ok(Block {
                 hash: self.ledger.network().0.to_vec().into(),
                 time: result.time,
-                previous_hash: result.previous.clone(),
-                root: result.root.clone(),
+                previous_hash: Hash::ZERO.0.to_vec().into(),
+                root: self.ledger.network().0.to_vec().into(),
                 state_digest: result.digest.clone(),
                 kind: "genesis".into(),
                 ..Block::default()

@@ -3,6 +3,7 @@
 //! A block is a committed entry of the ordering log and its height is the entry's index. The leader decides
 //! the [`Payload`]; the [`Header`] is computed by every node alike when it applies the entry.
 
+use crate::entry::{Entry, EntryKind};
 use crate::rejection::Rejection;
 use crate::{Hash, code::Code};
 use bytes::Bytes;
@@ -80,6 +81,20 @@ impl Header {
         sha.update(&self.root.0);
         Hash::finish(sha)
     }
+}
+
+/// The root over the content of an entry, and its payload if it is one.
+pub fn content(entry: &Entry) -> (Hash, Option<Payload>) {
+    // A leader that orders rubbish gets an empty block, on every node alike.
+    let payload = match entry.kind {
+        EntryKind::Normal => Payload::from_bytes(entry.data.clone()).ok(),
+        EntryKind::ConfChange | EntryKind::ConfChangeV2 => None,
+    };
+    let root = payload.as_ref().map_or_else(
+        || opaque_root(&entry.data),
+        |payload| merkle_root(payload.transactions.iter().map(|transaction| leaf(transaction)).collect()),
+    );
+    (root, payload)
 }
 
 /// The leaf of a transaction in the Merkle tree; also the key under which a node remembers that it has

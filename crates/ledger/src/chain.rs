@@ -15,12 +15,15 @@ use crate::msp::Msps;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
 use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
-use crate::state::{State, Tip, result_key, transaction_key};
-use crate::transaction::Transaction;
+use crate::results::{Place, ResultStore, Window};
+use crate::snapshot::Snapshots;
+use crate::state::{State, Tip};
+use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use crate::writes::{RecentWrites, Write};
 use bytes::Bytes;
 use std::collections::HashSet;
 use std::ops::Bound;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 /// Verified signatures remembered between admission and execution; twice as many at most.
 const VERIFIED_MAX: usize = 32_768;
@@ -32,8 +35,18 @@ pub struct Ledger {
     network: Hash,
     registry: Registry,
     state: Arc<State>,
+    results: Arc<ResultStore>,
+    /// What the genesis block gave: it is in no file.
+    genesis: BlockResult,
+    /// Blocks between two snapshots.
+    snapshot_every: u64,
     identities: Identities,
     verified: Mutex<Verified>,
+    /// Ids of executed transactions that block time has not passed.
+    window: RwLock<Window>,
+    writes: Mutex<RecentWrites>,
+    /// One flush at a time.
+    flushing: Mutex<()>,
 }
 
 /// What a block came to, for those who wait for it.
@@ -84,22 +97,45 @@ impl Ledger {
     /// state starts with the genesis. The chaincode `msp` is always installed.
     ///
     /// # Errors
-    /// [`Code::Corrupt`] if the state is of another network or cannot be read: rebuild it then.
-    pub fn open(genesis_bytes: &[u8], mut registry: Registry, state: Arc<State>) -> Result<Self, Rejection> {
+    /// [`Code::Corrupt`] if state or results are of another network, cannot be read or do not belong together: rebuild
+    /// both then.
+    pub fn open(
+        genesis_bytes: &[u8],
+        mut registry: Registry,
+        state: Arc<State>,
+        results: Arc<ResultStore>,
+    ) -> Result<Self, Rejection> {
         let (founding, network) = Genesis::from_bytes(genesis_bytes)?;
         registry.install(Arc::new(Governance))?;
+        let (first, writes, genesis) = genesis(&founding, network)?;
         if state.tip().is_none() {
-            let (tip, writes) = genesis(&founding, network)?;
-            state.commit(writes, tip);
+            state.commit(writes, first.clone(), false);
         }
-        let first = state.get(&result_key(0))?.map(BlockResult::from_bytes).transpose()?;
-        if first.is_none_or(|first| first.root != network.0[..]) {
-            return Err(Rejection::new(Code::Corrupt, "the world state is of another network")
+        let tip = state.tip().filter(|tip| tip.height > 0 || *tip == first).ok_or_else(|| {
+            Rejection::new(Code::Corrupt, "the world state is of another network")
                 .wanted(format!("network {network}"))
-                .next("delete the state directory; the node rebuilds it from the blocks"));
-        }
-        let identities = Identities::read(&*state)?;
-        Ok(Self { network, registry, state, identities, verified: Mutex::default() })
+                .next("delete the state directory; the node rebuilds it from the blocks")
+        })?;
+        results.align(&tip)?;
+        let mut window = Window::default();
+        results.since(tip.time.saturating_sub(NOT_AFTER_AHEAD_MAX), tip.height, |height, result| {
+            remember(&mut window, height, &result);
+            Ok(())
+        })?;
+        window.forget_before(tip.time);
+        Ok(Self {
+            network,
+            registry,
+            identities: Identities::read(&*state)?,
+            state,
+            results,
+            genesis,
+            snapshot_every: founding.snapshot_every,
+            verified: Mutex::default(),
+            window: RwLock::new(window),
+            writes: Mutex::default(),
+            flushing: Mutex::default(),
+        })
     }
 
     /// Name of the network.
@@ -153,6 +189,7 @@ impl Ledger {
             identities: &self.identities,
             state: Arc::clone(&self.state) as Arc<dyn StateRead>,
             verified: &|leaf| self.verified.lock().unwrap_or_else(PoisonError::into_inner).take(leaf),
+            window: &self.window,
         };
         let Execution { tip, header, result, transactions, ids, writes } = executor.execute(&previous, entry)?;
         let changed_organisations = writes
@@ -160,7 +197,16 @@ impl Ledger {
             .next()
             .is_some_and(|(key, _)| key.starts_with(ORGANISATION_KEYS));
         let (hash, digest, kind) = (tip.hash, tip.digest, result.kind());
-        self.state.commit(writes, tip);
+        // Who sees the block as executed finds all of it.
+        self.results.push(tip.height, &result)?;
+        {
+            let mut window = self.window.write().unwrap_or_else(PoisonError::into_inner);
+            remember(&mut window, tip.height, &result);
+            window.forget_before(tip.time);
+        }
+        self.writes.lock().unwrap_or_else(PoisonError::into_inner).push(tip.height, &writes);
+        let cut = tip.height.is_multiple_of(self.snapshot_every);
+        self.state.commit(writes, tip, cut);
         if changed_organisations {
             self.identities.reload(&*self.state)?;
         }
@@ -179,7 +225,7 @@ impl Ledger {
             Box::new(Refusal { who: who.map(Identity::id), transaction: Some(transaction.clone()), rejection })
         };
         check_network(&transaction, &self.network).map_err(|rejection| refuse(None, rejection))?;
-        if let Some(record) = self.transaction(&transaction.id()).map_err(|rejection| refuse(None, rejection))? {
+        if let Some(record) = self.executed(&transaction).map_err(|rejection| refuse(None, rejection))? {
             return Ok(Admission::Known(transaction.id(), record));
         }
         let time = now.max(self.tip().time);
@@ -263,27 +309,101 @@ impl Ledger {
         deadlines.min()
     }
 
-    /// Where a transaction is and what became of it.
+    /// Where a transaction is and what became of it. Takes microseconds for those of the last seconds, and may take
+    /// milliseconds in a long history.
     ///
     /// # Errors
     /// A fault of the store.
     pub fn transaction(&self, id: &Hash) -> Result<Option<TransactionRecord>, Rejection> {
-        let Some(place) = self.state.get(&transaction_key(id))? else { return Ok(None) };
-        let damaged = || Rejection::new(Code::Corrupt, format!("the index entry of transaction {id} cannot be read"));
-        let (height, index) = place.split_at_checked(8).ok_or_else(damaged)?;
-        let height = u64::from_be_bytes(height.try_into().map_err(|_| damaged())?);
-        let index = u32::from_be_bytes(index.try_into().map_err(|_| damaged())?);
-        let block = self.result(height)?.ok_or_else(damaged)?;
-        let result = usize::try_from(index).ok().and_then(|i| block.results.get(i)).ok_or_else(damaged)?.clone();
-        Ok(Some(TransactionRecord { height, index, time: block.time, result }))
+        let recent = self.window.read().unwrap_or_else(PoisonError::into_inner).find_any(id);
+        match recent {
+            Some(place) => self.record(place),
+            None => self.results.find(id)?.map_or(Ok(None), |place| self.record(place)),
+        }
     }
 
-    /// What executing the block at a height gave; none if it was not executed yet.
+    /// The same for who has the transaction: history is only searched for what block time has passed.
+    fn executed(&self, transaction: &Transaction) -> Result<Option<TransactionRecord>, Rejection> {
+        let (id, not_after) = (transaction.id(), transaction.body().not_after);
+        let time = self.tip().time;
+        let recent = self.window.read().unwrap_or_else(PoisonError::into_inner).find(&id, not_after);
+        match recent {
+            Some(place) => self.record(place),
+            None if not_after < time => self.results.find(&id)?.map_or(Ok(None), |place| self.record(place)),
+            None => Ok(None),
+        }
+    }
+
+    fn record(&self, Place { height, position }: Place) -> Result<Option<TransactionRecord>, Rejection> {
+        let Some(block) = self.results.get(height)? else { return Ok(None) };
+        let result = block.results.get(position as usize).cloned();
+        Ok(result.map(|result| TransactionRecord { height, index: position, time: block.time, result }))
+    }
+
+    /// What executing the block at a height gave; none if it was not executed yet, or was dropped.
     ///
     /// # Errors
     /// A fault of the store.
     pub fn result(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
-        stored_result(&self.state, height)
+        if height == 0 { Ok(Some(self.genesis.clone())) } else { self.results.get(height) }
+    }
+
+    /// The results of executed blocks.
+    pub fn results(&self) -> &Arc<ResultStore> {
+        &self.results
+    }
+
+    /// What the block at a height wrote to the world state, in order of keys; none if that is not kept any more: it is
+    /// for some [4096](crate::writes::WRITES_BLOCKS_MAX) blocks, and not over a restart.
+    pub fn writes(&self, height: u64) -> Option<Vec<Write>> {
+        self.writes.lock().unwrap_or_else(PoisonError::into_inner).get(height)
+    }
+
+    /// Roughly how many bytes of results and world state wait for a [`flush`](Self::flush).
+    pub fn pending_bytes(&self) -> usize {
+        self.state.dirty_bytes() + self.results.pending_bytes()
+    }
+
+    /// Stores everything that was executed when it was called, first the results, and waits for the disk. Makes the
+    /// snapshots that are due on the way. Runs beside everything else.
+    ///
+    /// # Errors
+    /// [`Code::DiskFull`], [`Code::DiskFailed`]: nothing is lost, the blocks have it.
+    pub fn flush(&self, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
+        let _one = self.flushing.lock().unwrap_or_else(PoisonError::into_inner);
+        let wanted = self.tip().height;
+        loop {
+            let stored = self.state.stored();
+            if let (Some(tip), Some(snapshots)) = (&stored, snapshots) {
+                self.snapshot(tip, snapshots);
+            }
+            if stored.is_some_and(|stored| stored.height >= wanted) {
+                return Ok(());
+            }
+            let Some(layer) = self.state.next_layer() else { return Ok(()) };
+            self.results.flush(layer.tip.height)?;
+            self.state.store(&layer)?;
+        }
+    }
+
+    /// Makes the snapshot of what is stored, if one is due and not there yet.
+    fn snapshot(&self, stored: &Tip, snapshots: &Snapshots) {
+        if stored.height == 0 || !stored.height.is_multiple_of(self.snapshot_every) {
+            return;
+        }
+        if let Err(fault) = snapshots.make(self.network, stored, &self.state, &self.results) {
+            // The next one may succeed; blocks are kept until one does.
+            tracing::error!(height = stored.height, %fault, "cannot make a snapshot");
+        }
+    }
+
+    /// Drops old results, in whole files: those of blocks below `keep_from` that are not needed to find duplicates.
+    /// Answers with the height of the oldest result that is left.
+    ///
+    /// # Errors
+    /// [`Code::DiskFailed`].
+    pub fn prune_results(&self, keep_from: u64) -> Result<u64, Rejection> {
+        self.results.prune(keep_from, self.tip().time.saturating_sub(NOT_AFTER_AHEAD_MAX))
     }
 
     /// The certificate of a creator that the ledger knows, in DER.
@@ -328,9 +448,11 @@ impl Ledger {
     }
 }
 
-/// What a state keeps of the block at a height.
-pub(crate) fn stored_result(state: &State, height: u64) -> Result<Option<BlockResult>, Rejection> {
-    state.get(&result_key(height))?.map(BlockResult::from_bytes).transpose()
+/// Remembers the transactions of a block until block time has passed them.
+fn remember(window: &mut Window, height: u64, result: &BlockResult) {
+    for (position, id, not_after) in result.taken() {
+        window.insert(&id, not_after, Place { height, position });
+    }
 }
 
 /// A transaction that was refused before it was ordered, and whose it was if that is known.

@@ -10,7 +10,7 @@ mod sim;
 use std::io;
 use std::sync::Arc;
 
-pub use real::{LOCK_FILE, RealDisk};
+pub use real::{LOCK_FILE, RealDisk, open_to_read};
 #[cfg(any(test, feature = "sim"))]
 pub use sim::{Fault, SimDisk};
 

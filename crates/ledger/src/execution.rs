@@ -10,12 +10,14 @@ use crate::identity::Identity;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
 use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
-use crate::state::{Tip, result_key, transaction_key};
+use crate::results::Window;
+use crate::state::Tip;
 use crate::transaction::Transaction;
 use crate::{Hash, WriteSet};
 use bytes::Bytes;
 use ring::digest::{Context as Sha256, SHA256};
-use std::sync::Arc;
+use std::collections::HashSet;
+use std::sync::{Arc, PoisonError, RwLock};
 
 /// What the execution of a block needs besides the block.
 pub(crate) struct Executor<'a> {
@@ -25,6 +27,8 @@ pub(crate) struct Executor<'a> {
     pub(crate) state: Arc<dyn StateRead>,
     /// Was the signature of exactly these bytes (by their [`leaf`]) verified by this node before?
     pub(crate) verified: &'a dyn Fn(&Hash) -> bool,
+    /// Ids executed before this block.
+    pub(crate) window: &'a RwLock<Window>,
 }
 
 /// What the execution of a block gave.
@@ -35,7 +39,7 @@ pub(crate) struct Execution {
     pub(crate) transactions: Vec<Bytes>,
     /// Id of each transaction; zero where the bytes are no transaction.
     pub(crate) ids: Vec<Hash>,
-    /// World state and indexes.
+    /// To the world state.
     pub(crate) writes: WriteSet,
 }
 
@@ -56,18 +60,19 @@ impl Executor<'_> {
         let mut overlay = Overlay::new(Arc::clone(&self.state));
         let mut events = Vec::new();
         self.begin_block(&header, &mut overlay, &mut events);
-        let mut index = WriteSet::new();
+        let mut taken: HashSet<Hash> = HashSet::new();
         let mut results = Vec::with_capacity(transactions.len());
         let mut ids = Vec::with_capacity(transactions.len());
         for (position, (encoded, leaf)) in (0u32..).zip(transactions.iter().zip(leaves.iter().flatten())) {
             let mut emitted = Vec::new();
-            let mut id = Hash::ZERO;
+            let (mut id, mut not_after) = (Hash::ZERO, None);
             let outcome = Transaction::decode(encoded.clone()).and_then(|transaction| {
                 id = transaction.id();
-                check_first(&transaction, &index, &overlay)?;
+                self.check_first(&transaction, &taken, time)?;
                 let (identity, new) = self.authenticate(&transaction, leaf, &header, &overlay)?;
                 // From here on the id is taken: its creator signed it, and this is its one verdict.
-                index.insert(transaction_key(&id), Some(place(header.height, position)));
+                taken.insert(id);
+                not_after = Some(transaction.body().not_after);
                 if let Some(certificate) = new {
                     overlay.write(certificate_key(&transaction.creator()), Some(certificate));
                 }
@@ -77,7 +82,8 @@ impl Executor<'_> {
                 Registry::invoke(environment, &mut overlay, &mut emitted, &body.chaincode, &body.function, &body.args)
             });
             ids.push(id);
-            results.push(TransactionResult::from(outcome));
+            let id_bytes = if id == Hash::ZERO { Bytes::new() } else { Bytes::copy_from_slice(&id.0) };
+            results.push(TransactionResult { id: id_bytes, not_after, ..outcome.into() });
             events.extend(emitted.into_iter().map(|event| EmittedEvent { index: Some(position), event }));
         }
 
@@ -87,22 +93,18 @@ impl Executor<'_> {
             overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
         }
 
-        let world = overlay.finish()?;
-        let digest = digest(&previous.digest, &world, &results);
+        let writes = overlay.finish()?;
+        let digest = digest(&previous.digest, &writes, &results);
         let hash = header.hash();
         let result = BlockResult {
             term: header.term,
             time,
-            previous: Bytes::copy_from_slice(&header.previous.0),
-            root: Bytes::copy_from_slice(&header.root.0),
+            hash: Bytes::copy_from_slice(&hash.0),
             digest: Bytes::copy_from_slice(&digest.0),
             kind: kind.into(),
             results,
             events,
         };
-        let mut writes = world;
-        writes.append(&mut index);
-        writes.insert(result_key(header.height), Some(result.to_bytes()));
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
         Ok(Execution { tip, header, result, transactions, ids, writes })
     }
@@ -146,15 +148,17 @@ impl Executor<'_> {
         }
         Ok((identity, new))
     }
-}
 
-/// An id is executed once: neither twice in this block, whose places are in `index`, nor again in a later one.
-fn check_first(transaction: &Transaction, index: &WriteSet, overlay: &Overlay) -> Result<(), Rejection> {
-    let key = transaction_key(&transaction.id());
-    if index.contains_key(&key) || overlay.get(&key).is_some() {
-        return Err(Rejection::new(Code::Duplicate, format!("transaction {} was executed before", transaction.id())));
+    /// An id is executed once: neither twice in this block, nor again in a later one. Ids that block time has passed are
+    /// not asked for: they are refused as expired, whether or not the window still has them.
+    fn check_first(&self, transaction: &Transaction, taken: &HashSet<Hash>, time: u64) -> Result<(), Rejection> {
+        let (id, not_after) = (transaction.id(), transaction.body().not_after);
+        let window = self.window.read().unwrap_or_else(PoisonError::into_inner);
+        if taken.contains(&id) || (not_after >= time && window.find(&id, not_after).is_some()) {
+            return Err(Rejection::new(Code::Duplicate, format!("transaction {id} was executed before")));
+        }
+        Ok(())
     }
-    Ok(())
 }
 
 /// Refuses a transaction that was signed for another network.
@@ -166,11 +170,6 @@ pub(crate) fn check_network(transaction: &Transaction, network: &Hash) -> Result
         .found(hex::encode(&transaction.body().network))
         .wanted(network.to_string())
         .next("enrol at this network and use that context"))
-}
-
-/// Where a transaction is, as it is stored: height and position, big-endian.
-pub(crate) fn place(height: u64, position: u32) -> Bytes {
-    [&height.to_be_bytes()[..], &position.to_be_bytes()].concat().into()
 }
 
 /// d(h) = H(d(h-1), sorted writes, verdicts). Every part carries its length, so that nothing can be read two ways.
@@ -200,18 +199,16 @@ fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> 
     Hash::finish(sha)
 }
 
-/// The tip and the writes of the genesis block.
-pub(crate) fn genesis(genesis: &Genesis, network: Hash) -> Result<(Tip, WriteSet), Rejection> {
-    let mut writes = found(genesis)?;
+/// The tip, the writes and the result of the genesis block.
+pub(crate) fn genesis(genesis: &Genesis, network: Hash) -> Result<(Tip, WriteSet, BlockResult), Rejection> {
+    let writes = found(genesis)?;
     let digest = digest(&Hash::ZERO, &writes, &[]);
     let result = BlockResult {
         time: genesis.created,
-        previous: Bytes::copy_from_slice(&Hash::ZERO.0),
-        root: Bytes::copy_from_slice(&network.0),
+        hash: Bytes::copy_from_slice(&network.0),
         digest: Bytes::copy_from_slice(&digest.0),
         kind: BlockKind::Genesis.into(),
         ..BlockResult::default()
     };
-    writes.insert(result_key(0), Some(result.to_bytes()));
-    Ok((Tip { height: 0, term: 0, time: genesis.created, hash: network, digest }, writes))
+    Ok((Tip { height: 0, term: 0, time: genesis.created, hash: network, digest }, writes, result))
 }

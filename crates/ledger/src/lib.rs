@@ -23,11 +23,14 @@ pub mod msp;
 pub mod network;
 mod rejection;
 pub mod result;
+pub mod results;
 pub mod retention;
 pub mod segment;
+pub mod snapshot;
 pub mod state;
 pub mod transaction;
 pub mod verify;
+pub mod writes;
 
 pub use bytes::Bytes;
 pub use chain::{Admission, Ledger, Outcome, Refusal, TransactionRecord};

@@ -2,7 +2,6 @@
 //! same.
 
 use crate::Hash;
-use crate::block::Header;
 use crate::chaincode::Event;
 use crate::code::Code;
 use crate::rejection::Rejection;
@@ -30,9 +29,21 @@ pub struct TransactionResult {
     /// See [`Rejection::next`].
     #[prost(string, tag = "6")]
     pub next: String,
+    /// Id of the transaction, 32 bytes; empty where the bytes are no transaction.
+    #[prost(bytes = "bytes", tag = "7")]
+    pub id: Bytes,
+    /// Until when the id is remembered, in block time. None if this is not the verdict on the id: it was executed before,
+    /// or nobody who is known has signed it.
+    #[prost(uint64, optional, tag = "8")]
+    pub not_after: Option<u64>,
 }
 
 impl TransactionResult {
+    /// Id of the transaction; zero where the bytes are no transaction.
+    pub fn id(&self) -> Hash {
+        Hash::from_slice(&self.id).unwrap_or(Hash::ZERO)
+    }
+
     /// The stable code; a number that this version does not know reads as [`Code::Internal`].
     pub fn code(&self) -> Code {
         u16::try_from(self.code).ok().and_then(Code::from_number).unwrap_or(Code::Internal)
@@ -61,7 +72,7 @@ impl From<Result<Bytes, Rejection>> for TransactionResult {
         match outcome {
             Ok(response) => Self { response, ..Self::default() },
             Err(Rejection { code, message, found, wanted, next }) => {
-                Self { code: code.number().into(), response: Bytes::new(), message, found, wanted, next }
+                Self { code: code.number().into(), message, found, wanted, next, ..Self::default() }
             }
         }
     }
@@ -99,36 +110,49 @@ pub struct BlockResult {
     /// Block time, microseconds since the UNIX epoch.
     #[prost(uint64, tag = "2")]
     pub time: u64,
-    /// Hash of the previous header.
+    /// Hash of its header, 32 bytes. The header itself follows from the block and the hash of the one before.
     #[prost(bytes = "bytes", tag = "3")]
-    pub previous: Bytes,
-    /// Root over its content.
+    pub hash: Bytes,
+    /// State digest after it, 32 bytes.
     #[prost(bytes = "bytes", tag = "4")]
-    pub root: Bytes,
-    /// State digest after it.
-    #[prost(bytes = "bytes", tag = "5")]
     pub digest: Bytes,
     /// What it is.
-    #[prost(enumeration = "BlockKind", tag = "6")]
+    #[prost(enumeration = "BlockKind", tag = "5")]
     pub kind: i32,
     /// One for each transaction.
-    #[prost(message, repeated, tag = "7")]
+    #[prost(message, repeated, tag = "6")]
     pub results: Vec<TransactionResult>,
     /// In the order in which they were emitted.
-    #[prost(message, repeated, tag = "8")]
+    #[prost(message, repeated, tag = "7")]
     pub events: Vec<EmittedEvent>,
 }
 
 impl BlockResult {
-    /// The header of the block at this height.
-    pub fn header(&self, height: u64) -> Header {
-        let hash = |bytes: &[u8]| Hash::from_slice(bytes).unwrap_or(Hash::ZERO);
-        Header { height, term: self.term, time: self.time, previous: hash(&self.previous), root: hash(&self.root) }
+    /// Hash of the block's header.
+    pub fn hash(&self) -> Hash {
+        Hash::from_slice(&self.hash).unwrap_or(Hash::ZERO)
     }
 
     /// State digest after the block.
     pub fn digest(&self) -> Hash {
         Hash::from_slice(&self.digest).unwrap_or(Hash::ZERO)
+    }
+
+    /// The transactions whose ids this block has taken: position, id, and until when it is remembered.
+    pub(crate) fn taken(&self) -> impl Iterator<Item = (u32, Hash, u64)> + '_ {
+        (0u32..).zip(&self.results).filter_map(|(position, result)| Some((position, result.id(), result.not_after?)))
+    }
+
+    /// Only what blocks determine: without the words of refusals and without events, which may differ between versions
+    /// of the program.
+    pub(crate) fn determined(mut self) -> Self {
+        self.events.clear();
+        for result in &mut self.results {
+            for text in [&mut result.message, &mut result.found, &mut result.wanted, &mut result.next] {
+                text.clear();
+            }
+        }
+        self
     }
 
     pub(crate) fn to_bytes(&self) -> Bytes {

@@ -1,9 +1,12 @@
-//! The world state: the keys and values that executing all blocks leaves, and indexes over the chain.
+//! The world state: the keys and values that executing all blocks leaves.
 //!
 //! Blocks are the truth; everything here can be computed from them again. So a block is committed in memory and
 //! written to the store later, many blocks in one batch together with the [`Tip`] that they lead to: a hot key that
 //! changes a hundred times a second is written once. After a crash the blocks behind the stored tip are executed
 //! again; on any doubt about the store it is thrown away and everything is.
+//!
+//! At heights where a snapshot is due the writes are cut into layers, which are stored one after the other: when the last
+//! layer before the cut is stored, the store holds exactly the state at that height, while blocks go on above it.
 
 mod memory;
 mod store;
@@ -16,8 +19,11 @@ use crate::chaincode::{StateRead, WriteSet};
 use crate::code::Code;
 use crate::rejection::Rejection;
 use bytes::Bytes;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+
+/// Pairs of a snapshot are stored in batches of about so many bytes.
+const FILL_BYTES: usize = 1024 * 1024;
 
 /// Where the execution of the chain stands: the savepoint.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -56,39 +62,48 @@ impl Tip {
     }
 }
 
-/// The key under which the result of the block at a height is kept.
-pub(crate) fn result_key(height: u64) -> Bytes {
-    [b"\0b", &height.to_be_bytes()[..]].concat().into()
-}
+/// In a store that is filled from a snapshot, until it is complete.
+const INSTALLING_KEY: &[u8] = b"\0installing";
 
-/// The key under which the place of a transaction is kept.
-pub(crate) fn transaction_key(id: &Hash) -> Bytes {
-    [b"\0t", &id.0[..]].concat().into()
-}
+/// Chaincode keys come after this one.
+const WORLD_BEGINS: &[u8] = &[0, 0xff];
+
+/// Most layers in memory. When the store is slower than that, cuts are given up, as every layer makes reading slower.
+const LAYERS_MAX: usize = 8;
 
 /// The world state of a node: recent writes in memory over a [`Store`].
 pub struct State {
     store: Box<dyn Store>,
     recent: RwLock<Recent>,
-    /// One flush at a time.
-    flushing: Mutex<()>,
 }
 
 struct Recent {
-    /// Writes since the last flush began.
+    /// Writes since the newest layer was closed.
     dirty: WriteSet,
     /// Bytes in `dirty`, for [`State::dirty_bytes`].
     bytes: usize,
-    /// Writes that a flush is just storing.
-    in_flight: Arc<WriteSet>,
+    /// Closed layers, oldest first; the oldest may just be stored.
+    layers: VecDeque<Arc<Layer>>,
     tip: Option<Tip>,
+    /// What the store holds.
+    stored: Option<Tip>,
+}
+
+/// Writes that are stored together.
+pub(crate) struct Layer {
+    writes: WriteSet,
+    bytes: usize,
+    /// Where they lead.
+    pub(crate) tip: Tip,
+    /// Is a snapshot due at this height?
+    cut: bool,
 }
 
 impl State {
     /// The state that the store holds.
     ///
     /// # Errors
-    /// [`Code::Corrupt`] if its tip cannot be read: rebuild it then.
+    /// [`Code::Corrupt`] if its tip cannot be read, or it was not filled to the end: rebuild it then.
     pub fn open(store: Box<dyn Store>) -> Result<Self, Rejection> {
         let tip = match store.get(TIP_KEY)? {
             None => None,
@@ -98,81 +113,165 @@ impl State {
                     .next("delete the state directory; the node rebuilds it from the blocks")
             })?),
         };
-        let recent = Recent { dirty: BTreeMap::new(), bytes: 0, in_flight: Arc::default(), tip };
-        Ok(Self { store, recent: RwLock::new(recent), flushing: Mutex::new(()) })
+        if store.get(INSTALLING_KEY)?.is_some() {
+            return Err(Rejection::new(Code::Corrupt, "the world state was not filled from its snapshot to the end")
+                .next("delete the directories state/ and results/; the node fills them again"));
+        }
+        let recent = Recent { dirty: BTreeMap::new(), bytes: 0, layers: VecDeque::new(), stored: tip.clone(), tip };
+        Ok(Self { store, recent: RwLock::new(recent) })
+    }
+
+    /// Fills an empty store with the pairs of a snapshot. Until that is [finished](Filled::finish) it cannot be opened.
+    pub(crate) fn fill<'a>(
+        store: &'a dyn Store,
+        pairs: impl Iterator<Item = Result<(Bytes, Bytes), Rejection>>,
+    ) -> Result<Filled<'a>, Rejection> {
+        if !store.range(b"", None, 1)?.is_empty() {
+            return Err(Rejection::new(Code::BadFile, "a snapshot can only be installed into an empty world state")
+                .next("delete the directories state/ and results/ first"));
+        }
+        let (mut batch, mut bytes) = (WriteSet::new(), 0);
+        for pair in pairs {
+            let (key, value) = pair?;
+            bytes += key.len() + value.len();
+            batch.insert(key, Some(value));
+            if bytes >= FILL_BYTES {
+                store.write(&batch, (INSTALLING_KEY, b"a snapshot"))?;
+                (batch, bytes) = (WriteSet::new(), 0);
+            }
+        }
+        store.write(&batch, (INSTALLING_KEY, b"a snapshot"))?;
+        Ok(Filled { store })
     }
 
     /// Where execution stands; nothing before the genesis was executed.
     pub fn tip(&self) -> Option<Tip> {
-        self.recent.read().unwrap_or_else(PoisonError::into_inner).tip.clone()
+        self.read().tip.clone()
     }
 
-    /// Makes the writes of a block visible, all at once.
-    pub fn commit(&self, writes: WriteSet, tip: Tip) {
-        let mut recent = self.recent.write().unwrap_or_else(PoisonError::into_inner);
+    /// What the store holds: where execution goes on after a crash.
+    pub fn stored(&self) -> Option<Tip> {
+        self.read().stored.clone()
+    }
+
+    /// Makes the writes of a block visible, all at once. With `cut` the store will once hold exactly the state after this
+    /// block.
+    pub fn commit(&self, writes: WriteSet, tip: Tip, cut: bool) {
+        let mut recent = self.write();
         for (key, value) in writes {
             recent.bytes += key.len() + value.as_ref().map_or(0, Bytes::len) + 64;
             recent.dirty.insert(key, value);
         }
         recent.tip = Some(tip);
+        if cut {
+            recent.close(true);
+        }
     }
 
-    /// Roughly how many bytes wait for a flush.
+    /// Roughly how many bytes wait to be stored.
     pub fn dirty_bytes(&self) -> usize {
-        self.recent.read().unwrap_or_else(PoisonError::into_inner).bytes
+        let recent = self.read();
+        recent.bytes + recent.layers.iter().map(|layer| layer.bytes).sum::<usize>()
     }
 
-    /// Stores everything committed so far and waits for the disk. Runs beside commits and reads.
+    /// The layer to be stored next, if execution stands above what is stored.
+    pub(crate) fn next_layer(&self) -> Option<Arc<Layer>> {
+        let mut recent = self.write();
+        if recent.layers.is_empty() && recent.tip != recent.stored {
+            recent.close(false);
+        }
+        recent.layers.front().map(Arc::clone)
+    }
+
+    /// Stores the oldest layer and waits for the disk. Runs beside commits and reads; one caller at a time.
     ///
     /// # Errors
     /// [`Code::DiskFull`], [`Code::DiskFailed`]: nothing is lost, the blocks have it; the writes stay in memory.
-    pub fn flush(&self) -> Result<(), Rejection> {
-        let _one = self.flushing.lock().unwrap_or_else(PoisonError::into_inner);
-        let (batch, tip) = {
-            let mut recent = self.recent.write().unwrap_or_else(PoisonError::into_inner);
-            let Some(tip) = recent.tip.clone() else { return Ok(()) };
-            if recent.dirty.is_empty() && recent.in_flight.is_empty() {
-                return Ok(());
-            }
-            // What a failed flush left behind goes first; newer writes win.
-            let mut batch = WriteSet::clone(&recent.in_flight);
-            batch.append(&mut recent.dirty);
-            recent.in_flight = Arc::new(batch);
-            recent.bytes = 0;
-            (Arc::clone(&recent.in_flight), tip)
-        };
-        self.store.write(&batch, (TIP_KEY, &tip.to_bytes()))?;
-        self.recent.write().unwrap_or_else(PoisonError::into_inner).in_flight = Arc::default();
+    pub(crate) fn store(&self, layer: &Arc<Layer>) -> Result<(), Rejection> {
+        self.store.write(&layer.writes, (TIP_KEY, &layer.tip.to_bytes()))?;
+        let mut recent = self.write();
+        recent.layers.pop_front_if(|oldest| Arc::ptr_eq(oldest, layer));
+        recent.stored = Some(layer.tip.clone());
         Ok(())
     }
 
-    /// Everything of the world state in order of keys, for comparing two nodes or a snapshot: chaincode keys only.
+    /// Everything of the world state in order of keys, for comparing two nodes: chaincode keys only.
     ///
     /// # Errors
     /// As [`StateRead::get`].
     pub fn world(&self, after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
-        self.range(b"", Some(after.unwrap_or(&[0, 0xff])), limit)
+        self.range(b"", Some(after.unwrap_or(WORLD_BEGINS)), limit)
+    }
+
+    /// The same of what the store holds, which is the state at [`State::stored`] as long as nobody stores.
+    pub(crate) fn stored_world(&self, after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
+        self.store.range(b"", Some(after.unwrap_or(WORLD_BEGINS)), limit)
+    }
+
+    fn read(&self) -> RwLockReadGuard<'_, Recent> {
+        self.recent.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self) -> RwLockWriteGuard<'_, Recent> {
+        self.recent.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A store with all the pairs of a snapshot, which is not a state yet.
+pub(crate) struct Filled<'a> {
+    store: &'a dyn Store,
+}
+
+impl Filled<'_> {
+    /// Makes it the state at this tip.
+    pub(crate) fn finish(self, tip: &Tip) -> Result<(), Rejection> {
+        self.store.write(&WriteSet::from([(Bytes::from_static(INSTALLING_KEY), None)]), (TIP_KEY, &tip.to_bytes()))
+    }
+}
+
+impl Recent {
+    /// Closes the layer that blocks were written to.
+    fn close(&mut self, cut: bool) {
+        let Some(tip) = self.tip.clone() else { return };
+        let (mut writes, mut bytes) = (std::mem::take(&mut self.dirty), std::mem::take(&mut self.bytes));
+        // Not the oldest: it may just be stored.
+        if self.layers.len() >= LAYERS_MAX
+            && let Some(below) = self.layers.pop_back()
+        {
+            if below.cut {
+                tracing::warn!(height = below.tip.height, "no snapshot is made: storing the world state takes too long");
+            }
+            let newer = std::mem::replace(&mut writes, below.writes.clone());
+            writes.extend(newer);
+            bytes += below.bytes;
+        }
+        self.layers.push_back(Arc::new(Layer { writes, bytes, tip, cut }));
+    }
+
+    /// What was written to a key, if anything was.
+    fn get(&self, key: &[u8]) -> Option<&Option<Bytes>> {
+        self.dirty.get(key).or_else(|| self.layers.iter().rev().find_map(|layer| layer.writes.get(key)))
     }
 }
 
 impl StateRead for State {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, Rejection> {
         // The lock is held over the store's read: between the two a flush must not complete.
-        let recent = self.recent.read().unwrap_or_else(PoisonError::into_inner);
-        match recent.dirty.get(key).or_else(|| recent.in_flight.get(key)) {
+        let recent = self.read();
+        match recent.get(key) {
             Some(written) => Ok(written.clone()),
             None => self.store.get(key),
         }
     }
 
     fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
-        let recent = self.recent.read().unwrap_or_else(PoisonError::into_inner);
+        let recent = self.read();
         let start = match after {
             Some(after) => std::ops::Bound::Excluded(after),
             None => std::ops::Bound::Included(prefix),
         };
         let mut written: BTreeMap<&Bytes, &Option<Bytes>> = BTreeMap::new();
-        for layer in [&*recent.in_flight, &recent.dirty] {
+        for layer in recent.layers.iter().map(|layer| &layer.writes).chain([&recent.dirty]) {
             let range = layer.range::<[u8], _>((start, std::ops::Bound::Unbounded));
             written.extend(range.take_while(|(key, _)| key.starts_with(prefix)));
         }
@@ -197,6 +296,12 @@ mod tests {
         pairs.iter().map(|(k, v)| (Bytes::from_static(k), v.map(Bytes::from_static))).collect()
     }
 
+    fn flush(state: &State) {
+        while let Some(layer) = state.next_layer() {
+            state.store(&layer).unwrap();
+        }
+    }
+
     fn check(state: &State) {
         assert_eq!(state.get(b"a").unwrap(), None, "deleted");
         assert_eq!(state.get(b"b").unwrap().unwrap(), "2");
@@ -212,16 +317,52 @@ mod tests {
         {
             let state = State::open(Box::new(SledStore::open(dir.path()).unwrap())).unwrap();
             assert_eq!(state.tip(), None);
-            state.commit(write(&[(b"a", Some(b"1")), (b"b", Some(b"1")), (b"c", Some(b"3"))]), tip(1));
-            state.flush().unwrap();
-            state.commit(write(&[(b"a", None), (b"b", Some(b"2"))]), tip(2));
+            state.commit(write(&[(b"a", Some(b"1")), (b"b", Some(b"1")), (b"c", Some(b"3"))]), tip(1), false);
+            flush(&state);
+            state.commit(write(&[(b"a", None), (b"b", Some(b"2"))]), tip(2), false);
             check(&state);
-            state.flush().unwrap();
+            flush(&state);
             check(&state);
-            state.commit(write(&[(b"d", Some(b"lost with the crash"))]), tip(3));
+            state.commit(write(&[(b"d", Some(b"lost with the crash"))]), tip(3), false);
         }
         let state = State::open(Box::new(SledStore::open(dir.path()).unwrap())).unwrap();
         assert_eq!(state.tip(), Some(tip(2)), "tip and writes are stored in one batch");
         check(&state);
+    }
+
+    #[test]
+    fn at_a_cut_the_store_holds_exactly_the_state_of_that_height() {
+        let state = State::open(Box::<MemoryState>::default()).unwrap();
+        let value = |height: u64| Bytes::from(height.to_be_bytes().to_vec());
+        for height in 1..=25 {
+            let writes = WriteSet::from([(Bytes::from("a"), Some(value(height)))]);
+            state.commit(writes, tip(height), height % 10 == 0);
+        }
+        assert_eq!(state.get(b"a").unwrap(), Some(value(25)));
+        for stored in [10, 20, 25] {
+            let layer = state.next_layer().unwrap();
+            state.store(&layer).unwrap();
+            assert_eq!(state.stored(), Some(tip(stored)));
+            assert_eq!(state.stored_world(None, 10).unwrap(), [(Bytes::from("a"), value(stored))]);
+            assert_eq!(state.get(b"a").unwrap(), Some(value(25)));
+        }
+        assert!(state.next_layer().is_none() && state.dirty_bytes() == 0);
+    }
+
+    #[test]
+    fn a_slow_store_gives_up_cuts_and_loses_nothing() {
+        let state = State::open(Box::<MemoryState>::default()).unwrap();
+        let mut kept = BTreeMap::new();
+        for height in 1..=100u64 {
+            let (key, value) = (Bytes::from(format!("k{}", height % 13)), Bytes::from(height.to_string()));
+            state.commit(WriteSet::from([(key.clone(), Some(value.clone()))]), tip(height), true);
+            kept.insert(key, value);
+        }
+        assert!(state.read().layers.len() <= LAYERS_MAX);
+        let wanted: Vec<_> = kept.into_iter().collect();
+        assert_eq!(state.world(None, 100).unwrap(), wanted);
+        flush(&state);
+        assert_eq!(state.stored_world(None, 100).unwrap(), wanted);
+        assert_eq!(state.stored(), Some(tip(100)));
     }
 }

@@ -16,6 +16,7 @@ use crate::code::Code;
 use crate::disk::RealDisk;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
+use crate::results::{RESULTS_DIRECTORY, ResultStore};
 use crate::segment::{Found, Record, scan};
 use crate::state::{SledStore, State};
 use begin::Beginning;
@@ -23,6 +24,7 @@ use replay::Verification;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Arc;
 
 pub use attested::Dissent;
 pub use begin::Begun;
@@ -87,10 +89,10 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
             .wanted("the data directory of a node that is not running")
             .next("stop the node first, or verify a copy of its directory")
     })?;
-    let stored = stored_state(&directory.join(STATE_DIRECTORY))?;
+    let kept = (stored_state(&directory.join(STATE_DIRECTORY))?, stored_results(directory, network)?);
     let records = scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))?;
     let beginning = Beginning::find(directory, &genesis, registry, records.base())?;
-    let mut verification = Verification::begin(beginning, stored, Report { network, ..Report::default() })?;
+    let mut verification = Verification::begin(beginning, kept, Report { network, ..Report::default() })?;
     for found in records {
         match found.map_err(|error| in_directory(&error))? {
             Found::Record { file, position, record: Record::Entry(entry), .. } => {
@@ -118,6 +120,19 @@ fn stored_state(directory: &Path) -> Result<Option<State>, Rejection> {
         Rejection { message: format!("{STATE_DIRECTORY}/: {}", rejection.message), ..rejection }
             .next("stop the node if it runs; a damaged state directory can be deleted, the node rebuilds it")
     })
+}
+
+/// The results that the node has kept, if it has.
+fn stored_results(directory: &Path, network: Hash) -> Result<Option<ResultStore>, Rejection> {
+    let directory = directory.join(RESULTS_DIRECTORY);
+    if !directory.is_dir() {
+        return Ok(None);
+    }
+    let disk = RealDisk::open_read_only(&directory).map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot open {}: {error}", directory.display()))
+            .next("stop the node first, or verify a copy of its directory")
+    })?;
+    ResultStore::open(Arc::new(disk), network).map(Some)
 }
 
 fn wrong(place: &str, what: String) -> Rejection {

@@ -6,6 +6,9 @@ use crate::chain::Ledger;
 use crate::chaincode::Registry;
 use crate::code::Code;
 use crate::rejection::Rejection;
+use crate::network::Genesis;
+use crate::results::ResultStore;
+use crate::snapshot::Snapshot;
 use crate::segment::Base;
 use crate::state::{MemoryState, State};
 use serde::Serialize;
@@ -28,7 +31,6 @@ pub struct Begun {
 /// A ledger in memory, ready to execute the first block.
 pub(super) struct Beginning {
     pub(super) ledger: Ledger,
-    pub(super) state: Arc<State>,
     /// Height and content of the snapshot it was begun from.
     pub(super) snapshot: Option<(u64, Hash)>,
 }
@@ -36,21 +38,36 @@ pub(super) struct Beginning {
 impl Beginning {
     /// Begins where the blocks after `base` can be executed.
     pub(super) fn find(directory: &Path, genesis: &[u8], registry: &Registry, base: Base) -> Result<Self, Rejection> {
-        let snapshots = directory.join(SNAPSHOTS_DIRECTORY);
-        if base.index == 0 {
-            let state = Arc::new(State::open(Box::new(MemoryState::default()))?);
-            let ledger = Ledger::open(genesis, registry.clone(), Arc::clone(&state))?;
-            return Ok(Self { ledger, state, snapshot: None });
+        let (store, results) = (MemoryState::default(), Arc::new(ResultStore::in_memory()));
+        let mut begun = None;
+        if base.index > 0 {
+            let snapshot = find_snapshot(&directory.join(SNAPSHOTS_DIRECTORY), base)?;
+            let (_, network) = Genesis::from_bytes(genesis)?;
+            if snapshot.manifest().network != network {
+                return Err(Rejection::new(Code::WrongNetwork, "the snapshot is of another network than the genesis")
+                    .found(snapshot.manifest().network.to_string())
+                    .wanted(network.to_string()));
+            }
+            snapshot.fill(&store, &results)?;
+            begun = Some((snapshot.manifest().height, snapshot.content()));
         }
-        let found = oldest_snapshot(&snapshots, base.index + 1)?;
-        let name = found.map_or_else(|| "no snapshot before it".to_owned(), snapshot_name);
-        Err(Rejection::new(Code::BadFile, format!("the blocks begin at {}", base.index + 1))
-            .found(name)
+        let state = Arc::new(State::open(Box::new(store))?);
+        let ledger = Ledger::open(genesis, registry.clone(), state, results)?;
+        Ok(Self { ledger, snapshot: begun })
+    }
+}
+
+/// The snapshot from which the blocks after `base` can be executed.
+fn find_snapshot(directory: &Path, base: Base) -> Result<Snapshot, Rejection> {
+    match oldest_snapshot(directory, base.index + 1)? {
+        Some(height) => Snapshot::open(&directory.join(snapshot_name(height))),
+        None => Err(Rejection::new(Code::BadFile, format!("the blocks begin at {}", base.index + 1))
+            .found("no snapshot before it")
             .wanted(format!(
                 "blocks from 1 on, or a snapshot of height {} or above in {}",
                 base.index,
-                snapshots.display()
+                directory.display()
             ))
-            .next("verify an archive of this node, which has the older blocks"))
+            .next("verify an archive of this node, which has the older blocks")),
     }
 }

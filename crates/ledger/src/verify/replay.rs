@@ -9,18 +9,18 @@ use crate::code::Code;
 use crate::entry::Entry;
 use crate::rejection::Rejection;
 use crate::result::BlockResult;
+use crate::results::{RESULTS_DIRECTORY, ResultStore};
 use crate::state::{State, Tip};
 use std::collections::VecDeque;
-use std::sync::Arc;
 
 /// Writes of the verified state that gather before they are moved together.
 const DIRTY_BYTES_MAX: usize = 8 * 1024 * 1024;
 
 pub(super) struct Verification {
     ledger: Ledger,
-    state: Arc<State>,
     /// What the node has kept.
     stored: Option<State>,
+    results: Option<ResultStore>,
     attested: Attested,
     /// The snapshot that was begun from: its height and content.
     snapshot: Option<(u64, Hash)>,
@@ -35,8 +35,12 @@ pub(super) struct Verification {
 }
 
 impl Verification {
-    pub(super) fn begin(beginning: Beginning, stored: Option<State>, report: Report) -> Result<Self, Rejection> {
-        let Beginning { ledger, state, snapshot } = beginning;
+    pub(super) fn begin(
+        beginning: Beginning,
+        (stored, results): (Option<State>, Option<ResultStore>),
+        report: Report,
+    ) -> Result<Self, Rejection> {
+        let Beginning { ledger, snapshot } = beginning;
         let begun = ledger.tip();
         let mut attested = Attested::default();
         attested.computed(&begun)?;
@@ -46,7 +50,7 @@ impl Verification {
         let report = Report { first_height: begun.height + 1, ..report };
         let (pending, committed) = (VecDeque::new(), begun.height);
         let mut verification =
-            Self { ledger, state, stored, attested, snapshot, begun, pending, committed, torn: None, report };
+            Self { ledger, stored, results, attested, snapshot, begun, pending, committed, torn: None, report };
         verification.compare_tip("the state that was begun from")?;
         Ok(verification)
     }
@@ -95,8 +99,8 @@ impl Verification {
             self.compare_tip(&place)?;
             self.attested.computed(&self.ledger.tip())?;
             self.attested.block(&self.ledger, &outcome)?;
-            if self.state.dirty_bytes() > DIRTY_BYTES_MAX {
-                self.state.flush()?;
+            if self.ledger.pending_bytes() > DIRTY_BYTES_MAX {
+                self.ledger.flush(None)?;
             }
         }
         Ok(())
@@ -105,8 +109,7 @@ impl Verification {
     /// What the node kept of a block must be what executing it gives.
     fn compare_result(&mut self, height: u64, place: &str) -> Result<(), Rejection> {
         let Some(computed) = self.ledger.result(height)? else { return Ok(()) };
-        let kept =
-            self.stored.as_ref().map(|stored| crate::chain::stored_result(stored, height)).transpose()?.flatten();
+        let kept = self.results.as_ref().map(|results| results.get(height)).transpose()?.flatten();
         let Some(kept) = kept else { return check_signed(&computed, height, place) };
         self.report.results_compared += 1;
         match difference(&computed, &kept) {
@@ -147,6 +150,12 @@ impl Verification {
                 .found(format!("blocks up to height {}", tip.height))
                 .wanted(format!("blocks up to height {executed}")));
         }
+        if let Some(results) = self.results.as_ref().filter(|results| results.next() <= executed) {
+            return Err(Rejection::new(Code::Corrupt, format!("{RESULTS_DIRECTORY}/ is damaged: results are missing"))
+                .found(format!("results up to height {}", results.next() - 1))
+                .wanted(format!("results up to height {executed}"))
+                .next("delete the directories state/ and results/; the node makes both again from the blocks"));
+        }
         self.attested.finish()?;
         self.report.uncommitted = self.pending.len() as u64;
         self.report.attestations_agreeing = self.attested.agreeing;
@@ -171,7 +180,7 @@ fn check_signed(computed: &BlockResult, height: u64, place: &str) -> Result<(), 
 
 /// The first thing in which two results differ.
 fn difference(computed: &BlockResult, kept: &BlockResult) -> Option<String> {
-    if computed.previous != kept.previous || computed.root != kept.root {
+    if computed.hash != kept.hash {
         return Some("another hash".into());
     }
     for (index, (computed, kept)) in computed.results.iter().zip(&kept.results).enumerate() {

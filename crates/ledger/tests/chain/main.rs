@@ -2,15 +2,16 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
 mod archive;
+mod results;
+mod snapshot;
 mod world;
 
 use ledger::block::Payload;
+use ledger::disk::SimDisk;
 use ledger::entry::{Entry, EntryKind};
 use ledger::key::KeyKind;
-use ledger::state::{SledStore, State};
 use ledger::transaction::Transaction;
 use ledger::{Admission, Bytes, Code, Hash};
-use std::sync::Arc;
 use world::{NOW, SECOND, World, block, codes, entry, note};
 
 #[test]
@@ -281,7 +282,7 @@ fn every_node_computes_the_same_whatever_it_has_seen_before() {
         let (a, b) = (cold.apply(&entry).unwrap(), warm.apply(&entry).unwrap());
         assert_eq!(a, b);
         if height == 10 {
-            cold.state().flush().unwrap();
+            cold.flush(None).unwrap();
         }
     }
     assert_eq!(cold.tip(), warm.tip());
@@ -313,34 +314,32 @@ fn execution_goes_on_from_a_stored_state_and_gives_the_same() {
     let world = World::new();
     let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
     let directory = tempfile::tempdir().unwrap();
-    let open = || Arc::new(State::open(Box::new(SledStore::open(directory.path()).unwrap())).unwrap());
+    let results = SimDisk::new(1);
     let straight = world.ledger();
     let mut entries = Vec::new();
     {
-        let ledger = world.ledger_on(open());
+        let ledger = world.ledger_on(directory.path(), &results);
         for height in 0..6u64 {
             let call = salma.sign(&salma.body(world.network, "put", &["a", &height.to_string()]));
             entries.push(entry(&ledger, NOW + height, &[&call]));
             ledger.apply(entries.last().unwrap()).unwrap();
             if height == 3 {
-                ledger.state().flush().unwrap();
+                ledger.flush(None).unwrap();
             }
         }
     }
     for entry in &entries {
         straight.apply(entry).unwrap();
     }
-    let ledger = world.ledger_on(open());
+    let ledger = world.ledger_on(directory.path(), &results);
     assert_eq!(ledger.tip().height, 4, "what was not flushed is to be executed again");
     for entry in &entries[4..] {
         ledger.apply(entry).unwrap();
     }
     assert_eq!(ledger.tip(), straight.tip());
     let other = World::new();
-    ledger.state().flush().unwrap();
+    ledger.flush(None).unwrap();
     drop(ledger);
-    let mut registry = ledger::Registry::new();
-    registry.install(Arc::new(world::Notes)).unwrap();
-    let refused = ledger::Ledger::open(&other.genesis, registry, open()).map(drop).unwrap_err();
+    let refused = other.open_on(directory.path(), &results).map(drop).unwrap_err();
     assert_eq!(refused.code, Code::Corrupt, "a state of another network is not taken");
 }

@@ -1,20 +1,26 @@
 //! A network of two organisations, and a node's ledger without a node.
 
 use ledger::block::Payload;
+use ledger::disk::SimDisk;
 use ledger::entry::{Entry, EntryKind};
 use ledger::key::{KeyKind, SigningKey};
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
-use ledger::state::{MemoryState, State};
+use ledger::results::ResultStore;
+use ledger::state::{MemoryState, SledStore, State};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Outcome, Registry, Rejection, Revocation};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use ring::rand::SystemRandom;
+use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 /// 2030-01-01, in microseconds since the UNIX epoch.
 pub(crate) const NOW: u64 = 1_893_456_000_000_000;
 pub(crate) const SECOND: u64 = 1_000_000;
+
+/// Blocks between two snapshots.
+pub(crate) const SNAPSHOT_EVERY: u64 = 10;
 
 /// An organisation's CA.
 pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
@@ -156,7 +162,7 @@ impl World {
             label: "test".into(),
             created: NOW - SECOND,
             salt: Hash::ZERO,
-            snapshot_every: 100,
+            snapshot_every: SNAPSHOT_EVERY,
             organisations: vec![organisation("Org1", &org1), organisation("Org2", &org2)],
             nodes: vec![FoundingNode {
                 id: 1,
@@ -172,13 +178,24 @@ impl World {
     }
 
     pub(crate) fn ledger(&self) -> Ledger {
-        self.ledger_on(Arc::new(State::open(Box::new(MemoryState::default())).unwrap()))
+        let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
+        self.try_ledger_on(state, Arc::new(ResultStore::in_memory())).unwrap()
     }
 
-    pub(crate) fn ledger_on(&self, state: Arc<State>) -> Ledger {
+    /// A ledger on what is in a directory and on a disk of results.
+    pub(crate) fn ledger_on(&self, directory: &Path, results: &SimDisk) -> Ledger {
+        self.open_on(directory, results).unwrap()
+    }
+
+    pub(crate) fn open_on(&self, directory: &Path, results: &SimDisk) -> Result<Ledger, Rejection> {
+        let state = Arc::new(State::open(Box::new(SledStore::open(directory)?))?);
+        self.try_ledger_on(state, Arc::new(ResultStore::open(Arc::new(results.clone()), self.network)?))
+    }
+
+    pub(crate) fn try_ledger_on(&self, state: Arc<State>, results: Arc<ResultStore>) -> Result<Ledger, Rejection> {
         let mut registry = Registry::new();
         registry.install(Arc::new(Notes)).unwrap();
-        Ledger::open(&self.genesis, registry, state).unwrap()
+        Ledger::open(&self.genesis, registry, state, results)
     }
 }
 

@@ -1,0 +1,290 @@
+//! Results of executed blocks, and where each transaction is: in files of their own beside the segments.
+//!
+//! They follow from the blocks, as the world state does: whatever is wrong with them is dropped from there on and
+//! executed again. What was not flushed yet is in memory. [`ResultStore::flush`] makes results durable before the world
+//! state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut off.
+//!
+//! A file holds some 16 MiB and is named by its first height. While it is written, its index of ids is in memory; when it
+//! is finished, a sorted table at its end. Old files are dropped as a whole.
+
+mod file;
+mod index;
+mod open;
+mod window;
+mod write;
+
+pub(crate) use window::{Place, Window};
+
+use crate::Hash;
+use crate::code::Code;
+use crate::disk::{Disk, DiskFile};
+use crate::rejection::Rejection;
+use crate::result::BlockResult;
+use bytes::Bytes;
+use file::{Records, ResultFile, Spot, beginnings};
+use std::collections::VecDeque;
+use std::io::{self, ErrorKind};
+use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+
+/// A file of this size is finished and the next one begun.
+pub const RESULTS_FILE_BYTES_MAX: u64 = 16 * 1024 * 1024;
+/// Name of the directory of results in a node's data directory.
+pub const RESULTS_DIRECTORY: &str = "results";
+
+/// The results of the blocks that a node has executed.
+pub struct ResultStore {
+    /// None keeps results in memory until they are flushed, and then forgets them.
+    disk: Option<Arc<dyn Disk>>,
+    network: Hash,
+    inner: RwLock<Inner>,
+    /// Held while files are written.
+    writing: Mutex<Writing>,
+}
+
+#[derive(Default)]
+struct Writing {
+    /// Results are in the file, but perhaps not on the disk.
+    unsynced: bool,
+    /// A sync has failed, which nothing can make good.
+    failed: bool,
+}
+
+struct Inner {
+    /// Finished files, oldest first. Each follows the one before.
+    files: VecDeque<Arc<ResultFile>>,
+    /// The one that is written.
+    open: Option<Open>,
+    /// What is not in a file yet.
+    pending: VecDeque<Arc<Pending>>,
+    /// Bytes in `pending`.
+    bytes: usize,
+    /// Height of the block whose result comes next.
+    next: u64,
+}
+
+/// The file that is written, and its handle.
+struct Open {
+    content: ResultFile,
+    file: Arc<dyn DiskFile>,
+}
+
+/// The result of a block that is not in a file yet.
+struct Pending {
+    height: u64,
+    time: u64,
+    bytes: Bytes,
+    /// Position and beginning of the ids that it has taken.
+    taken: Vec<(u32, u64)>,
+}
+
+impl ResultStore {
+    /// A store that forgets what is flushed: for verification, which needs each result once.
+    pub fn in_memory() -> Self {
+        Self::new(None, Hash::ZERO, VecDeque::new(), None)
+    }
+
+    fn new(disk: Option<Arc<dyn Disk>>, network: Hash, files: VecDeque<Arc<ResultFile>>, open: Option<Open>) -> Self {
+        let last = open.as_ref().map(|open| &open.content).or_else(|| files.back().map(|file| &**file));
+        let next = last.map_or(1, ResultFile::next);
+        let inner = Inner { files, open, pending: VecDeque::new(), bytes: 0, next };
+        Self { disk, network, inner: RwLock::new(inner), writing: Mutex::default() }
+    }
+
+    /// Does it keep what is flushed?
+    pub(crate) fn is_durable(&self) -> bool {
+        self.disk.is_some()
+    }
+
+    /// Height of the oldest result; [`next`](Self::next) if there is none.
+    pub fn first(&self) -> u64 {
+        let inner = self.read();
+        let file = inner.files.front().map(|file| file.first).or(inner.open.as_ref().map(|open| open.content.first));
+        file.or(inner.pending.front().map(|pending| pending.height)).unwrap_or(inner.next)
+    }
+
+    /// Height of the block whose result comes next.
+    pub fn next(&self) -> u64 {
+        self.read().next
+    }
+
+    /// Roughly how many bytes wait for a flush.
+    pub fn pending_bytes(&self) -> usize {
+        self.read().bytes
+    }
+
+    /// Takes the result of the next block.
+    pub(crate) fn push(&self, height: u64, result: &BlockResult) -> Result<(), Rejection> {
+        let pending =
+            Pending { height, time: result.time, bytes: result.to_bytes(), taken: beginnings(result).collect() };
+        let mut inner = self.write();
+        if height != inner.next {
+            return Err(Rejection::new(Code::Internal, "a result does not follow the last one")
+                .found(format!("height {height}"))
+                .wanted(format!("height {}", inner.next)));
+        }
+        inner.next += 1;
+        inner.bytes += pending.weight();
+        inner.pending.push_back(Arc::new(pending));
+        Ok(())
+    }
+
+    /// The result of the block at a height; none if there is none or it was dropped.
+    ///
+    /// # Errors
+    /// [`Code::DiskFailed`]; [`Code::Corrupt`] if it is damaged: the results are to be made again from the blocks.
+    pub fn get(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
+        let located = self.read().locate(height);
+        // Files are read without a lock.
+        let bytes = match located {
+            None => return Ok(None),
+            Some(Located::Pending(pending)) => pending.bytes.clone(),
+            Some(Located::Stored { first, spot, file }) => {
+                let file = file.map(Some).map_or_else(|| self.open_file(first), Ok)?;
+                let Some(file) = file else { return Ok(None) };
+                spot.read(&*file).map_err(|error| failed("read", first, &error))?
+            }
+        };
+        BlockResult::from_bytes(bytes).map(Some)
+    }
+
+    /// Where the transaction was executed. Takes milliseconds in a long history; the window answers for the last seconds.
+    ///
+    /// # Errors
+    /// As [`ResultStore::get`].
+    pub(crate) fn find(&self, id: &Hash) -> Result<Option<Place>, Rejection> {
+        let short = index::beginning(id);
+        let (mut places, files) = {
+            let inner = self.read();
+            let pending = inner.pending.iter().rev().flat_map(|pending| {
+                let taken = pending.taken.iter().filter(|(_, beginning)| *beginning == short);
+                taken.map(|(position, _)| Place { height: pending.height, position: *position })
+            });
+            let mut places: Vec<Place> = pending.collect();
+            if let Some(open) = &inner.open {
+                let items = open.content.find(|| Ok(Arc::clone(&open.file)), short).unwrap_or_default();
+                places.extend(items.iter().map(|item| item.place(open.content.first)));
+            }
+            (places, inner.files.iter().rev().cloned().collect::<Vec<_>>())
+        };
+        if let Some(place) = self.first_of(id, &places)? {
+            return Ok(Some(place));
+        }
+        for content in files {
+            let Some(file) = self.open_file(content.first)? else { continue };
+            let items = content.find(|| Ok(file), short).map_err(|error| failed("read", content.first, &error))?;
+            places.clear();
+            places.extend(items.iter().map(|item| item.place(content.first)));
+            if let Some(place) = self.first_of(id, &places)? {
+                return Ok(Some(place));
+            }
+        }
+        Ok(None)
+    }
+
+    /// The place among these that is really of this id.
+    fn first_of(&self, id: &Hash, places: &[Place]) -> Result<Option<Place>, Rejection> {
+        for place in places {
+            let Some(block) = self.get(place.height)? else { continue };
+            if block.results.get(place.position as usize).is_some_and(|result| result.id() == *id) {
+                return Ok(Some(*place));
+            }
+        }
+        Ok(None)
+    }
+
+    /// Calls `each` with the blocks whose time is `time` or later, in order, as they are stored.
+    pub(crate) fn since(
+        &self,
+        time: u64,
+        last: u64,
+        mut each: impl FnMut(u64, BlockResult) -> Result<(), Rejection>,
+    ) -> Result<(), Rejection> {
+        let files: Vec<Records> = {
+            let inner = self.read();
+            let open = inner.open.as_ref().map(|open| open.content.records());
+            let all = inner.files.iter().map(|file| file.records()).chain(open);
+            all.filter(|records| records.next > records.first && records.newest >= time).collect()
+        };
+        let mut give = |height: u64, bytes: Bytes| {
+            let result = BlockResult::from_bytes(bytes)?;
+            if result.time >= time && height <= last { each(height, result) } else { Ok(()) }
+        };
+        let mut next = None;
+        for records in files {
+            let Some(file) = self.open_file(records.first)? else { continue };
+            records.each(&*file, |error| failed("read", records.first, error), &mut give)?;
+            next = Some(records.next);
+        }
+        let pending: Vec<_> = self.read().pending.iter().cloned().collect();
+        for pending in pending.iter().filter(|pending| next.is_none_or(|next| pending.height >= next)) {
+            give(pending.height, pending.bytes.clone())?;
+        }
+        Ok(())
+    }
+
+    /// None if the file was dropped in between.
+    fn open_file(&self, first: u64) -> Result<Option<Arc<dyn DiskFile>>, Rejection> {
+        let Some(disk) = &self.disk else { return Ok(None) };
+        match disk.open(&ResultFile::name(first)) {
+            Ok(file) => Ok(Some(file)),
+            Err(error) if error.kind() == ErrorKind::NotFound && first < self.first() => Ok(None),
+            Err(error) => Err(failed("open", first, &error)),
+        }
+    }
+
+    fn read(&self) -> RwLockReadGuard<'_, Inner> {
+        self.inner.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self) -> RwLockWriteGuard<'_, Inner> {
+        self.inner.write().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+enum Located {
+    Pending(Arc<Pending>),
+    /// In the file with this first height; its handle if it is open.
+    Stored {
+        first: u64,
+        spot: Spot,
+        file: Option<Arc<dyn DiskFile>>,
+    },
+}
+
+impl Inner {
+    fn locate(&self, height: u64) -> Option<Located> {
+        if let Some(pending) = self.pending.front()
+            && let Some(number) = height.checked_sub(pending.height)
+        {
+            return self.pending.get(usize::try_from(number).ok()?).map(|pending| Located::Pending(Arc::clone(pending)));
+        }
+        if let Some(open) = self.open.as_ref().filter(|open| open.content.first <= height) {
+            let (first, file) = (open.content.first, Some(Arc::clone(&open.file)));
+            return open.content.locate(height).map(|spot| Located::Stored { first, spot, file });
+        }
+        let after = self.files.partition_point(|file| file.first <= height);
+        let file = self.files.get(after.checked_sub(1)?)?;
+        file.locate(height).map(|spot| Located::Stored { first: file.first, spot, file: None })
+    }
+}
+
+impl Pending {
+    fn weight(&self) -> usize {
+        self.bytes.len() + self.taken.len() * 16 + 96
+    }
+}
+
+/// A fault of a file of results as a refusal.
+fn failed(operation: &str, first: u64, error: &io::Error) -> Rejection {
+    let code = match error.kind() {
+        ErrorKind::StorageFull => Code::DiskFull,
+        ErrorKind::InvalidData => Code::Corrupt,
+        _ => Code::DiskFailed,
+    };
+    let name = ResultFile::name(first);
+    let refused = Rejection::new(code, format!("cannot {operation} {RESULTS_DIRECTORY}/{name}: {error}"));
+    match code {
+        Code::Corrupt => refused.next("restart the node: it makes results and world state again from the blocks"),
+        _ => refused,
+    }
+}
