@@ -46,7 +46,9 @@ impl World {
         let founding = Founding::new(ONE_VOTER);
         let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
         let genesis = std::fs::read(founding.nodes[0].0.join(GENESIS_FILE)).unwrap();
-        let ledger = Ledger::open(&genesis, Node::builder().registry().unwrap(), state, Arc::new(ResultStore::in_memory())).unwrap();
+        let ledger =
+            Ledger::open(&genesis, Node::builder().registry().unwrap(), state, Arc::new(ResultStore::in_memory()))
+                .unwrap();
         let mut world = Self { ledger, founding, epoch: 0, next_seq: 0, nonce: 0 };
         let setup = world.sign(&world.founding.owner.clone(), "setup", robots());
         world.block(&[setup]);

@@ -38,7 +38,8 @@ fn fixture() -> Fixture {
     };
     let founded = setup::found(&plan, NOW).unwrap();
     let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-    let ledger = Arc::new(Ledger::open(&founded.document, Registry::new(), state, Arc::new(ResultStore::in_memory())).unwrap());
+    let ledger =
+        Arc::new(Ledger::open(&founded.document, Registry::new(), state, Arc::new(ResultStore::in_memory())).unwrap());
     let mut authorities = CertificateAuthority::open_all(&data).unwrap();
     let org1 = authorities.iter_mut().find(|ca| ca.organisation() == "Org1").unwrap();
     let admin = org1.issue("Admin", Role::Admin, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap().certificate;
@@ -140,9 +141,11 @@ async fn a_revoked_admin_registers_nobody_and_the_list_shows_the_revocation() {
     let before = f.list(Some(&f.admin), "Admin").await.identities;
     assert!(!before[0].certificates[0].revoked);
     let key = [b"msp\0revoked/".as_slice(), &f.admin.revocation_key()].concat();
-    f.ledger
-        .state()
-        .commit([(Bytes::from(key), Some(Bytes::from_static(b"{}")))].into_iter().collect(), f.ledger.tip(), false);
+    f.ledger.state().commit(
+        [(Bytes::from(key), Some(Bytes::from_static(b"{}")))].into_iter().collect(),
+        f.ledger.tip(),
+        false,
+    );
     assert_eq!(code(f.register(Some(&f.admin), "Salma", "").await.verdict), Code::Revoked);
 
     let mut other = (*f.admin).clone();

@@ -256,7 +256,10 @@ impl Inner {
         if let Some(pending) = self.pending.front()
             && let Some(number) = height.checked_sub(pending.height)
         {
-            return self.pending.get(usize::try_from(number).ok()?).map(|pending| Located::Pending(Arc::clone(pending)));
+            return self
+                .pending
+                .get(usize::try_from(number).ok()?)
+                .map(|pending| Located::Pending(Arc::clone(pending)));
         }
         if let Some(open) = self.open.as_ref().filter(|open| open.content.first <= height) {
             let (first, file) = (open.content.first, Some(Arc::clone(&open.file)));

@@ -102,13 +102,7 @@ impl Snapshots {
     }
 
     /// Makes the snapshot of what a state has stored; does nothing if it is there.
-    pub(crate) fn make(
-        &self,
-        network: Hash,
-        tip: &Tip,
-        state: &State,
-        results: &ResultStore,
-    ) -> Result<(), Rejection> {
+    pub(crate) fn make(&self, network: Hash, tip: &Tip, state: &State, results: &ResultStore) -> Result<(), Rejection> {
         let _one = self.making.lock().unwrap_or_else(PoisonError::into_inner);
         if self.get(tip.height).is_some() {
             return Ok(());

@@ -239,7 +239,10 @@ impl Recent {
             && let Some(below) = self.layers.pop_back()
         {
             if below.cut {
-                tracing::warn!(height = below.tip.height, "no snapshot is made: storing the world state takes too long");
+                tracing::warn!(
+                    height = below.tip.height,
+                    "no snapshot is made: storing the world state takes too long"
+                );
             }
             let newer = std::mem::replace(&mut writes, below.writes.clone());
             writes.extend(newer);

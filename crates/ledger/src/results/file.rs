@@ -228,7 +228,6 @@ impl ResultFile {
         let read = file.read_at(&mut head, 0)?;
         Ok(read == head.len() && head == Self::new(first).head(network))
     }
-
 }
 
 impl Spot {

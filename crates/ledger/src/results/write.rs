@@ -141,7 +141,8 @@ impl ResultStore {
             (finished, bytes, Arc::clone(&open.file))
         };
         // Not even its end may follow bytes of a longer one.
-        let written = file.write_at(&bytes, finished.end).and_then(|()| file.set_len(finished.end + bytes.len() as u64));
+        let written =
+            file.write_at(&bytes, finished.end).and_then(|()| file.set_len(finished.end + bytes.len() as u64));
         written.map_err(|error| failed("write", finished.first, &error))?;
         self.sync(writing)?;
         let mut inner = self.write();

@@ -155,7 +155,10 @@ fn a_ledger_on_a_snapshot_goes_on_as_the_others_and_knows_the_same_duplicates() 
     let (place, results) = (tempfile::tempdir().unwrap(), SimDisk::new(13));
     let full = chain.run(place.path(), &results, &SimDisk::new(14), 50, 8);
     for entry in std::iter::once(&again).chain(&more) {
-        assert_eq!(full.apply(entry).unwrap().hash, if entry.index == 51 { a.hash } else { ledger.apply(entry).unwrap().hash });
+        assert_eq!(
+            full.apply(entry).unwrap().hash,
+            if entry.index == 51 { a.hash } else { ledger.apply(entry).unwrap().hash }
+        );
     }
     ledger.flush(Some(&chain.snapshots(&one))).unwrap();
     full.flush(Some(&chain.snapshots(&two))).unwrap();
