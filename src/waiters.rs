@@ -1,10 +1,12 @@
 //! Clients that wait for the verdict on a transaction.
 
 use ledger::result::TransactionResult;
-use ledger::{Code, Hash, Ledger, Outcome, Rejection, TransactionRecord};
+use ledger::transaction::Transaction;
+use ledger::{Bytes, Code, Hash, Ledger, Outcome, Rejection, TransactionRecord};
 use ledger_api::v1::{SubmitResponse, Verdict};
+use ledger_raft::Lane;
 use std::collections::HashMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::{OwnedSemaphorePermit, mpsc};
 use tonic::Status;
@@ -23,19 +25,58 @@ pub(crate) struct Waiter {
 /// Who waits for which transaction.
 #[derive(Default)]
 pub(crate) struct Waiters {
-    waiting: Mutex<HashMap<Hash, Vec<(Instant, Waiter)>>>,
+    table: Mutex<Table>,
+}
+
+#[derive(Default)]
+struct Table {
+    waiting: HashMap<Hash, Waiting>,
+    /// Number of the next transaction.
+    next: u64,
+}
+
+/// Those who wait for one transaction.
+struct Waiting {
+    /// The order in which transactions came, and in which they are submitted again.
+    number: u64,
+    lane: Lane,
+    encoded: Bytes,
+    waiters: Vec<(Instant, Waiter)>,
 }
 
 impl Waiters {
     /// Answers `waiter` as soon as the transaction has a verdict.
-    pub(crate) fn add(&self, id: Hash, waiter: Waiter) {
-        self.lock().entry(id).or_default().push((Instant::now(), waiter));
+    pub(crate) fn add(&self, transaction: &Transaction, lane: Lane, waiter: Waiter) {
+        let mut table = self.lock();
+        let number = table.next;
+        table.next += 1;
+        let encoded = transaction.encoded();
+        let waiting = table.waiting.entry(transaction.id()).or_insert_with(|| Waiting {
+            number,
+            lane,
+            encoded: encoded.clone(),
+            waiters: Vec::with_capacity(1),
+        });
+        waiting.waiters.push((Instant::now(), waiter));
+    }
+
+    /// Everything that waits, in the order in which it came. Once another node leads, nobody knows what became of it;
+    /// ordered a second time it gets the first verdict.
+    pub(crate) fn all(&self) -> Vec<(Lane, Bytes)> {
+        let mut all: Vec<_> = self
+            .lock()
+            .waiting
+            .values()
+            .map(|waiting| (waiting.number, waiting.lane, waiting.encoded.clone()))
+            .collect();
+        all.sort_unstable_by_key(|(number, ..)| *number);
+        all.into_iter().map(|(_, lane, encoded)| (lane, encoded)).collect()
     }
 
     /// Answers everybody who waits for a transaction of this block.
     pub(crate) fn resolve(&self, outcome: &Outcome, ledger: &Ledger) {
         for ((index, id), result) in (0u32..).zip(&outcome.ids).zip(&outcome.results) {
-            let Some(waiting) = self.lock().remove(id) else { continue };
+            let Some(waiting) = self.take(id) else { continue };
             let response = match result.code() {
                 // The first execution's verdict stands.
                 Code::Duplicate => match ledger.transaction(id) {
@@ -51,19 +92,19 @@ impl Waiters {
 
     /// Tells everybody who waits for a transaction that it was not ordered.
     pub(crate) fn refuse(&self, id: &Hash, reason: &Rejection) {
-        let waiting = self.lock().remove(id);
-        answer(waiting.unwrap_or_default(), &refused(Some(id), reason));
+        answer(self.take(id).unwrap_or_default(), &refused(Some(id), reason));
     }
 
     /// Answers those who have waited too long, and forgets clients that are gone.
     pub(crate) fn sweep(&self) {
         let mut late = Vec::new();
-        self.lock().retain(|id, waiting| {
-            waiting.retain(|(_, waiter)| !waiter.answers.is_closed());
-            if waiting.iter().any(|(since, _)| since.elapsed() > WAIT_MAX) {
-                late.push((*id, std::mem::take(waiting)));
+        self.lock().waiting.retain(|id, waiting| {
+            let waiters = &mut waiting.waiters;
+            waiters.retain(|(_, waiter)| !waiter.answers.is_closed());
+            if waiters.iter().any(|(since, _)| since.elapsed() > WAIT_MAX) {
+                late.push((*id, std::mem::take(waiters)));
             }
-            !waiting.is_empty()
+            !waiters.is_empty()
         });
         for (id, waiting) in late {
             let reason = Rejection::new(Code::Timeout, format!("no verdict on transaction {id} within {WAIT_MAX:?}"))
@@ -72,8 +113,12 @@ impl Waiters {
         }
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<Hash, Vec<(Instant, Waiter)>>> {
-        self.waiting.lock().unwrap_or_else(PoisonError::into_inner)
+    fn take(&self, id: &Hash) -> Option<Vec<(Instant, Waiter)>> {
+        self.lock().waiting.remove(id).map(|waiting| waiting.waiters)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Table> {
+        self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

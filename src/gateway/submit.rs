@@ -63,7 +63,7 @@ impl NodeView {
         let urgent =
             self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
-        self.waiters.add(id, waiter);
+        self.waiters.add(&transaction, lane, waiter);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
         if let Err(reason) = self.seat.input(input) {
             self.waiters.refuse(&id, &reason);

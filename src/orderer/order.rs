@@ -4,7 +4,8 @@ use super::Shared;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
-use ledger_raft::{Engine, Input, Output, Role, RoleChange, Status, successor};
+use ledger::{Code, Rejection};
+use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, successor};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -31,6 +32,8 @@ pub(super) struct Order {
     deadline: Arc<AtomicU64>,
     /// The deadline for which an empty block was asked for, and the height then: asked once until a block came.
     asked_for: (u64, u64),
+    /// Another node leads than before: what waits is submitted again.
+    submit_again: bool,
 }
 
 impl Order {
@@ -43,8 +46,21 @@ impl Order {
         role: watch::Sender<RoleChange>,
         deadline: Arc<AtomicU64>,
     ) -> Self {
-        let (leading, outputs, flush, asked_for) = (false, Vec::new(), None, (0, 0));
-        Self { engine, stop, leading, shared, committed, outputs, flush, status, role, deadline, asked_for }
+        let (leading, outputs, flush, asked_for, submit_again) = (false, Vec::new(), None, (0, 0), false);
+        Self {
+            engine,
+            stop,
+            leading,
+            shared,
+            committed,
+            outputs,
+            flush,
+            status,
+            role,
+            deadline,
+            asked_for,
+            submit_again,
+        }
     }
 
     pub(super) fn run(mut self, inputs: &Receiver<Input>, tick: Duration) {
@@ -57,6 +73,7 @@ impl Order {
                 self.report();
             }
             self.meet_deadline();
+            self.submit_again();
             let wait = match self.flush {
                 Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
                 Some(_) => Duration::ZERO,
@@ -114,6 +131,16 @@ impl Order {
         }
     }
 
+    /// What was given to a leader that is gone may be lost with it: everything that still waits goes to the next one.
+    /// The id makes sure that it is executed once.
+    fn submit_again(&mut self) {
+        if std::mem::take(&mut self.submit_again) {
+            for (lane, transaction) in self.shared.waiters.all() {
+                self.step(Input::Submit { lane, transaction });
+            }
+        }
+    }
+
     /// Makes the log durable if the engine waits for it. False if the node cannot go on.
     fn write(&mut self) -> bool {
         let Some(ready) = self.flush.take() else { return true };
@@ -147,7 +174,11 @@ impl Order {
     fn carry_out(&mut self, output: Output) {
         match output {
             Output::Send { to, message } => {
-                self.shared.peers.send(to, &message);
+                if !self.shared.peers.send(to, &message)
+                    && let PeerMessage::Forward(lost) = message
+                {
+                    self.not_forwarded(to, lost);
+                }
             }
             Output::Flush { ready } => self.flush = Some(ready),
             Output::Commit(entries) => {
@@ -160,6 +191,7 @@ impl Order {
                 tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
                 self.report();
                 self.role.send_replace(change);
+                self.submit_again = change.leader.is_some();
             }
             Output::Membership { height, membership } => tracing::info!(height, ?membership, "members changed"),
             Output::Dropped { transaction, reason } => {
@@ -176,6 +208,17 @@ impl Order {
                 tracing::warn!(from, first_index, "this node is behind what others still send");
             }
             Output::Failed(reason) => (self.shared.fatal)(reason),
+        }
+    }
+
+    /// There is no way to the leader now.
+    fn not_forwarded(&self, leader: u64, lost: Transactions) {
+        let reason = Rejection::new(Code::NoLeader, format!("node {leader} leads, but there is no connection to it"))
+            .next("submit the same transaction again, through this or another node");
+        for transaction in lost.control.into_iter().chain(lost.data) {
+            if let Ok(transaction) = Transaction::decode(transaction) {
+                self.shared.waiters.refuse(&transaction.id(), &reason);
+            }
         }
     }
 
