@@ -138,7 +138,11 @@ impl Gateway for GatewayService {
 
     async fn get_block(&self, request: Request<GetBlockRequest>) -> Result<Response<Block>, Status> {
         let caller = self.caller(&request)?;
-        self.node.block(&caller, request.into_inner().height).map(Response::new).map_err(|rejection| status(&rejection))
+        let height = request.into_inner().height;
+        if height > self.node.ledger.tip().height {
+            self.node.reach_log().await;
+        }
+        self.node.block(&caller, height).map(Response::new).map_err(|rejection| status(&rejection))
     }
 
     async fn get_transaction(
@@ -146,10 +150,15 @@ impl Gateway for GatewayService {
         request: Request<GetTransactionRequest>,
     ) -> Result<Response<TransactionRecord>, Status> {
         let caller = self.caller(&request)?;
-        self.node
-            .transaction(&caller, &request.into_inner().id)
-            .map(Response::new)
-            .map_err(|rejection| status(&rejection))
+        let id = request.into_inner().id;
+        let found = match self.node.transaction(&caller, &id) {
+            Err(rejection) if rejection.code == Code::NotFound => {
+                self.node.reach_log().await;
+                self.node.transaction(&caller, &id)
+            }
+            found => found,
+        };
+        found.map(Response::new).map_err(|rejection| status(&rejection))
     }
 
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {

@@ -36,8 +36,10 @@
 mod blocks;
 mod bridge;
 pub mod ca;
+mod catch_up;
 mod clock;
 mod command;
+mod conductor;
 pub mod config;
 mod demo;
 mod denials;

@@ -3,15 +3,17 @@
 use crate::blocks::Blocks;
 use crate::bridge::NodeBridge;
 use crate::ca::CertificateAuthority;
+use crate::catch_up::{CatchUp, Source};
 use crate::clock::{Clock, wall};
+use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::EnrolmentService;
 use crate::gateway::{GatewayService, NodeView};
 use crate::housekeeping::Housekeeping;
 use crate::listen::accept;
-use crate::orderer::{Executed, Orderer, Reads, Seat, Shared};
-use crate::peers::{Directory, Member, PeerService, Peers};
+use crate::orderer::{Executed, Reads, Seat, Shared};
+use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::stores::Stores;
 use crate::waiters::Waiters;
 use ledger::block::PAYLOAD_BYTES_MAX;
@@ -24,7 +26,7 @@ use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_api::v1::enrolment_server::EnrolmentServer;
 use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
-use ledger_raft::{Engine, EngineConfig, Input, PEER_MESSAGE_BYTES_MAX};
+use ledger_raft::{Input, PEER_MESSAGE_BYTES_MAX};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::sync::Arc;
@@ -94,6 +96,7 @@ pub struct Node {
     housekeeping: Housekeeping,
     bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
+    conductor: JoinHandle<()>,
     stop: watch::Sender<bool>,
 }
 
@@ -120,7 +123,13 @@ impl Node {
         let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
         let waiters = Arc::new(Waiters::default());
         let disk_full = Arc::new(AtomicBool::new(false));
-        let peers = Peers::new(me.id, tls.clone(), Arc::clone(&trust));
+        let dialer = Dialer {
+            me: me.id,
+            organisation: me.organisation.clone(),
+            identity: tls.clone(),
+            trust: Arc::clone(&trust),
+        };
+        let peers = Peers::new(dialer.clone());
         let (reads, executed) = (Arc::new(Reads::default()), Arc::new(Executed::default()));
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
@@ -131,6 +140,7 @@ impl Node {
             directory: Arc::clone(&directory),
             peers: Arc::clone(&peers),
             clock: clock.clone(),
+            behind: watch::Sender::new(None),
             fatal: Box::new(move |reason| {
                 tracing::error!(%reason, "the node cannot go on");
                 failed_sender.send_replace(Some(reason));
@@ -139,12 +149,8 @@ impl Node {
             executed: Arc::clone(&executed),
         });
         peers.follow(&directory);
-        let engine = engine(config, me.id, &ledger, &store)?;
-        let tick = Duration::from_millis(config.order.tick_ms);
-        let orderer = Orderer::start(engine, Arc::clone(&shared), tick)
-            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let seat = Arc::new(Seat::empty());
-        seat.take_in(orderer);
+        let id = me.id;
 
         let view = Arc::new(NodeView {
             me,
@@ -165,12 +171,14 @@ impl Node {
             clock,
             started,
         });
+        let source = Arc::new(Source::new(Arc::clone(&ledger), Arc::clone(&store), Arc::clone(&seat)));
         let housekeeping = Housekeeping::start(Arc::clone(&view), store, snapshots, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let peer_service = PeerService::new(Arc::clone(&peers), directory.subscribe(), move |from, message| {
+        let inbox = Arc::clone(&seat);
+        let peer_service = PeerService::new(peers, source, directory.subscribe(), move |from, message| {
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
             // repeats what matters.
-            !matches!(seat.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
+            !matches!(inbox.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
         });
         let mut authorities = CertificateAuthority::open_all(&config.data)?;
         for authority in &mut authorities {
@@ -205,9 +213,18 @@ impl Node {
                 tracing::error!(%error, "the server ended");
             }
         });
+        // Only now, as others that start at the same time ask this node what it has, too.
+        let catch_up = CatchUp { shared, seat, dialer, stopping: stop.subscribe() };
+        let conductor = match Conductor::new(id, config.order.clone(), catch_up).begin().await {
+            Ok(conductor) => conductor,
+            Err(reason) => {
+                server.abort();
+                return Err(reason);
+            }
+        };
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
         let bridge = NodeBridge::start(config, reachable(address).to_string())?;
-        Ok(Self { view, address, failed, housekeeping, bridge, server, stop })
+        Ok(Self { view, address, failed, housekeeping, bridge, server, conductor, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -243,6 +260,9 @@ impl Node {
             server.abort();
             let _aborted = server.await;
         }
+        if self.conductor.await.is_err() {
+            tracing::error!("the conductor panicked");
+        }
         let (seat, housekeeping) = (Arc::clone(&self.view.seat), self.housekeeping);
         let ended = tokio::task::spawn_blocking(move || {
             seat.stop();
@@ -264,7 +284,7 @@ fn reachable(mut address: SocketAddr) -> SocketAddr {
 }
 
 /// A number of the configuration as a count of things in memory.
-fn count(number: u64) -> usize {
+pub(crate) fn count(number: u64) -> usize {
     usize::try_from(number).unwrap_or(usize::MAX)
 }
 
@@ -305,19 +325,6 @@ fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Res
                 .found(identity.id())
                 .wanted(format!("one of {}", known.join(", ")))
         })
-}
-
-fn engine(
-    config: &Config,
-    id: u64,
-    ledger: &Ledger,
-    store: &Arc<ledger::block_store::BlockStore>,
-) -> Result<Engine, Rejection> {
-    let mut settings = EngineConfig::new(id, ledger.members()?, crate::random::number()?);
-    settings.applied = ledger.tip().height;
-    settings.election_tick = count(config.order.election_ticks);
-    settings.heartbeat_tick = (settings.election_tick / 5).max(1);
-    Engine::new(settings, Arc::clone(store)).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))
 }
 
 /// What the node trusts: the organisations on its ledger.

@@ -25,6 +25,7 @@ pub(crate) use reads::Reads;
 pub(crate) use seat::Seat;
 
 use crate::blocks::Blocks;
+use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::peers::{Directory, Peers};
 use crate::waiters::Waiters;
@@ -62,6 +63,8 @@ pub(crate) struct Shared {
     pub peers: Arc<Peers>,
     /// The node's clock.
     pub clock: Clock,
+    /// What the engine says about blocks that it lacks; the conductor acts on it.
+    pub behind: watch::Sender<Option<Behind>>,
     /// Called once with the reason if the node cannot go on.
     pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
     /// Set while the log cannot be written for lack of space.

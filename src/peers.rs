@@ -26,11 +26,22 @@ use tokio::sync::{Notify, mpsc};
 /// Messages that wait for a peer; beyond it they are dropped, and ordering repeats what matters.
 const WAITING_MAX: usize = 1024;
 
+/// How this node calls others.
+#[derive(Clone)]
+pub(crate) struct Dialer {
+    /// This node's id.
+    pub me: u64,
+    /// Its organisation.
+    pub organisation: String,
+    /// Its certificate and key.
+    pub identity: TlsIdentity,
+    /// Whose certificates it accepts.
+    pub trust: Arc<dyn TrustSource>,
+}
+
 /// The ways to the other nodes.
 pub(crate) struct Peers {
-    me: u64,
-    identity: TlsIdentity,
-    trust: Arc<dyn TrustSource>,
+    dialer: Dialer,
     links: RwLock<BTreeMap<u64, Link>>,
 }
 
@@ -44,9 +55,9 @@ struct Link {
 }
 
 impl Peers {
-    /// No connections yet; `me` is this node's id.
-    pub(crate) fn new(me: u64, identity: TlsIdentity, trust: Arc<dyn TrustSource>) -> Arc<Self> {
-        Arc::new(Self { me, identity, trust, links: RwLock::default() })
+    /// No connections yet.
+    pub(crate) fn new(dialer: Dialer) -> Arc<Self> {
+        Arc::new(Self { dialer, links: RwLock::default() })
     }
 
     /// Keeps connections to the members of the directory, as they change, until the directory or the peers are gone.
@@ -66,14 +77,13 @@ impl Peers {
     fn update(&self, members: &[Member]) {
         let mut links = self.links.write().unwrap_or_else(PoisonError::into_inner);
         links.retain(|id, link| members.iter().any(|member| member.id == *id && member.address == link.address));
-        for member in members.iter().filter(|member| member.id != self.me) {
+        for member in members.iter().filter(|member| member.id != self.dialer.me) {
             links.entry(member.id).or_insert_with(|| {
                 let (waiting, messages) = mpsc::channel(WAITING_MAX);
                 let (connected, wake) = (Arc::new(AtomicBool::new(false)), Arc::new(Notify::new()));
                 let way = Way {
                     member: member.clone(),
-                    identity: self.identity.clone(),
-                    trust: Arc::clone(&self.trust),
+                    dialer: self.dialer.clone(),
                     connected: Arc::clone(&connected),
                     wake: Arc::clone(&wake),
                 };

@@ -49,6 +49,16 @@ impl NodeView {
         }
     }
 
+    /// Waits until everything that the log holds now is executed, as far as it comes to that soon. After a start the log
+    /// knows of blocks that a client has seen, before the others confirm that they are committed.
+    pub(super) async fn reach_log(&self) {
+        let last = self.blocks.last_height();
+        if self.ledger.tip().height < last {
+            // What cannot be waited for is answered by what there is.
+            let _reached = self.reach(last).await;
+        }
+    }
+
     pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {
         let tip = self.ledger.tip();
         let ordering = self.seat.status();

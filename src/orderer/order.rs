@@ -1,6 +1,7 @@
 //! The order thread: owns the engine, writes the log.
 
 use super::Shared;
+use crate::catch_up::Behind;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
@@ -205,7 +206,7 @@ impl Order {
                 input => tracing::warn!(?input, %reason, "ordering refused a request"),
             },
             Output::Behind { from, first_index } => {
-                tracing::warn!(from, first_index, "this node is behind what others still send");
+                self.shared.behind.send_replace(Some(Behind { from, first_index }));
             }
             Output::Failed(reason) => (self.shared.fatal)(reason),
         }

@@ -56,6 +56,13 @@ impl Seat {
         });
     }
 
+    /// Tells how far the node, which has no orderer now, has to catch up.
+    pub(crate) fn show_progress(&self, catching_up_to: u64) {
+        if let Phase::CatchingUp(to) = &mut *self.phase.write().unwrap_or_else(PoisonError::into_inner) {
+            *to = catching_up_to;
+        }
+    }
+
     /// Ends the orderer for good. Waits for the threads.
     pub(crate) fn stop(&self) {
         self.change(|phase| *phase = Phase::Stopping);

@@ -34,6 +34,11 @@ pub(crate) struct Member {
 }
 
 impl Member {
+    /// The name that people see: `Org1/node1`.
+    pub(crate) fn full_name(&self) -> String {
+        format!("{}/{}", self.organisation, self.name)
+    }
+
     /// What it is, for people: `voter`, `learner`, or how it is changing.
     pub(crate) fn role(&self) -> &'static str {
         match (self.actual, self.wanted) {

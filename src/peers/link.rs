@@ -1,9 +1,9 @@
 //! One outgoing connection: made, used until it breaks, made again.
 
-use super::Member;
+use super::{Dialer, Member};
 use hyper_util::rt::TokioIo;
 use ledger::Bytes;
-use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource, client_config_expecting};
+use ledger_api::tls::{ServerTrust, client_config_expecting};
 use ledger_api::v1::PeerFrame;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_raft::PEER_MESSAGE_BYTES_MAX;
@@ -26,8 +26,7 @@ const RECONNECT_PAUSE: (Duration, Duration) = (Duration::from_millis(50), Durati
 /// The way to a peer.
 pub(super) struct Way {
     pub member: Member,
-    pub identity: TlsIdentity,
-    pub trust: Arc<dyn TrustSource>,
+    pub dialer: Dialer,
     /// Set while messages can be sent.
     pub connected: Arc<AtomicBool>,
     /// Ends the pause before the next attempt.
@@ -37,11 +36,11 @@ pub(super) struct Way {
 impl Way {
     /// Keeps a connection until the sender of the messages is gone.
     pub(super) async fn keep_connected(self, mut messages: mpsc::Receiver<Bytes>) {
-        let Self { member, identity, trust, connected, wake } = self;
+        let Self { member, dialer, connected, wake } = self;
         let mut pause = RECONNECT_PAUSE.0;
         let mut last_reason = String::new();
         while !messages.is_closed() {
-            let reason = match channel(&member, &identity, &trust).await {
+            let reason = match dialer.channel(&member).await {
                 Ok(channel) => {
                     tracing::debug!(peer = %member.name, address = %member.address, "connected");
                     while messages.try_recv().is_ok() {}
@@ -74,35 +73,33 @@ impl Way {
     }
 }
 
-/// A connection to a peer, whose certificate must be of that node.
-pub(super) async fn channel(
-    member: &Member,
-    identity: &TlsIdentity,
-    trust: &Arc<dyn TrustSource>,
-) -> Result<Channel, String> {
-    let expected = format!("{}/{}", member.organisation, member.name);
-    let trust = ServerTrust::Network(Arc::clone(trust));
-    let config =
-        client_config_expecting(Some(identity.clone()), trust, &expected).map_err(|error| error.to_string())?;
-    let tls = TlsConnector::from(Arc::new(config));
-    let address = member.address.clone();
-    let connect = tower::service_fn(move |_: Uri| {
-        let (tls, address) = (tls.clone(), address.clone());
-        async move {
-            let socket = TcpStream::connect(&address).await?;
-            socket.set_nodelay(true)?;
-            let name = ServerName::try_from("node.ledgerd.invalid").map_err(std::io::Error::other)?;
-            Ok::<_, std::io::Error>(TokioIo::new(tls.connect(name, socket).await?))
-        }
-    });
-    Endpoint::from_static("http://node.ledgerd.invalid")
-        .connect_timeout(CONNECT_TIME_MAX)
-        .http2_keep_alive_interval(Duration::from_secs(2))
-        .keep_alive_timeout(Duration::from_secs(2))
-        .keep_alive_while_idle(true)
-        .connect_with_connector(connect)
-        .await
-        .map_err(|error| causes(&error))
+impl Dialer {
+    /// A connection to a peer, whose certificate must be of that node.
+    pub(crate) async fn channel(&self, member: &Member) -> Result<Channel, String> {
+        let expected = member.full_name();
+        let trust = ServerTrust::Network(Arc::clone(&self.trust));
+        let config = client_config_expecting(Some(self.identity.clone()), trust, &expected)
+            .map_err(|error| error.to_string())?;
+        let tls = TlsConnector::from(Arc::new(config));
+        let address = member.address.clone();
+        let connect = tower::service_fn(move |_: Uri| {
+            let (tls, address) = (tls.clone(), address.clone());
+            async move {
+                let socket = TcpStream::connect(&address).await?;
+                socket.set_nodelay(true)?;
+                let name = ServerName::try_from("node.ledgerd.invalid").map_err(std::io::Error::other)?;
+                Ok::<_, std::io::Error>(TokioIo::new(tls.connect(name, socket).await?))
+            }
+        });
+        Endpoint::from_static("http://node.ledgerd.invalid")
+            .connect_timeout(CONNECT_TIME_MAX)
+            .http2_keep_alive_interval(Duration::from_secs(2))
+            .keep_alive_timeout(Duration::from_secs(2))
+            .keep_alive_while_idle(true)
+            .connect_with_connector(connect)
+            .await
+            .map_err(|error| causes(&error))
+    }
 }
 
 /// Sends until the connection breaks; answers with what is left to send from, and why it broke.

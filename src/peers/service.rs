@@ -1,6 +1,7 @@
 //! The service that other nodes call.
 
 use super::{Member, Peers};
+use crate::catch_up::Source;
 use crate::listen::Caller;
 use ledger::identity::Role;
 use ledger_api::v1::peer_server::Peer;
@@ -14,18 +15,25 @@ use tonic::{Request, Response, Status, Streaming};
 /// The service that takes the messages of other nodes. `deliver` answers false when the node is stopping.
 pub(crate) struct PeerService<D> {
     peers: Arc<Peers>,
+    source: Arc<Source>,
     members: watch::Receiver<Arc<[Member]>>,
     deliver: D,
 }
 
 impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
     /// Takes calls from these members only, as they change.
-    pub(crate) fn new(peers: Arc<Peers>, members: watch::Receiver<Arc<[Member]>>, deliver: D) -> Self {
-        Self { peers, members, deliver }
+    pub(crate) fn new(
+        peers: Arc<Peers>,
+        source: Arc<Source>,
+        members: watch::Receiver<Arc<[Member]>>,
+        deliver: D,
+    ) -> Self {
+        Self { peers, source, members, deliver }
     }
 
     /// The calling node, which must be a member now.
-    fn sender(&self, caller: Option<&Caller>) -> Result<Member, Status> {
+    fn sender<T>(&self, request: &Request<T>) -> Result<Member, Status> {
+        let caller = request.extensions().get::<Caller>();
         let identity = caller
             .and_then(|caller| caller.identity.as_ref())
             .ok_or_else(|| Status::unauthenticated("found no certificate, wanted one of a node of this network"))?;
@@ -55,7 +63,7 @@ async fn removed(members: &mut watch::Receiver<Arc<[Member]>>, id: u64) {
 #[tonic::async_trait]
 impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerService<D> {
     async fn messages(&self, request: Request<Streaming<PeerFrame>>) -> Result<Response<PeerClosed>, Status> {
-        let member = self.sender(request.extensions().get::<Caller>())?;
+        let member = self.sender(&request)?;
         self.peers.heard_of(member.id);
         let mut frames = request.into_inner();
         let mut members = self.members.clone();
@@ -81,14 +89,16 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
         }
     }
 
-    async fn chain(&self, _: Request<v1::ChainRequest>) -> Result<Response<v1::ChainResponse>, Status> {
-        Err(Status::unimplemented("chain"))
+    async fn chain(&self, request: Request<v1::ChainRequest>) -> Result<Response<v1::ChainResponse>, Status> {
+        let asking = self.sender(&request)?;
+        Ok(Response::new(self.source.chain(&asking)))
     }
 
     type BlocksStream = ReceiverStream<Result<v1::BlockEntries, Status>>;
 
-    async fn blocks(&self, _: Request<v1::BlocksRequest>) -> Result<Response<Self::BlocksStream>, Status> {
-        Err(Status::unimplemented("blocks"))
+    async fn blocks(&self, request: Request<v1::BlocksRequest>) -> Result<Response<Self::BlocksStream>, Status> {
+        self.sender(&request)?;
+        self.source.blocks(request.into_inner().from_height).map(Response::new)
     }
 
     async fn snapshot(&self, _: Request<v1::SnapshotRequest>) -> Result<Response<v1::SnapshotResponse>, Status> {
@@ -104,8 +114,9 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
         Err(Status::unimplemented("snapshot chunks"))
     }
 
-    async fn digest(&self, _: Request<v1::DigestRequest>) -> Result<Response<v1::DigestResponse>, Status> {
-        Err(Status::unimplemented("digest"))
+    async fn digest(&self, request: Request<v1::DigestRequest>) -> Result<Response<v1::DigestResponse>, Status> {
+        self.sender(&request)?;
+        self.source.digest(request.into_inner().height).map(Response::new)
     }
 
     async fn writes(&self, _: Request<v1::WritesRequest>) -> Result<Response<v1::WritesResponse>, Status> {

@@ -15,6 +15,7 @@
 #[path = "../support/mod.rs"]
 mod support;
 
+mod catch_up;
 mod config;
 mod crash;
 mod disk_full;

@@ -70,6 +70,20 @@ pub struct Header {
 }
 
 impl Header {
+    /// The link that an entry adds to a chain, as executing it computes it: from the block before, its hash and its time.
+    pub fn following(previous: Hash, time: u64, entry: &Entry) -> Self {
+        let payload = match entry.kind {
+            EntryKind::Normal => Payload::from_bytes(entry.data.clone()).ok(),
+            EntryKind::ConfChange | EntryKind::ConfChangeV2 => None,
+        };
+        let root = payload.as_ref().map_or_else(
+            || opaque_root(&entry.data),
+            |payload| merkle_root(payload.transactions.iter().map(|transaction| leaf(transaction)).collect()),
+        );
+        let time = payload.map_or(0, |payload| payload.time).max(time);
+        Self { height: entry.index, term: entry.term, time, previous, root }
+    }
+
     /// SHA-256 over the domain tag and the fields in order, integers big-endian.
     pub fn hash(&self) -> Hash {
         let mut sha = Sha256::new(&SHA256);

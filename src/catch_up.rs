@@ -1,0 +1,115 @@
+//! Catching up: blocks and snapshots from other nodes, for a node that lacks more than replication brings.
+//!
+//! ```text
+//! catch_up     what to do, and whom to believe
+//!   ask        what the other nodes have
+//!   blocks     pulling blocks: verified, stored, executed
+//!   serve      the other side: what this node gives to those that ask
+//! ```
+//!
+//! **Whom to believe.** A follower believes its leader, as Raft does. A node that asks around would believe whoever
+//! answers, so it asks for more: blocks are taken from a node of the own organisation, or from the leader that the engine
+//! named; blocks of any other node are taken if a node of a third organisation, or of the own, has the same block hash at
+//! the end of each batch (the hash covers everything before it). Where nobody confirms, nothing is pulled: the leader's
+//! replication brings the blocks, slower.
+
+mod ask;
+mod blocks;
+mod serve;
+
+pub(crate) use serve::Source;
+
+use crate::orderer::{Seat, Shared};
+use crate::peers::Dialer;
+use ask::Offer;
+use ledger::{Code, Rejection};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// A node that lacks no more blocks than this leaves it to replication.
+const LAG_MIN: u64 = 1000;
+/// Time that the others have to say what they have, when the node starts.
+const ASK_TIME_MAX: Duration = Duration::from_secs(1);
+
+/// What the engine said when it could not go on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Behind {
+    /// The leader that said so.
+    pub from: u64,
+    /// The first block that replication still brings.
+    pub first_index: u64,
+}
+
+/// What came of catching up.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Caught {
+    /// The node has what it could get; replication brings the rest.
+    Up,
+    /// Nobody had what is needed, or nobody confirmed it. To be tried again.
+    Nothing,
+}
+
+/// Fetches what this node lacks.
+pub(crate) struct CatchUp {
+    /// The node's parts.
+    pub shared: Arc<Shared>,
+    /// Where progress is shown.
+    pub seat: Arc<Seat>,
+    /// How to call the others.
+    pub dialer: Dialer,
+    /// Set when the node stops.
+    pub stopping: watch::Receiver<bool>,
+}
+
+impl CatchUp {
+    /// Asks the other nodes what they have, before the first engine starts.
+    ///
+    /// # Errors
+    /// [`Code::DiskFailed`] if this node votes and has lost what it promised to keep.
+    pub(crate) async fn look(&self) -> Result<Vec<Offer>, Rejection> {
+        let offers = self.offers().await;
+        let last = self.shared.store.last_index();
+        let lost = offers.iter().filter(|offer| offer.chain.you_vote).max_by_key(|offer| offer.chain.yours);
+        match lost {
+            Some(offer) if offer.chain.yours > last => {
+                Err(Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had before")
+                    .found(format!("blocks up to height {last}"))
+                    .wanted(format!(
+                        "at least height {}, which {} knows it to have had",
+                        offer.chain.yours,
+                        offer.member.full_name()
+                    ))
+                    .next(
+                        "restore the directory blocks/; or remove this node from the network, empty its data directory \
+                         and join again: it comes back as a new node, because this one must not vote any more",
+                    ))
+            }
+            _ => Ok(offers),
+        }
+    }
+
+    /// Is there enough to fetch that it is worth it?
+    pub(crate) fn is_far_behind(&self, offers: &[Offer]) -> bool {
+        let next = self.shared.ledger.tip().height + 1;
+        offers.iter().any(|offer| offer.chain.height > next + LAG_MIN || offer.chain.first_height > next)
+    }
+
+    /// Fetches what the others have, as far as it can be believed. No engine may run.
+    ///
+    /// # Errors
+    /// What the node cannot go on with: its disk, or a chain that contradicts itself.
+    pub(crate) async fn run(&self, behind: Option<Behind>) -> Result<Caught, Rejection> {
+        let offers = self.offers().await;
+        self.pull(&offers, behind).await
+    }
+
+    async fn offers(&self) -> Vec<Offer> {
+        let members = self.shared.directory.members();
+        self.dialer.ask(&members, self.shared.ledger.network(), ASK_TIME_MAX).await
+    }
+
+    fn is_stopping(&self) -> bool {
+        *self.stopping.borrow()
+    }
+}

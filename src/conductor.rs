@@ -1,0 +1,107 @@
+//! Starts engines, and ends them when the node lacks blocks that replication does not bring.
+//!
+//! The orderer tells here that it is behind; then its engine ends, the node catches up, and a new engine goes on from
+//! there. Clients are told meanwhile that the node is behind.
+
+use crate::catch_up::{Behind, CatchUp, Caught};
+use crate::config::Order;
+use crate::node::count;
+use crate::orderer::Orderer;
+use ledger::{Code, Rejection};
+use ledger_raft::{Engine, EngineConfig};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+
+/// Pause before an engine starts again that had nothing to fetch: another leader may still have the blocks.
+const RETRY_PAUSE: Duration = Duration::from_millis(500);
+
+/// Keeps an engine running.
+pub(crate) struct Conductor {
+    id: u64,
+    order: Order,
+    catch_up: CatchUp,
+    /// What the orderer said last about being behind.
+    behind: watch::Receiver<Option<Behind>>,
+}
+
+impl Conductor {
+    /// For the node with this id.
+    pub(crate) fn new(id: u64, order: Order, catch_up: CatchUp) -> Self {
+        let behind = catch_up.shared.behind.subscribe();
+        Self { id, order, catch_up, behind }
+    }
+
+    /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
+    ///
+    /// # Errors
+    /// What keeps an engine from starting; a voter that has lost its blocks.
+    pub(crate) async fn begin(self) -> Result<JoinHandle<()>, Rejection> {
+        let offers = self.catch_up.look().await?;
+        let far_behind = self.catch_up.is_far_behind(&offers);
+        if !far_behind {
+            self.start_engine()?;
+        }
+        Ok(tokio::spawn(async move {
+            let fatal = Arc::clone(&self.catch_up.shared);
+            if let Err(reason) = self.run(far_behind).await {
+                (fatal.fatal)(reason);
+            }
+        }))
+    }
+
+    async fn run(mut self, mut far_behind: bool) -> Result<(), Rejection> {
+        let mut stopping = self.catch_up.stopping.clone();
+        loop {
+            if far_behind {
+                self.catch_up.run(None).await?;
+                self.start_engine()?;
+                far_behind = false;
+            }
+            let behind = tokio::select! {
+                biased;
+                _ = stopping.wait_for(|stopping| *stopping) => return Ok(()),
+                behind = self.behind.wait_for(Option::is_some) => match behind {
+                    Ok(behind) => *behind,
+                    Err(_) => return Ok(()),
+                },
+            };
+            let Some(behind) = behind else { continue };
+            self.end_engine(behind).await?;
+            if self.catch_up.run(Some(behind)).await? == Caught::Nothing {
+                tracing::warn!(wanted = behind.first_index - 1, "nobody could help this node to catch up; trying on");
+                let _stopping = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
+            }
+            self.catch_up.shared.behind.send_replace(None);
+            self.start_engine()?;
+        }
+    }
+
+    /// Ends the engine. What it wrote is durable afterwards, as the next one takes everything in the log for durable.
+    async fn end_engine(&self, behind: Behind) -> Result<(), Rejection> {
+        let shared = Arc::clone(&self.catch_up.shared);
+        let seat = Arc::clone(&self.catch_up.seat);
+        let ended = tokio::task::spawn_blocking(move || {
+            seat.clear(behind.first_index.saturating_sub(1));
+            shared.store.flush()
+        });
+        ended.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while the engine ended"))??;
+        Ok(())
+    }
+
+    fn start_engine(&self) -> Result<(), Rejection> {
+        let shared = &self.catch_up.shared;
+        let (ledger, store) = (&shared.ledger, &shared.store);
+        let mut settings = EngineConfig::new(self.id, ledger.members()?, crate::random::number()?);
+        settings.applied = ledger.tip().height;
+        settings.election_tick = count(self.order.election_ticks);
+        settings.heartbeat_tick = (settings.election_tick / 5).max(1);
+        let engine = Engine::new(settings, Arc::clone(store))
+            .map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
+        let orderer = Orderer::start(engine, Arc::clone(shared), Duration::from_millis(self.order.tick_ms))
+            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
+        self.catch_up.seat.take_in(orderer);
+        Ok(())
+    }
+}

@@ -1,0 +1,151 @@
+//! Nodes that were away: they fetch what they missed from others, verified, also if some have dropped it.
+
+use crate::support::network::{NodePlace, NodeWish, free_address, message, now, register_robots};
+use crate::support::process::Process;
+use crate::support::wait::eventually;
+use crate::support::{Fleet, connect, until};
+use futures::future::join_all;
+use ledger::block_store::{BlockStore, Options};
+use ledger::disk::RealDisk;
+use ledger::identity::Role;
+use ledger_api::v1::StatusResponse;
+use ledger_api::{Client, Context};
+use std::sync::Arc;
+
+/// More blocks than a node leaves to replication.
+const BLOCKS: u64 = 1300;
+/// Users who publish at the same time.
+const USERS: u64 = 4;
+
+fn wish(name: &str, organisation: &str, voter: bool) -> NodeWish {
+    NodeWish { name: name.into(), organisation: organisation.into(), voter, address: free_address() }
+}
+
+/// A voter of each organisation and a learner of Org1, with small segments.
+fn found() -> (Fleet, Context, Vec<Context>) {
+    let wishes = [wish("node1", "Org1", true), wish("node2", "Org2", true), wish("node3", "Org1", false)];
+    let fleet = Fleet::found_with(&wishes, now());
+    for place in &fleet.nodes {
+        place.configure("[storage]\nsegment_mib = 2");
+    }
+    let owner = fleet.owner();
+    let person = |number| fleet.issue("Org1", &format!("User{number}"), Role::Member, &["Turtlebot4"]);
+    let users = (0..USERS).map(person).collect();
+    (fleet, owner, users)
+}
+
+async fn at(fleet: &Fleet, person: &Context, node: usize) -> Client {
+    connect(&Context { nodes: vec![fleet.nodes[node].address.clone()], ..person.clone() }).await
+}
+
+/// Publishes until there are so many more blocks; answers with the height.
+async fn blocks(fleet: &Fleet, users: &[Context], node: usize, more: u64) -> u64 {
+    let clients = join_all(users.iter().map(|user| at(fleet, user, node))).await;
+    let begun = clients[0].status().await.unwrap().height;
+    let publish = clients.iter().map(|client| async move {
+        let mut height = begun;
+        let mut seq = begun * 10;
+        while height < begun + more {
+            seq += 1;
+            // About a kilobyte each, so that segments fill.
+            height = client.invoke("abac", "set", message(0, seq, &[7; 1000])).await.unwrap().height;
+        }
+        height
+    });
+    join_all(publish).await.into_iter().max().unwrap()
+}
+
+/// The nodes agree at a height of at least this.
+async fn agree(one: &Client, other: &Client, height: u64) -> StatusResponse {
+    until("both nodes are at the same height", || async {
+        let (one, other) = (one.status().await.ok()?, other.status().await.ok()?);
+        if one.height != other.height || one.height < height {
+            return None;
+        }
+        assert_eq!(one.block_hash, other.block_hash, "height {}", one.height);
+        assert_eq!(one.state_digest, other.state_digest, "height {}", one.height);
+        Some(one)
+    })
+    .await
+}
+
+fn said(process: &Process, text: &str) -> usize {
+    process.stderr().matches(text).count()
+}
+
+/// Drops the old segments of a stopped node; answers with its first height.
+fn prune(place: &NodePlace, fleet: &Fleet, keep_from: u64) -> u64 {
+    let (_, network) =
+        ledger::network::Genesis::from_bytes(&std::fs::read(place.data.join("genesis.json")).unwrap()).unwrap();
+    assert!(!fleet.nodes.is_empty());
+    let disk = RealDisk::open(&place.data.join("blocks")).unwrap();
+    let mut salt = 0;
+    let mut options = Options::new(network.0, move || {
+        salt += 1;
+        salt
+    });
+    options.segment_bytes = 2 << 20;
+    let (store, _) = BlockStore::open(Arc::new(disk), options).unwrap();
+    store.prune(keep_from).unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_learner_that_was_away_fetches_blocks_and_goes_on_after_a_kill() {
+    let (fleet, owner, users) = found();
+    let mut voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    register_robots(&at(&fleet, &owner, 0).await, "open").await;
+    // It was never there.
+    let height = blocks(&fleet, &users, 0, BLOCKS).await;
+    let mut learner = fleet.nodes[2].start();
+    eventually("the learner fetches blocks", || (said(&learner, "fetching blocks") > 0).then_some(()));
+    learner.kill();
+    learner = fleet.nodes[2].start();
+    let (leader, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 2).await);
+    agree(&leader, &follower, height).await;
+
+    // It was away for a while, and its leader has dropped what it needs: the other voter has it still. Of another
+    // organisation, it must be confirmed; the own organisation's node cannot, so replication says that it is behind.
+    learner.interrupt();
+    let height = blocks(&fleet, &users, 0, BLOCKS).await;
+    voters[0].interrupt();
+    let first = prune(&fleet.nodes[0], &fleet, height - 100);
+    assert!(first > 100, "something was dropped: the log begins at {first}");
+    voters[0] = fleet.nodes[0].start();
+    learner = fleet.nodes[2].start();
+    let status = agree(&leader, &follower, height).await;
+    assert_eq!(status.catching_up_to, 0);
+    let after = blocks(&fleet, &users, 2, 10).await;
+    agree(&leader, &follower, after).await;
+    for process in voters.iter_mut().chain([&mut learner]) {
+        process.check();
+        process.interrupt();
+    }
+    println!("catch_up: {} blocks, fetched {} times", after, said(&learner, "caught up"));
+    assert!(said(&learner, "caught up") >= 2, "{}", learner.stderr());
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_voter_that_has_lost_its_blocks_does_not_vote_any_more() {
+    let (fleet, owner, users) = found();
+    let mut voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    register_robots(&at(&fleet, &owner, 0).await, "open").await;
+    blocks(&fleet, &users, 0, 20).await;
+    // A leader knows what it has acknowledged.
+    let leader = at(&fleet, &owner, 0).await;
+    until("the first node leads", || async {
+        let leading = leader.transfer_leadership(1).await.ok()?.leader;
+        let caught_up = leader.status().await.ok()?.peers.iter().any(|peer| peer.node_id == 2 && peer.matched > 20);
+        (leading == 1 && caught_up).then_some(())
+    })
+    .await;
+    voters[1].kill();
+    for directory in ["blocks", "state"] {
+        std::fs::remove_dir_all(fleet.nodes[1].data.join(directory)).unwrap();
+    }
+    let mut lost = fleet.nodes[1].start();
+    let status = lost.wait();
+    assert!(!status.success());
+    let log = lost.stderr();
+    assert!(log.contains("LGR-5003") && log.contains("join again"), "{log}");
+    voters[0].check();
+}
