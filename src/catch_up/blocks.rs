@@ -99,7 +99,9 @@ impl CatchUp {
         let refused = |status: tonic::Status| ledger_api::from_status(&offer.member.address, &status);
         let mut stream = in_time(client.blocks(request)).await?.map_err(refused)?.into_inner();
         let mut told = Instant::now();
-        while let Some(batch) = next_batch(&mut stream, end, offer).await? {
+        // Beyond what the others have, nobody confirms.
+        let limit = confirming.iter().map(|other| other.chain.height).max().unwrap_or(u64::MAX);
+        while let Some(batch) = next_batch(&mut stream, end, limit, offer).await? {
             if self.is_stopping() {
                 return Ok(());
             }
@@ -133,18 +135,19 @@ async fn in_time<T>(answer: impl Future<Output = T>) -> Result<T, Rejection> {
         .map_err(|_| Rejection::new(Code::Timeout, format!("no answer within {SILENCE_MAX:?}")))
 }
 
-/// The next blocks of a stream; none at its end.
+/// The next blocks of a stream, up to a height; none at its end.
 async fn next_batch(
     stream: &mut Streaming<BlockEntries>,
     mut end: End,
+    limit: u64,
     offer: &Offer,
 ) -> Result<Option<Batch>, Rejection> {
     let (mut entries, mut hashes, mut bytes) = (Vec::new(), Vec::new(), 0);
-    while bytes < BATCH_BYTES && entries.len() < BATCH_BLOCKS_MAX {
+    while bytes < BATCH_BYTES && entries.len() < BATCH_BLOCKS_MAX && end.height < limit {
         let message = in_time(stream.message()).await?;
         let message = message.map_err(|status| ledger_api::from_status(&offer.member.address, &status))?;
         let Some(message) = message else { break };
-        for block in message.entries {
+        for block in message.entries.into_iter().take_while(|block| block.height <= limit) {
             let entry = follows(end, block)?;
             let header = Header::following(end.hash, end.time, &entry);
             end = End { height: entry.index, term: entry.term, time: header.time, hash: header.hash() };

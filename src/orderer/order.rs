@@ -6,7 +6,7 @@ use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
 use ledger::{Code, Rejection};
-use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, successor};
+use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -35,6 +35,8 @@ pub(super) struct Order {
     asked_for: (u64, u64),
     /// Another node leads than before: what waits is submitted again.
     submit_again: bool,
+    /// The members have changed: the next step towards what the ledger wants need not wait for a tick.
+    reconcile: bool,
 }
 
 impl Order {
@@ -47,7 +49,8 @@ impl Order {
         role: watch::Sender<RoleChange>,
         deadline: Arc<AtomicU64>,
     ) -> Self {
-        let (leading, outputs, flush, asked_for, submit_again) = (false, Vec::new(), None, (0, 0), false);
+        let (leading, outputs, flush, asked_for) = (false, Vec::new(), None, (0, 0));
+        let (submit_again, reconcile) = (false, false);
         Self {
             engine,
             stop,
@@ -61,6 +64,7 @@ impl Order {
             deadline,
             asked_for,
             submit_again,
+            reconcile,
         }
     }
 
@@ -72,9 +76,11 @@ impl Order {
                 self.leave_full_disk();
                 next_tick = (next_tick + tick).max(Instant::now());
                 self.report();
+                self.reconcile = true;
             }
             self.meet_deadline();
             self.submit_again();
+            self.reconcile();
             let wait = match self.flush {
                 Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
                 Some(_) => Duration::ZERO,
@@ -142,6 +148,17 @@ impl Order {
         }
     }
 
+    /// A leader takes the next step from the members that there are to those that the ledger wants.
+    fn reconcile(&mut self) {
+        if !std::mem::take(&mut self.reconcile) || !self.leading {
+            return;
+        }
+        if let Some(step) = next_step(&self.shared.directory.desired(), &self.engine.status()) {
+            tracing::info!(?step, "leading the members to what the ledger wants");
+            self.step(step);
+        }
+    }
+
     /// Makes the log durable if the engine waits for it. False if the node cannot go on.
     fn write(&mut self) -> bool {
         let Some(ready) = self.flush.take() else { return true };
@@ -194,7 +211,10 @@ impl Order {
                 self.role.send_replace(change);
                 self.submit_again = change.leader.is_some();
             }
-            Output::Membership { height, membership } => tracing::info!(height, ?membership, "members changed"),
+            Output::Membership { height, membership } => {
+                tracing::info!(height, ?membership, "members changed");
+                self.reconcile = true;
+            }
             Output::Dropped { transaction, reason } => {
                 if let Ok(transaction) = Transaction::decode(transaction) {
                     self.shared.waiters.refuse(&transaction.id(), &reason);

@@ -4,6 +4,7 @@ use ledger::members::Membership;
 use ledger::network::{FoundingNode, Genesis};
 use ledger::result::BlockKind;
 use ledger::{Ledger, Outcome};
+use ledger_raft::Desired;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 
@@ -111,6 +112,13 @@ impl Directory {
     /// The members now, in order of their ids.
     pub(crate) fn members(&self) -> Arc<[Member]> {
         Arc::clone(&self.members.borrow())
+    }
+
+    /// The members that the ledger wants.
+    pub(crate) fn desired(&self) -> Desired {
+        let members = self.members();
+        let wanted = |part| members.iter().filter(move |member| member.wanted == Some(part)).map(|member| member.id);
+        Desired { voters: wanted(Part::Voter).collect(), learners: wanted(Part::Learner).collect() }
     }
 
     /// The members as they change.

@@ -5,8 +5,10 @@ use crate::support::process::Process;
 use crate::support::wait::eventually;
 use crate::support::{Fleet, connect, until};
 use futures::future::join_all;
+use ledger::block::Payload;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
+use ledger::entry::{Entry, EntryKind};
 use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Context};
@@ -73,20 +75,40 @@ fn said(process: &Process, text: &str) -> usize {
     process.stderr().matches(text).count()
 }
 
-/// Drops the old segments of a stopped node; answers with its first height.
-fn prune(place: &NodePlace, fleet: &Fleet, keep_from: u64) -> u64 {
-    let (_, network) =
-        ledger::network::Genesis::from_bytes(&std::fs::read(place.data.join("genesis.json")).unwrap()).unwrap();
-    assert!(!fleet.nodes.is_empty());
-    let disk = RealDisk::open(&place.data.join("blocks")).unwrap();
-    let mut salt = 0;
+/// The log of a stopped node.
+fn log(place: &NodePlace) -> BlockStore {
+    let genesis = std::fs::read(place.data.join("genesis.json")).unwrap();
+    let (_, network) = ledger::network::Genesis::from_bytes(&genesis).unwrap();
+    let mut salt = now();
     let mut options = Options::new(network.0, move || {
         salt += 1;
         salt
     });
     options.segment_bytes = 2 << 20;
-    let (store, _) = BlockStore::open(Arc::new(disk), options).unwrap();
-    store.prune(keep_from).unwrap()
+    BlockStore::open(Arc::new(RealDisk::open(&place.data.join("blocks")).unwrap()), options).unwrap().0
+}
+
+/// Rewrites the chain of a stopped node: one block says something else, and there is one more at the end.
+fn forge(place: &NodePlace) -> u64 {
+    let store = log(place);
+    let last = store.last_index();
+    let mut entries = store.entries(1..last + 1, usize::MAX).unwrap();
+    let mut hard_state = store.hard_state();
+    drop(store);
+    let forged = entries.iter_mut().rev().find(|entry| entry.kind == EntryKind::Normal && !entry.data.is_empty());
+    let forged = forged.unwrap();
+    let mut payload = Payload::from_bytes(forged.data.clone()).unwrap();
+    payload.time += 1;
+    forged.data = payload.to_bytes();
+    let more = Entry { index: last + 1, ..forged.clone() };
+    entries.push(Entry { term: entries.last().unwrap().term, ..more });
+    hard_state.commit = last + 1;
+    for directory in ["blocks", "state"] {
+        std::fs::remove_dir_all(place.data.join(directory)).unwrap();
+    }
+    let store = log(place);
+    store.append(&entries, Some(&hard_state)).unwrap();
+    store.flush().unwrap()
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -103,12 +125,12 @@ async fn a_learner_that_was_away_fetches_blocks_and_goes_on_after_a_kill() {
     let (leader, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 2).await);
     agree(&leader, &follower, height).await;
 
-    // It was away for a while, and its leader has dropped what it needs: the other voter has it still. Of another
-    // organisation, it must be confirmed; the own organisation's node cannot, so replication says that it is behind.
+    // It was away for a while, and the node of its organisation has dropped what it needs: the other one has it still,
+    // and the first confirms it.
     learner.interrupt();
     let height = blocks(&fleet, &users, 0, BLOCKS).await;
     voters[0].interrupt();
-    let first = prune(&fleet.nodes[0], &fleet, height - 100);
+    let first = log(&fleet.nodes[0]).prune(height - 100).unwrap();
     assert!(first > 100, "something was dropped: the log begins at {first}");
     voters[0] = fleet.nodes[0].start();
     learner = fleet.nodes[2].start();
@@ -148,4 +170,37 @@ async fn a_voter_that_has_lost_its_blocks_does_not_vote_any_more() {
     let log = lost.stderr();
     assert!(log.contains("LGR-5003") && log.contains("join again"), "{log}");
     voters[0].check();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_too() {
+    let (fleet, owner, users) = found();
+    let mut voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    register_robots(&at(&fleet, &owner, 0).await, "open").await;
+    let height = blocks(&fleet, &users, 0, BLOCKS).await;
+    let (one, other) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 1).await);
+    agree(&one, &other, height).await;
+    drop((one, other));
+    for voter in &mut voters {
+        voter.interrupt();
+    }
+    // The node of the other organisation has rewritten its chain.
+    let last = forge(&fleet.nodes[1]);
+    voters[1] = fleet.nodes[1].start();
+    drop(at(&fleet, &owner, 1).await);
+    let mut learner = fleet.nodes[2].start();
+    let refusal = "no node of another organisation confirms them";
+    eventually("nobody confirms it", || (said(&learner, refusal) > 0).then_some(()));
+    assert_eq!(at(&fleet, &owner, 2).await.status().await.unwrap().height, 0);
+    learner.interrupt();
+
+    // Now somebody could, and does not.
+    voters[0] = fleet.nodes[0].start();
+    drop(at(&fleet, &owner, 0).await);
+    learner = fleet.nodes[2].start();
+    let (one, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 2).await);
+    agree(&one, &follower, last).await;
+    let log = learner.stderr();
+    assert!(log.contains("Org1/node1 has another block at height"), "{log}");
+    assert_eq!(said(&learner, "caught up"), 1, "{log}");
 }
