@@ -5,7 +5,7 @@ use super::{Behind, CatchUp, Caught};
 use ledger::block::{Header, PAYLOAD_BYTES_MAX};
 use ledger::block_store::BlockStore;
 use ledger::entry::{Entry, EntryKind, HardState};
-use ledger::{Bytes, Code, Hash, Rejection};
+use ledger::{Code, Hash, Rejection};
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{BlockEntries, BlockEntry, BlocksRequest, DigestRequest};
 use std::sync::Arc;
@@ -233,5 +233,5 @@ fn store(store: &BlockStore, entries: &[Entry], end: End) -> Result<(), Rejectio
 /// An entry as it travels.
 pub(super) fn to_wire(entry: Entry) -> BlockEntry {
     let Entry { index, term, kind, data } = entry;
-    BlockEntry { height: index, term, kind: u32::from(kind.code()), data: Bytes::from(data) }
+    BlockEntry { height: index, term, kind: u32::from(kind.code()), data }
 }

@@ -85,7 +85,7 @@ fn log(place: &NodePlace) -> BlockStore {
         salt
     });
     options.segment_bytes = 2 << 20;
-    BlockStore::open(Arc::new(RealDisk::open(&place.data.join("blocks")).unwrap()), options).unwrap().0
+    BlockStore::open(Arc::new(RealDisk::open(place.data.join("blocks")).unwrap()), options).unwrap().0
 }
 
 /// Rewrites the chain of a stopped node: one block says something else, and there is one more at the end.
