@@ -16,6 +16,7 @@
 mod ask;
 mod blocks;
 mod serve;
+mod trust;
 
 pub(crate) use serve::Source;
 

@@ -1,0 +1,145 @@
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use super::*;
+use crate::ca::CertificateAuthority;
+use crate::setup::{self, NetworkPlan, PlannedNode, PlannedOrganisation};
+use ledger::key::{KeyKind, SigningKey};
+use ledger::msp::Msp;
+use ledger::transaction::{Body, NONCE_BYTES};
+use std::collections::BTreeMap;
+use tempfile::TempDir;
+
+const NOW: u64 = 1_800_000_000_000_000;
+const CONTENT: Hash = Hash([7; 32]);
+
+/// Two organisations, and a third one with the same name as the second.
+struct World {
+    _place: TempDir,
+    network: Hash,
+    authorities: BTreeMap<String, CertificateAuthority>,
+    msps: Msps,
+}
+
+struct Node {
+    key: SigningKey,
+    certificate: Bytes,
+}
+
+impl World {
+    fn new() -> Self {
+        let place = TempDir::new().unwrap();
+        let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
+        let data = place.path().join("node1");
+        let plan = NetworkPlan {
+            snapshot_every: 10,
+            label: "fleet".into(),
+            organisations: vec![organisation("Org1"), organisation("Org2"), organisation("Org3")],
+            nodes: vec![PlannedNode {
+                name: "node1".into(),
+                organisation: "Org1".into(),
+                data: data.clone(),
+                address: "node1:7450".into(),
+                voter: true,
+            }],
+        };
+        let founded = setup::found(&plan, NOW).unwrap();
+        let (_, network) = ledger::network::Genesis::from_bytes(&founded.document).unwrap();
+        let authorities = CertificateAuthority::open_all(&data).unwrap();
+        let authorities = authorities.into_iter().map(|ca| (ca.organisation().to_owned(), ca)).collect();
+        let mut msps = Msps::new();
+        for organisation in &founded.genesis.organisations {
+            msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates).unwrap())
+                .unwrap();
+        }
+        Self { _place: place, network, authorities, msps }
+    }
+
+    fn node(&mut self, organisation: &str, role: Role) -> Node {
+        let ca = self.authorities.get_mut(organisation).unwrap();
+        let issued = ca.issue(&format!("a {role}"), role, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap();
+        Node { key: issued.key, certificate: issued.certificate.into() }
+    }
+
+    fn claim(&self) -> Claim {
+        Claim { network: self.network, height: 10, time: NOW, content: CONTENT }
+    }
+
+    /// Only some of the organisations.
+    fn only(&self, names: &[&str]) -> Msps {
+        let mut msps = Msps::new();
+        for name in names {
+            msps.insert(self.msps.get(name).unwrap().clone()).unwrap();
+        }
+        msps
+    }
+
+    fn attest(&self, node: &Node, function: &str, statement: &str) -> Attested {
+        let body = Body {
+            network: Bytes::copy_from_slice(&self.network.0),
+            creator: Bytes::copy_from_slice(&Hash::of(&[&node.certificate]).0),
+            nonce: Bytes::from_static(&[1; NONCE_BYTES]),
+            not_after: NOW + 1,
+            chaincode: "msp".into(),
+            function: function.into(),
+            args: vec![Bytes::copy_from_slice(statement.as_bytes())],
+        };
+        let transaction = Transaction::sign(&body, &node.key).unwrap();
+        Attested { transaction: transaction.encoded().clone(), certificate: node.certificate.clone() }
+    }
+}
+
+fn statement(height: u64, content: Hash) -> String {
+    let zero = Hash::ZERO;
+    format!(r#"{{"height":{height},"hash":"{zero}","digest":"{zero}","content":"{content}"}}"#)
+}
+
+fn nobody(_: &Identity) -> bool {
+    false
+}
+
+#[test]
+fn a_snapshot_needs_nodes_of_two_organisations_one_of_which_is_trusted() {
+    let mut world = World::new();
+    let claim = world.claim();
+    let nodes = ["Org1", "Org2", "Org3"].map(|organisation| world.node(organisation, Role::Node));
+    let [one, two, three] = nodes.map(|node| world.attest(&node, "attest", &statement(10, CONTENT)));
+    let (all, first) = (world.only(&["Org1", "Org2", "Org3"]), world.only(&["Org1"]));
+    let accept = |attested: &[&Attested], trusted: &Msps, declared: &Msps| {
+        let attested: Vec<_> = attested.iter().map(|one| (*one).clone()).collect();
+        claim.accept(&attested, trusted, declared, &nobody)
+    };
+    accept(&[&one, &two], &first, &all).unwrap();
+    accept(&[&three, &two], &all, &all).unwrap();
+    assert_eq!(accept(&[&one], &all, &all).unwrap_err().code, Code::Untrusted, "one is not enough");
+    assert_eq!(accept(&[&one, &one], &all, &all).unwrap_err().code, Code::Untrusted, "twice the same");
+    assert_eq!(accept(&[&two, &three], &first, &all).unwrap_err().code, Code::Untrusted, "none is trusted");
+    assert_eq!(accept(&[], &all, &all).unwrap_err().code, Code::Untrusted);
+    // A network of one organisation has no second one.
+    accept(&[&one], &first, &first).unwrap();
+    // By the snapshot, the second organisation does not belong to the network.
+    assert_eq!(accept(&[&one, &two], &all, &world.only(&["Org1", "Org3"])).unwrap_err().code, Code::Untrusted);
+}
+
+#[test]
+fn only_what_a_node_signed_about_this_snapshot_counts() {
+    let mut world = World::new();
+    let claim = world.claim();
+    let (one, two) = (world.node("Org1", Role::Node), world.node("Org2", Role::Node));
+    let member = world.node("Org2", Role::Member);
+    let right = statement(10, CONTENT);
+    let by = |attested: Attested, revoked: &dyn Fn(&Identity) -> bool| {
+        claim.attested_by(&[attested], &world.msps, revoked).into_iter().collect::<Vec<_>>()
+    };
+    assert_eq!(by(world.attest(&one, "attest", &right), &nobody), ["Org1"]);
+    assert!(by(world.attest(&one, "attest", &right), &|_| true).is_empty(), "revoked");
+    assert!(by(world.attest(&one, "attest", &statement(11, CONTENT)), &nobody).is_empty(), "another height");
+    assert!(by(world.attest(&one, "attest", &statement(10, Hash::ZERO)), &nobody).is_empty(), "another content");
+    assert!(by(world.attest(&one, "attest", "{}"), &nobody).is_empty(), "no statement");
+    assert!(by(world.attest(&one, "detest", &right), &nobody).is_empty(), "another function");
+    assert!(by(world.attest(&member, "attest", &right), &nobody).is_empty(), "not a node");
+    let foreign = Attested { certificate: two.certificate.clone(), ..world.attest(&one, "attest", &right) };
+    assert!(by(foreign, &nobody).is_empty(), "somebody else's certificate");
+    let stolen = Node { key: one.key, certificate: two.certificate };
+    assert!(by(world.attest(&stolen, "attest", &right), &nobody).is_empty(), "somebody else's key");
+    assert!(by(Attested::default(), &nobody).is_empty());
+}
