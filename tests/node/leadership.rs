@@ -6,8 +6,11 @@ use crate::support::{Fleet, connect, until};
 use ledger::Code;
 use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
-use ledger_api::{Client, Context, Options};
+use ledger_api::{Client, Committed, Context, Options};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
+use tokio::task::JoinHandle;
 
 /// Three voters of both organisations, and a learner.
 struct Network {
@@ -47,6 +50,18 @@ impl Network {
     async fn from(&self, person: &Context, node: usize) -> Client {
         let address = |at: usize| self.fleet.nodes[(node + at) % self.fleet.nodes.len()].address.clone();
         connect(&Context { nodes: (0..self.fleet.nodes.len()).map(address).collect(), ..person.clone() }).await
+    }
+
+    /// Starts a node that has ended, and waits until it follows again.
+    async fn restart(&mut self, node: usize, observer: &Client) {
+        let height = observer.status().await.unwrap().height;
+        self.nodes[node] = Some(self.fleet.nodes[node].start());
+        let back = self.at(&self.owner, node).await;
+        until("the node is back", || async {
+            let status = back.status().await.ok()?;
+            (status.height > height && status.leader_id != 0).then_some(())
+        })
+        .await;
     }
 
     fn process(&mut self, node: usize) -> &mut Process {
@@ -114,63 +129,73 @@ async fn an_admin_chooses_who_leads() {
     assert_eq!(salma.transfer_leadership(to).await.unwrap_err().code, Code::NotAdmin);
 }
 
+/// Somebody who publishes one message after the other.
+struct Load {
+    running: Arc<AtomicBool>,
+    /// Longest time between two verdicts since it was looked at last, in microseconds.
+    gap: Arc<AtomicU64>,
+    user: JoinHandle<Vec<Committed>>,
+}
+
+impl Load {
+    fn start(client: Client) -> Self {
+        let (running, gap) = (Arc::new(AtomicBool::new(true)), Arc::new(AtomicU64::new(0)));
+        let user = tokio::spawn({
+            let (running, gap) = (Arc::clone(&running), Arc::clone(&gap));
+            async move {
+                let (mut done, mut last) = (Vec::new(), Instant::now());
+                while running.load(Ordering::Relaxed) {
+                    let seq = done.len() as u64;
+                    done.push(client.invoke("abac", "set", message(0, seq + 1, &seq.to_be_bytes())).await.unwrap());
+                    gap.fetch_max(last.elapsed().as_micros() as u64, Ordering::Relaxed);
+                    last = Instant::now();
+                }
+                done
+            }
+        });
+        Self { running, gap, user }
+    }
+
+    fn longest_gap(&self) -> Duration {
+        Duration::from_micros(self.gap.swap(0, Ordering::Relaxed))
+    }
+
+    async fn finish(self) -> Vec<Committed> {
+        self.running.store(false, Ordering::Relaxed);
+        self.user.await.unwrap()
+    }
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn every_node_restarts_in_turn_and_a_client_goes_on_exactly_once() {
     let mut network = Network::start();
-    let owner = network.from(&network.owner, 0).await;
+    let owner = network.from(&network.owner, 3).await;
     register_robots(&owner, "open").await;
-    let salma = network.from(&network.salma, 1).await;
-    let running = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(true));
-    let load = tokio::spawn({
-        let (running, salma) = (std::sync::Arc::clone(&running), salma.clone());
-        async move {
-            let (mut done, mut gap, mut last) = (Vec::new(), Duration::ZERO, Instant::now());
-            while running.load(std::sync::atomic::Ordering::Relaxed) {
-                let seq = done.len() as u64;
-                done.push(salma.invoke("abac", "set", message(0, seq + 1, &seq.to_be_bytes())).await.unwrap());
-                gap = gap.max(last.elapsed());
-                last = Instant::now();
-            }
-            (done, gap)
-        }
-    });
-    let (mut handed_over, mut killed) = (0, 0);
-    for node in [0, 1, 2, 0, 1, 2] {
-        let status = owner.status().await.unwrap();
+    let load = Load::start(network.from(&network.salma, 1).await);
+    let mut handed_over = 0;
+    for node in [0, 1, 2] {
         let leads = leader(&owner, 0).await.leader_id == node as u64 + 1;
-        if leads && handed_over > 0 {
-            network.process(node).kill();
-            killed += 1;
-        } else {
-            let before = network.process(node).stderr().matches("handed over the leadership").count();
-            network.process(node).interrupt();
-            let after = network.process(node).stderr().matches("handed over the leadership").count();
-            handed_over += after - before;
-            assert!(!leads || after > before, "a leader that stops hands over:\n{}", network.process(node).stderr());
-        }
-        network.nodes[node] = Some(network.fleet.nodes[node].start());
-        let back = network.at(&network.owner, node).await;
-        until("the node is back", || async {
-            let now = back.status().await.ok()?;
-            (now.height > status.height && now.leader_id != 0).then_some(())
-        })
-        .await;
+        network.process(node).interrupt();
+        let log = network.process(node).stderr();
+        let handed = log.matches("handed over the leadership").count();
+        assert!(!leads || handed > 0, "a leader that stops hands over:\n{log}");
+        handed_over += handed;
+        network.restart(node, &owner).await;
     }
-    // Somebody led all the time; make sure that it was stopped once, and killed once.
-    while handed_over == 0 || killed == 0 {
+    // The leader has changed while nodes stopped; the one that leads now stops as well.
+    let leading = usize::try_from(leader(&owner, 0).await.leader_id - 1).unwrap();
+    network.process(leading).interrupt();
+    handed_over += 1;
+    network.restart(leading, &owner).await;
+    let rolling = load.longest_gap();
+    for _ in 0..2 {
         let leading = usize::try_from(leader(&owner, 0).await.leader_id - 1).unwrap();
-        if handed_over == 0 {
-            network.process(leading).interrupt();
-            handed_over += network.process(leading).stderr().matches("handed over the leadership").count();
-        } else {
-            network.process(leading).kill();
-            killed += 1;
-        }
+        network.process(leading).kill();
         leader(&owner, leading as u64 + 1).await;
-        network.nodes[leading] = Some(network.fleet.nodes[leading].start());
+        network.restart(leading, &owner).await;
     }
-    running.store(false, std::sync::atomic::Ordering::Relaxed);
-    let (done, gap) = load.await.unwrap();
+    let killing = load.longest_gap();
+    let done = load.finish().await;
     let last = done.last().unwrap().height;
     for node in 0..4 {
         let observer = network.at(&network.owner, node).await;
@@ -188,7 +213,7 @@ async fn every_node_restarts_in_turn_and_a_client_goes_on_exactly_once() {
     places.dedup();
     assert_eq!(places.len(), done.len(), "no two at one place");
     println!(
-        "leadership: {} transactions, {handed_over} handed over, {killed} leaders killed, longest gap {gap:?}",
+        "leadership: {} transactions; {handed_over} leaders stopped, longest gap {rolling:?}; 2 killed, longest gap {killing:?}",
         done.len()
     );
 }
