@@ -205,11 +205,11 @@ impl InFlight {
         if let Err(refused) = &verdict
             && answer.height == 0
         {
-            // A full disk is one node's trouble.
-            let full = self.several && refused.code == Code::DiskFull;
-            if full || refused.code.class() == Class::Unreachable {
+            // A full disk, or a long way behind the others, is one node's trouble.
+            let own = self.several && matches!(refused.code, Code::DiskFull | Code::Behind);
+            if own || refused.code.class() == Class::Unreachable {
                 entry.rest(refused.clone());
-                let elsewhere = full || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
+                let elsewhere = own || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
             if refused.code == Code::UnknownCreator && self.introduce(entry) {

@@ -208,8 +208,10 @@ impl Client {
                 }
                 Ok(Err(status)) => {
                     let refused = connection.refusal(&status);
-                    let stops = refused.code == Code::ShuttingDown;
-                    (refused, stops)
+                    // Cut off from the leader, or behind: another node may be neither.
+                    let own = self.session.several && matches!(refused.code, Code::NoLeader | Code::Behind);
+                    let leave = own || refused.code == Code::ShuttingDown;
+                    (refused, leave)
                 }
                 // Cut short by the deadline: what the node said before is the better reason.
                 Err(_) if until == deadline && last.is_some() => break,

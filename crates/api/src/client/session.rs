@@ -43,7 +43,7 @@ pub(super) struct Session {
     /// Number of the newest connection that somebody found wanting.
     unwanted: watch::Sender<u64>,
     /// Is there another node to go to?
-    several: bool,
+    pub(super) several: bool,
     /// Largest height seen in an answer or delivery.
     seen: Arc<AtomicU64>,
 }

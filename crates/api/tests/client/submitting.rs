@@ -128,6 +128,16 @@ async fn a_node_with_a_full_disk_is_left_for_another_one_and_believed_where_ther
 }
 
 #[tokio::test]
+async fn a_node_that_is_behind_is_left_for_another_one() {
+    let authority = Arc::new(Authority::new());
+    let (behind, other) = (Fake::start(&authority).await, Fake::start(&authority).await);
+    behind.script(|_, _| Reaction::Refuse(Rejection::new(Code::Behind, "this node fetches blocks that it missed")));
+    let client = Client::connect(&authority.context(&[&behind, &other])).await.unwrap();
+    let done = client.invoke("abac", "acquire", Vec::new()).await.unwrap();
+    assert_eq!(ids(&other.received()), [done.id]);
+}
+
+#[tokio::test]
 async fn a_full_queue_is_tried_again_over_the_same_connection() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
