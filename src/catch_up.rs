@@ -4,6 +4,8 @@
 //! catch_up     what to do, and whom to believe
 //!   ask        what the other nodes have
 //!   blocks     pulling blocks: verified, stored, executed
+//!   snapshot   taking the world state, where the blocks are gone
+//!   trust      whether a snapshot is believed
 //!   serve      the other side: what this node gives to those that ask
 //! ```
 //!
@@ -16,6 +18,7 @@
 mod ask;
 mod blocks;
 mod serve;
+mod snapshot;
 mod trust;
 
 pub(crate) use serve::Source;
@@ -47,6 +50,8 @@ pub(crate) struct Behind {
 pub(crate) enum Caught {
     /// The node has what it could get; replication brings the rest.
     Up,
+    /// A snapshot is there, and the log begins after it: the node has to start again on it.
+    Snapshot,
     /// Nobody had what is needed, or nobody confirmed it. To be tried again.
     Nothing,
 }
@@ -102,7 +107,16 @@ impl CatchUp {
     /// What the node cannot go on with: its disk, or a chain that contradicts itself.
     pub(crate) async fn run(&self, behind: Option<Behind>) -> Result<Caught, Rejection> {
         let offers = self.offers().await;
-        self.pull(&offers, behind).await
+        let next = self.shared.ledger.tip().height + 1;
+        let kept = |offer: &Offer| offer.chain.height >= next && offer.chain.first_height <= next;
+        let caught = match offers.iter().any(kept) {
+            true => self.pull(&offers, behind).await?,
+            false => Caught::Nothing,
+        };
+        match caught {
+            Caught::Nothing => self.take_snapshot(&offers).await,
+            caught => Ok(caught),
+        }
     }
 
     async fn offers(&self) -> Vec<Offer> {

@@ -1,7 +1,7 @@
 //! The command line of `ledgerd`.
 
 use crate::config::{Config, Log};
-use crate::node::NodeBuilder;
+use crate::node::{Ended, NodeBuilder};
 use crate::{demo, dev, setup, telemetry};
 use clap::{Parser, Subcommand};
 use ledger::{Class, Code, Rejection};
@@ -112,14 +112,31 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
     }
 }
 
-/// Waits for a signal to stop, or for the node to fail; ends the node in order either way.
+/// Waits for a signal to stop, or for the node to end; ends the node in order either way.
 pub(crate) async fn until_stopped(node: crate::Node) -> Result<(), Rejection> {
     let outcome = tokio::select! {
         () = stop_signal() => Ok(()),
-        reason = node.failed() => Err(reason),
+        ended = node.ended() => Err(ended),
     };
     node.stop().await;
-    outcome
+    match outcome {
+        Ok(()) => Ok(()),
+        Err(Ended::Failed(reason)) => Err(reason),
+        Err(Ended::StartAgain) => Err(start_again()),
+    }
+}
+
+/// Puts this program anew in the place of this process: nothing of the old state is left in memory or in use.
+fn start_again() -> Rejection {
+    use std::os::unix::process::CommandExt;
+    let failed = |error: std::io::Error| {
+        Rejection::new(Code::Internal, format!("the node has to start again and cannot by itself: {error}"))
+            .next("start it again")
+    };
+    match std::env::current_exe() {
+        Ok(program) => failed(std::process::Command::new(program).args(std::env::args_os().skip(1)).exec()),
+        Err(error) => failed(error),
+    }
 }
 
 /// Ends when the process is asked to stop (SIGINT, SIGTERM).

@@ -55,7 +55,10 @@ impl Conductor {
         let mut stopping = self.catch_up.stopping.clone();
         loop {
             if far_behind {
-                self.catch_up.run(None).await?;
+                if self.catch_up.run(None).await? == Caught::Snapshot {
+                    (self.catch_up.shared.start_again)();
+                    return Ok(());
+                }
                 self.start_engine()?;
                 far_behind = false;
             }
@@ -69,9 +72,19 @@ impl Conductor {
             };
             let Some(behind) = behind else { continue };
             self.end_engine(behind).await?;
-            if self.catch_up.run(Some(behind)).await? == Caught::Nothing {
-                tracing::warn!(wanted = behind.first_index - 1, "nobody could help this node to catch up; trying on");
-                let _stopping = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
+            match self.catch_up.run(Some(behind)).await? {
+                Caught::Up => {}
+                Caught::Snapshot => {
+                    (self.catch_up.shared.start_again)();
+                    return Ok(());
+                }
+                Caught::Nothing => {
+                    tracing::warn!(
+                        wanted = behind.first_index - 1,
+                        "nobody could help this node to catch up; trying on"
+                    );
+                    let _stopping = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
+                }
             }
             self.catch_up.shared.behind.send_replace(None);
             self.start_engine()?;

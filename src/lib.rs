@@ -58,4 +58,4 @@ mod telemetry;
 mod waiters;
 
 pub use command::run;
-pub use node::{Node, NodeBuilder};
+pub use node::{Ended, Node, NodeBuilder};

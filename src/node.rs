@@ -88,11 +88,21 @@ impl NodeBuilder {
     }
 }
 
+/// Why a node cannot go on as it is.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Ended {
+    /// It failed.
+    Failed(Rejection),
+    /// It took a snapshot from another node, in place of blocks that nobody has any more. Stopped and started again, it
+    /// goes on from there.
+    StartAgain,
+}
+
 /// A running node. Dropping it without [`Node::stop`] is like pulling the plug, which it survives.
 pub struct Node {
     view: Arc<NodeView>,
     address: SocketAddr,
-    failed: watch::Receiver<Option<Rejection>>,
+    ended: watch::Receiver<Option<Ended>>,
     housekeeping: Housekeeping,
     bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
@@ -119,7 +129,8 @@ impl Node {
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
 
         let clock = Clock::starting_at(ledger.tip().time);
-        let (failed_sender, failed) = watch::channel(None);
+        let (failed, ended) = watch::channel(None);
+        let again = failed.clone();
         let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
         let waiters = Arc::new(Waiters::default());
         let disk_full = Arc::new(AtomicBool::new(false));
@@ -134,6 +145,7 @@ impl Node {
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
+            snapshots: Arc::clone(&snapshots),
             blocks: Arc::clone(&blocks),
             waiters: Arc::clone(&waiters),
             reads: Arc::clone(&reads),
@@ -143,8 +155,9 @@ impl Node {
             behind: watch::Sender::new(None),
             fatal: Box::new(move |reason| {
                 tracing::error!(%reason, "the node cannot go on");
-                failed_sender.send_replace(Some(reason));
+                failed.send_replace(Some(Ended::Failed(reason)));
             }),
+            start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
             disk_full: Arc::clone(&disk_full),
             executed: Arc::clone(&executed),
         });
@@ -171,7 +184,7 @@ impl Node {
             clock,
             started,
         });
-        let source = Arc::new(Source::new(Arc::clone(&ledger), Arc::clone(&store), Arc::clone(&seat)));
+        let source = Arc::new(Source::new(Arc::clone(&shared), Arc::clone(&seat)));
         let housekeeping = Housekeeping::start(Arc::clone(&view), store, snapshots, config.data.clone())
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let inbox = Arc::clone(&seat);
@@ -224,7 +237,7 @@ impl Node {
         };
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
         let bridge = NodeBridge::start(config, reachable(address).to_string())?;
-        Ok(Self { view, address, failed, housekeeping, bridge, server, conductor, stop })
+        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -237,13 +250,14 @@ impl Node {
         &self.view.ledger
     }
 
-    /// Waits until the node cannot go on, and says why.
-    pub async fn failed(&self) -> Rejection {
-        let mut failed = self.failed.clone();
-        match failed.wait_for(Option::is_some).await {
-            Ok(reason) => reason.clone().unwrap_or_else(|| Rejection::new(Code::Internal, "the node failed")),
-            Err(_) => Rejection::new(Code::Internal, "the node ended without a reason"),
+    /// Waits until the node cannot go on as it is, and says why.
+    pub async fn ended(&self) -> Ended {
+        let mut ended = self.ended.clone();
+        match ended.wait_for(Option::is_some).await {
+            Ok(reason) => reason.clone(),
+            Err(_) => None,
         }
+        .unwrap_or_else(|| Ended::Failed(Rejection::new(Code::Internal, "the node ended without a reason")))
     }
 
     /// Ends the node: the leadership goes to another voter, no new calls, the verdicts that are under way, then the

@@ -31,6 +31,7 @@ use crate::peers::{Directory, Peers};
 use crate::waiters::Waiters;
 use execute::Execute;
 use ledger::block_store::BlockStore;
+use ledger::snapshot::Snapshots;
 use ledger::{Ledger, Rejection};
 use ledger_raft::{Engine, Input, RoleChange, Status};
 use order::Order;
@@ -51,6 +52,8 @@ pub(crate) struct Shared {
     pub ledger: Arc<Ledger>,
     /// The log.
     pub store: Arc<BlockStore>,
+    /// The world state at some heights.
+    pub snapshots: Arc<Snapshots>,
     /// Where executed blocks go.
     pub blocks: Arc<Blocks>,
     /// Clients that wait for a verdict.
@@ -67,6 +70,8 @@ pub(crate) struct Shared {
     pub behind: watch::Sender<Option<Behind>>,
     /// Called once with the reason if the node cannot go on.
     pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
+    /// Called once when the node must start again, on a snapshot that it took.
+    pub start_again: Box<dyn Fn() + Send + Sync>,
     /// Set while the log cannot be written for lack of space.
     pub disk_full: Arc<AtomicBool>,
     /// What was executed, by number of the verdict's code.

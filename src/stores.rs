@@ -110,6 +110,10 @@ fn open_ledger(
             .wanted(format!("blocks up to height {}", reached.height))
             .next("restore the directory blocks/ from a copy, or join the network again as a new node"));
     }
+    if reached.height + 1 < store.first_index() {
+        return Err(Rejection::new(Code::Corrupt, "the world state ends before the first block that is kept")
+            .found(format!("a world state of height {}, and blocks from {} on", reached.height, store.first_index())));
+    }
     if reached.height > 0 && store.term(reached.height) != Some(reached.term) {
         return Err(Rejection::new(Code::Corrupt, "the world state does not belong to these blocks")
             .found(format!("height {} of term {}", reached.height, reached.term))

@@ -21,8 +21,8 @@ const BATCH_BLOCKS_MAX: usize = 16_384;
 const MESSAGE_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + 2 * 1024 * 1024;
 /// Time in which the next message, or a confirmation, must come.
 const SILENCE_MAX: Duration = Duration::from_secs(5);
-/// World state in memory that is stored before going on.
-const DIRTY_BYTES_MAX: usize = 16 * 1024 * 1024;
+/// Results and world state in memory that are stored before going on.
+const PENDING_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// How often progress is told.
 const PROGRESS_PERIOD: Duration = Duration::from_secs(2);
 
@@ -125,11 +125,11 @@ impl CatchUp {
 struct Unconfirmed;
 
 /// A fault of this node, not of the one that gave the blocks.
-fn is_own(fault: &Rejection) -> bool {
+pub(super) fn is_own(fault: &Rejection) -> bool {
     matches!(fault.code, Code::Corrupt | Code::DiskFailed | Code::DiskFull | Code::Internal | Code::Diverged)
 }
 
-async fn in_time<T>(answer: impl Future<Output = T>) -> Result<T, Rejection> {
+pub(super) async fn in_time<T>(answer: impl Future<Output = T>) -> Result<T, Rejection> {
     tokio::time::timeout(SILENCE_MAX, answer)
         .await
         .map_err(|_| Rejection::new(Code::Timeout, format!("no answer within {SILENCE_MAX:?}")))
@@ -210,8 +210,8 @@ fn take_in(shared: &crate::orderer::Shared, batch: Batch) -> Result<(), Rejectio
                 .wanted(hash.to_string()));
         }
     }
-    if shared.ledger.state().dirty_bytes() > DIRTY_BYTES_MAX {
-        shared.ledger.state().flush()?;
+    if shared.ledger.pending_bytes() > PENDING_BYTES_MAX {
+        shared.ledger.flush(Some(&shared.snapshots))?;
     }
     Ok(())
 }

@@ -1,17 +1,23 @@
 //! The other side: what this node gives to nodes that catch up.
 
 use super::blocks::to_wire;
-use crate::orderer::Seat;
+use super::trust::ATTESTED_MAX;
+use crate::orderer::{Seat, Shared};
 use crate::peers::Member;
-use ledger::block_store::BlockStore;
-use ledger::{Code, Ledger, Rejection};
+use ledger::transaction::Transaction;
+use ledger::{Code, Hash, Rejection, StateRead};
 use ledger_api::to_status;
-use ledger_api::v1::{BlockEntries, ChainResponse, DigestResponse};
+use ledger_api::v1::{
+    self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
+};
+use serde::Deserialize;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
+/// Where attestations stand in the world state.
+const ATTESTATION_KEYS: &[u8] = b"msp\0attestation/";
 /// Bytes of blocks in one message, unless a single one is larger.
 const MESSAGE_BYTES: usize = 1024 * 1024;
 /// Messages read ahead for a node that is slower than this one's disk.
@@ -21,16 +27,29 @@ const STREAMS_MAX: usize = 8;
 
 /// What this node gives to others.
 pub(crate) struct Source {
-    ledger: Arc<Ledger>,
-    store: Arc<BlockStore>,
+    shared: Arc<Shared>,
     seat: Arc<Seat>,
     streams: Arc<Semaphore>,
 }
 
+/// An attestation as it stands on the ledger, as far as it matters here.
+#[derive(Deserialize)]
+struct Record {
+    latest: Said,
+    snapshot: Option<Said>,
+}
+
+#[derive(Deserialize)]
+struct Said {
+    height: u64,
+    content: Option<Hash>,
+    transaction: Hash,
+}
+
 impl Source {
-    /// Gives what is in these stores.
-    pub(crate) fn new(ledger: Arc<Ledger>, store: Arc<BlockStore>, seat: Arc<Seat>) -> Self {
-        Self { ledger, store, seat, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
+    /// Gives what is in the node's stores.
+    pub(crate) fn new(shared: Arc<Shared>, seat: Arc<Seat>) -> Self {
+        Self { shared, seat, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
     }
 
     /// What this node has, and what it knows of the asking one.
@@ -40,14 +59,21 @@ impl Source {
         let peers = status.iter().flat_map(|status| &status.peers);
         let acknowledged = peers.filter(|peer| peer.node == asking.id).map(|peer| peer.matched).max();
         ChainResponse {
-            network: self.ledger.network().0.to_vec().into(),
-            first_height: self.store.first_index(),
+            network: self.shared.ledger.network().0.to_vec().into(),
+            first_height: self.shared.store.first_index(),
             height,
-            term: self.store.term(height).unwrap_or_default(),
-            snapshot_height: 0,
-            yours: acknowledged.unwrap_or_default(),
+            term: self.shared.store.term(height).unwrap_or_default(),
+            snapshot_height: self.shared.snapshots.newest().map_or(0, |newest| newest.manifest().height),
+            yours: acknowledged.max(self.attested(asking)).unwrap_or_default(),
             you_vote: asking.votes(),
         }
+    }
+
+    /// The newest height that a node has attested.
+    fn attested(&self, node: &Member) -> Option<u64> {
+        let key = [ATTESTATION_KEYS, node.full_name().as_bytes()].concat();
+        let record = self.shared.ledger.state().get(&key).ok()??;
+        serde_json::from_slice(&record).ok().map(|record: Record| record.latest.height)
     }
 
     /// Blocks from a height on, until the newest that is committed.
@@ -55,7 +81,7 @@ impl Source {
     /// # Errors
     /// [`Code::Pruned`] if they are not here any more, [`Code::Overloaded`] if too many nodes ask.
     pub(crate) fn blocks(self: &Arc<Self>, from: u64) -> Result<ReceiverStream<Result<BlockEntries, Status>>, Status> {
-        let first = self.store.first_index();
+        let first = self.shared.store.first_index();
         if from < first {
             return Err(to_status(
                 &Rejection::new(Code::Pruned, format!("block {from} is not kept here any more"))
@@ -63,11 +89,7 @@ impl Source {
                     .next("take a snapshot first, or ask a node that keeps more"),
             ));
         }
-        let permit = Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
-            to_status(
-                &Rejection::new(Code::Overloaded, "too many nodes fetch blocks from here").next("ask another node"),
-            )
-        })?;
+        let permit = self.permit()?;
         let (messages, stream) = mpsc::channel(AHEAD_MAX);
         let source = Arc::clone(self);
         tokio::task::spawn_blocking(move || source.send_blocks(from, &messages, permit));
@@ -85,7 +107,7 @@ impl Source {
             if next > committed {
                 return;
             }
-            let message = match self.store.entries(next..committed + 1, MESSAGE_BYTES) {
+            let message = match self.shared.store.entries(next..committed + 1, MESSAGE_BYTES) {
                 Ok(entries) if entries.is_empty() => {
                     Err(to_status(&Rejection::new(Code::Pruned, format!("block {next} was just dropped"))))
                 }
@@ -104,7 +126,7 @@ impl Source {
 
     /// What is committed and durable here.
     fn committed(&self) -> u64 {
-        self.store.committed().min(self.store.durable_index())
+        self.shared.store.committed().min(self.shared.store.durable_index())
     }
 
     /// Block hash and state digest after a block; empty if it is not kept, or not executed yet.
@@ -112,15 +134,90 @@ impl Source {
     /// # Errors
     /// A fault of the store.
     pub(crate) fn digest(&self, height: u64) -> Result<DigestResponse, Status> {
-        let tip = self.ledger.tip();
+        let tip = self.shared.ledger.tip();
         let (digest, hash) = if height == tip.height {
             (tip.digest, tip.hash)
         } else {
-            match self.ledger.result(height).map_err(|fault| to_status(&fault))? {
-                Some(result) => (result.digest(), result.header(height).hash()),
+            match self.shared.ledger.result(height).map_err(|fault| to_status(&fault))? {
+                Some(result) => (result.digest(), result.hash()),
                 None => return Ok(DigestResponse::default()),
             }
         };
         Ok(DigestResponse { digest: digest.0.to_vec().into(), block_hash: hash.0.to_vec().into() })
+    }
+
+    fn permit(&self) -> Result<OwnedSemaphorePermit, Status> {
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
+            to_status(&Rejection::new(Code::Overloaded, "too many nodes fetch from here").next("ask another node"))
+        })
+    }
+
+    /// The newest snapshot's manifest, and the transactions that attest it.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
+        let Some(newest) = self.shared.snapshots.newest() else { return Ok(SnapshotResponse::default()) };
+        let (height, content) = (newest.manifest().height, newest.content());
+        let attestations = self.attestations(height, content).map_err(|fault| to_status(&fault))?;
+        Ok(SnapshotResponse { manifest: newest.manifest().to_bytes(), attestations })
+    }
+
+    fn attestations(&self, height: u64, content: Hash) -> Result<Vec<Attested>, Rejection> {
+        let mut attested = Vec::new();
+        for (_, record) in self.shared.ledger.state().range(ATTESTATION_KEYS, None, ATTESTED_MAX)? {
+            let said = serde_json::from_slice(&record).ok().and_then(|record: Record| record.snapshot);
+            let Some(said) = said.filter(|said| said.height == height && said.content == Some(content)) else {
+                continue;
+            };
+            let Some(place) = self.shared.ledger.transaction(&said.transaction)? else { continue };
+            let Some(outcome) = self.shared.blocks.get(place.height)? else { continue };
+            let Some(encoded) = outcome.transactions.get(place.index as usize) else { continue };
+            let creator = Transaction::decode(encoded.clone())?.creator();
+            let Some(certificate) = self.shared.ledger.certificate(&creator)? else { continue };
+            attested.push(Attested { transaction: encoded.clone(), certificate });
+        }
+        Ok(attested)
+    }
+
+    /// The pieces of a snapshot, from one on.
+    ///
+    /// # Errors
+    /// [`Code::NotFound`] if it is not kept (any more), [`Code::Overloaded`] if too many nodes ask.
+    pub(crate) fn chunks(
+        &self,
+        height: u64,
+        from: u32,
+    ) -> Result<ReceiverStream<Result<SnapshotChunk, Status>>, Status> {
+        let snapshot = self.shared.snapshots.get(height).ok_or_else(|| {
+            to_status(
+                &Rejection::new(Code::NotFound, format!("there is no snapshot of height {height} here"))
+                    .next("ask for the newest one"),
+            )
+        })?;
+        let permit = self.permit()?;
+        let (messages, stream) = mpsc::channel(AHEAD_MAX);
+        tokio::task::spawn_blocking(move || {
+            let _permit = permit;
+            for number in (from..).take_while(|number| (*number as usize) < snapshot.manifest().chunks.len()) {
+                let chunk = snapshot.chunk(number as usize);
+                let chunk = chunk.map(|data| SnapshotChunk { number, data }).map_err(|fault| to_status(&fault));
+                let last = chunk.is_err();
+                if messages.blocking_send(chunk).is_err() || last {
+                    return;
+                }
+            }
+        });
+        Ok(ReceiverStream::new(stream))
+    }
+
+    /// What a recent block wrote.
+    pub(crate) fn writes(&self, height: u64) -> WritesResponse {
+        let Some(writes) = self.shared.ledger.writes(height) else { return WritesResponse::default() };
+        let writes = writes.into_iter().map(|write| v1::Write {
+            key: write.key,
+            value_hash: write.value.map(|hash| hash.0.to_vec().into()).unwrap_or_default(),
+        });
+        WritesResponse { known: true, writes: writes.collect() }
     }
 }

@@ -101,17 +101,22 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
         self.source.blocks(request.into_inner().from_height).map(Response::new)
     }
 
-    async fn snapshot(&self, _: Request<v1::SnapshotRequest>) -> Result<Response<v1::SnapshotResponse>, Status> {
-        Err(Status::unimplemented("snapshot"))
+    async fn snapshot(&self, request: Request<v1::SnapshotRequest>) -> Result<Response<v1::SnapshotResponse>, Status> {
+        self.sender(&request)?;
+        let source = Arc::clone(&self.source);
+        let answer = tokio::task::spawn_blocking(move || source.snapshot()).await;
+        answer.map_err(|_| Status::internal("a thread panicked"))?.map(Response::new)
     }
 
     type SnapshotChunksStream = ReceiverStream<Result<v1::SnapshotChunk, Status>>;
 
     async fn snapshot_chunks(
         &self,
-        _: Request<v1::SnapshotChunksRequest>,
+        request: Request<v1::SnapshotChunksRequest>,
     ) -> Result<Response<Self::SnapshotChunksStream>, Status> {
-        Err(Status::unimplemented("snapshot chunks"))
+        self.sender(&request)?;
+        let v1::SnapshotChunksRequest { height, from_chunk } = request.into_inner();
+        self.source.chunks(height, from_chunk).map(Response::new)
     }
 
     async fn digest(&self, request: Request<v1::DigestRequest>) -> Result<Response<v1::DigestResponse>, Status> {
@@ -119,7 +124,8 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
         self.source.digest(request.into_inner().height).map(Response::new)
     }
 
-    async fn writes(&self, _: Request<v1::WritesRequest>) -> Result<Response<v1::WritesResponse>, Status> {
-        Err(Status::unimplemented("writes"))
+    async fn writes(&self, request: Request<v1::WritesRequest>) -> Result<Response<v1::WritesResponse>, Status> {
+        self.sender(&request)?;
+        Ok(Response::new(self.source.writes(request.into_inner().height)))
     }
 }

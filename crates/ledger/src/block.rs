@@ -72,14 +72,7 @@ pub struct Header {
 impl Header {
     /// The link that an entry adds to a chain, as executing it computes it: from the block before, its hash and its time.
     pub fn following(previous: Hash, time: u64, entry: &Entry) -> Self {
-        let payload = match entry.kind {
-            EntryKind::Normal => Payload::from_bytes(entry.data.clone()).ok(),
-            EntryKind::ConfChange | EntryKind::ConfChangeV2 => None,
-        };
-        let root = payload.as_ref().map_or_else(
-            || opaque_root(&entry.data),
-            |payload| merkle_root(payload.transactions.iter().map(|transaction| leaf(transaction)).collect()),
-        );
+        let (root, payload) = content(entry);
         let time = payload.map_or(0, |payload| payload.time).max(time);
         Self { height: entry.index, term: entry.term, time, previous, root }
     }
