@@ -132,6 +132,11 @@ impl Fleet {
 
     /// Founds a network of these nodes; the first one of each organisation carries its CA. Nothing runs yet.
     pub fn found_with(wishes: &[NodeWish], now: u64) -> Self {
+        Self::found_every(wishes, now, ledger::network::SNAPSHOT_EVERY_DEFAULT)
+    }
+
+    /// As [`Fleet::found_with`], with so many blocks between snapshots.
+    pub fn found_every(wishes: &[NodeWish], now: u64, snapshot_every: u64) -> Self {
         let directory = tempfile::Builder::new().prefix("ledgerd-test-").tempdir().unwrap();
         let place = |wish: &NodeWish| NodePlace {
             name: wish.name.clone(),
@@ -151,7 +156,7 @@ impl Fleet {
         });
         let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
         let plan = NetworkPlan {
-            snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+            snapshot_every,
             label: "test".into(),
             organisations: vec![organisation("Org1"), organisation("Org2")],
             nodes: planned.collect(),
