@@ -68,6 +68,9 @@ struct Table {
     outgoing: Option<Outgoing>,
     /// When the last answer came. A node with much to do answers late, but it answers.
     answered: Option<Instant>,
+    /// Until when those rest that a node could not take now. What is new rests with them, so that it does not overtake
+    /// them: a command that comes after its successor is refused.
+    resting: Option<Instant>,
     /// Number of the next entry.
     next: u64,
 }
@@ -96,8 +99,8 @@ enum State {
     Waiting,
     /// Since that moment.
     Sent(Instant),
-    /// Until that moment.
-    Resting(Instant),
+    /// Until the others that rest are sent again too.
+    Resting,
 }
 
 impl InFlight {
@@ -161,7 +164,10 @@ impl InFlight {
                     _room: room,
                 });
                 table.next += 1;
-                entry.send(table.outgoing.as_ref(), now);
+                match table.resting {
+                    Some(_) => entry.state = State::Resting,
+                    None => entry.send(table.outgoing.as_ref(), now),
+                }
             }
         }
         verdict
@@ -170,13 +176,8 @@ impl InFlight {
     /// A connection is open: everything that waits goes there, in its order.
     pub(super) fn attach(&self, outgoing: Outgoing) {
         let mut table = self.lock();
-        let mut entries: Vec<_> = table.entries.values_mut().collect();
-        entries.sort_unstable_by_key(|entry| entry.number);
-        let now = Instant::now();
-        for entry in entries {
-            entry.send(Some(&outgoing), now);
-        }
         table.outgoing = Some(outgoing);
+        table.send(|_| true);
     }
 
     /// The connection broke: what was sent over it may or may not be executed.
@@ -209,6 +210,10 @@ impl InFlight {
             let full = self.several && refused.code == Code::DiskFull;
             if full || refused.code.class() == Class::Unreachable {
                 entry.rest(refused.clone());
+                // A queue that is full of data may still take what is urgent.
+                if refused.code != Code::Overloaded {
+                    table.resting.get_or_insert_with(|| Instant::now() + RETRY_AFTER);
+                }
                 let elsewhere = full || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
@@ -255,12 +260,13 @@ impl InFlight {
             let verdict = Err(entry.give_up(id, broken));
             entry.resolve(&verdict);
         }
-        for entry in table.entries.values_mut() {
-            match entry.state {
-                State::Resting(until) if until <= now => entry.send(table.outgoing.as_ref(), now),
-                State::Sent(since) => stuck |= silent && since + ATTEMPT_MAX <= now,
-                _ => {}
+        for entry in table.entries.values() {
+            if let State::Sent(since) = entry.state {
+                stuck |= silent && since + ATTEMPT_MAX <= now;
             }
+        }
+        if table.resting.is_none_or(|until| until <= now) {
+            table.send(|entry| matches!(entry.state, State::Resting));
         }
         stuck
     }
@@ -282,6 +288,19 @@ impl InFlight {
     }
 }
 
+impl Table {
+    /// Sends some of what waits, in its order. Nothing rests any more.
+    fn send(&mut self, which: impl Fn(&Entry) -> bool) {
+        let mut entries: Vec<_> = self.entries.values_mut().filter(|entry| which(entry)).collect();
+        entries.sort_unstable_by_key(|entry| entry.number);
+        let now = Instant::now();
+        for entry in entries {
+            entry.send(self.outgoing.as_ref(), now);
+        }
+        self.resting = None;
+    }
+}
+
 impl Entry {
     fn send(&mut self, outgoing: Option<&Outgoing>, now: Instant) {
         if outgoing.is_some_and(|outgoing| outgoing.send(self.encoded.clone()).is_ok()) {
@@ -297,7 +316,7 @@ impl Entry {
         // The node's own "outcome unknown" means that it did take it.
         self.uncertain |= refused.code == Code::Timeout;
         self.refused = Some(refused);
-        self.state = State::Resting(Instant::now() + RETRY_AFTER);
+        self.state = State::Resting;
     }
 
     fn give_up(&self, id: Hash, broken: Option<&Rejection>) -> Rejection {
