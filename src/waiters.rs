@@ -55,6 +55,18 @@ impl Waiters {
         answer(waiting.unwrap_or_default(), &refused(Some(id), reason));
     }
 
+    /// What was on its way to the leader before may be lost: everybody who waits is told to submit again. At once, or what
+    /// clients submit next would overtake it.
+    pub(crate) fn new_leader(&self) {
+        let all = std::mem::take(&mut *self.lock());
+        for (id, waiting) in all {
+            let reason =
+                Rejection::new(Code::Timeout, format!("the leader changed before transaction {id} had a verdict"))
+                    .next("submit the same transaction again: it is executed once");
+            answer(waiting, &refused(Some(&id), &reason));
+        }
+    }
+
     /// Answers those who have waited too long, and forgets clients that are gone.
     pub(crate) fn sweep(&self) {
         let mut late = Vec::new();

@@ -157,6 +157,9 @@ impl Order {
             Output::Role(change) => {
                 self.leading = change.role == Role::Leader;
                 self.asked_for = (0, 0);
+                if change.leader.is_some() {
+                    self.shared.waiters.new_leader();
+                }
                 tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
                 self.report();
                 self.role.send_replace(change);
