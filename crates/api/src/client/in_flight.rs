@@ -387,3 +387,48 @@ impl Future for Pending {
         }
     }
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::v1::Verdict as Answered;
+    use ledger::key::{KeyKind, SigningKey};
+    use ledger::transaction::{Body, NONCE_BYTES};
+    use ring::rand::SystemRandom;
+
+    fn transaction(key: &SigningKey, nonce: u8) -> Transaction {
+        let (id, nonce) = (Bytes::from(vec![1; 32]), Bytes::from(vec![nonce; NONCE_BYTES]));
+        let (chaincode, function) = ("abac".to_owned(), "set".to_owned());
+        let body =
+            Body { network: id.clone(), creator: id, nonce, not_after: 1, chaincode, function, args: Vec::new() };
+        Transaction::sign(&body, key).unwrap()
+    }
+
+    #[tokio::test]
+    async fn what_is_new_does_not_overtake_what_a_node_could_not_take() {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let table = InFlight::new(Hash::ZERO, Bytes::new(), Duration::from_secs(60), false);
+        let (outgoing, mut sent) = mpsc::unbounded_channel();
+        table.attach(outgoing);
+        let [first, second, third] = [1, 2, 3].map(|nonce| transaction(&key, nonce));
+        let mut verdicts = Vec::new();
+        for one in [&first, &second] {
+            verdicts.push(table.add(one, table.room(one).await.unwrap()));
+            assert_eq!(sent.try_recv().unwrap(), *one.encoded());
+        }
+        // The second is refused before the first, then comes a third.
+        for one in [&second, &first] {
+            let verdict = Answered::from(&Rejection::new(Code::NoLeader, "no leader is known"));
+            let id = Bytes::copy_from_slice(one.id().as_ref());
+            let answer = SubmitResponse { id, verdict: Some(verdict), ..SubmitResponse::default() };
+            assert_eq!(table.answer(answer), Effect::Leave);
+        }
+        verdicts.push(table.add(&third, table.room(&third).await.unwrap()));
+        assert!(sent.try_recv().is_err(), "it rests with the others");
+        table.sweep(Instant::now() + RETRY_AFTER, None);
+        for one in [&first, &second, &third] {
+            assert_eq!(sent.try_recv().unwrap(), *one.encoded());
+        }
+    }
+}
