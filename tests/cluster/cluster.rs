@@ -2,7 +2,7 @@
 
 use crate::support::network::{NodeWish, free_address, now, register_robots};
 use crate::support::wait::PATIENCE;
-use crate::support::{Fleet, Process, connect, until};
+use crate::support::{Fleet, Process, connect, programs, until};
 use futures::future::join_all;
 use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
@@ -104,6 +104,17 @@ impl Cluster {
         let mut process = self.nodes[node].take().expect("a node that was started");
         process.wait();
         process
+    }
+
+    /// Ends every node in order and executes what each of them keeps again from its first block, as an auditor would.
+    pub fn stop_and_verify(&mut self) {
+        for process in self.nodes.iter_mut().flatten() {
+            process.interrupt();
+        }
+        for place in &self.fleet.nodes {
+            let done = Command::new(programs::ledgerd()).arg("verify").arg(&place.data).output().unwrap();
+            assert!(done.status.success(), "{}: {}", place.name, String::from_utf8_lossy(&done.stderr));
+        }
     }
 
     /// The process of a running node.

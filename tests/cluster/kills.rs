@@ -1,11 +1,11 @@
 //! `kill -9` at any moment on any node, under load.
 
-use crate::audit::audit;
+use crate::audit::{Chain, audit};
 use crate::cluster::{Cluster, NODES, VOTERS};
 use crate::load::{Load, Told};
 use crate::rounds;
-use crate::support::Dice;
 use crate::support::network::now;
+use crate::support::{Dice, until};
 use std::time::Duration;
 
 /// A leader's death: the moment, and the term that it led.
@@ -22,7 +22,7 @@ async fn kill(cluster: &mut Cluster, node: usize, dice: &mut Dice) {
 }
 
 /// Time from each leader's death to the first acknowledgement of a block of a later term, in milliseconds, sorted.
-fn outages(kills: &[LeaderKill], told: &Told, chain: &crate::audit::Chain) -> Vec<u64> {
+fn outages(kills: &[LeaderKill], told: &Told, chain: &Chain) -> Vec<u64> {
     let next = |kill: &LeaderKill| {
         let after = told.acknowledged.iter().filter(|told| chain.term(told.committed.height) > kill.term);
         after.map(|told| told.at.saturating_sub(kill.at) / 1000).min()
@@ -58,6 +58,7 @@ async fn with_one_node_killed_at_a_time_the_others_go_on_and_nothing_acknowledge
     }
     let told = load.finish().await;
     let chain = audit(&mut cluster, &told).await;
+    cluster.stop_and_verify();
     let outages = outages(&leaders, &told, &chain);
     println!(
         "faults injected: {kills} kills, {} leader kills; {} acknowledged transactions on {NODES} nodes, refused {:?}; \
@@ -89,7 +90,7 @@ async fn with_two_voters_killed_at_a_time_the_quorum_is_lost_and_comes_back_and_
             kills += 1;
         }
         // The one that is left stops leading, if it did: it has nobody to agree with.
-        crate::support::until(&format!("round {round}: node {} does not lead alone", spared + 1), || async {
+        until(&format!("round {round}: node {} does not lead alone", spared + 1), || async {
             let status = cluster.status(spared).await?;
             (status.role != "leader").then_some(())
         })

@@ -27,8 +27,8 @@ mod report;
 pub mod tls;
 
 pub use client::{
-    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending, Registered,
-    Subscription,
+    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending,
+    Registered, Subscription,
 };
 pub use connect::Credentials;
 pub use context::{Context, home};

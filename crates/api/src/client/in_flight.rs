@@ -68,6 +68,9 @@ struct Table {
     outgoing: Option<Outgoing>,
     /// When the last answer came. A node with much to do answers late, but it answers.
     answered: Option<Instant>,
+    /// Until when those rest that a node could not take now. What is new rests with them, so that it does not overtake
+    /// them: a command that comes after its successor is refused.
+    resting: Option<Instant>,
     /// Number of the next entry.
     next: u64,
 }
@@ -96,8 +99,8 @@ enum State {
     Waiting,
     /// Since that moment.
     Sent(Instant),
-    /// Until that moment.
-    Resting(Instant),
+    /// Until the others that rest are sent again too.
+    Resting,
 }
 
 impl InFlight {
@@ -161,7 +164,10 @@ impl InFlight {
                     _room: room,
                 });
                 table.next += 1;
-                entry.send(table.outgoing.as_ref(), now);
+                match table.resting {
+                    Some(_) => entry.state = State::Resting,
+                    None => entry.send(table.outgoing.as_ref(), now),
+                }
             }
         }
         verdict
@@ -170,13 +176,8 @@ impl InFlight {
     /// A connection is open: everything that waits goes there, in its order.
     pub(super) fn attach(&self, outgoing: Outgoing) {
         let mut table = self.lock();
-        let mut entries: Vec<_> = table.entries.values_mut().collect();
-        entries.sort_unstable_by_key(|entry| entry.number);
-        let now = Instant::now();
-        for entry in entries {
-            entry.send(Some(&outgoing), now);
-        }
         table.outgoing = Some(outgoing);
+        table.send(|_| true);
     }
 
     /// The connection broke: what was sent over it may or may not be executed.
@@ -209,6 +210,10 @@ impl InFlight {
             let own = self.several && matches!(refused.code, Code::DiskFull | Code::Behind);
             if own || refused.code.class() == Class::Unreachable {
                 entry.rest(refused.clone());
+                // A queue that is full of data may still take what is urgent.
+                if refused.code != Code::Overloaded {
+                    table.resting.get_or_insert_with(|| Instant::now() + RETRY_AFTER);
+                }
                 let elsewhere = own || matches!(refused.code, Code::NoLeader | Code::ShuttingDown | Code::Unreachable);
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
@@ -255,12 +260,13 @@ impl InFlight {
             let verdict = Err(entry.give_up(id, broken));
             entry.resolve(&verdict);
         }
-        for entry in table.entries.values_mut() {
-            match entry.state {
-                State::Resting(until) if until <= now => entry.send(table.outgoing.as_ref(), now),
-                State::Sent(since) => stuck |= silent && since + ATTEMPT_MAX <= now,
-                _ => {}
+        for entry in table.entries.values() {
+            if let State::Sent(since) = entry.state {
+                stuck |= silent && since + ATTEMPT_MAX <= now;
             }
+        }
+        if table.resting.is_none_or(|until| until <= now) {
+            table.send(|entry| matches!(entry.state, State::Resting));
         }
         stuck
     }
@@ -282,6 +288,19 @@ impl InFlight {
     }
 }
 
+impl Table {
+    /// Sends some of what waits, in its order. Nothing rests any more.
+    fn send(&mut self, which: impl Fn(&Entry) -> bool) {
+        let mut entries: Vec<_> = self.entries.values_mut().filter(|entry| which(entry)).collect();
+        entries.sort_unstable_by_key(|entry| entry.number);
+        let now = Instant::now();
+        for entry in entries {
+            entry.send(self.outgoing.as_ref(), now);
+        }
+        self.resting = None;
+    }
+}
+
 impl Entry {
     fn send(&mut self, outgoing: Option<&Outgoing>, now: Instant) {
         if outgoing.is_some_and(|outgoing| outgoing.send(self.encoded.clone()).is_ok()) {
@@ -297,7 +316,7 @@ impl Entry {
         // The node's own "outcome unknown" means that it did take it.
         self.uncertain |= refused.code == Code::Timeout;
         self.refused = Some(refused);
-        self.state = State::Resting(Instant::now() + RETRY_AFTER);
+        self.state = State::Resting;
     }
 
     fn give_up(&self, id: Hash, broken: Option<&Rejection>) -> Rejection {
@@ -365,6 +384,51 @@ impl Future for Pending {
             Wait::Refused(refused) => Poll::Ready(Err(refused
                 .take()
                 .unwrap_or_else(|| Rejection::new(Code::Internal, "a verdict was asked for twice")))),
+        }
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::v1::Verdict as Answered;
+    use ledger::key::{KeyKind, SigningKey};
+    use ledger::transaction::{Body, NONCE_BYTES};
+    use ring::rand::SystemRandom;
+
+    fn transaction(key: &SigningKey, nonce: u8) -> Transaction {
+        let (id, nonce) = (Bytes::from(vec![1; 32]), Bytes::from(vec![nonce; NONCE_BYTES]));
+        let (chaincode, function) = ("abac".to_owned(), "set".to_owned());
+        let body =
+            Body { network: id.clone(), creator: id, nonce, not_after: 1, chaincode, function, args: Vec::new() };
+        Transaction::sign(&body, key).unwrap()
+    }
+
+    #[tokio::test]
+    async fn what_is_new_does_not_overtake_what_a_node_could_not_take() {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let table = InFlight::new(Hash::ZERO, Bytes::new(), Duration::from_secs(60), false);
+        let (outgoing, mut sent) = mpsc::unbounded_channel();
+        table.attach(outgoing);
+        let [first, second, third] = [1, 2, 3].map(|nonce| transaction(&key, nonce));
+        let mut verdicts = Vec::new();
+        for one in [&first, &second] {
+            verdicts.push(table.add(one, table.room(one).await.unwrap()));
+            assert_eq!(sent.try_recv().unwrap(), *one.encoded());
+        }
+        // The second is refused before the first, then comes a third.
+        for one in [&second, &first] {
+            let verdict = Answered::from(&Rejection::new(Code::NoLeader, "no leader is known"));
+            let id = Bytes::copy_from_slice(one.id().as_ref());
+            let answer = SubmitResponse { id, verdict: Some(verdict), ..SubmitResponse::default() };
+            assert_eq!(table.answer(answer), Effect::Leave);
+        }
+        verdicts.push(table.add(&third, table.room(&third).await.unwrap()));
+        assert!(sent.try_recv().is_err(), "it rests with the others");
+        table.sweep(Instant::now() + RETRY_AFTER, None);
+        for one in [&first, &second, &third] {
+            assert_eq!(sent.try_recv().unwrap(), *one.encoded());
         }
     }
 }
