@@ -138,9 +138,6 @@ pub(crate) fn found(genesis: &Genesis) -> Result<WriteSet, Rejection> {
         put(store::node_key(node.id).as_bytes(), json(node)?);
     }
     put(store::NEXT_NODE.as_bytes(), json(&next)?);
-    writes.insert(
-        Bytes::from_static(MEMBERS_KEY),
-        Some(members_record(&Membership::new(voters, learners))?),
-    );
+    writes.insert(Bytes::from_static(MEMBERS_KEY), Some(members_record(&Membership::new(voters, learners))?));
     Ok(writes)
 }

@@ -68,6 +68,11 @@ pub(super) fn bad(function: &str, name: &str, wanted: &str) -> Rejection {
         .wanted(wanted.to_owned())
 }
 
+/// Checks the name of an organisation or a node.
+pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
+    crate::identity::check_name(name).map_err(|error| Rejection { code: Code::BadName, ..Rejection::from(error) })
+}
+
 /// Checks `HOST:PORT`.
 pub(super) fn check_address(address: &str) -> Result<(), Rejection> {
     let plain = |c: char| c.is_ascii_alphanumeric() || "-_.:[]%".contains(c);

@@ -4,14 +4,13 @@
 //! public key, its private half travels in the token, and the newcomer signs all that it brings with it: whoever
 //! carries the request can lose it but not change it.
 
-use super::caller::{admin, node, object};
+use super::caller::{admin, check_address, check_name, node, object};
 use super::organisations;
 use super::proposals::{Action, decide};
 use super::store::{self, INVITATIONS, invitation_key, json};
 use crate::Hash;
 use crate::chaincode::Context;
 use crate::code::Code;
-use crate::identity::check_name;
 use crate::key::{PublicKey, SigningKey};
 use crate::network::FoundingOrganisation;
 use crate::rejection::Rejection;
@@ -147,7 +146,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         .verify(&join.signed_bytes(&ctx.network()), &signature)
         .map_err(|error| not_invited(name, &error.to_string()))?;
     check_name(&join.node_name)?;
-    super::caller::check_address(&join.address)?;
+    check_address(&join.address)?;
     organisations::add(ctx, &join.organisation)?;
     ctx.delete(key.as_bytes());
     let answer = json(&organisations::describe(&join.organisation)?)?;

@@ -111,9 +111,8 @@ pub(super) fn all(ctx: &Context<'_>) -> Result<Vec<NodeRecord>, Rejection> {
 
 /// The record that is not removed of that organisation and name.
 pub(super) fn present(ctx: &Context<'_>, organisation: &str, name: &str) -> Result<Option<NodeRecord>, Rejection> {
-    let of = |node: &NodeRecord| {
-        node.role != NodeRole::Removed && node.organisation == organisation && node.name == name
-    };
+    let of =
+        |node: &NodeRecord| node.role != NodeRole::Removed && node.organisation == organisation && node.name == name;
     Ok(all(ctx)?.into_iter().find(of))
 }
 
@@ -293,9 +292,12 @@ fn check_change(nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Resu
     }
     let (voters, _) = desired(nodes);
     if role != NodeRole::Voter && voters.len() == 1 && voters.contains(&node.id) {
-        return Err(Rejection::new(Code::LastOne, format!("node {} ({}) is the last voter", node.id, node.full_name()))
-            .wanted("another voter, which goes on ordering")
-            .next("ledgerctl network promote NODE"));
+        return Err(Rejection::new(
+            Code::LastOne,
+            format!("node {} ({}) is the last voter", node.id, node.full_name()),
+        )
+        .wanted("another voter, which goes on ordering")
+        .next("ledgerctl network promote NODE"));
     }
     Ok(())
 }

@@ -105,8 +105,11 @@ pub(super) fn check_room(ctx: &Context<'_>) -> Result<(), Rejection> {
 pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) -> Result<(), Rejection> {
     let name = &organisation.name;
     if find(ctx, name)?.is_some() {
-        return Err(Rejection::new(Code::AlreadyExists, format!("the network has another organisation {name} already"))
-            .next("ask for an invitation under another name"));
+        return Err(Rejection::new(
+            Code::AlreadyExists,
+            format!("the network has another organisation {name} already"),
+        )
+        .next("ask for an invitation under another name"));
     }
     check_room(ctx)?;
     if let Some(former) = store::read::<FoundingOrganisation>(ctx, &former_key(name))?
@@ -223,4 +226,3 @@ fn unknown(ctx: &Context<'_>, name: &str) -> Rejection {
         .found(format!("{:?}", name.chars().take(80).collect::<String>()))
         .wanted(format!("one of {}", names(ctx).unwrap_or_default().join(", ")))
 }
-

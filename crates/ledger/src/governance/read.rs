@@ -52,9 +52,8 @@ pub fn invitation(state: &dyn StateRead, name: &str) -> Result<Option<Invitation
 /// # Errors
 /// As [`nodes`].
 pub fn members(state: &dyn StateRead) -> Result<Membership, Rejection> {
-    let record = state
-        .get(MEMBERS_KEY)?
-        .ok_or_else(|| Rejection::new(Code::Corrupt, "the world state holds no members"))?;
+    let record =
+        state.get(MEMBERS_KEY)?.ok_or_else(|| Rejection::new(Code::Corrupt, "the world state holds no members"))?;
     parse(MEMBERS_KEY, &record)
 }
 

@@ -103,4 +103,3 @@ fn issued_by(ctx: &Context<'_>, issuer: &Hash) -> Result<String, Rejection> {
         .found(format!("issuer {issuer}"))
         .wanted(format!("SHA-256 of the distinguished name of an authority of {}", names.join(" or "))))
 }
-
