@@ -110,6 +110,10 @@ impl Chaincode for AccessControl {
         let _ = revoke::identity_revoked(ctx, revoked);
     }
 
+    fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
+        let _ = revoke::organisation_removed(ctx, organisation);
+    }
+
     fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {
         authorize::may_read(ctx, &self.decider, event)
     }

@@ -74,6 +74,27 @@ pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> R
     end_all(ctx, ending).map(drop)
 }
 
+/// Ends the grants of an organisation's members, and takes its robots out of service: nobody can govern them any more.
+pub(crate) fn organisation_removed(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
+    let (mut ending, mut told) = (Vec::new(), 0);
+    for robot in robot::all(ctx)? {
+        if robot.organisation == organisation {
+            ending.extend(robot::take_out(ctx, &robot)?);
+            if told < ENDINGS_MAX {
+                robot::tell(ctx, &robot, "removed")?;
+                told += 1;
+            }
+            continue;
+        }
+        for service in &robot.services {
+            let live = grant::live(ctx, &robot.service_id(service))?.into_iter();
+            let theirs = live.filter(|holding| holding.principal.organisation == organisation);
+            ending.extend(theirs.map(|holding| (holding, Reason::Revoked)));
+        }
+    }
+    end_all(ctx, ending).map(drop)
+}
+
 /// Ends the grants that an organisation's policies no longer permit, on all its robots.
 pub(crate) fn policies_changed(
     ctx: &mut Context<'_>,

@@ -2,7 +2,7 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::authorize::Decider;
-use crate::grant::{self, Reason};
+use crate::grant::{self, Holding, Reason};
 use crate::nearest::did_you_mean;
 use crate::revoke;
 use crate::service::{Direction, Service, ServiceSpec, ServiceState, Target};
@@ -193,14 +193,20 @@ pub(crate) fn remove(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rej
     let admin = admin(ctx, "remove robots")?;
     let robot = find(ctx, args.text(0, "ROBOT")?)?;
     check_owner(&robot, admin)?;
+    let ending = take_out(ctx, &robot)?;
+    let ended = revoke::end_all(ctx, ending)?;
+    tell(ctx, &robot, "removed")?;
+    store::json(&ended)
+}
+
+/// Takes a robot out of service; answers with the grants that end by that.
+pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Holding, Reason)>, Rejection> {
     let mut ending = Vec::new();
     for service in &robot.services {
         ending.extend(grant::live(ctx, &robot.service_id(service))?.into_iter().map(|h| (h, Reason::RobotRemoved)));
     }
-    let ended = revoke::end_all(ctx, ending)?;
     ctx.delete(&store::robot_key(&robot.name));
-    tell(ctx, &robot, "removed")?;
-    store::json(&ended)
+    Ok(ending)
 }
 
 fn register(ctx: &mut Context<'_>, decider: &Decider, admin: &Identity, spec: RobotSpec) -> Result<Robot, Rejection> {
@@ -238,7 +244,8 @@ fn register(ctx: &mut Context<'_>, decider: &Decider, admin: &Identity, spec: Ro
     Ok(robot)
 }
 
-fn tell(ctx: &mut Context<'_>, robot: &Robot, change: &str) -> Result<(), Rejection> {
+/// Tells that a robot was registered, updated or removed.
+pub(crate) fn tell(ctx: &mut Context<'_>, robot: &Robot, change: &str) -> Result<(), Rejection> {
     let event =
         RobotEvent { robot: robot.name.clone(), organisation: robot.organisation.clone(), change: change.to_owned() };
     ctx.emit("robot", &robot.name, store::json(&event)?);

@@ -7,8 +7,8 @@ use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead
 use crate::code::Code;
 use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
-use crate::governance::{Governance, ORGANISATION_KEYS, certificate_key, read_members, revoked_key};
-use crate::identities::{Identities, check_revoked};
+use crate::governance::{Governance, ORGANISATION_KEYS, certificate_key, read, revoked_key};
+use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::identity::Identity;
 use crate::members::Membership;
 use crate::msp::Msps;
@@ -168,7 +168,7 @@ impl Ledger {
     /// # Errors
     /// A fault of the store; [`Code::Corrupt`] if the record cannot be read.
     pub fn members(&self) -> Result<Membership, Rejection> {
-        read_members(&*self.state)
+        read::members(&*self.state)
     }
 
     /// Executes the next block and makes its writes visible.
@@ -256,7 +256,7 @@ impl Ledger {
         function: &str,
         args: &[Bytes],
     ) -> Result<(Bytes, u64), Rejection> {
-        check_revoked(caller, &self.overlay())?;
+        self.check_revoked(caller)?;
         let mut retries = 0;
         loop {
             let tip = self.tip();
@@ -269,11 +269,12 @@ impl Ledger {
         }
     }
 
-    /// Refuses a caller whose certificate was revoked.
+    /// Refuses a caller whose certificate was revoked, or whose organisation was removed.
     ///
     /// # Errors
-    /// [`Code::Revoked`].
+    /// [`Code::Revoked`], [`Code::Untrusted`].
     pub fn check_revoked(&self, caller: &Identity) -> Result<(), Rejection> {
+        check_organisation(caller, &self.msps())?;
         check_revoked(caller, &self.overlay())
     }
 
@@ -290,6 +291,7 @@ impl Ledger {
     /// # Errors
     /// The reason why not.
     pub fn may_read(&self, reader: &Identity, event: &Event) -> Result<(), Rejection> {
+        check_organisation(reader, &self.msps())?;
         let mut overlay = self.overlay();
         check_revoked(reader, &overlay)?;
         let chaincode = self.registry.find(&event.chaincode)?;

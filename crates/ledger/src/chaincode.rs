@@ -71,6 +71,10 @@ pub trait Chaincode: Send + Sync {
     /// Called within the transaction that revokes an identity, so that its rights end in the same block.
     fn identity_revoked(&self, _ctx: &mut Context<'_>, _revoked: &Revocation) {}
 
+    /// Called within the transaction that removes an organisation, so that the rights of its members, and rights to
+    /// what it owned, end in the same block.
+    fn organisation_removed(&self, _ctx: &mut Context<'_>, _organisation: &str) {}
+
     /// May the submitter of `ctx` see this event? Asked for each event at delivery, so it should be quick.
     ///
     /// # Errors

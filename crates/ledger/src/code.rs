@@ -119,6 +119,10 @@ codes! {
     CertificateRequired = 2008 "CERTIFICATE_REQUIRED" Denied;
     /// A name is already registered.
     AlreadyRegistered = 2009 "ALREADY_REGISTERED" Invalid;
+    /// No invitation stands on the ledger for this organisation, or this is not what it invites.
+    NotInvited = 2010 "NOT_INVITED" Denied;
+    /// The node is none of this network's, or no longer.
+    NotAMember = 2011 "NOT_A_MEMBER" Denied;
 
     /// The caller's certificate lacks an attribute that the robot requires.
     MissingAttribute = 3001 "MISSING_ATTRIBUTE" Denied;
@@ -148,6 +152,8 @@ codes! {
     PolicyError = 3013 "POLICY_ERROR" Denied;
     /// The policy text is not acceptable.
     PolicyInvalid = 3014 "POLICY_INVALID" Invalid;
+    /// The network cannot go on without its last voter, organisation or root.
+    LastOne = 3015 "LAST_ONE" Invalid;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

@@ -3,7 +3,7 @@
 use crate::Hash;
 use crate::chaincode::{Overlay, StateRead};
 use crate::code::Code;
-use crate::governance::{ORGANISATION_KEYS, certificate_key, read_organisation, revoked_key};
+use crate::governance::{certificate_key, read, revoked_key};
 use crate::identity::Identity;
 use crate::msp::{Msp, Msps};
 use crate::rejection::Rejection;
@@ -14,8 +14,6 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 /// Most identities kept in memory; beyond it the memory starts anew.
 const CACHED_MAX: usize = 10_000;
-/// Most organisations of a network.
-const ORGANISATIONS_MAX: usize = 1_000;
 
 /// The network's organisations and the identities verified against them.
 ///
@@ -93,6 +91,16 @@ impl Identities {
     }
 }
 
+/// Refuses an identity whose organisation was removed. For callers whose certificate was verified when they connected;
+/// a transaction's is verified against the organisations of the last block anyway.
+pub(crate) fn check_organisation(identity: &Identity, msps: &Msps) -> Result<(), Rejection> {
+    if msps.get(&identity.organisation).is_some() {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::Untrusted, format!("{} is of no organisation of this network", identity.id()))
+        .found(format!("{}, which was removed", identity.organisation)))
+}
+
 /// Refuses an identity whose certificate was revoked.
 pub(crate) fn check_revoked(identity: &Identity, overlay: &Overlay) -> Result<(), Rejection> {
     match overlay.get(&revoked_key(&identity.revocation_key())) {
@@ -123,8 +131,7 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
 
 fn read_msps(state: &dyn StateRead) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
-    for (_, value) in state.range(ORGANISATION_KEYS, None, ORGANISATIONS_MAX)? {
-        let organisation = read_organisation(&value)?;
+    for organisation in read::organisations(state)? {
         msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
     }
     Ok(msps)

@@ -1,7 +1,7 @@
 //! What a chaincode sees of the world while it runs.
 
 use super::overlay::Overlay;
-use super::{Event, Registry, Revocation};
+use super::{Chaincode, Event, Registry, Revocation};
 use crate::Hash;
 use crate::code::Code;
 use crate::identity::Identity;
@@ -158,10 +158,20 @@ impl<'a> Context<'a> {
 
     /// Tells every installed chaincode that an identity was revoked (see [`super::Chaincode::identity_revoked`]).
     pub(crate) fn tell_revoked(&mut self, revoked: &Revocation) -> Result<(), Rejection> {
+        self.tell(|chaincode, ctx| chaincode.identity_revoked(ctx, revoked))
+    }
+
+    /// Tells every installed chaincode that an organisation was removed (see
+    /// [`super::Chaincode::organisation_removed`]).
+    pub(crate) fn tell_organisation_removed(&mut self, organisation: &str) -> Result<(), Rejection> {
+        self.tell(|chaincode, ctx| chaincode.organisation_removed(ctx, organisation))
+    }
+
+    fn tell(&mut self, hook: impl Fn(&dyn Chaincode, &mut Context<'_>)) -> Result<(), Rejection> {
         let (environment, depth) = (self.environment, self.depth + 1);
         for chaincode in environment.registry.iter() {
             run(environment, chaincode.name(), depth, self.overlay, self.events, |ctx| {
-                chaincode.identity_revoked(ctx, revoked);
+                hook(chaincode, ctx);
                 Ok(Bytes::new())
             })?;
         }

@@ -1,0 +1,120 @@
+//! What nodes say they computed: height, block hash, state digest, and the content of their snapshots.
+//!
+//! The ledger keeps what each node said last and judges nothing. Nodes compare it with what they computed themselves;
+//! auditors and newcomers ask for nodes of two organisations that say the same.
+
+use super::caller::{node, object};
+use super::nodes::{self, NodeRecord};
+use super::store::{self, ATTESTATIONS, attestation_key, json};
+use crate::Hash;
+use crate::chaincode::Context;
+use crate::code::Code;
+use crate::members::NODES_MAX;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+/// Most attestations: one of each node.
+pub(super) const ATTESTATIONS_MAX: usize = NODES_MAX;
+
+/// Argument of `attest`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Attest {
+    /// A height that the node has executed.
+    pub height: u64,
+    /// Hash of the block there.
+    pub hash: Hash,
+    /// State digest after it.
+    pub digest: Hash,
+    /// SHA-256 of the manifest of its snapshot at that height, if it made one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub content: Option<Hash>,
+}
+
+/// One statement of a node, and where it stands.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Attestation {
+    /// What the node said.
+    #[serde(flatten)]
+    pub attest: Attest,
+    /// Block time at which it said so, microseconds.
+    pub time: u64,
+    /// The transaction that it signed.
+    pub transaction: Hash,
+}
+
+/// What a node said last.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct AttestationRecord {
+    /// Its organisation.
+    pub organisation: String,
+    /// Its name.
+    pub node: String,
+    /// Its number.
+    pub id: u64,
+    /// The greatest height it attested.
+    pub latest: Attestation,
+    /// The newest snapshot it attested.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub snapshot: Option<Attestation>,
+}
+
+/// `attestations`
+pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
+    json(&store::list::<AttestationRecord>(ctx, ATTESTATIONS.as_bytes(), ATTESTATIONS_MAX)?)
+}
+
+/// `attest {height, hash, digest, content?}`
+pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let wanted = "{\"height\": NUMBER, \"hash\": HASH, \"digest\": HASH, \"content\": HASH if a snapshot was made}";
+    let attest: Attest = object("attest", argument, wanted)?;
+    let caller = node(ctx, "attest what the network computed")?;
+    let Some(record) = nodes::present(ctx, &caller.organisation, &caller.name)? else {
+        return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
+            .wanted("a node that has joined and was not removed")
+            .next("ledgerctl network invite --node NAME"));
+    };
+    // Before ordering, this is the committed height, which may be attested; in the block, it is the block itself,
+    // whose hash nobody could know when they signed.
+    if attest.height > ctx.height() {
+        return Err(Rejection::new(Code::BadArgument, "only what was executed can be attested")
+            .found(format!("height {}", attest.height))
+            .wanted(format!("at most {}", ctx.height())));
+    }
+    let key = attestation_key(&caller.organisation, &caller.name);
+    let before: Option<AttestationRecord> = store::read(ctx, &key)?;
+    let latest_height = before.as_ref().map_or(0, |before| before.latest.attest.height);
+    let snapshot_height = before.as_ref().and_then(|before| before.snapshot.as_ref()).map_or(0, |s| s.attest.height);
+    // A snapshot takes a while to make: by then the node may have attested greater heights.
+    let floor = if attest.content.is_some() { snapshot_height } else { latest_height };
+    if attest.height < floor {
+        return Err(Rejection::new(Code::BadArgument, "the node has attested a greater height before")
+            .found(format!("height {}", attest.height))
+            .wanted(format!("at least {floor}")));
+    }
+    let statement = Attestation { time: ctx.block_time(), transaction: ctx.transaction(), attest };
+    let snapshot = statement.attest.content.is_some().then(|| statement.clone());
+    let (latest, snapshot) = match before {
+        Some(before) => (
+            if statement.attest.height < latest_height { before.latest } else { statement.clone() },
+            snapshot.or(before.snapshot),
+        ),
+        None => (statement.clone(), snapshot),
+    };
+    let record = AttestationRecord {
+        organisation: caller.organisation.clone(),
+        node: caller.name.clone(),
+        id: record.id,
+        latest,
+        snapshot,
+    };
+    store::write(ctx, &key, &record)?;
+    ctx.emit("attested", &caller.id(), json(&statement)?);
+    Ok(Bytes::new())
+}
+
+/// Forgets what a node said that was removed.
+pub(super) fn forget(ctx: &mut Context<'_>, node: &NodeRecord) {
+    ctx.delete(attestation_key(&node.organisation, &node.name).as_bytes());
+}

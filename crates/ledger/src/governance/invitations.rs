@@ -1,0 +1,179 @@
+//! How an organisation comes in: the others approve an invitation, the newcomer answers it with a signature.
+//!
+//! Nobody of the network signs for the newcomer, who has no certificate that counts yet. So the invitation names a
+//! public key, its private half travels in the token, and the newcomer signs all that it brings with it: whoever
+//! carries the request can lose it but not change it.
+
+use super::caller::{admin, check_address, check_name, node, object};
+use super::organisations;
+use super::proposals::{Action, decide};
+use super::store::{self, INVITATIONS, invitation_key, json};
+use crate::Hash;
+use crate::chaincode::Context;
+use crate::code::Code;
+use crate::key::{PublicKey, SigningKey};
+use crate::network::FoundingOrganisation;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+/// Longest life of an invitation, in microseconds of block time: thirty days.
+pub const INVITATION_LIFE_MAX: u64 = 30 * 24 * 3600 * 1_000_000;
+/// Most invitations that stand at once.
+pub const INVITATIONS_MAX: usize = 64;
+/// Separates these signatures from everything else that is signed.
+const SIGNATURE_DOMAIN: &[u8] = b"ledgerd join organisation v1\0";
+
+/// An invitation that stands on the ledger: approved, not yet answered.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Invitation {
+    /// Name of the organisation that may join.
+    pub name: String,
+    /// The public half of an Ed25519 key.
+    pub key: Hash,
+    /// Last block time at which it can be answered, microseconds.
+    pub expires: u64,
+}
+
+/// Argument of `invite_organisation`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InviteOrganisation {
+    /// Its name.
+    pub name: String,
+    /// The public half of an Ed25519 key, 64 hex digits.
+    pub key: Hash,
+    /// Last block time at which it can be answered, microseconds.
+    pub expires: u64,
+}
+
+/// Argument of `join_organisation`: what the newcomer brings, and its signature.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JoinOrganisation {
+    /// Name and authorities.
+    #[serde(flatten)]
+    pub organisation: FoundingOrganisation,
+    /// Name of its first node.
+    pub node_name: String,
+    /// `HOST:PORT` of that node.
+    pub address: String,
+    /// Signature with the invitation's key, in hexadecimal (see [`JoinOrganisation::sign`]).
+    pub signature: String,
+}
+
+impl JoinOrganisation {
+    /// Answers an invitation to a network; `key` is the key of the invitation.
+    pub fn sign(
+        network: &Hash,
+        organisation: FoundingOrganisation,
+        node_name: &str,
+        address: &str,
+        key: &SigningKey,
+    ) -> Self {
+        let (node_name, address) = (node_name.to_owned(), address.to_owned());
+        let mut join = Self { organisation, node_name, address, signature: String::new() };
+        join.signature = hex::encode(key.sign(&join.signed_bytes(network)));
+        join
+    }
+
+    /// What is signed: every part with its length in front, so that it can be read in one way only.
+    fn signed_bytes(&self, network: &Hash) -> Vec<u8> {
+        let mut bytes = SIGNATURE_DOMAIN.to_vec();
+        let mut part = |part: &[u8]| {
+            bytes.extend_from_slice(&(part.len() as u64).to_be_bytes());
+            bytes.extend_from_slice(part);
+        };
+        part(&network.0);
+        part(self.organisation.name.as_bytes());
+        for list in [&self.organisation.roots, &self.organisation.intermediates] {
+            part(&(list.len() as u64).to_be_bytes());
+            list.iter().for_each(|certificate| part(certificate));
+        }
+        part(self.node_name.as_bytes());
+        part(self.address.as_bytes());
+        bytes
+    }
+}
+
+/// `invite_organisation {name, key, expires}`
+pub(super) fn invite(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let wanted = "{\"name\": NAME, \"key\": 64 hex digits, \"expires\": block time in microseconds}";
+    let invite: InviteOrganisation = object("invite_organisation", argument, wanted)?;
+    let caller = admin(ctx, "invite organisations")?;
+    check(ctx, &invite.name, invite.expires)?;
+    let action = Action::InviteOrganisation { name: invite.name, key: invite.key, expires: invite.expires };
+    json(&decide(ctx, caller, action)?)
+}
+
+/// What was approved.
+pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64) -> Result<(), Rejection> {
+    check(ctx, name, expires)?;
+    for old in store::list::<Invitation>(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)? {
+        if old.expires < ctx.block_time() {
+            ctx.delete(invitation_key(&old.name).as_bytes());
+        }
+    }
+    let standing: Vec<Invitation> = store::list(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)?;
+    if standing.len() >= INVITATIONS_MAX && standing.iter().all(|other| other.name != name) {
+        return Err(Rejection::new(Code::LimitExceeded, "too many invitations stand")
+            .found(standing.len().to_string())
+            .wanted(format!("at most {INVITATIONS_MAX}")));
+    }
+    let invitation = Invitation { name: name.to_owned(), key, expires };
+    store::write(ctx, &invitation_key(name), &invitation)?;
+    ctx.emit("invited", name, json(&invitation)?);
+    Ok(())
+}
+
+/// `join_organisation {name, roots, intermediates, node_name, address, signature}`: carried by a node of the network.
+pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let wanted = "{\"name\", \"roots\", \"intermediates\", \"node_name\", \"address\", \"signature\"}";
+    let join: JoinOrganisation = object("join_organisation", argument, wanted)?;
+    node(ctx, "carry the request of an organisation")?;
+    let name = &join.organisation.name;
+    // An answer that was lost is asked for again.
+    if organisations::find(ctx, name)?.is_some_and(|known| known == join.organisation) {
+        return json(&organisations::describe(&join.organisation)?);
+    }
+    let key = invitation_key(name);
+    let invitation: Option<Invitation> = if name.len() <= 128 { store::read(ctx, &key)? } else { None };
+    let Some(invitation) = invitation else { return Err(not_invited(name, "no invitation that was approved")) };
+    if invitation.expires < ctx.block_time() {
+        return Err(not_invited(name, "an invitation that has expired"));
+    }
+    let signature = hex::decode(&join.signature).unwrap_or_default();
+    PublicKey::from_ed25519(invitation.key.0)
+        .verify(&join.signed_bytes(&ctx.network()), &signature)
+        .map_err(|error| not_invited(name, &error.to_string()))?;
+    check_name(&join.node_name)?;
+    check_address(&join.address)?;
+    organisations::add(ctx, &join.organisation)?;
+    ctx.delete(key.as_bytes());
+    let answer = json(&organisations::describe(&join.organisation)?)?;
+    ctx.emit("organisation_joined", name, answer.clone());
+    Ok(answer)
+}
+
+fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
+    check_name(name)?;
+    if organisations::find(ctx, name)?.is_some() {
+        return Err(Rejection::new(Code::AlreadyExists, format!("the network has an organisation {name} already"))
+            .next("choose another name; for a node of it: ledgerctl network invite --node NAME"));
+    }
+    organisations::check_room(ctx)?;
+    let now = ctx.block_time();
+    if expires <= now || expires > now.saturating_add(INVITATION_LIFE_MAX) {
+        return Err(Rejection::new(Code::BadArgument, "the invitation ends at an impossible time")
+            .found(format!("{expires} µs, block time {now} µs"))
+            .wanted("a time in the next 30 days"));
+    }
+    Ok(())
+}
+
+fn not_invited(name: &str, found: &str) -> Rejection {
+    let name: String = name.chars().take(128).collect();
+    Rejection::new(Code::NotInvited, format!("organisation {name:?} may not join"))
+        .found(found.to_owned())
+        .wanted("a request signed with the key of an invitation that more than half of the organisations approved")
+        .next(format!("ledgerctl network proposals shows who must approve; ledgerctl network invite --organisation {name} invites again"))
+}

@@ -1,0 +1,63 @@
+//! What the ledger says about the network, read from a world state: for the node and for whoever holds a snapshot.
+
+use super::attestations::{ATTESTATIONS_MAX, AttestationRecord};
+use super::invitations::Invitation;
+use super::nodes::{NodeRecord, RECORDS_MAX};
+use super::organisations::ORGANISATIONS_MAX;
+use super::store::{
+    ATTESTATIONS, MEMBERS_KEY, NODES, ORGANISATIONS, invitation_key, json, list_state, parse, read_state,
+};
+use crate::chaincode::StateRead;
+use crate::code::Code;
+use crate::members::Membership;
+use crate::network::FoundingOrganisation;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+
+/// The records of the nodes in order of ids, removed ones among them: what the network wants (see
+/// [`super::desired`]).
+///
+/// # Errors
+/// A fault of the store; [`Code::Corrupt`] if a record cannot be read. So for all functions here.
+pub fn nodes(state: &dyn StateRead) -> Result<Vec<NodeRecord>, Rejection> {
+    list_state(state, NODES, RECORDS_MAX)
+}
+
+/// The organisations with their authorities, in order of names.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn organisations(state: &dyn StateRead) -> Result<Vec<FoundingOrganisation>, Rejection> {
+    list_state(state, ORGANISATIONS, ORGANISATIONS_MAX)
+}
+
+/// What each node attested last.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn attestations(state: &dyn StateRead) -> Result<Vec<AttestationRecord>, Rejection> {
+    list_state(state, ATTESTATIONS, ATTESTATIONS_MAX)
+}
+
+/// The approved invitation of an organisation; it may have expired.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn invitation(state: &dyn StateRead, name: &str) -> Result<Option<Invitation>, Rejection> {
+    read_state(state, &invitation_key(name))
+}
+
+/// Who votes and who follows in fact.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn members(state: &dyn StateRead) -> Result<Membership, Rejection> {
+    let record =
+        state.get(MEMBERS_KEY)?.ok_or_else(|| Rejection::new(Code::Corrupt, "the world state holds no members"))?;
+    parse(MEMBERS_KEY, &record)
+}
+
+/// The members as they stand on the ledger.
+pub(crate) fn members_record(members: &Membership) -> Result<Bytes, Rejection> {
+    json(members)
+}

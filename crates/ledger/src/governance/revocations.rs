@@ -1,0 +1,105 @@
+//! Certificates that their organisations no longer stand for.
+
+use super::caller::{bad, submitter};
+use super::organisations;
+use super::store::{self, REVOKED, json};
+use crate::Hash;
+use crate::certificate::Certificate;
+use crate::chaincode::{Context, Revocation};
+use crate::code::Code;
+use crate::identity::Role;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+/// Most entries that a list answers with.
+const LIST_MAX: usize = 10_000;
+/// Most bytes of a reason.
+const REASON_BYTES_MAX: usize = 512;
+
+/// A revoked certificate, as it stands on the ledger.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RevocationRecord {
+    /// SHA-256 of the issuer's distinguished name.
+    pub issuer: Hash,
+    /// Serial number in hexadecimal.
+    pub serial: String,
+    /// Organisation of the issuer.
+    pub organisation: String,
+    /// Height of the block that revoked it.
+    pub height: u64,
+    /// Block time of it, microseconds since the UNIX epoch.
+    pub time: u64,
+    /// Who revoked it.
+    pub by: String,
+    /// Why; may be empty.
+    pub reason: String,
+}
+
+/// `revocations`
+pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
+    json(&store::list::<RevocationRecord>(ctx, REVOKED, LIST_MAX)?)
+}
+
+/// `revoke ISSUER SERIAL [REASON]`: by an admin of the organisation that issued it.
+pub(super) fn revoke(ctx: &mut Context<'_>, issuer: &[u8], serial: &[u8], reason: &[u8]) -> Result<Bytes, Rejection> {
+    let issuer = std::str::from_utf8(issuer)
+        .ok()
+        .and_then(Hash::from_hex)
+        .ok_or_else(|| bad("revoke", "ISSUER", "SHA-256 of the issuer's distinguished name, 64 hex digits"))?;
+    let serial_text = std::str::from_utf8(serial).map_or_else(|_| String::new(), str::to_ascii_lowercase);
+    let serial = hex::decode(&serial_text)
+        .ok()
+        .filter(|serial| !serial.is_empty() && serial.len() <= 64)
+        .ok_or_else(|| bad("revoke", "SERIAL", "the certificate's serial number, 2 to 128 hex digits"))?;
+    let reason = std::str::from_utf8(reason)
+        .ok()
+        .filter(|reason| reason.len() <= REASON_BYTES_MAX)
+        .ok_or_else(|| bad("revoke", "REASON", "text of at most 512 bytes"))?;
+
+    let organisation = issued_by(ctx, &issuer)?;
+    let caller = submitter(ctx)?;
+    if caller.role != Role::Admin || caller.organisation != organisation {
+        return Err(Rejection::new(
+            Code::NotAdmin,
+            format!("{} may not revoke certificates of {organisation}", caller.id()),
+        )
+        .found(format!("role {} of {}", caller.role, caller.organisation))
+        .wanted(format!("an admin of {organisation}, which issued it"))
+        .next(format!("ask an admin of {organisation}")));
+    }
+    let revoked = Revocation { issuer: issuer.0, serial };
+    let key = [REVOKED, &revoked.issuer[..], &revoked.serial].concat();
+    if let Some(known) = ctx.get(&key) {
+        return Ok(known);
+    }
+    let record = json(&RevocationRecord {
+        issuer,
+        serial: hex::encode(&revoked.serial),
+        organisation,
+        height: ctx.height(),
+        time: ctx.block_time(),
+        by: caller.id(),
+        reason: reason.to_owned(),
+    })?;
+    ctx.put(&key, record.clone());
+    ctx.emit("revoked", &hex::encode(&revoked.serial), record.clone());
+    ctx.tell_revoked(&revoked)?;
+    Ok(record)
+}
+
+/// The organisation one of whose authorities has this name.
+fn issued_by(ctx: &Context<'_>, issuer: &Hash) -> Result<String, Rejection> {
+    let organisations = organisations::all(ctx)?;
+    for organisation in &organisations {
+        for der in organisation.roots.iter().chain(&organisation.intermediates) {
+            if Certificate::parse(der).is_ok_and(|ca| Hash::of(&[&ca.subject_name]) == *issuer) {
+                return Ok(organisation.name.clone());
+            }
+        }
+    }
+    let names: Vec<_> = organisations.into_iter().map(|organisation| organisation.name).collect();
+    Err(Rejection::new(Code::NotFound, "no organisation has an authority of this name")
+        .found(format!("issuer {issuer}"))
+        .wanted(format!("SHA-256 of the distinguished name of an authority of {}", names.join(" or "))))
+}

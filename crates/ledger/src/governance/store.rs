@@ -1,0 +1,130 @@
+//! The keys of this chaincode and the JSON behind them.
+//!
+//! | key | value |
+//! |---|---|
+//! | `organisation/<name>` | [`crate::network::FoundingOrganisation`] |
+//! | `former/<name>` | an organisation that was removed, as it was last |
+//! | `node/<id, 20 digits>` | [`super::NodeRecord`] |
+//! | `next/node`, `next/proposal` | the next number, never given twice |
+//! | `members` | who votes and follows in fact; only the execution of blocks writes it |
+//! | `proposal/<id>` | [`super::Proposal`] |
+//! | `invitation/<name>` | [`super::Invitation`] |
+//! | `attestation/<organisation>/<node>` | [`super::AttestationRecord`] |
+//! | `certificate/<fingerprint, 32 bytes>` | a known certificate in DER |
+//! | `revoked/<issuer, 32 bytes><serial>` | [`super::RevocationRecord`] |
+
+use super::NAME;
+use crate::Hash;
+use crate::chaincode::{Context, StateRead};
+use crate::code::Code;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// Where the members stand: written by the execution of the blocks that change them, never by a transaction.
+pub(crate) const MEMBERS_KEY: &[u8] = b"msp\0members";
+/// Keys of the organisations start with this; a block that writes one changes whom the next block trusts.
+pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
+
+pub(super) const ORGANISATIONS: &str = "organisation/";
+pub(super) const NODES: &str = "node/";
+pub(super) const PROPOSALS: &str = "proposal/";
+pub(super) const INVITATIONS: &str = "invitation/";
+pub(super) const ATTESTATIONS: &str = "attestation/";
+pub(super) const REVOKED: &[u8] = b"revoked/";
+pub(super) const NEXT_NODE: &str = "next/node";
+pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
+
+/// The full key of a known certificate.
+pub(crate) fn certificate_key(fingerprint: &Hash) -> Bytes {
+    full(&[b"certificate/", &fingerprint.0[..]].concat())
+}
+
+/// The full key of a revocation; `key` is [`crate::identity::Identity::revocation_key`].
+pub(crate) fn revoked_key(key: &[u8]) -> Bytes {
+    full(&[REVOKED, key].concat())
+}
+
+pub(super) fn organisation_key(name: &str) -> String {
+    format!("{ORGANISATIONS}{name}")
+}
+
+pub(super) fn former_key(name: &str) -> String {
+    format!("former/{name}")
+}
+
+pub(super) fn node_key(id: u64) -> String {
+    format!("{NODES}{id:020}")
+}
+
+pub(super) fn proposal_key(id: &Hash) -> String {
+    format!("{PROPOSALS}{id}")
+}
+
+pub(super) fn invitation_key(name: &str) -> String {
+    format!("{INVITATIONS}{name}")
+}
+
+pub(super) fn attestation_key(organisation: &str, node: &str) -> String {
+    format!("{ATTESTATIONS}{organisation}/{node}")
+}
+
+/// A key of this chaincode as the world state knows it.
+pub(super) fn full(key: &[u8]) -> Bytes {
+    [NAME.as_bytes(), b"\0", key].concat().into()
+}
+
+/// JSON of an answer, an event or a value.
+pub(super) fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
+    serde_json::to_vec(value)
+        .map(Bytes::from)
+        .map_err(|error| Rejection::new(Code::Internal, format!("an answer cannot be written: {error}")))
+}
+
+/// Reads the JSON of a value that this chaincode wrote.
+pub(super) fn parse<T: DeserializeOwned>(key: &[u8], value: &[u8]) -> Result<T, Rejection> {
+    serde_json::from_slice(value).map_err(|error| {
+        let key = String::from_utf8_lossy(key).into_owned();
+        Rejection::new(Code::Corrupt, format!("value of key {key:?} of chaincode msp cannot be read: {error}"))
+            .next("delete the state directory; the node rebuilds it from the blocks")
+    })
+}
+
+/// Reads a key.
+pub(super) fn read<T: DeserializeOwned>(ctx: &Context<'_>, key: &str) -> Result<Option<T>, Rejection> {
+    ctx.get(key.as_bytes()).map(|value| parse(key.as_bytes(), &value)).transpose()
+}
+
+/// Writes a key.
+pub(super) fn write(ctx: &mut Context<'_>, key: &str, value: &impl Serialize) -> Result<(), Rejection> {
+    let value = json(value)?;
+    ctx.put(key.as_bytes(), value);
+    Ok(())
+}
+
+/// Everything under a prefix, at most `max`, in order of keys.
+pub(super) fn list<T: DeserializeOwned>(ctx: &Context<'_>, prefix: &[u8], max: usize) -> Result<Vec<T>, Rejection> {
+    ctx.range(prefix, max).iter().map(|(key, value)| parse(key, value)).collect()
+}
+
+/// As [`list`], from a state.
+pub(super) fn list_state<T: DeserializeOwned>(
+    state: &dyn StateRead,
+    prefix: &str,
+    max: usize,
+) -> Result<Vec<T>, Rejection> {
+    state.range(&full(prefix.as_bytes()), None, max)?.iter().map(|(key, value)| parse(key, value)).collect()
+}
+
+/// As [`read`], from a state.
+pub(super) fn read_state<T: DeserializeOwned>(state: &dyn StateRead, key: &str) -> Result<Option<T>, Rejection> {
+    state.get(&full(key.as_bytes()))?.map(|value| parse(key.as_bytes(), &value)).transpose()
+}
+
+/// Takes the next number of a counter.
+pub(super) fn next_number(ctx: &mut Context<'_>, counter: &str) -> Result<u64, Rejection> {
+    let number = read::<u64>(ctx, counter)?.unwrap_or(1);
+    write(ctx, counter, &number.saturating_add(1))?;
+    Ok(number)
+}

@@ -1,0 +1,8 @@
+//! Who belongs to the network, and who decides that: each test fails if its rule is taken away.
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+
+mod approvals;
+mod attestations;
+mod nodes;
+mod organisations;
+mod world;

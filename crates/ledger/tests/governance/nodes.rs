@@ -1,0 +1,163 @@
+use crate::world::{Network, code, is_executed, json, waiting};
+use ledger::Code;
+use ledger::governance::{NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired, read};
+
+const LEARNER: NodeRole = NodeRole::Learner;
+const VOTER: NodeRole = NodeRole::Voter;
+const REMOVED: NodeRole = NodeRole::Removed;
+
+fn set(id: u64, role: &str) -> String {
+    format!(r#"{{"id":{id},"role":"{role}"}}"#)
+}
+
+#[test]
+fn founding_nodes_stand_on_the_ledger_with_what_they_are_in_fact() {
+    let network = Network::new(3, 2);
+    let nodes: Nodes = network.query("nodes", &[]);
+    assert_eq!(network.roles()[2], (3, "Org3/node3".into(), LEARNER));
+    assert_eq!(desired(&nodes.nodes), (nodes.members.voters.clone(), nodes.members.learners.clone()));
+    assert_eq!(nodes.members, network.ledger.members().unwrap());
+    assert_eq!(nodes.nodes, read::nodes(&**network.ledger.state()).unwrap());
+}
+
+#[test]
+fn a_node_joins_as_a_learner_under_the_name_in_its_certificate_and_a_new_id() {
+    let mut network = Network::new(2, 2);
+    let fresh = network.cas[0].user("edge", "node");
+    let node: NodeRecord = json(network.call(&fresh, "join_node", &[r#"{"address":"edge:7450"}"#]));
+    assert_eq!((node.id, node.full_name().as_str(), node.role), (3, "Org1/edge", LEARNER));
+    assert_eq!(network.event_names(), ["joined"]);
+    let again: NodeRecord = json(network.call(&fresh, "join_node", &[r#"{"address":"edge:7450","name":"edge"}"#]));
+    assert_eq!(again, node, "a repeated join changes nothing");
+    assert!(network.events.is_empty());
+    let other = network.call(&fresh, "join_node", &[r#"{"address":"edge:7450","name":"node1"}"#]);
+    assert_eq!(code(&other), Code::BadArgument);
+}
+
+#[test]
+fn a_renewed_certificate_is_the_same_node() {
+    let mut network = Network::new(1, 1);
+    let renewed = network.cas[0].user("node1", "node");
+    let node: NodeRecord = json(network.call(&renewed, "join_node", &[r#"{"address":"elsewhere:7450"}"#]));
+    assert_eq!((node.id, node.role, node.address.as_str()), (1, VOTER, "elsewhere:7450"));
+    assert_eq!(network.event_names(), ["moved"]);
+}
+
+#[test]
+fn only_nodes_join_and_only_at_an_address_of_their_own() {
+    let mut network = Network::new(2, 2);
+    assert_eq!(code(&network.admin(1, "join_node", &[r#"{"address":"a:1"}"#])), Code::WrongRole);
+    let fresh = network.cas[1].user("edge", "node");
+    for (address, wanted) in [
+        ("node1:7450", Code::AlreadyExists),
+        ("node9", Code::BadArgument),
+        (":7450", Code::BadArgument),
+        ("node9:0", Code::BadArgument),
+        ("node9:070", Code::BadArgument),
+        ("node9:70000", Code::BadArgument),
+        ("node 9:7450", Code::BadArgument),
+        ("[::1]:7450", Code::Ok),
+    ] {
+        let argument = format!(r#"{{"address":"{address}"}}"#);
+        assert_eq!(code(&network.call(&fresh, "join_node", &[&argument])), wanted, "{address}");
+    }
+}
+
+#[test]
+fn a_node_that_lost_its_disk_comes_back_under_a_new_id_and_no_id_is_used_twice() {
+    let mut network = Network::new(2, 2);
+    let replace = r#"{"address":"node2:7450","replace":true}"#;
+    let node: NodeRecord = json(network.node(2, "join_node", &[replace]));
+    assert_eq!((node.id, node.role, network.role(2)), (3, LEARNER, REMOVED));
+    let node: NodeRecord = json(network.node(2, "join_node", &[replace]));
+    assert_eq!((node.id, network.role(3)), (4, REMOVED));
+    assert!(is_executed(network.admin(2, "set_node_role", &[&set(4, "removed")])));
+    let node: NodeRecord = json(network.node(2, "join_node", &[r#"{"address":"node2:7450"}"#]));
+    assert_eq!(node.id, 5);
+    assert_eq!(code(&network.admin(2, "set_node_role", &[&set(2, "voter")])), Code::NotAMember);
+    assert_eq!(code(&network.admin(2, "set_node_role", &[&set(2, "removed")])), Code::Ok, "it is removed already");
+}
+
+#[test]
+fn removed_nodes_are_forgotten_in_the_end_but_not_their_ids() {
+    let mut network = Network::new(2, 2);
+    for _ in 0..300 {
+        network.node(2, "join_node", &[r#"{"address":"node2:7450","replace":true}"#]).unwrap();
+    }
+    let nodes = network.roles();
+    assert_eq!((nodes.len(), nodes[1].0), (258, 46));
+    assert_eq!(nodes[257], (302, "Org2/node2".into(), LEARNER));
+}
+
+#[test]
+fn an_organisation_demotes_and_removes_its_own_nodes_alone_and_others_only_with_approval() {
+    let mut network = Network::new(3, 3);
+    assert!(is_executed(network.admin(1, "set_node_role", &[&set(1, "learner")])));
+    assert_eq!((network.role(1), network.event_names()), (LEARNER, vec!["role_changed"]));
+    let id = waiting(network.admin(1, "set_node_role", &[&set(2, "removed")]));
+    assert_eq!(network.role(2), VOTER);
+    assert!(is_executed(network.admin(3, "approve", &[&id])));
+    assert_eq!(network.role(2), REMOVED);
+    assert_eq!(code(&network.node(1, "set_node_role", &[&set(1, "removed")])), Code::NotAdmin);
+}
+
+#[test]
+fn a_vote_is_given_by_a_majority_of_organisations_whosever_node_it_is() {
+    let mut network = Network::new(2, 1);
+    let by_name = r#"{"organisation":"Org2","name":"node2","role":"voter"}"#;
+    let id = waiting(network.admin(2, "set_node_role", &[by_name]));
+    assert_eq!(network.role(2), LEARNER);
+    assert!(is_executed(network.admin(1, "approve", &[&id])));
+    assert_eq!((network.role(2), network.event_names()), (VOTER, vec!["approved", "role_changed", "executed"]));
+    assert!(is_executed(network.admin(1, "set_node_role", &[by_name])), "nothing is left to decide");
+}
+
+#[test]
+fn the_last_voter_stays() {
+    let mut network = Network::new(2, 1);
+    for role in ["learner", "removed"] {
+        assert_eq!(code(&network.admin(1, "set_node_role", &[&set(1, role)])), Code::LastOne, "{role}");
+        assert_eq!(code(&network.admin(2, "set_node_role", &[&set(1, role)])), Code::LastOne, "{role}");
+    }
+    assert_eq!(code(&network.node(1, "join_node", &[r#"{"address":"node1:1","replace":true}"#])), Code::LastOne);
+    assert_eq!(network.role(1), VOTER);
+}
+
+#[test]
+fn the_last_voter_stays_also_when_an_older_approval_comes_late() {
+    let mut network = Network::new(3, 2);
+    let first = waiting(network.admin(3, "set_node_role", &[&set(1, "learner")]));
+    let second = waiting(network.admin(3, "set_node_role", &[&set(2, "learner")]));
+    assert!(is_executed(network.admin(2, "approve", &[&first])));
+    let refused = network.admin(1, "approve", &[&second]).unwrap_err();
+    assert_eq!(refused.code, Code::LastOne);
+    assert!(refused.next.contains("withdraw"), "{refused}");
+    assert_eq!(network.role(2), VOTER);
+}
+
+#[test]
+fn one_organisation_cannot_fill_the_network_with_its_nodes() {
+    let mut network = Network::new(2, 1);
+    let join = |network: &mut Network, number: usize| {
+        let node = network.cas[0].user(&format!("edge{number}"), "node");
+        network.call(&node, "join_node", &[&format!(r#"{{"address":"edge{number}:7450"}}"#)])
+    };
+    for number in 1..NODES_PER_ORGANISATION_MAX {
+        assert_eq!(code(&join(&mut network, number)), Code::Ok, "{number}");
+    }
+    assert_eq!(code(&join(&mut network, 99)), Code::LimitExceeded);
+    let other = network.cas[1].user("edge", "node");
+    assert_eq!(code(&network.call(&other, "join_node", &[r#"{"address":"e:7450"}"#])), Code::Ok);
+}
+
+#[test]
+fn a_node_that_nobody_knows_is_named_with_those_that_there_are() {
+    let mut network = Network::new(2, 1);
+    let refused = network.admin(1, "set_node_role", &[&set(9, "voter")]).unwrap_err();
+    assert_eq!(refused.code, Code::NotFound);
+    assert!(refused.wanted.contains("1 (Org1/node1), 2 (Org2/node2)"), "{refused}");
+    for argument in [r#"{"role":"voter"}"#, r#"{"id":1,"name":"x","role":"voter"}"#, r#"{"id":1,"role":"king"}"#, "[]"]
+    {
+        assert_eq!(code(&network.admin(1, "set_node_role", &[argument])), Code::BadArgument, "{argument}");
+    }
+}

@@ -1,0 +1,218 @@
+//! Organisations with their people and nodes, and a ledger that executes what they sign, a block a second.
+
+use ledger::block::Payload;
+use ledger::entry::{Entry, EntryKind};
+use ledger::governance::{NodeRole, Nodes};
+use ledger::key::{KeyKind, SigningKey};
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::state::{MemoryState, State};
+use ledger::transaction::{Body, Transaction};
+use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Registry, Rejection};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use ring::rand::SystemRandom;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use std::sync::Arc;
+
+/// 2030-01-01, in microseconds since the UNIX epoch.
+pub(crate) const START: u64 = 1_893_456_000_000_000;
+pub(crate) const SECOND: u64 = 1_000_000;
+pub(crate) const DAY: u64 = 24 * 3600 * SECOND;
+
+/// An organisation's CA.
+pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
+
+fn params(name: &str, unit: &str) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = rcgen::DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
+    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
+    params
+}
+
+impl Ca {
+    pub(crate) fn new(name: &str) -> Self {
+        let mut params = params(name, "ca");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+        Self(CertifiedIssuer::self_signed(params, key).unwrap())
+    }
+
+    pub(crate) fn root(&self) -> Bytes {
+        Bytes::copy_from_slice(self.0.der())
+    }
+
+    pub(crate) fn user(&self, name: &str, unit: &str) -> User {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+        let certificate = params(name, unit).signed_by(&public, &self.0).unwrap();
+        User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
+    }
+
+    pub(crate) fn organisation(&self, name: &str) -> FoundingOrganisation {
+        FoundingOrganisation { name: name.into(), roots: vec![self.root()], intermediates: Vec::new() }
+    }
+}
+
+/// Somebody with a certificate and its key.
+pub(crate) struct User {
+    pub(crate) key: SigningKey,
+    pub(crate) certificate: Bytes,
+}
+
+/// Remembers which organisations it was told of.
+struct Listener;
+
+impl Chaincode for Listener {
+    fn name(&self) -> &'static str {
+        "listener"
+    }
+
+    fn invoke(&self, ctx: &mut Context<'_>, _function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
+        Ok(ctx.get(b"removed").unwrap_or_default())
+    }
+
+    fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
+        ctx.put(b"removed", organisation.to_owned());
+    }
+}
+
+pub(crate) struct Network {
+    pub(crate) cas: Vec<Ca>,
+    admins: Vec<User>,
+    nodes: Vec<User>,
+    pub(crate) ledger: Ledger,
+    pub(crate) time: u64,
+    nonce: u64,
+    /// Events of the last block.
+    pub(crate) events: Vec<Event>,
+}
+
+impl Network {
+    /// `Org1`, `Org2` …, each with an admin and a node `nodeN`; the first `voters` of the nodes vote.
+    pub(crate) fn new(organisations: usize, voters: usize) -> Self {
+        let cas: Vec<_> = (1..=organisations).map(|number| Ca::new(&format!("org{number}-ca"))).collect();
+        let node = |index: usize| FoundingNode {
+            id: index as u64 + 1,
+            name: format!("node{}", index + 1),
+            organisation: format!("Org{}", index + 1),
+            address: format!("node{}:7450", index + 1),
+            voter: index < voters,
+        };
+        let genesis = Genesis {
+            rules: RULES_VERSION,
+            label: "test".into(),
+            created: START,
+            salt: Hash::ZERO,
+            snapshot_every: 100,
+            organisations: (1..).zip(&cas).map(|(number, ca)| ca.organisation(&format!("Org{number}"))).collect(),
+            nodes: (0..organisations).map(node).collect(),
+        };
+        let mut registry = Registry::new();
+        registry.install(Arc::new(Listener)).unwrap();
+        let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
+        let ledger = Ledger::open(&genesis.to_bytes().unwrap(), registry, state).unwrap();
+        let admins = cas.iter().map(|ca| ca.user("Admin", "admin")).collect();
+        let nodes = (1..).zip(&cas).map(|(number, ca)| ca.user(&format!("node{number}"), "node")).collect();
+        Self { cas, admins, nodes, ledger, time: START, nonce: 0, events: Vec::new() }
+    }
+
+    pub(crate) fn sign(&mut self, by: &User, function: &str, args: &[&str]) -> Transaction {
+        self.nonce += 1;
+        let body = Body {
+            network: Bytes::copy_from_slice(&self.ledger.network().0),
+            creator: Bytes::copy_from_slice(&Hash::of(&[&by.certificate]).0),
+            nonce: [&self.nonce.to_be_bytes()[..], &[0; 8]].concat().into(),
+            not_after: self.time + 60 * SECOND,
+            chaincode: "msp".into(),
+            function: function.into(),
+            args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
+        };
+        Transaction::sign(&body, &by.key).unwrap().with_certificate(by.certificate.clone()).unwrap()
+    }
+
+    /// Executes one block with these transactions.
+    pub(crate) fn block(&mut self, transactions: &[&Transaction]) -> Vec<Result<Bytes, Rejection>> {
+        self.time += SECOND;
+        let transactions = transactions.iter().map(|transaction| transaction.encoded().clone()).collect();
+        let data = Payload { time: self.time, transactions }.to_bytes();
+        let entry = Entry { index: self.ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data };
+        let outcome = self.ledger.apply(&entry).unwrap();
+        self.events = outcome.events.into_iter().map(|emitted| emitted.event).collect();
+        outcome.results.iter().map(ledger::result::TransactionResult::outcome).collect()
+    }
+
+    /// One call in a block of its own.
+    pub(crate) fn call(&mut self, by: &User, function: &str, args: &[&str]) -> Result<Bytes, Rejection> {
+        let transaction = self.sign(by, function, args);
+        self.block(&[&transaction]).remove(0)
+    }
+
+    /// A call by the admin of an organisation, counted from 1.
+    pub(crate) fn admin(&mut self, organisation: usize, function: &str, args: &[&str]) -> Result<Bytes, Rejection> {
+        let admin = self.admins.remove(organisation - 1);
+        let answer = self.call(&admin, function, args);
+        self.admins.insert(organisation - 1, admin);
+        answer
+    }
+
+    /// A call by the founding node of an organisation, counted from 1.
+    pub(crate) fn node(&mut self, organisation: usize, function: &str, args: &[&str]) -> Result<Bytes, Rejection> {
+        let node = self.nodes.remove(organisation - 1);
+        let answer = self.call(&node, function, args);
+        self.nodes.insert(organisation - 1, node);
+        answer
+    }
+
+    /// The answer of a query, asked by the admin of Org1.
+    pub(crate) fn query<T: DeserializeOwned>(&self, function: &str, args: &[&str]) -> T {
+        let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
+        let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
+        let (answer, _) = self.ledger.query(&caller, self.time, "msp", function, &args).unwrap();
+        serde_json::from_slice(&answer).unwrap()
+    }
+
+    /// Ids, names and roles of the nodes.
+    pub(crate) fn roles(&self) -> Vec<(u64, String, NodeRole)> {
+        let nodes: Nodes = self.query("nodes", &[]);
+        nodes.nodes.into_iter().map(|node| (node.id, node.full_name(), node.role)).collect()
+    }
+
+    pub(crate) fn role(&self, id: u64) -> NodeRole {
+        self.roles().into_iter().find(|(other, ..)| *other == id).unwrap().2
+    }
+
+    /// What the other chaincode was told.
+    pub(crate) fn told(&self) -> String {
+        let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
+        let (answer, _) = self.ledger.query(&caller, self.time, "listener", "removed", &[]).unwrap();
+        String::from_utf8(answer.to_vec()).unwrap()
+    }
+
+    pub(crate) fn event_names(&self) -> Vec<&str> {
+        self.events.iter().map(|event| event.name.as_str()).collect()
+    }
+}
+
+/// The code of a refusal; `Ok` if there is none.
+pub(crate) fn code(answer: &Result<Bytes, Rejection>) -> Code {
+    answer.as_ref().err().map_or(Code::Ok, |rejection| rejection.code)
+}
+
+pub(crate) fn json<T: DeserializeOwned>(answer: Result<Bytes, Rejection>) -> T {
+    serde_json::from_slice(&answer.unwrap()).unwrap()
+}
+
+/// Id of the proposal in a decision that still waits.
+pub(crate) fn waiting(answer: Result<Bytes, Rejection>) -> String {
+    let decision: Value = json(answer);
+    assert_eq!(decision["executed"], false, "{decision}");
+    decision["proposal"]["id"].as_str().unwrap().to_owned()
+}
+
+pub(crate) fn is_executed(answer: Result<Bytes, Rejection>) -> bool {
+    json::<Value>(answer)["executed"] == true
+}
