@@ -286,8 +286,9 @@ async fn listen(address: &str) -> Result<TcpListener, Rejection> {
 
 /// Which of the network's nodes this is: what its own certificate says, checked as the others will check it.
 fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Result<Member, Rejection> {
+    let own = tls.own();
     let (own, presented) =
-        tls.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
+        own.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
     let identity = ledger.msps().verify_for(Usage::Server, own, presented, wall())?;
     if identity.role != Role::Node {
         return Err(Rejection::new(Code::WrongRole, "the node's certificate is not a node's")

@@ -92,9 +92,10 @@ impl Context {
         let msps =
             organisations::from_json(&files::read(&msps_path)?).map_err(|reason| bad_file(&msps_path, reason))?;
         // That the key belongs to the certificate is known here, not at the first connection.
-        TlsIdentity::new(chain.clone(), &key).map_err(|error| bad_file(&chain_path, error.to_string()))?;
+        let key = Arc::new(key);
+        TlsIdentity::new(chain.clone(), Arc::clone(&key)).map_err(|error| bad_file(&chain_path, error.to_string()))?;
         let Settings { name, organisation, network, label, nodes } = settings;
-        Ok(Self { name, organisation, network, label, nodes, chain, key: Arc::new(key), msps: Arc::new(msps) })
+        Ok(Self { name, organisation, network, label, nodes, chain, key, msps: Arc::new(msps) })
     }
 
     /// Writes the context below `home`, replacing one of the same name: all of it or nothing, and the key is never
@@ -134,9 +135,16 @@ impl Context {
     /// # Errors
     /// [`Code::BadFile`] if certificate and key do not belong together.
     pub fn credentials(&self) -> Result<Credentials, Rejection> {
-        let identity = TlsIdentity::new(self.chain.clone(), &self.key)
-            .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))?;
-        Credentials::new(self.network, identity, Arc::clone(&self.key), ServerTrust::Roots(Arc::clone(&self.msps)))
+        Credentials::new(self.network, self.identity()?, ServerTrust::Roots(Arc::clone(&self.msps)))
+    }
+
+    /// Certificate and key, as connections and signatures need them.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if certificate and key do not belong together.
+    pub fn identity(&self) -> Result<TlsIdentity, Rejection> {
+        TlsIdentity::new(self.chain.clone(), Arc::clone(&self.key))
+            .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))
     }
 
     /// What the own certificate says: name, role, attributes, validity. Nothing of it is verified.
