@@ -6,7 +6,7 @@ use crate::ca::CertificateAuthority;
 use crate::clock::{Clock, wall};
 use crate::config::Config;
 use crate::denials::Denials;
-use crate::enrolment::EnrolmentService;
+use crate::enrolment::{self, EnrolmentService};
 use crate::gateway::{GatewayService, NodeView};
 use crate::housekeeping::Housekeeping;
 use crate::listen::accept;
@@ -176,7 +176,10 @@ impl Node {
         for authority in &mut authorities {
             authority.set_days(config.ca.certificate_days, config.ca.secret_days);
         }
-        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, wall);
+        let own_gateway = reachable(address).to_string();
+        let carrier = enrolment::carrier(&own_gateway, ledger.network(), &tls, &trust);
+        let document = (genesis, genesis_bytes.into());
+        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), document, carrier, wall);
         let server_tls =
             server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
         let connections = accept(listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
@@ -206,7 +209,7 @@ impl Node {
             }
         });
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
-        let bridge = NodeBridge::start(config, reachable(address).to_string())?;
+        let bridge = NodeBridge::start(config, own_gateway)?;
         Ok(Self { view, address, failed, housekeeping, bridge, server, stop })
     }
 

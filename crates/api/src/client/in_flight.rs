@@ -276,7 +276,9 @@ impl InFlight {
         if transaction.certificate().is_some() || transaction.creator() != own.creator {
             return false;
         }
-        let Ok(introduced) = transaction.with_certificate(Bytes::copy_from_slice(own.certificate())) else { return false };
+        let Ok(introduced) = transaction.with_certificate(Bytes::copy_from_slice(own.certificate())) else {
+            return false;
+        };
         entry.encoded = introduced.encoded().clone();
         true
     }
