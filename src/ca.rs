@@ -412,8 +412,8 @@ impl Issued {
 }
 
 /// Certificates in PEM.
-fn pem(ders: &[&Vec<u8>]) -> String {
-    let sections: Vec<_> = ders.iter().map(|der| pem::Pem::new("CERTIFICATE", der.as_slice())).collect();
+pub(crate) fn pem(ders: &[impl AsRef<[u8]>]) -> String {
+    let sections: Vec<_> = ders.iter().map(|der| pem::Pem::new("CERTIFICATE", der.as_ref())).collect();
     pem::encode_many_config(&sections, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF))
 }
 

@@ -29,6 +29,7 @@
 //! | `listen`, `peers` | TLS connections of clients and between nodes |
 //! | `gateway` | the gRPC API |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
+//! | `renewal` | the node's certificate, renewed before it runs out |
 //! | `setup` | founding a network |
 //! | `housekeeping` | what is done beside the work |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
@@ -50,6 +51,7 @@ mod node;
 mod orderer;
 mod peers;
 mod random;
+mod renewal;
 pub mod setup;
 mod stores;
 mod telemetry;
