@@ -20,7 +20,6 @@ mod tests;
 pub use issue::DAY;
 pub use registry::{CERTIFICATES_MAX, IDENTITIES_MAX, IssuedCertificate, Registered};
 pub use request::REQUEST_BYTES_MAX;
-#[cfg(test)]
 pub(crate) use request::make as request;
 pub use secret::{PRESENTED_BYTES_MAX, WRONG_TRIES_MAX};
 

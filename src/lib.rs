@@ -29,6 +29,7 @@
 //! | `listen`, `peers` | TLS connections of clients and between nodes |
 //! | `gateway` | the gRPC API |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
+//! | `identity` | which of the network's nodes this is |
 //! | `renewal` | the node's certificate, renewed before it runs out |
 //! | `setup` | founding a network |
 //! | `housekeeping` | what is done beside the work |
@@ -46,6 +47,7 @@ mod dev;
 mod enrolment;
 mod gateway;
 mod housekeeping;
+mod identity;
 mod listen;
 mod node;
 mod orderer;

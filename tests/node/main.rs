@@ -21,6 +21,7 @@ mod disk_full;
 mod hostile;
 mod leadership;
 mod rebuild;
+mod renewal;
 mod story;
 mod two_nodes;
 mod verify;

@@ -152,7 +152,7 @@ impl SigningKey {
             KeyKind::Ed25519 => {
                 let mut seed = [0; 32];
                 random.fill(&mut seed).map_err(|_| KeyError::Random)?;
-                Self::from_pkcs8_der(&[ED25519_PKCS8, &seed].concat())
+                Self::from_seed(&seed)
             }
             KeyKind::P256 => {
                 let pkcs8 = EcdsaKeyPair::generate_pkcs8(&ECDSA_P256_SHA256_FIXED_SIGNING, random)
@@ -160,6 +160,14 @@ impl SigningKey {
                 Self::from_pkcs8_der(pkcs8.as_ref())
             }
         }
+    }
+
+    /// The Ed25519 key of a seed: whoever has the seed has the key.
+    ///
+    /// # Errors
+    /// [`KeyError::Rejected`], which no seed causes.
+    pub fn from_seed(seed: &[u8; 32]) -> Result<Self, KeyError> {
+        Self::from_pkcs8_der(&[ED25519_PKCS8, seed].concat())
     }
 
     /// Reads a key from PKCS#8 in DER.
@@ -271,6 +279,16 @@ impl PublicKey {
             _ => return Err(KeyError::UnsupportedPublicKey),
         }
         Ok(Self { kind, bytes: bytes.to_vec() })
+    }
+
+    /// An Ed25519 key from its 32 bytes.
+    pub fn from_ed25519(bytes: [u8; 32]) -> Self {
+        Self { kind: KeyKind::Ed25519, bytes: bytes.to_vec() }
+    }
+
+    /// The bytes of the key: 32 of Ed25519, 65 of an uncompressed P-256 point.
+    pub fn bytes(&self) -> &[u8] {
+        &self.bytes
     }
 
     /// The SubjectPublicKeyInfo in DER.
