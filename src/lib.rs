@@ -31,7 +31,7 @@
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
 //! | `identity` | which of the network's nodes this is |
 //! | `renewal` | the node's certificate, renewed before it runs out |
-//! | `setup` | founding a network |
+//! | `setup`, `join` | founding a network; bringing a node into one |
 //! | `housekeeping` | what is done beside the work |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
@@ -48,6 +48,7 @@ mod enrolment;
 mod gateway;
 mod housekeeping;
 mod identity;
+mod join;
 mod listen;
 mod node;
 mod orderer;
