@@ -228,9 +228,8 @@ fn told(
         facts += &format!(
             "CA       {organisation}, sha256 {fingerprint}\nadmin    {organisation}/{admin}, to enrol within {days} days\n"
         );
-        next += &format!(
-            "  ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n"
-        );
+        next +=
+            &format!("  ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n");
     }
     Ok(format!("{facts}\nnext:\n{next}  ledgerctl network promote {name}      (lets it vote, once it has caught up)"))
 }

@@ -73,7 +73,10 @@ impl Place {
         let other = |found: String| {
             Rejection::new(Code::BadFile, format!("{} exists already", self.data.display()))
                 .found(found)
-                .wanted(format!("a directory that does not exist yet, or that of {}/{}", token.organisation, token.node))
+                .wanted(format!(
+                    "a directory that does not exist yet, or that of {}/{}",
+                    token.organisation, token.node
+                ))
                 .next("choose another directory with --data or the setting data; nothing is ever overwritten")
         };
         let document = durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)

@@ -27,10 +27,8 @@ fn at(context: &Context, fleet: &Fleet, node: usize) -> Context {
 
 async fn works(one: &Client, other: &Client) {
     let done = one.invoke("msp", "organisations", Vec::new()).await.unwrap();
-    until("the other node follows", || async {
-        (other.status().await.unwrap().height >= done.height).then_some(())
-    })
-    .await;
+    until("the other node follows", || async { (other.status().await.unwrap().height >= done.height).then_some(()) })
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -16,6 +16,7 @@ mod organisations;
 pub use home::home;
 
 use crate::connect::Credentials;
+use crate::renew::Renewal;
 use crate::tls::{ServerTrust, TlsIdentity};
 use crate::v1;
 use files::bad_file;
@@ -145,6 +146,17 @@ impl Context {
     pub fn identity(&self) -> Result<TlsIdentity, Rejection> {
         TlsIdentity::new(self.chain.clone(), Arc::clone(&self.key))
             .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))
+    }
+
+    /// The same context with a renewed certificate and a new key, by the CA of the organisation; store it with
+    /// [`Context::save`]. The present certificate must still be valid.
+    ///
+    /// # Errors
+    /// As [`Renewal::ask`](crate::Renewal::ask).
+    pub async fn renewed(&self) -> Result<Self, Rejection> {
+        let renewal = Renewal::begin(&self.identity()?)?;
+        let renewed = renewal.ask(&self.nodes, &self.credentials()?, &self.msps).await?.own();
+        Ok(Self { chain: renewed.chain.clone(), key: Arc::clone(&renewed.key), ..self.clone() })
     }
 
     /// What the own certificate says: name, role, attributes, validity. Nothing of it is verified.

@@ -31,8 +31,8 @@ pub mod tls;
 pub mod token;
 
 pub use client::{
-    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending, Registered,
-    Subscription,
+    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending,
+    Registered, Subscription,
 };
 pub use connect::Credentials;
 pub use context::{Context, home};

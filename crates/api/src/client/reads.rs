@@ -186,7 +186,11 @@ impl Client {
     }
 
     /// Asks until a node answers, or the deadline has passed. `check` finds the verdict in an answer.
-    pub(super) async fn ask<R, F, A>(&self, call: F, check: impl Fn(&R) -> Result<(), Rejection>) -> Result<R, Rejection>
+    pub(super) async fn ask<R, F, A>(
+        &self,
+        call: F,
+        check: impl Fn(&R) -> Result<(), Rejection>,
+    ) -> Result<R, Rejection>
     where
         F: Fn(Up) -> A,
         A: Future<Output = Result<Response<R>, Status>>,
