@@ -71,7 +71,7 @@ pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
     let settings = Settings::of(&options.config, address, listen, options.data.as_deref())?;
     let config = &settings.config;
     let address = public_address(address, &config.listen, "ledgerd join TOKEN")?;
-    let mut place = Place::open(&config.data, &token)?;
+    let place = Place::open(&config.data, &token)?;
     if place.is_joined() {
         return come_back(&place, &token, options, config).await;
     }
@@ -88,7 +88,7 @@ pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
             identity
         }
     };
-    let id = join_node(&token, &contact.address, &address, &identity).await?;
+    let id = join_node(&place, &token, &contact.address, &address, &identity).await?;
     let joined = Joined {
         network: token.network,
         id,
@@ -165,21 +165,47 @@ fn check_address(token: &JoinToken, address: &str, listen: &str) -> Result<(), R
     }
 }
 
-/// The answer of `msp join_node`, as far as it matters here.
+/// A node on the ledger, as far as it matters here: the answers of `msp nodes` and `msp join_node`.
 #[derive(Deserialize)]
 struct Record {
     id: u64,
+    name: String,
+    organisation: String,
+    role: String,
+}
+
+#[derive(Deserialize)]
+struct Records {
+    nodes: Vec<Record>,
 }
 
 /// Submits `msp join_node` as the new node; answers with its number.
-async fn join_node(token: &JoinToken, node: &str, address: &str, identity: &TlsIdentity) -> Result<u64, Rejection> {
+///
+/// A node of this name that is on the ledger already has lost its disk: with its number would come back a voter that
+/// has forgotten its votes. So it gets a new one; unless the number is from an earlier try of this very join.
+async fn join_node(
+    place: &Place,
+    token: &JoinToken,
+    node: &str,
+    address: &str,
+    identity: &TlsIdentity,
+) -> Result<u64, Rejection> {
     let credentials = Credentials::new(token.network, identity.clone(), ServerTrust::Fingerprint(token.ca.0))?;
     let client = Client::connect_with(vec![node.to_owned()], credentials, Options::default()).await?;
-    let argument = serde_json::json!({ "address": address }).to_string();
+    let unreadable = |function: &str, error: serde_json::Error| {
+        Rejection::new(Code::Internal, format!("the answer of msp {function} cannot be read")).found(error.to_string())
+    };
+    let answer = client.query(MSP, "nodes", Vec::new()).await?.response;
+    let records: Records = serde_json::from_slice(&answer).map_err(|error| unreadable("nodes", error))?;
+    let own = |record: &&Record| {
+        record.organisation == token.organisation && record.name == token.node && record.role != "removed"
+    };
+    let present = records.nodes.iter().find(own).map_or(0, |record| record.id);
+    let before = place.id_before(present)?;
+    let replace = present != 0 && before == present;
+    let argument = serde_json::json!({ "address": address, "replace": replace }).to_string();
     let done = client.invoke(MSP, "join_node", vec![argument.into()]).await?;
-    let record: Record = serde_json::from_slice(&done.response).map_err(|error| {
-        Rejection::new(Code::Internal, "the answer of msp join_node cannot be read").found(error.to_string())
-    })?;
+    let record: Record = serde_json::from_slice(&done.response).map_err(|error| unreadable("join_node", error))?;
     Ok(record.id)
 }
 

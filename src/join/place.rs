@@ -14,6 +14,11 @@ use ledger_api::token::JoinToken;
 use std::fs;
 use std::path::{Path, PathBuf};
 
+/// While a node joins: its number before.
+const BEFORE_FILE: &str = "before";
+/// Largest such file, in bytes.
+const NUMBER_BYTES_MAX: usize = 32;
+
 /// Where a node's files are while it joins, and where they go.
 pub(super) struct Place {
     /// The directory that is in use now.
@@ -49,13 +54,28 @@ impl Place {
         &self.current
     }
 
-    pub(super) fn keep_genesis(&mut self, document: &[u8]) -> Result<(), Rejection> {
+    pub(super) fn keep_genesis(&self, document: &[u8]) -> Result<(), Rejection> {
         durable::stage(&self.path(GENESIS_FILE), document, PUBLIC_MODE)?.publish()
     }
 
     /// The node's certificate and key, if both are there and belong together.
     pub(super) fn identity(&self) -> Option<TlsIdentity> {
         TlsIdentity::from_pem_files(&self.path(CERTIFICATE_FILE), &self.path(KEY_FILE)).ok()
+    }
+
+    /// The number that the ledger had for a node of this name before this join asked for one, 0 for none: noted at the
+    /// first call, where it is `present`.
+    pub(super) fn id_before(&self, present: u64) -> Result<u64, Rejection> {
+        let path = self.path(BEFORE_FILE);
+        if fs::symlink_metadata(&path).is_ok() {
+            let noted = durable::read(&path, NUMBER_BYTES_MAX)?;
+            return String::from_utf8_lossy(&noted).trim().parse().map_err(|_| {
+                Rejection::new(Code::BadFile, format!("{} holds no number", path.display()))
+                    .next(format!("remove {} and join anew", self.current.display()))
+            });
+        }
+        durable::stage(&path, present.to_string().as_bytes(), PUBLIC_MODE)?.publish()?;
+        Ok(present)
     }
 
     /// The node has joined: all that is prepared becomes its data directory.
@@ -65,7 +85,10 @@ impl Place {
             return Err(durable::failed("make directory", &self.data, &std::io::ErrorKind::AlreadyExists.into()));
         }
         fs::rename(&self.current, &self.data).map_err(|error| durable::failed("make directory", &self.data, &error))?;
-        durable::sync_directory(self.data.parent().unwrap_or(Path::new(".")))
+        durable::sync_directory(self.data.parent().unwrap_or_else(|| Path::new(".")))?;
+        // Of no use any more; that it stays does no harm.
+        let _ = fs::remove_file(self.data.join(BEFORE_FILE));
+        Ok(())
     }
 
     /// What the data directory says of its node, which must be the token's; with the network's label.

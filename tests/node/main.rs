@@ -19,6 +19,7 @@ mod config;
 mod crash;
 mod disk_full;
 mod hostile;
+mod join;
 mod leadership;
 mod rebuild;
 mod renewal;
