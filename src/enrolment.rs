@@ -203,6 +203,16 @@ impl Shared {
             return Err(CertificateAuthority::refusal());
         };
         let organisation = authority.organisation().to_owned();
+        if self.ledger.msps().get(&organisation).is_none() {
+            // The secret would be used up for a certificate that nobody can check yet.
+            return Err(Rejection::new(
+                Code::Behind,
+                format!("this node does not know yet that {organisation} has joined"),
+            )
+            .found(format!("block {}", self.ledger.tip().height))
+            .wanted("a node that has caught up with its network")
+            .next("try again in a moment"));
+        }
         let certificate = authority.enrol(name, &request.secret, &request.request, now).inspect_err(|rejection| {
             tracing::warn!(organisation, name = ?printable(name), code = %rejection.code, "refused to enrol");
         })?;
