@@ -18,7 +18,7 @@
 //!
 //! | module | what is there |
 //! |---|---|
-//! | `command` | the command line: `run`, `check`, `init`, `dev`, `demo`, `bridge`, `verify` |
+//! | `command` | the command line: `run`, `check`, `init`, `join`, `dev`, `demo`, `bridge`, `verify` |
 //! | `config` | the configuration file, every fault at once |
 //! | `node` | a node from its stores to its server, and back down in order |
 //! | `clock` | time that never goes back |
