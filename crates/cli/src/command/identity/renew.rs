@@ -12,7 +12,7 @@ use std::io::{self, Write};
 ///
 /// The new one says what is registered now: changed attributes take effect. Nodes and bridges renew theirs by themselves.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl --context Salma identity renew")]
+#[command(after_help = "Example:\n  ledgerctl identity renew --context Salma")]
 pub(crate) struct Renew {}
 
 #[derive(Serialize)]
