@@ -28,7 +28,7 @@ impl NodeBridge {
         let (stop, mut stopping) = watch::channel(false);
         let task = tokio::spawn(async move {
             let mut told = String::new();
-            let bridge = loop {
+            let (bridge, client) = loop {
                 let started = tokio::select! {
                     started = start(settings.clone(), address.clone()) => started,
                     () = stopped(&mut stopping) => return,
@@ -49,7 +49,10 @@ impl NodeBridge {
                 }
             };
             tracing::info!("the bridge runs");
-            stopped(&mut stopping).await;
+            tokio::select! {
+                () = stopped(&mut stopping) => {}
+                () = ros_bridge::keep_renewed(&settings, &client) => {}
+            }
             let summary = bridge.stop().await;
             tracing::info!(summary = %serde_json::to_string(&summary).unwrap_or_default(), "the bridge has stopped");
         });
@@ -84,8 +87,9 @@ async fn stopped(stopping: &mut watch::Receiver<bool>) {
     drop(stopping.wait_for(|stop| *stop).await);
 }
 
-async fn start(settings: ros_bridge::Config, address: String) -> Result<Bridge, Rejection> {
+async fn start(settings: ros_bridge::Config, address: String) -> Result<(Bridge, Client), Rejection> {
     let mut context = ros_bridge::context_of(&settings)?;
     context.nodes = vec![address];
-    Bridge::start(settings, Client::connect(&context).await?).await
+    let client = Client::connect(&context).await?;
+    Ok((Bridge::start(settings, client.clone()).await?, client))
 }

@@ -7,7 +7,7 @@
 //! | `identities.json` | registered names, what is left of their secrets, and the certificates they received |
 //!
 //! `identities.json` is replaced as a whole and down to the disk before anything is answered. So a secret is used up
-//! once, whatever crashes, and no certificate is out that the file does not know.
+//! by one key, whatever crashes, and no certificate is out that the file does not know.
 
 pub(crate) mod durable;
 mod issue;
@@ -20,7 +20,6 @@ mod tests;
 pub use issue::DAY;
 pub use registry::{CERTIFICATES_MAX, IDENTITIES_MAX, IssuedCertificate, Registered};
 pub use request::REQUEST_BYTES_MAX;
-#[cfg(test)]
 pub(crate) use request::make as request;
 pub use secret::{PRESENTED_BYTES_MAX, WRONG_TRIES_MAX};
 
@@ -28,7 +27,7 @@ use durable::{PUBLIC_MODE, SECRET_MODE};
 use issue::Holder;
 use ledger::certificate::{Certificate, encode_attributes};
 use ledger::identity::{Role, check_name};
-use ledger::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
+use ledger::key::{KEY_BYTES_MAX, KeyKind, PublicKey, SigningKey};
 use ledger::{Code, Hash, Rejection};
 use registry::Registry;
 use ring::rand::SystemRandom;
@@ -39,6 +38,9 @@ use std::collections::BTreeMap;
 use std::fs::{self, File, TryLockError};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+
+/// Shortest time between a name's last certificate and a renewal, in microseconds: each is a write to the disk.
+pub const RENEWAL_PAUSE: u64 = 60 * 1_000_000;
 
 /// The directory of the CAs that a node carries, in its data directory; one directory for each organisation.
 pub const DIRECTORY: &str = "ca";
@@ -252,7 +254,8 @@ impl CertificateAuthority {
     }
 
     /// Exchanges a one-time secret and a signing request (PKCS #10, DER) for a certificate (DER). Of the request only
-    /// the public key is used; name, role and attributes are as registered. Afterwards the secret is used up.
+    /// the public key is used; name, role and attributes are as registered. Afterwards the secret is good for nothing
+    /// but the same key again, in case the answer was lost.
     ///
     /// # Errors
     /// [`Code::EnrolmentRefused`], alike for an unknown name and a secret that is wrong, used, expired or void;
@@ -273,16 +276,60 @@ impl CertificateAuthority {
             self.change(|registry| registry.identities.insert(name.to_owned(), registered))?;
             return Err(Self::refusal());
         }
+        let key = request::public_key(request)?;
+        if !registered.secret.as_mut().is_some_and(|secret| secret.bind(&key)) {
+            return Err(Self::refusal());
+        }
+        self.certify(name, registered, &key, now)
+    }
+
+    /// A new certificate for a name that has one that is still good, which the caller has verified. Of the request only
+    /// the public key is used; name, role and attributes are as registered now.
+    ///
+    /// # Errors
+    /// [`Code::NotFound`] if the name is not registered here, [`Code::WrongRole`] if it is registered for something
+    /// else, [`Code::Overloaded`] within [`RENEWAL_PAUSE`] of the last certificate, [`Code::BadArgument`] for a bad
+    /// request, a failing disk.
+    pub fn renew(&mut self, name: &str, role: Role, request: &[u8], now: u64) -> Result<Vec<u8>, Rejection> {
+        self.check_usable()?;
+        let organisation = self.organisation();
+        let registered = self.identity(name).cloned().ok_or_else(|| {
+            Rejection::new(Code::NotFound, format!("{name:?} is not registered at the CA of {organisation}"))
+                .next("ask an admin of the organisation to register it and to send a one-time secret")
+        })?;
+        if registered.role != role {
+            return Err(Rejection::new(Code::WrongRole, format!("{name} is registered for something else"))
+                .found(format!("a certificate with role {role}"))
+                .wanted(format!("role {}", registered.role))
+                .next("ask an admin of the organisation for a new one-time secret"));
+        }
+        let newest = registered.certificates.iter().map(IssuedCertificate::issued).max().unwrap_or_default();
+        if now >= newest && now - newest < RENEWAL_PAUSE {
+            return Err(Rejection::new(Code::Overloaded, format!("{name} has received a certificate just now"))
+                .wanted(format!("a renewal at most once in {} s", RENEWAL_PAUSE / 1_000_000))
+                .next("use that certificate, or try again in a minute"));
+        }
+        let key = request::public_key(request)?;
+        self.certify(name, registered, &key, now)
+    }
+
+    /// Signs a certificate and remembers it.
+    fn certify(
+        &mut self,
+        name: &str,
+        mut registered: Registered,
+        key: &PublicKey,
+        now: u64,
+    ) -> Result<Vec<u8>, Rejection> {
         let holder = Holder {
             organisation: self.organisation(),
             name,
             role: registered.role,
             attributes: &registered.attributes,
-            key: &request::public_key(request)?,
+            key,
         };
         let der = issue::leaf(&self.root, &self.key, &holder, self.certificate_days, now)?;
         let certificate = Certificate::parse(&der)?;
-        registered.secret = None;
         registered.add(
             IssuedCertificate {
                 serial: certificate.serial,
@@ -364,8 +411,8 @@ impl Issued {
 }
 
 /// Certificates in PEM.
-fn pem(ders: &[&Vec<u8>]) -> String {
-    let sections: Vec<_> = ders.iter().map(|der| pem::Pem::new("CERTIFICATE", der.as_slice())).collect();
+pub(crate) fn pem(ders: &[impl AsRef<[u8]>]) -> String {
+    let sections: Vec<_> = ders.iter().map(|der| pem::Pem::new("CERTIFICATE", der.as_ref())).collect();
     pem::encode_many_config(&sections, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF))
 }
 

@@ -2,7 +2,7 @@
 
 use crate::config::{Config, Log};
 use crate::node::{Ended, NodeBuilder};
-use crate::{demo, dev, setup, telemetry};
+use crate::{demo, dev, join, setup, telemetry};
 use clap::{Parser, Subcommand};
 use ledger::{Class, Code, Rejection};
 use ledger_api::report;
@@ -37,6 +37,8 @@ enum Command {
     Check(WithConfig),
     /// Founds a network of one organisation with one node, in the directory that the configuration names.
     Init(setup::InitOptions),
+    /// Brings a node into a network, with a token from one of its admins.
+    Join(join::JoinOptions),
     /// Joins a ROS 2 graph to the ledger through a remote gateway.
     Bridge(WithConfig),
     /// Verifies the data directory of a stopped node, with the chaincodes of this program.
@@ -98,6 +100,10 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             Ok(())
         }
         Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
+        Command::Join(options) => {
+            block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
+            if options.run { execute(Command::Run(WithConfig { config: options.config }), builder) } else { Ok(()) }
+        }
         Command::Bridge(WithConfig { config }) => {
             telemetry::start(&Log::default());
             block_on(ros_bridge::run(&config, stop_signal()))

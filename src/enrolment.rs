@@ -3,9 +3,13 @@
 //! A client without a certificate may ask for the network and may enrol. Tries to enrol share one limited rate, and a
 //! refusal takes as long for a name that exists as for one that does not.
 
+mod joining;
+mod renewal;
 #[cfg(test)]
 mod tests;
 mod tries;
+
+pub(crate) use joining::{Carrier, carrier};
 
 use crate::ca::{CertificateAuthority, IssuedCertificate, Registered};
 use crate::listen::Caller;
@@ -17,6 +21,7 @@ use ledger_api::v1::enrolment_server::Enrolment;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::sync::Semaphore;
 use tokio::time::Instant;
 use tonic::{Request, Response, Status};
 use tries::Tries;
@@ -34,10 +39,16 @@ pub(crate) struct EnrolmentService {
 }
 
 struct Shared {
+    /// Submits as this node what an organisation that joins has signed.
+    carrier: Carrier,
+    /// One such request at a time.
+    carrying: Semaphore,
     /// By organisation; most nodes carry one or none.
     authorities: BTreeMap<String, Mutex<CertificateAuthority>>,
     ledger: Arc<Ledger>,
     genesis: Genesis,
+    /// The same, byte for byte.
+    document: Bytes,
     /// The node's clock, microseconds since the UNIX epoch.
     clock: fn() -> u64,
     tries: Mutex<Tries>,
@@ -48,11 +59,23 @@ impl EnrolmentService {
     pub(crate) fn new(
         authorities: impl IntoIterator<Item = CertificateAuthority>,
         ledger: Arc<Ledger>,
-        genesis: Genesis,
+        (genesis, document): (Genesis, Bytes),
+        carrier: Carrier,
         clock: fn() -> u64,
     ) -> Self {
         let authorities = authorities.into_iter().map(|ca| (ca.organisation().to_owned(), Mutex::new(ca))).collect();
-        Self { shared: Arc::new(Shared { authorities, ledger, genesis, clock, tries: Mutex::default() }) }
+        Self {
+            shared: Arc::new(Shared {
+                carrier,
+                carrying: Semaphore::new(1),
+                authorities,
+                ledger,
+                genesis,
+                document,
+                clock,
+                tries: Mutex::default(),
+            }),
+        }
     }
 
     /// Does work that waits for the disk, beside the threads that serve connections.
@@ -107,19 +130,28 @@ impl Enrolment for EnrolmentService {
         })))
     }
 
-    async fn renew(&self, _: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
-        Err(Status::unimplemented("renewal"))
+    async fn renew(&self, request: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
+        let renewed = match self.shared.caller(&request) {
+            Ok(caller) => self.renew_for(caller, request.into_inner().request).await,
+            Err(rejection) => Err(rejection),
+        };
+        Ok(Response::new(renewed.unwrap_or_else(|rejection| v1::EnrolResponse {
+            verdict: Some((&rejection).into()),
+            ..v1::EnrolResponse::default()
+        })))
     }
 
     async fn genesis(&self, _: Request<v1::GenesisRequest>) -> Result<Response<v1::GenesisResponse>, Status> {
-        Err(Status::unimplemented("genesis"))
+        Ok(Response::new(v1::GenesisResponse { genesis: self.shared.document.clone() }))
     }
 
     async fn join_organisation(
         &self,
-        _: Request<v1::JoinOrganisationRequest>,
+        request: Request<v1::JoinOrganisationRequest>,
     ) -> Result<Response<v1::JoinOrganisationResponse>, Status> {
-        Err(Status::unimplemented("joining"))
+        let joined = self.carry(request.into_inner().join).await;
+        let verdict = joined.map_or_else(|rejection| (&rejection).into(), |()| v1::Verdict::default());
+        Ok(Response::new(v1::JoinOrganisationResponse { verdict: Some(verdict) }))
     }
 
     async fn list_identities(
@@ -171,6 +203,16 @@ impl Shared {
             return Err(CertificateAuthority::refusal());
         };
         let organisation = authority.organisation().to_owned();
+        if self.ledger.msps().get(&organisation).is_none() {
+            // The secret would be used up for a certificate that nobody can check yet.
+            return Err(Rejection::new(
+                Code::Behind,
+                format!("this node does not know yet that {organisation} has joined"),
+            )
+            .found(format!("block {}", self.ledger.tip().height))
+            .wanted("a node that has caught up with its network")
+            .next("try again in a moment"));
+        }
         let certificate = authority.enrol(name, &request.secret, &request.request, now).inspect_err(|rejection| {
             tracing::warn!(organisation, name = ?printable(name), code = %rejection.code, "refused to enrol");
         })?;
@@ -257,28 +299,34 @@ impl Shared {
         })
     }
 
-    /// Who calls, if it is an admin whose certificate is still good.
-    fn admin<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Rejection> {
+    /// Who calls, if the certificate is still good.
+    fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Rejection> {
         let caller =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
                 Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
                     .found("a connection without one, which can only enrol")
-                    .next("connect with the certificate of an admin, for example with --context")
+                    .next("connect with a certificate, for example with --context")
             })?;
+        caller.check_validity((self.clock)())?;
+        self.ledger.check_revoked(&caller)?;
+        Ok(caller)
+    }
+
+    /// Who calls, if it is an admin whose certificate is still good.
+    fn admin<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Rejection> {
+        let caller = self.caller(request)?;
         if caller.role != Role::Admin {
             return Err(Rejection::new(Code::NotAdmin, format!("{} may not manage identities", caller.id()))
                 .found(format!("role {}", caller.role))
                 .wanted(format!("an admin of {}", caller.organisation))
                 .next(format!("ask an admin of {}", caller.organisation)));
         }
-        caller.check_validity((self.clock)())?;
-        self.ledger.check_revoked(&caller)?;
         Ok(caller)
     }
 
-    /// The CA of the admin's organisation: the only one that the admin may change or read.
-    fn authority_of(&self, admin: &Identity) -> Result<MutexGuard<'_, CertificateAuthority>, Rejection> {
-        let organisation = &admin.organisation;
+    /// The CA of the caller's organisation: the only one that an admin may change or read.
+    fn authority_of(&self, caller: &Identity) -> Result<MutexGuard<'_, CertificateAuthority>, Rejection> {
+        let organisation = &caller.organisation;
         self.authorities.get(organisation).map(lock).ok_or_else(|| {
             let carried: Vec<_> = self.authorities.keys().map(String::as_str).collect();
             Rejection::new(Code::NotFound, format!("this node does not carry the CA of {organisation}"))

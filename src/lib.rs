@@ -18,7 +18,7 @@
 //!
 //! | module | what is there |
 //! |---|---|
-//! | `command` | the command line: `run`, `check`, `init`, `dev`, `demo`, `bridge`, `verify` |
+//! | `command` | the command line: `run`, `check`, `init`, `join`, `dev`, `demo`, `bridge`, `verify` |
 //! | `config` | the configuration file, every fault at once |
 //! | `node` | a node from its stores to its server, and back down in order |
 //! | `clock` | time that never goes back |
@@ -29,7 +29,9 @@
 //! | `listen`, `peers` | TLS connections of clients and between nodes |
 //! | `gateway` | the gRPC API |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
-//! | `setup` | founding a network |
+//! | `identity` | which of the network's nodes this is |
+//! | `renewal` | the node's certificate, renewed before it runs out |
+//! | `setup`, `join` | founding a network; bringing a node into one |
 //! | `housekeeping` | what is done beside the work |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
@@ -47,11 +49,14 @@ mod dev;
 mod enrolment;
 mod gateway;
 mod housekeeping;
+mod identity;
+mod join;
 mod listen;
 mod node;
 mod orderer;
 mod peers;
 mod random;
+mod renewal;
 pub mod setup;
 mod stores;
 mod telemetry;

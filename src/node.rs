@@ -8,17 +8,19 @@ use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
-use crate::enrolment::EnrolmentService;
+use crate::enrolment::{self, EnrolmentService};
 use crate::gateway::{GatewayService, NodeView};
 use crate::housekeeping::Housekeeping;
+use crate::identity::{Joined, own_membership};
 use crate::listen::accept;
 use crate::orderer::{Executed, Reads, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
+use crate::renewal::{self, Keeper};
 use crate::stores::Stores;
 use crate::waiters::Waiters;
 use ledger::block::PAYLOAD_BYTES_MAX;
-use ledger::identity::{Identity, Role};
-use ledger::msp::{Msps, Usage};
+use ledger::identity::Identity;
+use ledger::msp::Msps;
 use ledger::verify::GENESIS_FILE;
 use ledger::{Chaincode, Code, Ledger, Registry, Rejection};
 use ledger_abac::AccessControl;
@@ -107,6 +109,8 @@ pub struct Node {
     bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
     conductor: JoinHandle<()>,
+    /// Renews the certificate.
+    keeper: JoinHandle<()>,
     stop: watch::Sender<bool>,
 }
 
@@ -124,7 +128,13 @@ impl Node {
         let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
         let directory = Arc::new(Directory::read(&genesis, &ledger));
-        let me = own_membership(&tls, &ledger, &directory.members())?;
+        let mut authorities = CertificateAuthority::open_all(&config.data)?;
+        for authority in &mut authorities {
+            authority.set_days(config.ca.certificate_days, config.ca.secret_days);
+        }
+        renewal::revive(&config.data, &tls, &mut authorities, &ledger.msps())?;
+        let joined = Joined::load(&config.data)?;
+        let me = own_membership(&tls, &ledger, &genesis, &directory.members(), joined.as_ref())?;
         let listener = listen(&config.listen).await?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
 
@@ -193,11 +203,19 @@ impl Node {
             // repeats what matters.
             !matches!(inbox.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
         });
-        let mut authorities = CertificateAuthority::open_all(&config.data)?;
-        for authority in &mut authorities {
-            authority.set_days(config.ca.certificate_days, config.ca.secret_days);
-        }
-        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), genesis, wall);
+        let own_gateway = reachable(address).to_string();
+        let carrier = enrolment::carrier(&own_gateway, ledger.network(), &tls, &trust);
+        let document = (genesis, genesis_bytes.into());
+        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), document, carrier, wall);
+        let keeper = Keeper {
+            data: config.data.clone(),
+            identity: tls.clone(),
+            ledger: Arc::clone(&ledger),
+            trust: Arc::clone(&trust),
+            enrolment: enrolment.clone(),
+            others: others_of_own_organisation(&view),
+        };
+        let keeper = tokio::spawn(keeper.keep());
         let server_tls =
             server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
         let connections = accept(listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
@@ -236,8 +254,8 @@ impl Node {
             }
         };
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
-        let bridge = NodeBridge::start(config, reachable(address).to_string())?;
-        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, stop })
+        let bridge = NodeBridge::start(config, own_gateway)?;
+        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, keeper, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -267,6 +285,7 @@ impl Node {
             bridge.stop().await;
         }
         self.view.hand_over().await;
+        self.keeper.abort();
         self.view.in_flight.close();
         self.stop.send_replace(true);
         let mut server = self.server;
@@ -318,27 +337,13 @@ async fn listen(address: &str) -> Result<TcpListener, Rejection> {
     })
 }
 
-/// Which of the network's nodes this is: what its own certificate says, checked as the others will check it.
-fn own_membership(tls: &TlsIdentity, ledger: &Ledger, members: &[Member]) -> Result<Member, Rejection> {
-    let (own, presented) =
-        tls.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
-    let identity = ledger.msps().verify_for(Usage::Server, own, presented, wall())?;
-    if identity.role != Role::Node {
-        return Err(Rejection::new(Code::WrongRole, "the node's certificate is not a node's")
-            .found(format!("{} with role {}", identity.id(), identity.role))
-            .wanted("role node"));
-    }
-    members
-        .iter()
-        .find(|member| member.organisation == identity.organisation && member.name == identity.name)
-        .cloned()
-        .ok_or_else(|| {
-            let known: Vec<_> =
-                members.iter().map(|member| format!("{}/{}", member.organisation, member.name)).collect();
-            Rejection::new(Code::BadFile, "the node's certificate is of no node of the genesis")
-                .found(identity.id())
-                .wanted(format!("one of {}", known.join(", ")))
-        })
+/// Where the nodes are that may carry the CA of this node's organisation.
+fn others_of_own_organisation(view: &Arc<NodeView>) -> Box<dyn Fn() -> Vec<String> + Send + Sync> {
+    let (me, directory) = (view.me.clone(), Arc::clone(&view.directory));
+    Box::new(move || {
+        let others = |member: &&Member| member.organisation == me.organisation && member.id != me.id;
+        directory.members().iter().filter(others).map(|member| member.address.clone()).collect()
+    })
 }
 
 /// What the node trusts: the organisations on its ledger.

@@ -11,7 +11,7 @@ mod directory;
 mod link;
 mod service;
 
-pub(crate) use directory::{Directory, Member};
+pub(crate) use directory::{Directory, Member, Part};
 pub(crate) use service::PeerService;
 
 use ledger::Bytes;

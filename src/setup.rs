@@ -9,9 +9,11 @@
 
 mod init;
 mod issue;
+mod settings;
 
 pub use init::{InitOptions, init};
 pub use issue::issue;
+pub(crate) use settings::{Settings, public_address};
 
 use crate::ca;
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
@@ -31,7 +33,7 @@ use tempfile::TempDir;
 
 /// The kind of nodes' keys. They are seen by every client's TLS, and BoringSSL (gRPC in C++, Python, Ruby and others)
 /// accepts no server with an Ed25519 key.
-const NODE_KEY: KeyKind = KeyKind::P256;
+pub(crate) const NODE_KEY: KeyKind = KeyKind::P256;
 
 /// A network to be founded.
 #[derive(Clone, Debug, PartialEq)]

@@ -1,6 +1,7 @@
 //! Who is registered at a CA: the file `identities.json`.
 
 use super::durable::{self, SECRET_MODE, Staged};
+use super::issue::START_BEFORE;
 use super::secret::OneTimeSecret;
 use ledger::identity::Role;
 use ledger::{Code, Hash, Rejection};
@@ -41,7 +42,7 @@ pub struct Registered {
     pub attributes: BTreeMap<String, String>,
     /// Since when, microseconds since the UNIX epoch.
     pub registered: u64,
-    /// The secret with which it may enrol; none once used.
+    /// The secret with which it may enrol, or by which it did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(super) secret: Option<OneTimeSecret>,
     /// The certificates it has received, oldest first.
@@ -100,6 +101,13 @@ impl Registry {
                 .next("use shorter attributes"));
         }
         durable::stage(&directory.join(FILE), &content, SECRET_MODE)
+    }
+}
+
+impl IssuedCertificate {
+    /// When it was issued: its validity begins a little earlier.
+    pub(super) fn issued(&self) -> u64 {
+        self.not_before.saturating_add(START_BEFORE)
     }
 }
 

@@ -1,5 +1,6 @@
 //! One-time secrets: what an admin hands to somebody, so that they can enrol once.
 
+use ledger::key::PublicKey;
 use ledger::{Code, Hash, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
@@ -21,6 +22,10 @@ pub(super) struct OneTimeSecret {
     expires: u64,
     /// Wrong tries so far.
     wrong: u8,
+    /// SHA-256 of the public key that enrolled with it. That key may come again, because an answer can be lost; no
+    /// other one can.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    used_by: Option<Hash>,
 }
 
 impl OneTimeSecret {
@@ -31,7 +36,7 @@ impl OneTimeSecret {
             Rejection::new(Code::Internal, "the system's source of randomness failed, so no secret can be made")
         })?;
         let text = hex::encode(random);
-        Ok((Self { sha256: Hash::of(&[text.as_bytes()]), expires, wrong: 0 }, text))
+        Ok((Self { sha256: Hash::of(&[text.as_bytes()]), expires, wrong: 0, used_by: None }, text))
     }
 
     /// Does this text open it now? Takes as long for every wrong text. Spaces around it and capitals are forgiven.
@@ -44,6 +49,16 @@ impl OneTimeSecret {
     /// Neither expired nor void.
     pub(super) fn is_usable(&self, now: u64) -> bool {
         now <= self.expires && self.wrong < WRONG_TRIES_MAX
+    }
+
+    /// Gives it to the first key that comes with it. False if it belongs to another one already. That the same key
+    /// comes again counts as a wrong try, so that it does not come without end.
+    pub(super) fn bind(&mut self, key: &PublicKey) -> bool {
+        let key = Hash::of(&[&key.to_spki()]);
+        if self.used_by.is_some() {
+            self.count_wrong();
+        }
+        *self.used_by.get_or_insert(key) == key
     }
 
     /// Counts a wrong try.

@@ -144,17 +144,41 @@ fn a_bad_request_is_refused_and_leaves_the_secret_usable() {
 }
 
 #[test]
-fn a_secret_is_used_up_once_also_across_a_restart() {
+fn a_secret_is_used_up_by_one_key_also_across_a_restart() {
     let mut f = fixture();
     let secret = f.ca.register("Salma", Role::Member, BTreeMap::new(), NOW).unwrap();
-    let (_, csr) = request(KeyKind::Ed25519);
+    let ((key, csr), (_, other)) = (request(KeyKind::Ed25519), request(KeyKind::Ed25519));
     // Typed by hand: spaces and capitals are forgiven.
     f.ca.enrol("Salma", &format!(" {} ", secret.to_uppercase()), &csr, NOW).unwrap();
-    assert_eq!(code(f.ca.enrol("Salma", &secret, &csr, NOW)), Code::EnrolmentRefused);
+    assert_eq!(code(f.ca.enrol("Salma", &secret, &other, NOW)), Code::EnrolmentRefused);
     drop(f.ca);
     let mut ca = CertificateAuthority::open(&f.directory).unwrap();
     assert_eq!(ca.identity("Salma").unwrap().certificates.len(), 1);
-    assert_eq!(code(ca.enrol("Salma", &secret, &csr, NOW)), Code::EnrolmentRefused);
+    assert_eq!(code(ca.enrol("Salma", &secret, &other, NOW)), Code::EnrolmentRefused);
+    // The answer was lost: the same key asks again, a few times.
+    let again = ca.enrol("Salma", &secret, &csr, NOW).unwrap();
+    assert_eq!(verify(&ca, Usage::Client, &again, NOW).unwrap().public_key, key.public_key());
+    let answered = (0..100).filter(|_| ca.enrol("Salma", &secret, &csr, NOW).is_ok()).count();
+    assert_eq!(answered, usize::from(WRONG_TRIES_MAX) - 1);
+}
+
+#[test]
+fn a_renewal_says_what_is_registered_now_and_comes_at_most_once_a_minute() {
+    let mut f = fixture();
+    f.ca.issue("node1", Role::Node, BTreeMap::new(), KeyKind::P256, NOW).unwrap();
+    let (key, csr) = request(KeyKind::P256);
+    let soon = NOW + RENEWAL_PAUSE - 1;
+    assert_eq!(code(f.ca.renew("node1", Role::Node, &csr, soon)), Code::Overloaded);
+    assert_eq!(code(f.ca.renew("node2", Role::Node, &csr, soon)), Code::NotFound);
+    let later = NOW + RENEWAL_PAUSE;
+    assert_eq!(code(f.ca.renew("node1", Role::Admin, &csr, later)), Code::WrongRole);
+    assert_eq!(code(f.ca.renew("node1", Role::Node, b"no request", later)), Code::BadArgument);
+    let renewed = f.ca.renew("node1", Role::Node, &csr, later).unwrap();
+    let identity = verify(&f.ca, Usage::Server, &renewed, later).unwrap();
+    assert_eq!((identity.id().as_str(), identity.role), ("Org1/node1", Role::Node));
+    assert_eq!((identity.public_key, identity.not_after), (key.public_key(), later + 365 * DAY + 999_999));
+    assert_eq!(f.ca.identity("node1").unwrap().certificates.len(), 2);
+    assert_eq!(code(f.ca.renew("node1", Role::Node, &csr, later)), Code::Overloaded);
 }
 
 #[test]
@@ -168,7 +192,7 @@ fn unknown_names_and_wrong_used_or_expired_secrets_are_refused_with_the_same_wor
     assert_eq!(f.ca.enrol("Salma", &"x".repeat(1000), &csr, NOW).unwrap_err(), unknown);
     assert_eq!(f.ca.enrol("Salma", &secret, &csr, NOW + 7 * DAY + 1).unwrap_err(), unknown);
     f.ca.enrol("Salma", &secret, &csr, NOW + 7 * DAY).unwrap();
-    assert_eq!(f.ca.enrol("Salma", &secret, &csr, NOW).unwrap_err(), unknown);
+    assert_eq!(f.ca.enrol("Salma", &secret, &request(KeyKind::Ed25519).1, NOW).unwrap_err(), unknown);
 }
 
 #[test]

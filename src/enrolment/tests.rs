@@ -44,7 +44,12 @@ fn fixture() -> Fixture {
     let org1 = authorities.iter_mut().find(|ca| ca.organisation() == "Org1").unwrap();
     let admin = org1.issue("Admin", Role::Admin, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap().certificate;
     let admin = Arc::new(ledger.msps().verify(&admin, &[], NOW).unwrap());
-    let service = EnrolmentService::new(authorities, Arc::clone(&ledger), founded.genesis, || NOW);
+    let carrier: Carrier = Box::new(|join| {
+        let refused = Rejection::new(Code::NotFound, "no such function");
+        Box::pin(std::future::ready(if join.as_ref() == b"signed" { Ok(()) } else { Err(refused) }))
+    });
+    let document = (founded.genesis, founded.document);
+    let service = EnrolmentService::new(authorities, Arc::clone(&ledger), document, carrier, || NOW);
     Fixture { _place: place, service, ledger, admin }
 }
 
@@ -230,6 +235,64 @@ async fn of_many_who_present_the_same_secret_at_once_one_is_enrolled() {
     let all = futures::future::join_all((0..16).map(|_| f.enrol("Salma", &secret))).await;
     assert_eq!(all.into_iter().filter(|enrolled| code(enrolled.verdict.clone()) == Code::Ok).count(), 1);
     assert_eq!(f.list(Some(&f.admin), "Salma").await.identities[0].certificates.len(), 1);
+}
+
+#[tokio::test]
+async fn the_genesis_that_is_told_is_the_one_that_names_the_network() {
+    let f = fixture();
+    let answer = f.service.genesis(by(None, v1::GenesisRequest {})).await.unwrap().into_inner();
+    assert_eq!(Genesis::from_bytes(&answer.genesis).unwrap().1, f.ledger.network());
+}
+
+#[tokio::test]
+async fn only_who_has_a_good_certificate_renews_it_and_gets_the_same_name_and_role() {
+    let f = fixture();
+    let renew = |caller: Option<Arc<Identity>>| {
+        let service = f.service.clone();
+        async move { service.renew(by(caller.as_ref(), v1::RenewRequest { request: csr() })).await.unwrap().into_inner() }
+    };
+    let later = |identity: &Identity| Some(Arc::new(identity.clone()));
+    let expired = Identity { not_after: NOW - 1, ..(*f.admin).clone() };
+    let foreign = Identity { organisation: "Org3".into(), ..(*f.admin).clone() };
+    let stranger = Identity { name: "Nobody".into(), ..(*f.admin).clone() };
+    for (caller, expected) in [
+        (None, Code::CertificateRequired),
+        (later(&expired), Code::CertificateExpired),
+        (later(&foreign), Code::NotFound),
+        (later(&stranger), Code::NotFound),
+        // Its certificate was issued just now.
+        (later(&f.admin), Code::Overloaded),
+    ] {
+        assert_eq!(code(renew(caller).await.verdict), expected);
+    }
+    f.ledger.state().commit(
+        [(
+            Bytes::from([b"msp\0revoked/".as_slice(), &f.admin.revocation_key()].concat()),
+            Some(Bytes::from_static(b"{}")),
+        )]
+        .into_iter()
+        .collect(),
+        f.ledger.tip(),
+        false,
+    );
+    assert_eq!(code(renew(later(&f.admin)).await.verdict), Code::Revoked);
+}
+
+#[tokio::test]
+async fn a_request_to_join_is_carried_if_it_is_small_and_refused_ones_are_not_carried_without_end() {
+    let f = fixture();
+    let join = async |join: &[u8]| {
+        let request = v1::JoinOrganisationRequest { join: Bytes::copy_from_slice(join) };
+        code(f.service.join_organisation(by(None, request)).await.unwrap().into_inner().verdict)
+    };
+    assert_eq!(join(&vec![0; 64 * 1024 + 1]).await, Code::TooLarge);
+    for _ in 0..tries::BURST_MAX * 2 {
+        assert_eq!(join(b"signed").await, Code::Ok);
+    }
+    for _ in 0..tries::BURST_MAX {
+        assert_eq!(join(b"forged").await, Code::NotFound);
+    }
+    assert_eq!(join(b"signed").await, Code::Overloaded);
 }
 
 #[tokio::test]

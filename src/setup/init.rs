@@ -1,23 +1,16 @@
 //! `ledgerd init`: founds a network of one organisation with one node, and invites its first admin.
 
+use super::settings::{Settings, public_address};
 use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
 use crate::ca::CertificateAuthority;
-use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::clock::wall;
-use crate::config::{Config, is_address};
+use crate::config::Config;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::fs;
-use std::net::SocketAddr;
 use std::path::PathBuf;
-
-/// What is written where no configuration is yet: every setting with its default, commented out.
-const SHIPPED_CONFIG: &str = include_str!("../../ledgerd.toml");
-
-/// The line in it that says where to listen.
-const SHIPPED_LISTEN: &str = "#listen = \"127.0.0.1:7450\"";
 
 /// The arguments of `ledgerd init`.
 #[derive(Clone, Debug, clap::Args)]
@@ -50,23 +43,18 @@ pub struct InitOptions {
 /// # Errors
 /// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
 pub fn init(options: &InitOptions) -> Result<String, Rejection> {
-    let written = write_config(options)?;
-    init_at(options, wall()).inspect_err(|_| {
+    let settings = Settings::of(&options.config, options.address.as_deref(), None, None)?;
+    let written = settings.write(&options.config)?;
+    init_at(options, &settings.config, wall()).inspect_err(|_| {
         if written {
             let _ = fs::remove_file(&options.config);
         }
     })
 }
 
-fn init_at(options: &InitOptions, now: u64) -> Result<String, Rejection> {
+fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<String, Rejection> {
     let path = options.config.display();
-    let config = Config::load(&options.config).map_err(|faults| {
-        let more = format!("correct it; ledgerd check --config {path} names all {} faults", faults.len());
-        let first = faults.into_iter().next().map(Rejection::from);
-        first
-            .map_or_else(|| Rejection::new(Code::BadConfiguration, "the configuration is not usable"), |r| r.next(more))
-    })?;
-    let address = address(options, &config.listen)?;
+    let address = public_address(options.address.as_deref(), &config.listen, "ledgerd init")?;
     let organisation = &options.organisation;
     let plan = NetworkPlan {
         snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
@@ -81,7 +69,7 @@ fn init_at(options: &InitOptions, now: u64) -> Result<String, Rejection> {
         }],
     };
     let founded = found(&plan, now)?;
-    let secret = invite(options, &config, &founded.authorities, now).inspect_err(|_| {
+    let secret = invite(options, config, &founded.authorities, now).inspect_err(|_| {
         let _ = fs::remove_dir_all(&config.data);
     })?;
     let fingerprint = founded.authorities.first().map(|ca| ca.fingerprint).unwrap_or_default();
@@ -114,44 +102,6 @@ fn invite(
     let mut authority = CertificateAuthority::open(&authority.directory)?;
     authority.set_days(config.ca.certificate_days, config.ca.secret_days);
     authority.register(&options.admin, Role::Admin, BTreeMap::new(), now)
-}
-
-/// Writes the shipped configuration if there is none, listening where the given address leads; true if it did.
-fn write_config(options: &InitOptions) -> Result<bool, Rejection> {
-    if fs::symlink_metadata(&options.config).is_ok() {
-        return Ok(false);
-    }
-    let mut text = SHIPPED_CONFIG.to_owned();
-    if let Some((_, port)) = options.address.as_deref().and_then(|address| address.rsplit_once(':')) {
-        let local = options.address.as_deref().and_then(|address| address.parse::<SocketAddr>().ok());
-        let listen = match local.filter(|address| address.ip().is_loopback()) {
-            Some(address) => address.to_string(),
-            None => format!("0.0.0.0:{port}"),
-        };
-        text = text.replace(SHIPPED_LISTEN, &format!("listen = {listen:?}"));
-    }
-    durable::create(&options.config, text.as_bytes(), PUBLIC_MODE).map(|()| true)
-}
-
-/// The address that the genesis tells everybody.
-fn address(options: &InitOptions, listen: &str) -> Result<String, Rejection> {
-    let unusable = |found: &str, why: &str| {
-        Err(Rejection::new(Code::BadConfiguration, format!("others cannot reach the node at {found}"))
-            .found(why)
-            .wanted("HOST:PORT as clients and other nodes use it")
-            .next("ledgerd init --address HOST:PORT"))
-    };
-    let address = options.address.as_deref().unwrap_or(listen);
-    if !is_address(address) {
-        return unusable(address, "no HOST:PORT");
-    }
-    if address.ends_with(":0") {
-        return unusable(address, "port 0, which lets the system choose another one at each start");
-    }
-    if address.parse::<SocketAddr>().is_ok_and(|address| address.ip().is_unspecified()) {
-        return unusable(address, "an address that means every network of this machine");
-    }
-    Ok(address.to_owned())
 }
 
 #[cfg(test)]
@@ -211,7 +161,8 @@ mod tests {
         let place = TempDir::new().unwrap();
         let options = options(place.path());
         fs::write(&options.config, "data = 'd'\n[ca]\nsecret_days = 2\n").unwrap();
-        let text = init_at(&options, NOW).unwrap();
+        let config = Config::load(&options.config).unwrap();
+        let text = init_at(&options, &config, NOW).unwrap();
         let secret = text.split_once("--secret ").unwrap().1.lines().next().unwrap();
         let mut ca = CertificateAuthority::open(&place.path().join("d").join(ca::DIRECTORY).join("Org1")).unwrap();
         let key = ledger::key::SigningKey::generate(KeyKind::P256, &ring::rand::SystemRandom::new()).unwrap();

@@ -254,7 +254,7 @@ impl TrustSource for Anybody {
 async fn a_users_certificate_is_no_nodes() {
     let mut target = Target::start().await;
     // A user who serves: whoever connects must notice.
-    let identity = TlsIdentity::new(target.salma.chain.clone(), &target.salma.key).unwrap();
+    let identity = TlsIdentity::new(target.salma.chain.clone(), Arc::clone(&target.salma.key)).unwrap();
     let config = server_config(identity, Arc::new(Anybody(Arc::clone(&target.salma.msps)))).unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let fake = listener.local_addr().unwrap().to_string();

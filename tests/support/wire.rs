@@ -14,7 +14,7 @@ use tonic::transport::{Channel, Endpoint, Uri};
 
 /// A TLS connection to the node of a context, as that identity or as nobody.
 pub async fn tls(context: &Context, named: bool) -> io::Result<TlsStream<TcpStream>> {
-    let identity = named.then(|| TlsIdentity::new(context.chain.clone(), &context.key).unwrap());
+    let identity = named.then(|| TlsIdentity::new(context.chain.clone(), Arc::clone(&context.key)).unwrap());
     let config = client_config(identity, ServerTrust::Roots(Arc::clone(&context.msps))).unwrap();
     let socket = TcpStream::connect(&context.nodes[0]).await?;
     let name = rustls_pki_types::ServerName::try_from("node.test").unwrap();

@@ -24,6 +24,7 @@ pub use reads::{Answer, Registered};
 
 use crate::connect::Credentials;
 use crate::context::Context;
+use crate::tls::TlsIdentity;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger::{Bytes, Code, Hash, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
@@ -126,20 +127,22 @@ impl Client {
             .fill(&mut nonce)
             .map_err(|_| Rejection::new(Code::Internal, "the system's source of randomness failed"))?;
         let ttl = u64::try_from(call.ttl.as_micros()).unwrap_or(u64::MAX);
+        let own = self.credentials.identity.own();
+        let creator = own.creator;
         let body = Body {
             network: Bytes::copy_from_slice(self.credentials.network.as_ref()),
-            creator: Bytes::copy_from_slice(self.session.in_flight.creator().as_ref()),
+            creator: Bytes::copy_from_slice(creator.as_ref()),
             nonce: Bytes::copy_from_slice(&nonce),
             not_after: self.now().saturating_add(ttl),
             chaincode: call.chaincode,
             function: call.function,
             args: call.args,
         };
-        let transaction = Transaction::sign(&body, &self.credentials.key)?;
-        if self.session.in_flight.introduced() {
+        let transaction = Transaction::sign(&body, &own.key)?;
+        if self.session.in_flight.introduced(&creator) {
             return Ok(transaction);
         }
-        transaction.with_certificate(self.credentials.certificate.clone())
+        transaction.with_certificate(Bytes::copy_from_slice(own.certificate()))
     }
 
     /// Signs a call, submits it and waits for its verdict.
@@ -195,7 +198,14 @@ impl Client {
 
     /// SHA-256 of the own certificate.
     pub fn creator(&self) -> Hash {
-        self.session.in_flight.creator()
+        self.credentials.identity.own().creator
+    }
+
+    /// Goes on with a renewed certificate of the same identity: it signs what comes next, and a new connection shows
+    /// it. What is in flight is sent again there, and executed once.
+    pub fn renew(&self, identity: &TlsIdentity) {
+        self.credentials.identity.renew(identity);
+        self.session.reconnect();
     }
 
     /// The largest height at which a transaction or a delivery of this client was.

@@ -6,7 +6,6 @@ use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
 use hyper_util::rt::TokioIo;
 use ledger::certificate::Certificate;
 use ledger::identity::IdentityError;
-use ledger::key::SigningKey;
 use ledger::{Bytes, Code, Hash, Rejection};
 use rustls::pki_types::ServerName;
 use rustls::{AlertDescription, ClientConfig};
@@ -28,38 +27,26 @@ const CONNECTION_WINDOW_BYTES: u32 = 4 * 1024 * 1024;
 /// The name that TLS asks for; it is not checked (see [`crate::tls`]).
 const SERVER_NAME: &str = "node.ledgerd.internal";
 
-/// What connections as an identity need: who one is, on which network, and which nodes are accepted.
+/// What connections as an identity need: who one is, on which network, and which nodes are accepted. Clones share the
+/// identity, and so see it renewed.
 #[derive(Clone)]
 pub struct Credentials {
     /// Name of the network.
     pub network: Hash,
-    /// Signs transactions.
-    pub key: Arc<SigningKey>,
-    /// The own certificate in DER.
-    pub certificate: Bytes,
+    /// Signs transactions, and shows itself to nodes.
+    pub identity: TlsIdentity,
     /// The settings of every connection.
     pub(crate) tls: Arc<ClientConfig>,
 }
 
 impl Credentials {
-    /// Takes identity, key and trust together.
+    /// Takes identity and trust together.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if certificate and key cannot be used together.
-    pub fn new(
-        network: Hash,
-        identity: TlsIdentity,
-        key: Arc<SigningKey>,
-        trust: ServerTrust,
-    ) -> Result<Self, Rejection> {
-        let certificate = identity.chain.first().map(|own| Bytes::copy_from_slice(own)).unwrap_or_default();
-        let tls = client_config(Some(identity), trust).map_err(|error| unusable(&error))?;
-        Ok(Self { network, key, certificate, tls: Arc::new(tls) })
-    }
-
-    /// SHA-256 of the own certificate: the creator in transactions.
-    pub fn creator(&self) -> Hash {
-        Hash::of(&[&self.certificate])
+    /// [`Code::BadFile`] if certificate and key cannot be used.
+    pub fn new(network: Hash, identity: TlsIdentity, trust: ServerTrust) -> Result<Self, Rejection> {
+        let tls = client_config(Some(identity.clone()), trust).map_err(|error| unusable(&error))?;
+        Ok(Self { network, identity, tls: Arc::new(tls) })
     }
 }
 

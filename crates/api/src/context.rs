@@ -16,6 +16,7 @@ mod organisations;
 pub use home::home;
 
 use crate::connect::Credentials;
+use crate::renew::Renewal;
 use crate::tls::{ServerTrust, TlsIdentity};
 use crate::v1;
 use files::bad_file;
@@ -92,9 +93,10 @@ impl Context {
         let msps =
             organisations::from_json(&files::read(&msps_path)?).map_err(|reason| bad_file(&msps_path, reason))?;
         // That the key belongs to the certificate is known here, not at the first connection.
-        TlsIdentity::new(chain.clone(), &key).map_err(|error| bad_file(&chain_path, error.to_string()))?;
+        let key = Arc::new(key);
+        TlsIdentity::new(chain.clone(), Arc::clone(&key)).map_err(|error| bad_file(&chain_path, error.to_string()))?;
         let Settings { name, organisation, network, label, nodes } = settings;
-        Ok(Self { name, organisation, network, label, nodes, chain, key: Arc::new(key), msps: Arc::new(msps) })
+        Ok(Self { name, organisation, network, label, nodes, chain, key, msps: Arc::new(msps) })
     }
 
     /// Writes the context below `home`, replacing one of the same name: all of it or nothing, and the key is never
@@ -134,9 +136,27 @@ impl Context {
     /// # Errors
     /// [`Code::BadFile`] if certificate and key do not belong together.
     pub fn credentials(&self) -> Result<Credentials, Rejection> {
-        let identity = TlsIdentity::new(self.chain.clone(), &self.key)
-            .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))?;
-        Credentials::new(self.network, identity, Arc::clone(&self.key), ServerTrust::Roots(Arc::clone(&self.msps)))
+        Credentials::new(self.network, self.identity()?, ServerTrust::Roots(Arc::clone(&self.msps)))
+    }
+
+    /// Certificate and key, as connections and signatures need them.
+    ///
+    /// # Errors
+    /// [`Code::BadFile`] if certificate and key do not belong together.
+    pub fn identity(&self) -> Result<TlsIdentity, Rejection> {
+        TlsIdentity::new(self.chain.clone(), Arc::clone(&self.key))
+            .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))
+    }
+
+    /// The same context with a renewed certificate and a new key, by the CA of the organisation; store it with
+    /// [`Context::save`]. The present certificate must still be valid.
+    ///
+    /// # Errors
+    /// As [`Renewal::ask`](crate::Renewal::ask).
+    pub async fn renewed(&self) -> Result<Self, Rejection> {
+        let renewal = Renewal::begin(&self.identity()?)?;
+        let renewed = renewal.ask(&self.nodes, &self.credentials()?, &self.msps).await?.own();
+        Ok(Self { chain: renewed.chain.clone(), key: Arc::clone(&renewed.key), ..self.clone() })
     }
 
     /// What the own certificate says: name, role, attributes, validity. Nothing of it is verified.

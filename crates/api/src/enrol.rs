@@ -9,6 +9,7 @@ use crate::v1::enrolment_client::EnrolmentClient;
 use ledger::identity::Identity;
 use ledger::key::{KeyKind, SigningKey};
 use ledger::msp::{Msp, Msps};
+use ledger::network::Genesis;
 use ledger::{Bytes, Code, Hash, Rejection};
 use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
 use ring::rand::SystemRandom;
@@ -18,7 +19,7 @@ use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// How long connecting may take.
-const CONNECT_MAX: Duration = Duration::from_secs(3);
+pub(crate) const CONNECT_MAX: Duration = Duration::from_secs(3);
 
 /// First contact with a node, whose CA is known by its fingerprint only.
 #[derive(Clone, Debug)]
@@ -43,6 +44,35 @@ impl Enrolment {
         answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))
     }
 
+    /// The genesis document of the network with this name, which is its hash.
+    ///
+    /// # Errors
+    /// As [`Enrolment::network`]; [`Code::Untrusted`] if the node has another genesis, [`Code::Malformed`].
+    pub async fn genesis(&self, wanted: &Hash) -> Result<(Genesis, Bytes), Rejection> {
+        let connection = self.connect().await?;
+        let answer = EnrolmentClient::new(connection.channel.clone()).genesis(v1::GenesisRequest {}).await;
+        let document = answer.map_err(|status| connection.refusal(&status))?.into_inner().genesis;
+        let (genesis, network) = Genesis::from_bytes(&document)?;
+        if network != *wanted {
+            return Err(Rejection::new(Code::Untrusted, format!("the node at {} is of another network", self.node))
+                .found(format!("network {network}"))
+                .wanted(format!("network {wanted}"))
+                .next("check the address; the token is of another network"));
+        }
+        Ok((genesis, document))
+    }
+
+    /// Brings what an invited organisation has signed to the ledger: the argument of `msp join_organisation`.
+    ///
+    /// # Errors
+    /// As [`Enrolment::network`], and what the ledger says of it.
+    pub async fn join_organisation(&self, join: Bytes) -> Result<(), Rejection> {
+        let connection = self.connect().await?;
+        let mut client = EnrolmentClient::new(connection.channel.clone());
+        let answer = client.join_organisation(v1::JoinOrganisationRequest { join }).await;
+        accepted(answer.map_err(|status| connection.refusal(&status))?.into_inner().verdict.as_ref())
+    }
+
     /// Makes a key here, has it certified, and checks what came back: the certificate must be of our key and of the
     /// organisation with the pinned CA, or of another one whose CA the same node carries; then it is the pinned
     /// organisation's node that vouches for the other's root. The context is named after the identity; store it with
@@ -53,6 +83,15 @@ impl Enrolment {
     pub async fn enrol(&self, name: &str, secret: &str, kind: KeyKind) -> Result<Context, Rejection> {
         let key = SigningKey::generate(kind, &SystemRandom::new())
             .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        self.enrol_key(name, secret, key).await
+    }
+
+    /// As [`Enrolment::enrol`], with a key that exists. An answer that was lost can be asked for again with the same
+    /// secret and key.
+    ///
+    /// # Errors
+    /// As [`Enrolment::enrol`].
+    pub async fn enrol_key(&self, name: &str, secret: &str, key: SigningKey) -> Result<Context, Rejection> {
         // The name may be ORGANISATION/NAME; only its last part can be in a certificate.
         let own_name = name.rsplit('/').next().unwrap_or(name);
         let request = v1::EnrolRequest { name: name.into(), secret: secret.into(), request: request(own_name, &key)? };
@@ -132,12 +171,17 @@ fn verify(organisation: &Msp, certificate: &[u8], chain: &[Bytes]) -> Result<Ide
     let mut msps = Msps::new();
     msps.insert(organisation.clone())?;
     let chain: Vec<_> = chain.iter().map(|der| CertificateDer::from(der.as_ref())).collect();
+    Ok(msps.verify(certificate, &chain, now())?)
+}
+
+/// The machine's clock, microseconds since the UNIX epoch.
+pub(crate) fn now() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    Ok(msps.verify(certificate, &chain, u64::try_from(now.as_micros()).unwrap_or(u64::MAX))?)
+    u64::try_from(now.as_micros()).unwrap_or(u64::MAX)
 }
 
 /// A certificate signing request (PKCS #10) in DER.
-fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> {
+pub(crate) fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> {
     let fault =
         |error: rcgen::Error| Rejection::new(Code::Internal, format!("no signing request can be made: {error}"));
     let algorithm = match key.kind() {

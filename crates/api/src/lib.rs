@@ -3,6 +3,8 @@
 //! - [`v1`]: the messages and services of `proto/ledgerd/v1`, which is where they are documented.
 //! - [`tls`]: who may connect to whom.
 //! - [`Context`]: who this machine is on which network, on disk. [`Enrolment`] makes one.
+//! - [`token`]: how a new node gets to know the network.
+//! - [`Renewal`]: the next certificate, before the present one runs out.
 //! - [`Client`]: signs, submits, queries and subscribes, through whichever node answers.
 //! - [`report`]: a refusal as people read it.
 //!
@@ -23,8 +25,10 @@ mod client;
 mod connect;
 pub mod context;
 mod enrol;
+mod renew;
 mod report;
 pub mod tls;
+pub mod token;
 
 pub use client::{
     Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending,
@@ -33,6 +37,7 @@ pub use client::{
 pub use connect::Credentials;
 pub use context::{Context, home};
 pub use enrol::Enrolment;
+pub use renew::{Renewal, renewal_due};
 pub use report::{accepted, from_status, report, to_status};
 
 /// Types generated from `proto/ledgerd/v1`.

@@ -18,7 +18,7 @@ mod refusal;
 mod server;
 mod trust;
 
-pub use identity::{TlsError, TlsIdentity};
+pub use identity::{Own, TlsError, TlsIdentity};
 pub use refusal::{Refusal, refusal};
 pub use server::server_config;
 pub use trust::{ServerTrust, TrustSource, client_config, client_config_expecting, client_identity};

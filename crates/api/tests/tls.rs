@@ -74,7 +74,7 @@ impl Ca {
         let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
         let pair = KeyPair::from_pem(&key.to_pkcs8_pem()).unwrap();
         let own = params.signed_by(&pair, &self.0).unwrap().der().clone();
-        TlsIdentity::new([&[own], issuers].concat(), &key).unwrap()
+        TlsIdentity::new([&[own], issuers].concat(), key.into()).unwrap()
     }
 
     fn node(&self) -> TlsIdentity {
@@ -272,7 +272,7 @@ async fn a_revoked_user_is_refused() {
     let refused = connect(config, ca.node(), &network).await.refused_by_server();
     assert_eq!(refused, (CertificateError::Revoked, AlertDescription::CertificateRevoked));
     // A connection from before: asked again, the answer has changed.
-    let again = client_identity(Some(&salma.chain), network.as_ref());
+    let again = client_identity(Some(&salma.own().chain), network.as_ref());
     assert_eq!(again, Err(Refusal::Revoked { id: "Org1/Salma".into() }));
 }
 
@@ -354,7 +354,7 @@ async fn first_contact_refuses_another_authority() {
 async fn first_contact_refuses_a_pin_on_the_certificate_of_the_node_itself() {
     let (ca, _, network) = setting();
     let node = ca.node();
-    let pin = Hash::of(&[node.chain.first().unwrap()]).0;
+    let pin = Hash::of(&[node.own().chain.first().unwrap()]).0;
     let config = client_config(None, ServerTrust::Fingerprint(pin)).unwrap();
     let refused = connect(config, node, &network).await.refused_by_client();
     assert!(matches!(refused, Refusal::Fingerprint { .. }), "{refused}");
@@ -406,7 +406,7 @@ fn a_chain_and_a_key_are_read_from_files() {
     std::fs::write(&chain, certificate.pem() + &ca.0.pem()).unwrap();
     std::fs::write(&secret, key.to_pkcs8_pem()).unwrap();
     let read = TlsIdentity::from_pem_files(&chain, &secret).unwrap();
-    assert_eq!(read.chain, [certificate.der().clone(), ca.der()]);
+    assert_eq!(read.own().chain, [certificate.der().clone(), ca.der()]);
     assert!(!format!("{read:?}").contains("key"), "the secret is not shown");
 
     let refused = TlsIdentity::from_pem_files(&folder.path().join("missing.pem"), &secret).unwrap_err();
@@ -424,6 +424,41 @@ fn a_chain_and_a_key_are_read_from_files() {
 fn a_key_that_is_not_the_certificates_is_refused() {
     let ca = Ca::new("ca.org1");
     let other = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-    let refused = TlsIdentity::new(ca.node().chain, &other).unwrap_err();
+    let refused = TlsIdentity::new(ca.node().own().chain.clone(), other.into()).unwrap_err();
+    assert!(matches!(refused, TlsError::KeyMismatch { .. }), "{refused}");
+}
+
+#[tokio::test]
+async fn a_renewed_certificate_is_shown_from_the_next_handshake_on_by_both_sides() {
+    let (one, _, network) = setting();
+    let (salma, node) = (one.user("Salma"), one.node());
+    let connected = || async {
+        let trust = ServerTrust::Roots(one.msps("Org1"));
+        connect(client_config(Some(salma.clone()), trust).unwrap(), node.clone(), &network).await
+    };
+    // Made before the renewal, used after it.
+    let before = client_config(Some(salma.clone()), ServerTrust::Roots(one.msps("Org1"))).unwrap();
+    assert_eq!(connected().await.server.unwrap().unwrap().name, "Salma");
+    let old = salma.own().creator;
+    salma.renew(&one.user("Salma2"));
+    assert_ne!(salma.own().creator, old);
+    let outcome = connect(before, node.clone(), &network).await;
+    assert_eq!(outcome.server.unwrap().unwrap().name, "Salma2");
+    node.renew(&one.issue(&params("node1", "member"), &[one.der()]));
+    let refused = connected().await.client.unwrap_err();
+    assert!(matches!(refusal(&refused), Some(Refusal::NotANode { .. })), "{refused}");
+}
+
+#[test]
+fn of_two_keys_in_a_file_the_one_of_the_certificate_is_taken() {
+    let ca = Ca::new("ca.org1");
+    let [key, other] = [(); 2].map(|()| SigningKey::generate(KeyKind::P256, &SystemRandom::new()).unwrap());
+    let pair = KeyPair::from_pem(&key.to_pkcs8_pem()).unwrap();
+    let chain = params("node1", "node").signed_by(&pair, &ca.0).unwrap().pem();
+    let (own, other) = (key.to_pkcs8_pem(), other.to_pkcs8_pem());
+    for keys in [own.clone() + &other, other.clone() + &own] {
+        assert_eq!(TlsIdentity::from_pem(&chain, &keys).unwrap().own().key.public_key(), key.public_key());
+    }
+    let refused = TlsIdentity::from_pem(&chain, &other).unwrap_err();
     assert!(matches!(refused, TlsError::KeyMismatch { .. }), "{refused}");
 }

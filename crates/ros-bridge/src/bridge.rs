@@ -3,7 +3,10 @@
 #[cfg(test)]
 mod tests;
 
-use std::{path::Path, sync::Arc};
+use std::{
+    path::{Path, PathBuf},
+    sync::Arc,
+};
 
 use ledger::{Code, Rejection};
 use ledger_api::{Client, Context, home};
@@ -17,6 +20,7 @@ use crate::{
     gate::Settings,
     gateway::Gateway,
     names::{TopicName, TypeName},
+    renewal::keep_renewed,
     route::{Stop, from_ledger::FromLedger, local::Local, stopped, to_ledger::ToLedger},
     service::Service,
 };
@@ -44,8 +48,11 @@ pub struct Bridge {
 pub async fn run(config: &Path, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
     let config = Config::load(config).map_err(all_faults)?;
     let client = Client::connect(&context_of(&config)?).await?;
-    let bridge = Bridge::start(config, client).await?;
-    stop.await;
+    let bridge = Bridge::start(config.clone(), client.clone()).await?;
+    tokio::select! {
+        () = stop => {}
+        () = keep_renewed(&config, &client) => {}
+    }
     print(&bridge.stop().await)
 }
 
@@ -156,6 +163,16 @@ pub fn context_of(config: &Config) -> Result<Context, Rejection> {
                     .next("ledgerctl enroll makes one below LEDGERD_HOME")),
             }
         }
+    }
+}
+
+/// Where that context is stored: the directory above `contexts`.
+pub(crate) fn home_of(config: &Config) -> Result<PathBuf, Rejection> {
+    match &config.identity {
+        IdentitySource::Directory(path) => {
+            path.parent().and_then(Path::parent).map(Path::to_owned).map_or_else(home, Ok)
+        }
+        IdentitySource::Selected | IdentitySource::Context(_) => home(),
     }
 }
 

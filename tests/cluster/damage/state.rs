@@ -6,6 +6,7 @@ use crate::rounds;
 use crate::support::Dice;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
+use ledger::results::ResultStore;
 use ledger::state::{MemoryState, State};
 use ledger::verify::{BLOCKS_DIRECTORY, GENESIS_FILE, STATE_DIRECTORY};
 use ledger::{Bytes, Hash, Ledger};
@@ -32,7 +33,7 @@ fn worlds(data: &Path, scratch: &Path) -> BTreeMap<u64, World> {
     let disk = Arc::new(RealDisk::open(scratch).unwrap());
     let (store, recovery) = BlockStore::open(disk, Options::new(network.0, || 1)).unwrap();
     let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-    let ledger = Ledger::open(&genesis, Node::builder().registry().unwrap(), Arc::clone(&state)).unwrap();
+    let ledger = Ledger::open(&genesis, Node::builder().registry().unwrap(), Arc::clone(&state), Arc::new(ResultStore::in_memory())).unwrap();
     let mut worlds = BTreeMap::new();
     for entry in store.entries(1..recovery.last_index + 1, usize::MAX).unwrap() {
         ledger.apply(&entry).unwrap();

@@ -6,13 +6,13 @@
 use super::Committed;
 use super::session::{Session, is_final};
 use crate::report::accepted;
+use crate::tls::TlsIdentity;
 use crate::v1::SubmitResponse;
 use ledger::transaction::{TRANSACTION_BYTES_MAX, Transaction};
 use ledger::{Bytes, Class, Code, Hash, Rejection};
 use std::collections::HashMap;
 use std::collections::hash_map;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
@@ -51,10 +51,10 @@ pub(super) enum Effect {
 pub(super) struct InFlight {
     table: Mutex<Table>,
     room: Arc<Semaphore>,
-    creator: Hash,
-    certificate: Bytes,
-    /// Does the ledger know our certificate?
-    introduced: AtomicBool,
+    /// Who signs.
+    identity: TlsIdentity,
+    /// The creator whose certificate the ledger is known to have. After a renewal it is another one than ours.
+    introduced: Mutex<Option<Hash>>,
     /// How long a transaction is tried.
     patience: Duration,
     /// Is there another node to go to?
@@ -104,24 +104,24 @@ enum State {
 }
 
 impl InFlight {
-    pub(super) fn new(creator: Hash, certificate: Bytes, patience: Duration, several: bool) -> Self {
+    pub(super) fn new(identity: TlsIdentity, patience: Duration, several: bool) -> Self {
         Self {
             table: Mutex::default(),
             room: Arc::new(Semaphore::new(UNITS)),
-            creator,
-            certificate,
-            introduced: AtomicBool::new(false),
+            identity,
+            introduced: Mutex::default(),
             patience,
             several,
         }
     }
 
-    pub(super) fn creator(&self) -> Hash {
-        self.creator
+    /// Is the ledger known to have this creator's certificate?
+    pub(super) fn introduced(&self, creator: &Hash) -> bool {
+        self.known().as_ref() == Some(creator)
     }
 
-    pub(super) fn introduced(&self) -> bool {
-        self.introduced.load(Ordering::Relaxed)
+    fn known(&self) -> MutexGuard<'_, Option<Hash>> {
+        self.introduced.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Room for a transaction; waits for it.
@@ -226,10 +226,13 @@ impl InFlight {
             }
         }
         let entry = place.remove();
-        if verdict.is_ok() && !self.introduced() {
+        let creator = self.identity.own().creator;
+        if verdict.is_ok() && !self.introduced(&creator) {
             // A transaction of somebody else says nothing about our certificate.
-            let ours = Transaction::decode(entry.encoded.clone()).is_ok_and(|done| done.creator() == self.creator);
-            self.introduced.fetch_or(ours, Ordering::Relaxed);
+            let ours = Transaction::decode(entry.encoded.clone()).is_ok_and(|done| done.creator() == creator);
+            if ours {
+                *self.known() = Some(creator);
+            }
         }
         // It expired while its fate was unknown: ids are forgotten after not_after, so it may have been executed.
         let forgotten = entry.uncertain && answer.height == 0 && effect == Effect::DoubtClock;
@@ -273,12 +276,15 @@ impl InFlight {
 
     /// Adds our certificate to a transaction of ours that came without. False if that is not what was missing.
     fn introduce(&self, entry: &mut Entry) -> bool {
-        self.introduced.store(false, Ordering::Relaxed);
+        *self.known() = None;
+        let own = self.identity.own();
         let Ok(transaction) = Transaction::decode(entry.encoded.clone()) else { return false };
-        if transaction.certificate().is_some() || transaction.creator() != self.creator {
+        if transaction.certificate().is_some() || transaction.creator() != own.creator {
             return false;
         }
-        let Ok(introduced) = transaction.with_certificate(self.certificate.clone()) else { return false };
+        let Ok(introduced) = transaction.with_certificate(Bytes::copy_from_slice(own.certificate())) else {
+            return false;
+        };
         entry.encoded = introduced.encoded().clone();
         true
     }

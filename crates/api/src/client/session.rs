@@ -7,6 +7,7 @@ use super::Options;
 use super::clock::{Clock, middle};
 use super::in_flight::{Effect, InFlight, Pending};
 use crate::connect::{Connection, Credentials};
+use crate::tls::TlsIdentity;
 use crate::v1::enrolment_client::EnrolmentClient;
 use crate::v1::gateway_client::GatewayClient;
 use crate::v1::{NetworkRequest, SubmitRequest, SubmitResponse};
@@ -84,7 +85,7 @@ impl Session {
             nodes,
             at: 0,
             tls: Arc::clone(&credentials.tls),
-            certificate: credentials.certificate.clone(),
+            identity: credentials.identity.clone(),
             network: credentials.network,
             patience: options.connect,
             seen: Arc::default(),
@@ -93,9 +94,8 @@ impl Session {
         let (link, _) = watch::channel(Link { number: 0, connection: opened.connection.clone(), broken: None });
         let (unwanted, complaints) = watch::channel(0);
         let several = dialer.nodes.len() > 1;
-        let certificate = credentials.certificate.clone();
         let session = Arc::new(Self {
-            in_flight: InFlight::new(credentials.creator(), certificate, options.deadline, several),
+            in_flight: InFlight::new(credentials.identity.clone(), options.deadline, several),
             clock: Clock::new(),
             options,
             link,
@@ -141,6 +141,12 @@ impl Session {
             *unwanted = number.max(*unwanted);
             newer
         });
+    }
+
+    /// Asks for a new connection in place of the one there is.
+    pub(super) fn reconnect(&self) {
+        let number = self.link.borrow().number;
+        self.leave(number);
     }
 
     pub(super) fn address(&self) -> Arc<str> {
@@ -211,7 +217,7 @@ struct Dialer {
     /// Index of the node to try next.
     at: usize,
     tls: Arc<ClientConfig>,
-    certificate: Bytes,
+    identity: TlsIdentity,
     network: Hash,
     patience: Duration,
     /// Largest height seen: a node that is behind it waits before it looks at a transaction.
@@ -245,7 +251,8 @@ impl Dialer {
     }
 
     async fn open(&self, address: &str) -> Result<Opened, Rejection> {
-        let connection = Connection::open(address, Arc::clone(&self.tls), &self.certificate, self.patience).await?;
+        let certificate = Bytes::copy_from_slice(self.identity.own().certificate());
+        let connection = Connection::open(address, Arc::clone(&self.tls), &certificate, self.patience).await?;
         let late =
             || crate::connect::unreachable(address, &format!("no answer within {} ms", self.patience.as_millis()));
         let up = Up { number: 0, connection };

@@ -1,15 +1,22 @@
 //! Our own side of a connection: certificate chain and private key.
 
+use super::provider;
+use ledger::Hash;
 use ledger::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger::identity::IdentityError;
 use ledger::key::{KEY_BYTES_MAX, KeyError, PublicKey, SigningKey};
 use ledger::msp::PRESENTED_MAX;
+use rustls::SignatureScheme;
+use rustls::client::ResolvesClientCert;
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer};
+use rustls::server::{ClientHello, ResolvesServerCert};
+use rustls::sign::CertifiedKey;
 use std::fmt;
 use std::fs::File;
 use std::io::Read;
 use std::path::Path;
+use std::sync::{Arc, PoisonError, RwLock};
 use thiserror::Error;
 
 /// Largest file of a certificate chain, in bytes of PEM: the certificate and those that may come along, in base64.
@@ -56,11 +63,24 @@ pub enum TlsError {
 }
 
 /// A certificate chain (the own certificate first) with its private key.
+///
+/// Clones share it: after [`TlsIdentity::renew`] all of them show the new certificate in their next handshakes, and
+/// connections that exist stay. So a renewed certificate needs no restart.
+#[derive(Clone)]
 pub struct TlsIdentity {
+    current: Arc<RwLock<Arc<Own>>>,
+}
+
+/// What a [`TlsIdentity`] shows and signs with at the moment.
+pub struct Own {
     /// The own certificate, its issuers, and for first contact the root.
     pub chain: Vec<CertificateDer<'static>>,
     /// The private key of the own certificate.
-    pub key: PrivateKeyDer<'static>,
+    pub key: Arc<SigningKey>,
+    /// SHA-256 of the own certificate: the creator in transactions.
+    pub creator: Hash,
+    /// Both as rustls wants them.
+    certified: Arc<CertifiedKey>,
 }
 
 impl TlsIdentity {
@@ -68,25 +88,21 @@ impl TlsIdentity {
     ///
     /// # Errors
     /// [`TlsError::Chain`], [`TlsError::Certificate`], [`TlsError::Key`], [`TlsError::KeyMismatch`].
-    pub fn new(chain: Vec<CertificateDer<'static>>, key: &SigningKey) -> Result<Self, TlsError> {
-        let Some(own) = chain.first() else {
-            return Err(TlsError::Chain { found: "no certificate".into() });
-        };
-        if chain.len() > PRESENTED_MAX + 1 {
-            return Err(TlsError::Chain {
-                found: format!("{} certificates (at most {} are read)", chain.len(), PRESENTED_MAX + 1),
-            });
-        }
-        let wanted = PublicKey::from_spki(&Certificate::parse(own)?.public_key_info)?;
+    pub fn new(chain: Vec<CertificateDer<'static>>, key: Arc<SigningKey>) -> Result<Self, TlsError> {
+        let wanted = own_key(&chain)?;
         let found = key.public_key();
         if found != wanted {
             return Err(TlsError::KeyMismatch { found: format!("{found:?}"), wanted: format!("{wanted:?}") });
         }
-        let key = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(key.to_pkcs8_der().to_vec()));
-        Ok(Self { chain, key })
+        let der = PrivateKeyDer::Pkcs8(PrivatePkcs8KeyDer::from(key.to_pkcs8_der().to_vec()));
+        let signer = provider().key_provider.load_private_key(der)?;
+        let certified = Arc::new(CertifiedKey::new(chain.clone(), signer));
+        let creator = Hash::of(&[chain.first().map(AsRef::as_ref).unwrap_or_default()]);
+        Ok(Self { current: Arc::new(RwLock::new(Arc::new(Own { chain, key, creator, certified }))) })
     }
 
-    /// Reads chain and key from PEM texts.
+    /// Reads chain and key from PEM texts. Of several keys the one of the certificate is taken: while a renewal
+    /// replaces two files one after the other, the old key and the new one stand together in one of them.
     ///
     /// # Errors
     /// As [`TlsIdentity::new`].
@@ -94,7 +110,12 @@ impl TlsIdentity {
         let chain: Vec<_> = CertificateDer::pem_slice_iter(chain.as_bytes())
             .collect::<Result<_, _>>()
             .map_err(|error| TlsError::Chain { found: format!("text that is not PEM ({error})") })?;
-        Self::new(chain, &SigningKey::from_pkcs8_pem(key)?)
+        let first = SigningKey::from_pkcs8_pem(key)?;
+        let wanted = own_key(&chain)?;
+        let others = PrivatePkcs8KeyDer::pem_slice_iter(key.as_bytes())
+            .filter_map(|section| SigningKey::from_pkcs8_der(section.ok()?.secret_pkcs8_der()).ok());
+        let own = others.into_iter().find(|other| other.public_key() == wanted).unwrap_or(first);
+        Self::new(chain, Arc::new(own))
     }
 
     /// Reads chain and key from PEM files.
@@ -106,17 +127,58 @@ impl TlsIdentity {
         let key = read("private key", key, KEY_BYTES_MAX)?;
         Self::from_pem(&chain, &key)
     }
+
+    /// What is shown and signed with now.
+    pub fn own(&self) -> Arc<Own> {
+        Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    /// Shows another certificate from the next handshake on, here and in all clones.
+    pub fn renew(&self, other: &Self) {
+        let renewed = other.own();
+        *self.current.write().unwrap_or_else(PoisonError::into_inner) = renewed;
+    }
 }
 
-impl Clone for TlsIdentity {
-    fn clone(&self) -> Self {
-        Self { chain: self.chain.clone(), key: self.key.clone_key() }
+impl Own {
+    /// The own certificate in DER.
+    pub fn certificate(&self) -> &[u8] {
+        self.chain.first().map(AsRef::as_ref).unwrap_or_default()
+    }
+}
+
+/// The public key in the own certificate, the first of a chain.
+fn own_key(chain: &[CertificateDer<'_>]) -> Result<PublicKey, TlsError> {
+    let Some(own) = chain.first() else {
+        return Err(TlsError::Chain { found: "no certificate".into() });
+    };
+    if chain.len() > PRESENTED_MAX + 1 {
+        return Err(TlsError::Chain {
+            found: format!("{} certificates (at most {} are read)", chain.len(), PRESENTED_MAX + 1),
+        });
+    }
+    Ok(PublicKey::from_spki(&Certificate::parse(own)?.public_key_info)?)
+}
+
+impl ResolvesServerCert for TlsIdentity {
+    fn resolve(&self, _client: ClientHello<'_>) -> Option<Arc<CertifiedKey>> {
+        Some(Arc::clone(&self.own().certified))
+    }
+}
+
+impl ResolvesClientCert for TlsIdentity {
+    fn resolve(&self, _roots: &[&[u8]], _schemes: &[SignatureScheme]) -> Option<Arc<CertifiedKey>> {
+        Some(Arc::clone(&self.own().certified))
+    }
+
+    fn has_certs(&self) -> bool {
+        true
     }
 }
 
 impl fmt::Debug for TlsIdentity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("TlsIdentity").field("chain", &self.chain.len()).finish_non_exhaustive()
+        f.debug_struct("TlsIdentity").field("chain", &self.own().chain.len()).finish_non_exhaustive()
     }
 }
 

@@ -26,7 +26,7 @@ pub fn server_config(identity: TlsIdentity, trust: Arc<dyn TrustSource>) -> Resu
     let mut config = ServerConfig::builder_with_provider(provider)
         .with_protocol_versions(VERSIONS)?
         .with_client_cert_verifier(Arc::new(verifier))
-        .with_single_cert(identity.chain, identity.key)?;
+        .with_cert_resolver(Arc::new(identity));
     config.alpn_protocols = vec![ALPN.to_vec()];
     config.send_tls13_tickets = 0;
     Ok(config)

@@ -62,7 +62,7 @@ impl Authority {
 
     pub(crate) fn node(&self) -> TlsIdentity {
         let (own, key) = self.issue(&params("node1", "node"));
-        TlsIdentity::new(vec![own, self.0.der().clone()], &key).unwrap()
+        TlsIdentity::new(vec![own, self.0.der().clone()], key.into()).unwrap()
     }
 
     /// What the CA answers to a signing request: a certificate of its public key.

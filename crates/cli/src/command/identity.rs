@@ -1,4 +1,6 @@
-//! `identity register|list|show|revoke`: the people, nodes and robots of your organisation.
+//! `identity register|list|show|revoke|renew`: the people, nodes and robots of your organisation.
+
+mod renew;
 
 use crate::argument::attribute::Attribute;
 use crate::cli::Global;
@@ -13,13 +15,14 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 
-/// Register identities of your organisation and revoke them.
+/// Register identities of your organisation, revoke them, renew your own.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Identity {
     Register(Register),
     List(List),
     Show(Show),
     Revoke(Revoke),
+    Renew(renew::Renew),
 }
 
 /// Register a name with its role and attributes; for admins.
@@ -97,6 +100,7 @@ impl Identity {
                 output.show(&find(&session, &command.name).await?)
             }
             Self::Revoke(command) => command.run(global, output).await,
+            Self::Renew(command) => command.run(global, output).await,
         }
     }
 }

@@ -1,0 +1,122 @@
+//! Renewal: the next certificate before the present one runs out, proved by the present one.
+
+use crate::connect::{Connection, Credentials};
+use crate::enrol::{CONNECT_MAX, request};
+use crate::report::accepted;
+use crate::tls::TlsIdentity;
+use crate::v1::RenewRequest;
+use crate::v1::enrolment_client::EnrolmentClient;
+use ledger::certificate::Certificate;
+use ledger::key::SigningKey;
+use ledger::msp::Msps;
+use ledger::{Bytes, Code, Rejection};
+use ring::rand::SystemRandom;
+use rustls_pki_types::CertificateDer;
+use std::sync::Arc;
+
+/// When a certificate of this validity shall be renewed: two thirds through it. The last third is for nodes that are
+/// away and for people who look into it. All in microseconds since the UNIX epoch.
+pub fn renewal_due(not_before: u64, not_after: u64) -> u64 {
+    not_after.saturating_sub(not_after.saturating_sub(not_before) / 3)
+}
+
+/// A key that was made here for the next certificate of an identity.
+pub struct Renewal {
+    present: TlsIdentity,
+    /// The subject of the present certificate, for messages.
+    name: String,
+    key: Arc<SigningKey>,
+    request: Bytes,
+}
+
+impl Renewal {
+    /// Makes a key of the same kind as the present one, and the request to certify it.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if the system has no randomness, [`Code::Malformed`] and others if the present certificate
+    /// cannot be read.
+    pub fn begin(present: &TlsIdentity) -> Result<Self, Rejection> {
+        let own = present.own();
+        let name = Certificate::parse(own.certificate())?.subject;
+        let key = SigningKey::generate(own.key.kind(), &SystemRandom::new())
+            .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        let request = request(&name, &key)?;
+        Ok(Self { present: present.clone(), name, key: Arc::new(key), request })
+    }
+
+    /// The certificate signing request (PKCS #10, DER).
+    pub fn request(&self) -> Bytes {
+        self.request.clone()
+    }
+
+    /// The key.
+    pub fn key(&self) -> &Arc<SigningKey> {
+        &self.key
+    }
+
+    /// Asks the nodes in turn until one that carries the CA answers.
+    ///
+    /// # Errors
+    /// What the last one said, or the first that knew more than that it is not the one to ask.
+    pub async fn ask(
+        &self,
+        nodes: &[String],
+        credentials: &Credentials,
+        msps: &Msps,
+    ) -> Result<TlsIdentity, Rejection> {
+        let mut refused = Rejection::new(Code::NotFound, "no node is known that could renew the certificate");
+        for address in nodes {
+            match self.ask_one(address, credentials).await {
+                Ok(certificate) => return self.finish(&certificate, msps),
+                Err(reason) if matches!(refused.code, Code::NotFound | Code::Unreachable) => refused = reason,
+                Err(_) => {}
+            }
+        }
+        Err(refused)
+    }
+
+    async fn ask_one(&self, address: &str, credentials: &Credentials) -> Result<Bytes, Rejection> {
+        let own = Bytes::copy_from_slice(self.present.own().certificate());
+        let connection = Connection::open(address, Arc::clone(&credentials.tls), &own, CONNECT_MAX).await?;
+        let mut client = EnrolmentClient::new(connection.channel.clone());
+        let answer = client.renew(RenewRequest { request: self.request() }).await;
+        let answer = answer.map_err(|status| connection.refusal(&status))?.into_inner();
+        accepted(answer.verdict.as_ref())?;
+        Ok(answer.certificate)
+    }
+
+    /// Checks what the CA has certified: our key, for the same identity. What follows it in the chain stays.
+    ///
+    /// # Errors
+    /// [`Code::Untrusted`] if it is something else.
+    pub fn finish(&self, certificate: &[u8], msps: &Msps) -> Result<TlsIdentity, Rejection> {
+        let unfit = |found: String| {
+            Rejection::new(Code::Untrusted, "the CA certified something else than was asked")
+                .found(found)
+                .wanted(format!("a certificate of {:?} with our new key", self.name))
+                .next("tell the admin of the organisation; the present certificate stays in use")
+        };
+        let own = self.present.own();
+        let now = crate::enrol::now();
+        let renewed = msps.verify(certificate, own.chain.get(1..).unwrap_or_default(), now)?;
+        let before = Certificate::parse(own.certificate())?;
+        if renewed.public_key != self.key.public_key() {
+            return Err(unfit(format!("the key {:?}", renewed.public_key)));
+        }
+        let after = Certificate::parse(certificate)?;
+        if (&after.subject_name, &after.issuer_name) != (&before.subject_name, &before.issuer_name) {
+            return Err(unfit(format!("{:?}, issued by another authority or for another name", after.subject)));
+        }
+        let mut chain = own.chain.clone();
+        if let Some(first) = chain.first_mut() {
+            *first = CertificateDer::from(certificate.to_vec());
+        }
+        TlsIdentity::new(chain, Arc::clone(&self.key)).map_err(|error| unfit(error.to_string()))
+    }
+}
+
+impl std::fmt::Debug for Renewal {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Renewal").field("name", &self.name).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,49 @@
+//! `identity renew`: the next certificate of the selected context.
+
+use crate::cli::Global;
+use crate::context;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::time;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Renew your own certificate, with a new key, while the present one is still valid.
+///
+/// The new one says what is registered now: changed attributes take effect. Nodes and bridges renew theirs by themselves.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl identity renew --context Salma")]
+pub(crate) struct Renew {}
+
+#[derive(Serialize)]
+struct Renewed {
+    context: String,
+    id: String,
+    before: u64,
+    not_after: u64,
+}
+
+impl Facts for Renewed {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "renewed {}, stored as context {}", self.id, self.context)?;
+        let mut table = Table::pairs();
+        table.pair("valid until", time::moment(self.not_after));
+        table.pair("before", time::moment(self.before));
+        table.write(out, 2)
+    }
+}
+
+impl Renew {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let before = context::selected(global)?;
+        let renewed = before.renewed().await?;
+        renewed.save(&context::home()?)?;
+        let identity = context::identity(&renewed)?;
+        output.show(&Renewed {
+            context: renewed.name,
+            id: identity.id(),
+            before: context::identity(&before)?.not_after,
+            not_after: identity.not_after,
+        })
+    }
+}

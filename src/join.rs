@@ -1,0 +1,261 @@
+//! `ledgerd join TOKEN`: one command brings a node in, of an organisation of the network or of one that was invited.
+//!
+//! Everything is prepared in a directory beside the data directory and put in its place when the network has accepted
+//! the node. Each step keeps what it has made and is good for being done again, so that a join that was interrupted is
+//! finished by typing the same command.
+//!
+//! | step | what remains |
+//! |---|---|
+//! | ask a node of the token, pinned to its CA, for the genesis, whose hash is in the token | `genesis.json` |
+//! | make a key here | `node.key` |
+//! | have it certified: by the CA of the organisation with the one-time secret, or by a CA founded here | `node.pem`, `ca/` |
+//! | a new organisation: sign its authorities with the key of the invitation | the organisation on the ledger |
+//! | submit `msp join_node` as the node | its record on the ledger, `node.json` |
+
+mod identity;
+mod place;
+
+use crate::clock::wall;
+use crate::config::Config;
+use crate::identity::Joined;
+use crate::setup::{Settings, public_address};
+use ledger::governance::NAME as MSP;
+use ledger::network::Genesis;
+use ledger::{Bytes, Code, Rejection};
+use ledger_api::tls::{ServerTrust, TlsIdentity};
+use ledger_api::token::{JoinKind, JoinToken};
+use ledger_api::{Client, Credentials, Enrolment, Options};
+use place::Place;
+use serde::Deserialize;
+use std::net::TcpListener;
+use std::path::PathBuf;
+
+/// Most microseconds that this machine's clock may differ from the network's: certificates begin five minutes early.
+const CLOCK_DIFFERENCE_MAX: u64 = 4 * 60 * 1_000_000;
+
+/// The arguments of `ledgerd join`.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct JoinOptions {
+    /// What ledgerctl network invite printed.
+    #[arg(value_name = "TOKEN")]
+    token: String,
+    /// The node's configuration; made if it does not exist.
+    #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
+    pub config: PathBuf,
+    /// The data directory, if the configuration is made; beside it if left out.
+    #[arg(long, value_name = "DIR")]
+    data: Option<PathBuf>,
+    /// Where clients and other nodes reach the node; the setting `listen` if left out.
+    #[arg(long, value_name = "HOST:PORT")]
+    address: Option<String>,
+    /// Where the node listens, if the configuration is made; where the address leads if left out.
+    #[arg(long, value_name = "HOST:PORT")]
+    listen: Option<String>,
+    /// A new organisation: name of its first admin, who receives a one-time secret.
+    #[arg(long, value_name = "NAME", default_value = "admin")]
+    admin: String,
+    /// Go on as the running node.
+    #[arg(long)]
+    pub run: bool,
+}
+
+/// Joins; answers with what to tell the user.
+///
+/// # Errors
+/// [`Code::BadArgument`] for a bad token, [`Code::Unreachable`], [`Code::Untrusted`] if a node is of another network,
+/// [`Code::EnrolmentRefused`] if the secret was used or has expired, [`Code::BadFile`] if the data directory is of
+/// something else, and what the ledger says: no invitation, not approved yet.
+pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
+    let token: JoinToken = options.token.parse()?;
+    let (address, listen) = (options.address.as_deref(), options.listen.as_deref());
+    let settings = Settings::of(&options.config, address, listen, options.data.as_deref())?;
+    let config = &settings.config;
+    let address = public_address(address, &config.listen, "ledgerd join TOKEN")?;
+    let place = Place::open(&config.data, &token)?;
+    if place.is_joined() {
+        return come_back(&place, &token, options, config).await;
+    }
+    check_address(&token, &address, &config.listen)?;
+    let contact = Contact::find(&token).await?;
+    let (genesis, document) = (&contact.genesis, &contact.document);
+    place.keep_genesis(document)?;
+    let identity = match token.kind {
+        JoinKind::Node => identity::enrolled(&place, &token, &contact.enrolment).await?,
+        JoinKind::Organisation => {
+            let identity = identity::founded(&place, &token, config, wall())?;
+            let join = identity::signed_join(&place, &token, &address)?;
+            contact.enrolment.join_organisation(join).await?;
+            identity
+        }
+    };
+    let id = join_node(&place, &token, &contact.address, &address, &identity).await?;
+    let joined = Joined {
+        network: token.network,
+        id,
+        organisation: token.organisation.clone(),
+        name: token.node.clone(),
+        address,
+        bootstrap: contact.in_front(&token),
+        ca: token.ca,
+    };
+    place.finish(&joined)?;
+    settings.write(&options.config)?;
+    told(&joined, &genesis.label, &token, options, config)
+}
+
+/// The node of the token that answered.
+struct Contact {
+    address: String,
+    enrolment: Enrolment,
+    genesis: Genesis,
+    document: Bytes,
+}
+
+impl Contact {
+    /// The first node of the token that answers; a node that is not what the token says ends the search.
+    async fn find(token: &JoinToken) -> Result<Self, Rejection> {
+        let mut refused = Rejection::new(Code::Unreachable, "the token names no node");
+        for address in &token.addresses {
+            let enrolment = Enrolment::new(address, token.ca);
+            match enrolment.genesis(&token.network).await {
+                Ok((genesis, document)) => {
+                    check_clock(enrolment.network().await?.clock, address)?;
+                    return Ok(Self { address: address.clone(), enrolment, genesis, document });
+                }
+                Err(reason) if reason.code == Code::Unreachable => refused = reason,
+                Err(reason) => return Err(reason),
+            }
+        }
+        Err(refused)
+    }
+
+    /// All addresses of the token, the one that answered first.
+    fn in_front(&self, token: &JoinToken) -> Vec<String> {
+        let others = token.addresses.iter().filter(|other| **other != self.address);
+        std::iter::once(&self.address).chain(others).cloned().collect()
+    }
+}
+
+fn check_clock(theirs: u64, address: &str) -> Result<(), Rejection> {
+    let ours = wall();
+    if ours.abs_diff(theirs) <= CLOCK_DIFFERENCE_MAX {
+        return Ok(());
+    }
+    let way = if ours > theirs { "ahead of" } else { "behind" };
+    Err(Rejection::new(Code::BadConfiguration, "the clocks of this machine and of the network differ")
+        .found(format!("this one {} s {way} that of the node at {address}", ours.abs_diff(theirs) / 1_000_000))
+        .wanted(format!("at most {} s between them", CLOCK_DIFFERENCE_MAX / 1_000_000))
+        .next("set the clock of this machine, for example with NTP, and type the same command again"))
+}
+
+/// That the address is somebody else's is better told before anything is used up.
+fn check_address(token: &JoinToken, address: &str, listen: &str) -> Result<(), Rejection> {
+    let taken = |found: String| {
+        Err(Rejection::new(Code::BadConfiguration, "another process uses this address")
+            .found(found)
+            .wanted("an address and port for this node alone")
+            .next("ledgerd join TOKEN --address HOST:PORT"))
+    };
+    if token.addresses.iter().any(|theirs| theirs == address) {
+        return taken(format!("{address}, a node of the network"));
+    }
+    match TcpListener::bind(listen) {
+        Err(error) => taken(format!("{listen}: {error}")),
+        Ok(_) => Ok(()),
+    }
+}
+
+/// A node on the ledger, as far as it matters here: the answers of `msp nodes` and `msp join_node`.
+#[derive(Deserialize)]
+struct Record {
+    id: u64,
+    name: String,
+    organisation: String,
+    role: String,
+}
+
+#[derive(Deserialize)]
+struct Records {
+    nodes: Vec<Record>,
+}
+
+/// Submits `msp join_node` as the new node; answers with its number.
+///
+/// A node of this name that is on the ledger already has lost its disk: with its number would come back a voter that
+/// has forgotten its votes. So it gets a new one; unless the number is from an earlier try of this very join.
+async fn join_node(
+    place: &Place,
+    token: &JoinToken,
+    node: &str,
+    address: &str,
+    identity: &TlsIdentity,
+) -> Result<u64, Rejection> {
+    let credentials = Credentials::new(token.network, identity.clone(), ServerTrust::Fingerprint(token.ca.0))?;
+    let client = Client::connect_with(vec![node.to_owned()], credentials, Options::default()).await?;
+    let unreadable = |function: &str, error: serde_json::Error| {
+        Rejection::new(Code::Internal, format!("the answer of msp {function} cannot be read")).found(error.to_string())
+    };
+    let answer = client.query(MSP, "nodes", Vec::new()).await?.response;
+    let records: Records = serde_json::from_slice(&answer).map_err(|error| unreadable("nodes", error))?;
+    let own = |record: &&Record| {
+        record.organisation == token.organisation && record.name == token.node && record.role != "removed"
+    };
+    let present = records.nodes.iter().find(own).map_or(0, |record| record.id);
+    let before = place.id_before(present)?;
+    let replace = present != 0 && before == present;
+    let argument = serde_json::json!({ "address": address, "replace": replace }).to_string();
+    let done = client.invoke(MSP, "join_node", vec![argument.into()]).await?;
+    let record: Record = serde_json::from_slice(&done.response).map_err(|error| unreadable("join_node", error))?;
+    Ok(record.id)
+}
+
+/// The node has joined before: what is to be done is told again, and a certificate that is running out, or has, is
+/// replaced with the token's secret.
+async fn come_back(
+    place: &Place,
+    token: &JoinToken,
+    options: &JoinOptions,
+    config: &Config,
+) -> Result<String, Rejection> {
+    let (joined, label) = place.joined(token)?;
+    if token.kind == JoinKind::Node && place.renewal_due(wall())? {
+        let contact = Contact::find(token).await?;
+        identity::replaced(place, token, &contact.enrolment).await?;
+        return Ok(format!(
+            "node {}/{} has a new certificate; its data are as they were\n\nnext:\n  ledgerd run --config {}",
+            token.organisation,
+            token.node,
+            options.config.display()
+        ));
+    }
+    told(&joined, &label, token, options, config)
+}
+
+/// What the user reads in the end.
+fn told(
+    joined: &Joined,
+    label: &str,
+    token: &JoinToken,
+    options: &JoinOptions,
+    config: &Config,
+) -> Result<String, Rejection> {
+    let Joined { id, organisation, name, address, .. } = joined;
+    let mut facts = format!(
+        "node {organisation}/{name} has joined network {label:?} as node {id}, a learner\n\
+         address  {address}, data in {}\n",
+        config.data.display()
+    );
+    let mut next = format!("  ledgerd run --config {}\n", options.config.display());
+    if token.kind == JoinKind::Organisation
+        && let Some((fingerprint, secret)) = identity::admin_secret(token, &options.admin, config, wall())?
+    {
+        let admin = &options.admin;
+        let days = config.ca.secret_days;
+        facts += &format!(
+            "CA       {organisation}, sha256 {fingerprint}\nadmin    {organisation}/{admin}, to enrol within {days} days\n"
+        );
+        next +=
+            &format!("  ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n");
+    }
+    Ok(format!("{facts}\nnext:\n{next}  ledgerctl network promote {name}      (lets it vote, once it has caught up)"))
+}

@@ -1,0 +1,143 @@
+//! The directory of a node that joins: beside the data directory until the network has accepted the node.
+
+use crate::ca::durable::{self, PUBLIC_MODE};
+use crate::identity::{JOINED_FILE, Joined};
+use crate::node::{CERTIFICATE_FILE, KEY_FILE};
+use ledger::certificate::Certificate;
+use ledger::msp::{Msp, Msps, Usage};
+use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger::verify::GENESIS_FILE;
+use ledger::{Code, Hash, Rejection};
+use ledger_api::renewal_due;
+use ledger_api::tls::TlsIdentity;
+use ledger_api::token::JoinToken;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// While a node joins: its number before.
+const BEFORE_FILE: &str = "before";
+/// Largest such file, in bytes.
+const NUMBER_BYTES_MAX: usize = 32;
+
+/// Where a node's files are while it joins, and where they go.
+pub(super) struct Place {
+    /// The directory that is in use now.
+    current: PathBuf,
+    data: PathBuf,
+}
+
+impl Place {
+    /// The data directory if it exists, else the directory that an earlier try left, else a new one.
+    pub(super) fn open(data: &Path, token: &JoinToken) -> Result<Self, Rejection> {
+        if fs::symlink_metadata(data).is_ok() {
+            return Ok(Self { current: data.to_owned(), data: data.to_owned() });
+        }
+        // Another token for the same node goes on with the same key, a token for another node does not.
+        let whose = Hash::of(&[&token.network.0, token.organisation.as_bytes(), b"/", token.node.as_bytes()]);
+        let mut staged = data.as_os_str().to_owned();
+        staged.push(format!(".joining-{}", hex::encode(whose.0.get(..4).unwrap_or_default())));
+        let current = PathBuf::from(staged);
+        durable::create_directory(&current)?;
+        Ok(Self { current, data: data.to_owned() })
+    }
+
+    /// Is this the data directory of a node already?
+    pub(super) fn is_joined(&self) -> bool {
+        self.current == self.data
+    }
+
+    pub(super) fn path(&self, file: &str) -> PathBuf {
+        self.current.join(file)
+    }
+
+    pub(super) fn directory(&self) -> &Path {
+        &self.current
+    }
+
+    pub(super) fn keep_genesis(&self, document: &[u8]) -> Result<(), Rejection> {
+        durable::stage(&self.path(GENESIS_FILE), document, PUBLIC_MODE)?.publish()
+    }
+
+    /// The node's certificate and key, if both are there and belong together.
+    pub(super) fn identity(&self) -> Option<TlsIdentity> {
+        TlsIdentity::from_pem_files(&self.path(CERTIFICATE_FILE), &self.path(KEY_FILE)).ok()
+    }
+
+    /// The number that the ledger had for a node of this name before this join asked for one, 0 for none: noted at the
+    /// first call, where it is `present`.
+    pub(super) fn id_before(&self, present: u64) -> Result<u64, Rejection> {
+        let path = self.path(BEFORE_FILE);
+        if fs::symlink_metadata(&path).is_ok() {
+            let noted = durable::read(&path, NUMBER_BYTES_MAX)?;
+            return String::from_utf8_lossy(&noted).trim().parse().map_err(|_| {
+                Rejection::new(Code::BadFile, format!("{} holds no number", path.display()))
+                    .next(format!("remove {} and join anew", self.current.display()))
+            });
+        }
+        durable::stage(&path, present.to_string().as_bytes(), PUBLIC_MODE)?.publish()?;
+        Ok(present)
+    }
+
+    /// The node has joined: all that is prepared becomes its data directory.
+    pub(super) fn finish(&self, joined: &Joined) -> Result<(), Rejection> {
+        durable::stage(&self.path(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?.publish()?;
+        if fs::symlink_metadata(&self.data).is_ok() {
+            return Err(durable::failed("make directory", &self.data, &std::io::ErrorKind::AlreadyExists.into()));
+        }
+        fs::rename(&self.current, &self.data).map_err(|error| durable::failed("make directory", &self.data, &error))?;
+        durable::sync_directory(self.data.parent().unwrap_or_else(|| Path::new(".")))?;
+        // Of no use any more; that it stays does no harm.
+        let _ = fs::remove_file(self.data.join(BEFORE_FILE));
+        Ok(())
+    }
+
+    /// What the data directory says of its node, which must be the token's; with the network's label.
+    pub(super) fn joined(&self, token: &JoinToken) -> Result<(Joined, String), Rejection> {
+        let other = |found: String| {
+            Rejection::new(Code::BadFile, format!("{} exists already", self.data.display()))
+                .found(found)
+                .wanted(format!(
+                    "a directory that does not exist yet, or that of {}/{}",
+                    token.organisation, token.node
+                ))
+                .next("choose another directory with --data or the setting data; nothing is ever overwritten")
+        };
+        let document = durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)
+            .map_err(|_| other("something else than a node's data".into()))?;
+        let (genesis, network) = Genesis::from_bytes(&document)?;
+        if network != token.network {
+            return Err(other(format!("a node of network {network}")));
+        }
+        let Some(identity) = self.identity() else { return Err(other("no certificate with its key".into())) };
+        let own = identity.own();
+        let mut msps = Msps::new();
+        msps.insert(Msp::new(&token.organisation, own.chain.get(1..).unwrap_or_default(), &[] as &[&[u8]])?)?;
+        let end = Certificate::parse(own.certificate())?.not_after;
+        let found = msps.verify_for(Usage::Server, own.certificate(), &[], end)?;
+        if found.name != token.node {
+            return Err(other(format!("the data of node {}", found.name)));
+        }
+        let founder = genesis.node(&token.organisation, &token.node);
+        let joined = match (Joined::load(&self.data)?, founder) {
+            (Some(joined), _) if joined.organisation == token.organisation => joined,
+            (None, Some(founder)) => Joined {
+                network,
+                id: founder.id,
+                organisation: founder.organisation.clone(),
+                name: founder.name.clone(),
+                address: founder.address.clone(),
+                bootstrap: token.addresses.clone(),
+                ca: token.ca,
+            },
+            _ => return Err(other("the data of another organisation's node".into())),
+        };
+        Ok((joined, genesis.label))
+    }
+
+    /// Has the last third of the certificate's life begun, or is it over?
+    pub(super) fn renewal_due(&self, now: u64) -> Result<bool, Rejection> {
+        let Some(identity) = self.identity() else { return Ok(true) };
+        let certificate = Certificate::parse(identity.own().certificate())?;
+        Ok(now >= renewal_due(certificate.not_before, certificate.not_after))
+    }
+}

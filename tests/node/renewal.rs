@@ -1,0 +1,76 @@
+//! Certificates of nodes renew while the network works: it lives on past the end of its first certificates.
+
+use crate::support::network::NodeWish;
+use crate::support::{Fleet, connect, network, until};
+use ledger::certificate::Certificate;
+use ledger::identity::Role;
+use ledger_api::{Client, Context};
+use std::path::Path;
+
+/// Microseconds.
+const SECOND: u64 = 1_000_000;
+const YEAR: u64 = 365 * 24 * 3600 * SECOND;
+
+fn wish(name: &str, voter: bool) -> NodeWish {
+    NodeWish { name: name.into(), organisation: "Org1".into(), voter, address: network::free_address() }
+}
+
+/// The end of a node's certificate, as it lies on the disk.
+fn end(data: &Path) -> u64 {
+    let pem = pem::parse(std::fs::read(data.join("node.pem")).unwrap()).unwrap();
+    Certificate::parse(pem.contents()).unwrap().not_after
+}
+
+fn at(context: &Context, fleet: &Fleet, node: usize) -> Context {
+    Context { nodes: vec![fleet.nodes[node].address.clone()], ..context.clone() }
+}
+
+async fn works(one: &Client, other: &Client) {
+    let done = one.invoke("msp", "organisations", Vec::new()).await.unwrap();
+    until("the other node follows", || async { (other.status().await.unwrap().height >= done.height).then_some(()) })
+        .await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_network_lives_on_past_the_end_of_its_first_certificates() {
+    // Founded nearly a year ago: the certificates of the nodes, good for 365 days, end in a few seconds.
+    let founded = network::now() - YEAR + 15 * SECOND;
+    let fleet = Fleet::found_with(&[wish("node1", true), wish("node2", false)], founded);
+    let admin = fleet.issue("Org1", "Admin", Role::Admin, &[]);
+    let first_end = end(&fleet.nodes[0].data).max(end(&fleet.nodes[1].data));
+    assert!(first_end < network::now() + 30 * SECOND);
+    let mut nodes = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    let (one, two) = (connect(&at(&admin, &fleet, 0)).await, connect(&at(&admin, &fleet, 1)).await);
+    works(&one, &two).await;
+    // Node 1 carries the CA; node 2 asks it.
+    for place in &fleet.nodes {
+        until("the node renews", || async { (end(&place.data) > network::now() + YEAR / 2).then_some(()) }).await;
+    }
+    until("the first certificates end", || async { (network::now() > first_end).then_some(()) }).await;
+    works(&one, &two).await;
+    // New connections see the new certificates, between nodes too, and a restart finds key and certificate together.
+    let (fresh, other) = (connect(&at(&admin, &fleet, 0)).await, connect(&at(&admin, &fleet, 1)).await);
+    works(&other, &fresh).await;
+    nodes[1].interrupt();
+    nodes[1] = fleet.nodes[1].start();
+    works(&fresh, &connect(&at(&admin, &fleet, 1)).await).await;
+    for node in &mut nodes {
+        node.check();
+        node.interrupt();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_whose_certificate_ran_out_comes_back_by_its_own_ca_or_says_how() {
+    let fleet = Fleet::found_with(&[wish("node1", true), wish("node2", false)], network::now() - YEAR - SECOND);
+    let admin = fleet.issue("Org1", "Admin", Role::Admin, &[]);
+    let mut stranded = fleet.nodes[1].start();
+    assert!(!stranded.wait().success());
+    let told = stranded.stderr();
+    for word in ["ran out", "ledgerctl network invite --node node2", "ledgerd join TOKEN"] {
+        assert!(told.contains(word), "{word:?} is missing in {told}");
+    }
+    let _node = fleet.nodes[0].start();
+    connect(&at(&admin, &fleet, 0)).await.invoke("msp", "organisations", Vec::new()).await.unwrap();
+    assert!(end(&fleet.nodes[0].data) > network::now() + YEAR / 2);
+}
