@@ -1,0 +1,53 @@
+//! State agreement (design.md §7.2): the same state digest at the same height on every node.
+
+use super::{Check, Executed, Violation};
+use ledger::Hash;
+
+const NAME: &str = "state agreement";
+
+/// The one state at each height.
+#[derive(Default)]
+pub struct StateAgreement {
+    digests: Vec<Hash>,
+}
+
+impl StateAgreement {
+    /// A node has executed a block.
+    ///
+    /// # Errors
+    /// Another node came to another state at this height.
+    pub fn executed(&mut self, executed: &Executed<'_>) -> Check {
+        let at = executed.outcome.header.height as usize - 1;
+        if at == self.digests.len() {
+            self.digests.push(executed.outcome.digest);
+        }
+        match self.digests.get(at) {
+            Some(digest) if *digest == executed.outcome.digest => Ok(()),
+            _ => Err(Violation::new(
+                NAME,
+                format!("after block {} the state of node {} is not that of the others", at + 1, executed.node),
+            )),
+        }
+    }
+
+    /// Two nodes at the same height hold the same keys and values.
+    ///
+    /// # Errors
+    /// The first key in which they differ.
+    pub fn compare(&self, one: (u64, &World), other: (u64, &World)) -> Check {
+        let differs = one.1.iter().zip(other.1).find(|(a, b)| a != b);
+        let key = match differs {
+            Some(((key, _), _)) => key,
+            None if one.1.len() == other.1.len() => return Ok(()),
+            None => match one.1.get(other.1.len()).or_else(|| other.1.get(one.1.len())) {
+                Some((key, _)) => key,
+                None => return Ok(()),
+            },
+        };
+        let what = format!("nodes {} and {} differ at key {:?}", one.0, other.0, String::from_utf8_lossy(key));
+        Err(Violation::new(NAME, what))
+    }
+}
+
+/// All keys and values of a node, in order.
+type World = Vec<(ledger::Bytes, ledger::Bytes)>;

@@ -1,0 +1,195 @@
+//! One node: the real engine, block store and ledger on a simulated disk, driven as the node's own threads drive them
+//! (`src/orderer.rs`, `src/stores.rs`, `src/gateway/`), but by events in virtual time.
+
+mod open;
+mod shelf;
+
+pub use open::{Opened, open};
+pub use shelf::Shelf;
+
+use crate::clock::Clock;
+use ledger::block_store::BlockStore;
+use ledger::disk::SimDisk;
+use ledger::entry::Entry;
+use ledger::state::State;
+use ledger::{Bytes, Code, Hash, Ledger};
+use ledger_raft::{Engine, Input};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+/// After this long without a verdict a client is told that the outcome is unknown (`src/waiters.rs`).
+pub const WAIT_MAX: u64 = 10 * crate::clock::SECOND;
+/// Longest time that a request waits for the height that it wants (`src/gateway/reads.rs`).
+pub const WAIT_FOR_HEIGHT: u64 = 2 * crate::clock::SECOND;
+
+/// A machine with a disk, and the process on it, if it runs.
+pub struct Node {
+    /// Its number in the ordering protocol; never used twice.
+    pub id: u64,
+    /// Its log.
+    pub disk: SimDisk,
+    /// Its world state.
+    pub shelf: Shelf,
+    /// Its clocks.
+    pub clock: Clock,
+    /// The process.
+    pub up: Option<Running>,
+    /// Counts starts; what an earlier process had asked for is void.
+    pub start: u64,
+    /// Until when the process stands still.
+    pub paused_until: u64,
+    /// Its disk is gone; it will never start again.
+    pub lost: bool,
+    /// Its disk was damaged on purpose; it may refuse to start.
+    pub damaged: bool,
+    /// A failed fsync was injected; it will die.
+    pub sync_will_fail: bool,
+}
+
+/// The process of a node.
+pub struct Running {
+    /// Orders.
+    pub engine: Engine,
+    /// The log.
+    pub store: Arc<BlockStore>,
+    /// The world state.
+    pub state: Arc<State>,
+    /// Executes.
+    pub ledger: Ledger,
+    /// The number of the newest flush that the engine waits for.
+    pub flush: Option<u64>,
+    /// A flush is under way.
+    pub flushing: bool,
+    /// The order thread does nothing else while it flushes, as in the node; without, more can overlap.
+    pub waits_for_disk: bool,
+    /// What has come in meanwhile.
+    pub inbox: VecDeque<Input>,
+    /// Committed and not executed.
+    pub committed: VecDeque<Entry>,
+    /// The execute thread has something to do.
+    pub executing: bool,
+    /// Who waits for the verdict on a transaction.
+    pub waiters: BTreeMap<Hash, Vec<Waiter>>,
+    /// Reads that wait for the leader's confirmation, and then for a height.
+    pub reads: BTreeMap<u64, Read>,
+    /// Requests that wait for a height.
+    pub behind: Vec<(u64, Request)>,
+    /// The log cannot be written for lack of space.
+    pub disk_full: bool,
+    /// The deadline for which an empty block was asked for, and the height then.
+    pub asked_for: (u64, u64),
+    /// It leads.
+    pub leading: bool,
+    /// Names of reads.
+    pub next_context: u64,
+}
+
+/// A client that waits for a verdict.
+#[derive(Clone, Copy, Debug)]
+pub struct Waiter {
+    /// Where the answer goes.
+    pub reply: Reply,
+    /// When it began to wait.
+    pub since: u64,
+}
+
+/// A linearizable read on its way.
+#[derive(Clone, Debug)]
+pub struct Read {
+    /// What is asked.
+    pub request: Request,
+    /// The height to wait for, once it is known.
+    pub index: Option<u64>,
+    /// When it gives up.
+    pub until: u64,
+}
+
+/// Where an answer goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reply {
+    /// The client.
+    pub client: usize,
+    /// Its attempt; an answer to an earlier one is too late.
+    pub attempt: u64,
+}
+
+/// What a client asks of a node.
+#[derive(Clone, Debug)]
+pub struct Request {
+    /// Where the answer goes.
+    pub reply: Reply,
+    /// The height that the client has seen.
+    pub min_height: u64,
+    /// What it wants.
+    pub what: What,
+}
+
+/// What is wanted.
+#[derive(Clone, Debug)]
+pub enum What {
+    /// Order this.
+    Submit(Bytes),
+    /// Who holds a service? Asked with a certificate of [`crate::people::People`].
+    Read {
+        /// Index of the certificate.
+        person: usize,
+        /// The service.
+        service: String,
+        /// Or may it be what this node has just now?
+        linearizable: bool,
+    },
+}
+
+/// What a node answers.
+#[derive(Clone, Debug)]
+pub enum Answer {
+    /// The transaction was executed.
+    Verdict {
+        /// Where.
+        height: u64,
+        /// See `height`.
+        index: u32,
+        /// The verdict.
+        code: Code,
+        /// The response.
+        response: Bytes,
+    },
+    /// It was not ordered, or not that anybody knows.
+    Refused {
+        /// Why.
+        code: Code,
+        /// The height that the node had executed.
+        height: u64,
+        /// The time by which it judged; 0 if it did not come to that.
+        judged_at: u64,
+    },
+    /// What was read.
+    Value {
+        /// The height that it is from.
+        height: u64,
+        /// The time by which it was judged.
+        judged_at: u64,
+        /// Whether it could be read.
+        code: Code,
+        /// What it is.
+        response: Bytes,
+    },
+}
+
+impl Node {
+    /// A new machine with empty disks.
+    pub fn new(id: u64, disk_seed: u64, clock: Clock) -> Self {
+        Self {
+            id,
+            disk: SimDisk::new(disk_seed),
+            shelf: Shelf::default(),
+            clock,
+            up: None,
+            start: 0,
+            paused_until: 0,
+            lost: false,
+            damaged: false,
+            sync_will_fail: false,
+        }
+    }
+}
