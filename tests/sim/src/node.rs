@@ -155,14 +155,7 @@ pub enum Answer {
         response: Bytes,
     },
     /// It was not ordered, or not that anybody knows.
-    Refused {
-        /// Why.
-        code: Code,
-        /// The height that the node had executed.
-        height: u64,
-        /// The time by which it judged; 0 if it did not come to that.
-        judged_at: u64,
-    },
+    Refused(Refused),
     /// What was read.
     Value {
         /// The height that it is from.
@@ -174,6 +167,22 @@ pub enum Answer {
         /// What it is.
         response: Bytes,
     },
+}
+
+/// Why something was not done.
+#[derive(Clone, Copy, Debug)]
+pub struct Refused {
+    /// The reason.
+    pub code: Code,
+    /// The height and the time by which the ledger judged, if it did.
+    pub judged: Option<(u64, u64)>,
+}
+
+impl Refused {
+    /// The ledger was not asked, or nobody knows.
+    pub fn unordered(code: Code) -> Self {
+        Self { code, judged: None }
+    }
 }
 
 impl Node {

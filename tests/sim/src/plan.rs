@@ -22,6 +22,8 @@ pub struct Plan {
     pub between_faults: u64,
     /// Length of a tick of the engine.
     pub tick: u64,
+    /// All nodes share one set of caches of access control: faster, and less like real processes.
+    pub shares_caches: bool,
     /// How many clients work.
     pub clients: usize,
     /// Average pause of a client between two operations.
@@ -86,6 +88,7 @@ impl Plan {
             chaos: random.between(30 * SECOND, 90 * SECOND),
             between_faults: random.between(200 * MILLISECOND, 4 * SECOND),
             tick: random.between(10, 25) * MILLISECOND,
+            shares_caches: random.percent(70),
             clients: random.between(3, 7) as usize,
             think: random.between(100 * MILLISECOND, 800 * MILLISECOND),
             segment_bytes: random.between(8, 64) * 1024,

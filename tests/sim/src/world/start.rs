@@ -1,0 +1,156 @@
+//! Nodes come and go.
+
+use super::{Event, Timer, World};
+use crate::clock::{MILLISECOND, SECOND};
+use crate::coverage::Fault;
+use crate::invariant::{Check, Violation};
+use crate::node::{Opened, Running, open};
+use ledger::entry::Entry;
+use ledger::{Chaincode, Code, Hash, Ledger};
+use ledger_abac::AccessControl;
+use ledger_raft::{Engine, EngineConfig};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+/// What is broken when a node ends for no reason that was injected.
+const UNEXPLAINED: &str = "a node ends only for a reason";
+
+impl World {
+    /// Switches a node on.
+    pub(super) fn start(&mut self, id: u64) -> Check {
+        let abac = self.access_control();
+        let (seed, salt) = (self.random.nodes.number(), self.random.nodes.number());
+        let waits_for_disk = self.random.nodes.percent(70);
+        let Some(node) = self.nodes.get_mut(&id).filter(|node| !node.lost && node.up.is_none()) else { return Ok(()) };
+        let opened = open(node, &self.genesis, self.network, self.plan.segment_bytes, salt, &abac);
+        let Opened { store, state, ledger, replay } = match opened {
+            Ok(opened) => opened,
+            Err(fault) if fault.code == Code::DiskFull => {
+                self.note(format_args!("n{id} has no room to start"));
+                self.schedule(SECOND, Event::Start { node: id });
+                return Ok(());
+            }
+            Err(fault) if fault.code == Code::Corrupt && node.damaged => {
+                self.note(format_args!("n{id} refuses its disk: {}", fault.code));
+                self.lose(id);
+                return Ok(());
+            }
+            Err(fault) => return Err(Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}"))),
+        };
+        self.coverage.restarts += u64::from(node.start > 0);
+        node.start += 1;
+        node.damaged = false;
+        node.clock.start(self.now, ledger.tip().time);
+        self.invariants.committed.reopened(id, &store)?;
+        self.invariants.acknowledged.restarted(id, &store)?;
+        for entry in &replay {
+            self.executed(id, &ledger, entry)?;
+        }
+        let members = ledger
+            .members()
+            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not know the members: {fault}")))?;
+        let tip = ledger.tip().height;
+        let mut config = EngineConfig::new(id, members, seed);
+        config.applied = tip;
+        let engine = Engine::new(config, Arc::clone(&store))
+            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))?;
+        self.invariants.log_matching.look(id, &store)?;
+        let last = store.last_index();
+        let running = Running {
+            engine,
+            store,
+            state,
+            ledger,
+            flush: None,
+            flushing: false,
+            waits_for_disk,
+            inbox: VecDeque::new(),
+            committed: VecDeque::new(),
+            executing: false,
+            waiters: BTreeMap::new(),
+            reads: BTreeMap::new(),
+            behind: Vec::new(),
+            disk_full: false,
+            asked_for: (0, 0),
+            leading: false,
+            next_context: 0,
+        };
+        if let Some(node) = self.nodes.get_mut(&id) {
+            node.up = Some(running);
+        }
+        self.note(format_args!("n{id} starts at height {tip}, log up to {last}"));
+        let housekeeping = self.random.nodes.below(self.plan.state_flush);
+        self.schedule_timer(id, 1, Timer::Tick);
+        self.schedule_timer(id, housekeeping, Timer::Housekeeping);
+        Ok(())
+    }
+
+    /// Ends a process. What was not synced survives if the machine goes on, and not (or in parts) if power fails.
+    pub(super) fn stop(&mut self, id: u64, power_fails: bool) {
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        node.up = None;
+        node.paused_until = 0;
+        node.sync_will_fail = false;
+        if power_fails {
+            node.disk.crash();
+        } else {
+            node.disk.kill();
+        }
+        self.note(format_args!("n{id} stops, power fails: {power_fails}"));
+    }
+
+    /// A node's disk is gone for good.
+    pub(super) fn lose(&mut self, id: u64) {
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        node.up = None;
+        node.lost = true;
+        self.coverage.fault(Fault::Replacement);
+        self.replace(id);
+    }
+
+    /// A process has failed by itself; it starts again soon.
+    pub(super) fn failed(&mut self, id: u64, why: &str) -> Check {
+        if !self.nodes.get(&id).is_some_and(|node| node.sync_will_fail) {
+            return Err(Violation::new(UNEXPLAINED, format!("node {id}: {why}")));
+        }
+        self.coverage.fault(Fault::FailedSync);
+        // The machine may live on with pages that were never written, or not.
+        let power_fails = self.random.faults.percent(50);
+        self.stop(id, power_fails);
+        let delay = self.random.faults.between(5 * MILLISECOND, 2 * SECOND);
+        self.schedule(delay, Event::Start { node: id });
+        Ok(())
+    }
+
+    /// A node executes a block.
+    pub(super) fn executed(&mut self, id: u64, ledger: &Ledger, entry: &Entry) -> Check {
+        #[cfg(feature = "mutations")]
+        if let Some(node) = self.nodes.get(&id) {
+            ledger::mutation::set_wall_clock(node.clock.wall(self.now));
+        }
+        let index = entry.index;
+        let outcome = ledger
+            .apply(entry)
+            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot execute block {index}: {fault}")))?;
+        self.observe(id, ledger, entry, outcome)
+    }
+
+    /// Access control for one start of a node. Most runs share one, which is faster; the others give every start its
+    /// own, with caches of its own, as a process has.
+    fn access_control(&mut self) -> Arc<dyn Chaincode> {
+        if let Some(shared) = &self.access {
+            return Arc::clone(shared);
+        }
+        let new: Arc<dyn Chaincode> = Arc::new(AccessControl::new().unwrap());
+        if self.plan.shares_caches {
+            self.access = Some(Arc::clone(&new));
+        }
+        new
+    }
+
+    /// Height, block hash and digest that a node has reached.
+    pub(crate) fn tip(&self, id: u64) -> Option<(u64, Hash, Hash)> {
+        let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
+        Some((tip.height, tip.hash, tip.digest))
+    }
+}
