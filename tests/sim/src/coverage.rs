@@ -92,6 +92,8 @@ pub struct Coverage {
     pub operations: u64,
     /// See `operations`.
     pub answered: u64,
+    /// Attempts that nobody answered in time.
+    pub timeouts: u64,
     /// Reads that had to be linearizable and were answered.
     pub linearizable: u64,
     /// Facts checked by the oracle.
@@ -122,6 +124,7 @@ impl Coverage {
         self.restarts += other.restarts;
         self.operations += other.operations;
         self.answered += other.answered;
+        self.timeouts += other.timeouts;
         self.linearizable += other.linearizable;
         self.checks += other.checks;
     }
@@ -140,7 +143,7 @@ impl fmt::Display for Coverage {
         writeln!(f, "blocks            {blocks}")?;
         writeln!(f, "elections         {}", self.elections)?;
         writeln!(f, "restarts          {}", self.restarts)?;
-        writeln!(f, "operations        {} begun, {} answered", self.operations, self.answered)?;
+        writeln!(f, "operations        {} begun, {} answered, {} attempts timed out", self.operations, self.answered, self.timeouts)?;
         writeln!(f, "linearizable      {} reads", self.linearizable)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;

@@ -44,6 +44,8 @@ pub struct Node {
     pub damaged: bool,
     /// A failed fsync was injected; it will die.
     pub sync_will_fail: bool,
+    /// Power fails in the middle of its next write.
+    pub tear: bool,
 }
 
 /// The process of a node.
@@ -199,6 +201,7 @@ impl Node {
             lost: false,
             damaged: false,
             sync_will_fail: false,
+            tear: false,
         }
     }
 }

@@ -76,7 +76,7 @@ impl People {
         let mut organisations = Vec::new();
         for (name, authority) in &authorities {
             let root = Bytes::copy_from_slice(authority.der());
-            msps.insert(Msp::new(name, std::slice::from_ref(&root), &[]).unwrap()).unwrap();
+            msps.insert(Msp::new(name, std::slice::from_ref(&root), &[] as &[Bytes]).unwrap()).unwrap();
             organisations.push(FoundingOrganisation {
                 name: (*name).to_owned(),
                 roots: vec![root],

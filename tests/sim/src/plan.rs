@@ -66,7 +66,7 @@ impl Plan {
         // One seed in sixteen is quiet, so that what goes wrong in a storm can be told from what always goes wrong.
         let quiet = random.below(16) == 0;
         let mut faults = BTreeSet::new();
-        for fault in Fault::ALL {
+        for fault in Fault::ALL.iter().copied() {
             let on = random.percent(55);
             if on && !quiet {
                 faults.insert(fault);

@@ -7,6 +7,7 @@ mod chaos;
 mod drive;
 mod execute;
 mod gateway;
+mod hostile;
 mod operator;
 mod start;
 

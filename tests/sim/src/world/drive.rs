@@ -154,6 +154,10 @@ impl World {
     }
 
     fn flushed(&mut self, id: u64) -> Check {
+        if self.nodes.get(&id).is_some_and(|node| node.tear) {
+            self.tear(id);
+            return Ok(());
+        }
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         let Some(ready) = running.flush.take() else { return Ok(()) };
         match running.store.flush() {

@@ -37,9 +37,11 @@ impl World {
             }
             Err(fault) => return Err(Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}"))),
         };
+        if node.damaged {
+            return self.undetected(id);
+        }
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
-        node.damaged = false;
         node.clock.start(self.now, ledger.tip().time);
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;

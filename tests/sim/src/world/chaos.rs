@@ -1,0 +1,252 @@
+//! What goes wrong, and when.
+
+use super::{Event, Undo, World};
+use crate::clock::{EPOCH, MILLISECOND, SECOND};
+use crate::coverage::Fault;
+use crate::invariant::Check;
+use crate::node::Shelf;
+use ledger::members::{Change, MembershipChange};
+use ledger_raft::{Input, Lane};
+use std::collections::BTreeSet;
+
+/// The faults that happen at a moment; the others are rates.
+const AT_A_MOMENT: [Fault; 18] = [
+    Fault::Clog,
+    Fault::Partition,
+    Fault::OneWay,
+    Fault::Crash,
+    Fault::TornWrite,
+    Fault::Kill,
+    Fault::FailedSync,
+    Fault::BitFlip,
+    Fault::FullDisk,
+    Fault::StateLost,
+    Fault::ClockStep,
+    Fault::Pause,
+    Fault::ClientCrash,
+    Fault::Transfer,
+    Fault::MembershipChange,
+    Fault::Replacement,
+    Fault::Hostile,
+    Fault::Hostile,
+];
+
+impl World {
+    /// One of the plan's faults happens.
+    pub(super) fn misfortune(&mut self) -> Check {
+        if !self.chaos {
+            return Ok(());
+        }
+        let next = self.random.faults.around(self.plan.between_faults);
+        self.schedule(next, Event::Fault);
+        let possible: Vec<Fault> =
+            AT_A_MOMENT.iter().copied().filter(|fault| self.plan.faults.contains(fault)).collect();
+        let Some(fault) = self.random.faults.pick(&possible).copied() else { return Ok(()) };
+        let running: Vec<u64> = self.nodes.values().filter(|node| node.up.is_some()).map(|node| node.id).collect();
+        let Some(id) = self.random.faults.pick(&running).copied() else { return Ok(()) };
+        self.note(format_args!("fault: {} at n{id}", fault.name()));
+        match fault {
+            Fault::Clog => self.clog(),
+            Fault::Partition => self.part(fault),
+            Fault::OneWay => self.part(fault),
+            Fault::Crash if self.random.faults.percent(8) => {
+                // The power of the whole site fails.
+                for id in running {
+                    self.fell(fault, id, true);
+                }
+            }
+            Fault::Crash => self.fell(fault, id, true),
+            Fault::Kill => self.fell(fault, id, false),
+            Fault::TornWrite => {
+                if let Some(node) = self.nodes.get_mut(&id) {
+                    node.tear = true;
+                }
+            }
+            Fault::StateLost => {
+                self.fell(fault, id, true);
+                if let Some(node) = self.nodes.get_mut(&id) {
+                    node.shelf = Shelf::default();
+                }
+            }
+            Fault::FailedSync => {
+                if let Some(node) = self.nodes.get_mut(&id) {
+                    node.sync_will_fail = true;
+                    node.disk.fail_sync(1);
+                }
+            }
+            Fault::FullDisk => self.fill(id),
+            Fault::BitFlip if self.may_lose(id) => self.flip(id),
+            Fault::Replacement if self.may_lose(id) => self.lose(id),
+            Fault::ClockStep => self.set_clock(id),
+            Fault::Pause => {
+                self.coverage.fault(fault);
+                let long = self.random.faults.percent(30);
+                let pause = self.random.faults.between(50, if long { 5_000 } else { 600 }) * MILLISECOND;
+                if let Some(node) = self.nodes.get_mut(&id) {
+                    node.paused_until = self.now + pause;
+                }
+            }
+            Fault::ClientCrash => {
+                self.coverage.fault(fault);
+                let number = self.random.faults.below(self.clients.len() as u64) as usize;
+                self.clients[number].crash();
+                let attempt = self.clients[number].attempt;
+                let delay = self.random.faults.between(SECOND, 10 * SECOND);
+                self.schedule(delay, Event::Client { client: number, attempt });
+            }
+            Fault::Transfer => return self.hand_over(),
+            Fault::MembershipChange => return self.change_members(),
+            Fault::Hostile => {
+                self.coverage.fault(fault);
+                if let Some(transaction) = self.forge() {
+                    return self.input(id, Input::Submit { lane: Lane::Data, transaction });
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The end of a fault.
+    pub(super) fn undo(&mut self, undo: Undo) {
+        match undo {
+            Undo::Cut(name) => self.links.join(name),
+            Undo::FullDisk(id) => {
+                if let Some(node) = self.nodes.get_mut(&id) {
+                    node.disk.set_capacity(None);
+                    node.shelf.set_full(false);
+                }
+            }
+        }
+    }
+
+    /// From now on nothing goes wrong any more, and what is broken is repaired.
+    pub(crate) fn heal(&mut self) {
+        self.note(format_args!("everything heals"));
+        self.chaos = false;
+        self.links.heal();
+        for id in self.usable() {
+            self.undo(Undo::FullDisk(id));
+            if let Some(node) = self.nodes.get_mut(&id) {
+                node.clock.heal();
+                node.tear = false;
+                node.paused_until = node.paused_until.min(self.now);
+            }
+            let delay = self.random.faults.below(SECOND);
+            self.schedule(delay, Event::Start { node: id });
+        }
+        self.plan.disk_max = MILLISECOND;
+    }
+
+    /// A process ends, and starts again after a while.
+    fn fell(&mut self, fault: Fault, id: u64, power_fails: bool) {
+        self.coverage.fault(fault);
+        self.stop(id, power_fails);
+        let soon = self.random.faults.percent(50);
+        let delay = self.random.faults.between(2, if soon { 100 } else { 8_000 }) * MILLISECOND;
+        self.schedule(delay, Event::Start { node: id });
+    }
+
+    /// Power fails while the log is written.
+    pub(super) fn tear(&mut self, id: u64) {
+        self.coverage.fault(Fault::TornWrite);
+        if let Some(node) = self.nodes.get_mut(&id) {
+            node.tear = false;
+            let disk = node.disk.clone();
+            node.disk.before_sync(move || disk.crash());
+            if let Some(running) = &node.up {
+                // The power fails before it returns; the error is heard by nobody.
+                let _lost = running.store.flush();
+            }
+            node.disk.before_sync(|| {});
+        }
+        self.stop(id, true);
+        let delay = self.random.faults.between(2, 2_000) * MILLISECOND;
+        self.schedule(delay, Event::Start { node: id });
+    }
+
+    fn clog(&mut self) {
+        let all = self.usable();
+        let (Some(from), Some(to)) = (self.random.faults.pick(&all).copied(), self.random.faults.pick(&all).copied())
+        else {
+            return;
+        };
+        self.coverage.fault(Fault::Clog);
+        let time = self.random.faults.between(50, 3_000) * MILLISECOND;
+        self.links.clog((from, to), self.now + time);
+    }
+
+    fn part(&mut self, fault: Fault) {
+        let all = self.usable();
+        let side: BTreeSet<u64> = all.iter().copied().filter(|_| self.random.faults.percent(40)).collect();
+        if side.is_empty() || side.len() == all.len() {
+            return;
+        }
+        self.coverage.fault(fault);
+        let mut links = BTreeSet::new();
+        for from in &all {
+            for to in &all {
+                let crosses = side.contains(from) != side.contains(to);
+                let counts = fault == Fault::Partition || side.contains(from);
+                if crosses && counts {
+                    links.insert((*from, *to));
+                }
+            }
+        }
+        self.faults += 1;
+        self.links.cut(self.faults, links);
+        let time = self.random.faults.between(100, 9_000) * MILLISECOND;
+        self.schedule(time, Event::Undo(Undo::Cut(self.faults)));
+    }
+
+    fn fill(&mut self, id: u64) {
+        let time = self.random.faults.between(300, 5_000) * MILLISECOND;
+        if let Some(node) = self.nodes.get_mut(&id) {
+            node.disk.set_capacity(Some(node.disk.used_bytes()));
+            node.shelf.set_full(true);
+        }
+        self.schedule(time, Event::Undo(Undo::FullDisk(id)));
+    }
+
+    fn set_clock(&mut self, id: u64) {
+        self.coverage.fault(Fault::ClockStep);
+        let far = self.random.faults.percent(20);
+        let by = self.random.faults.between(1, if far { 300_000 } else { 3_000 }) * MILLISECOND;
+        let back = self.random.faults.percent(60);
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        let wall = node.clock.wall(self.now);
+        // Certificates began a year before, so a clock is never set that far back.
+        let by = if back { -(by.min(wall - EPOCH + 3600 * SECOND) as i64) } else { by as i64 };
+        node.clock.step(by);
+    }
+
+    fn hand_over(&mut self) -> Check {
+        let voters: Vec<u64> = self.newest_members().voters.iter().copied().collect();
+        let (Some(leader), Some(to)) = (self.leader(), self.random.faults.pick(&voters).copied()) else {
+            return Ok(());
+        };
+        self.coverage.fault(Fault::Transfer);
+        self.input(leader, Input::TransferLeadership { to })
+    }
+
+    /// A voter becomes a learner, or a learner a voter; at least three voters stay.
+    fn change_members(&mut self) -> Check {
+        let Some(leader) = self.leader() else { return Ok(()) };
+        let members = self.newest_members().clone();
+        let lost = |id: &u64| self.nodes.get(id).is_none_or(|node| node.lost);
+        let learners: Vec<u64> = members.learners.iter().copied().filter(|id| !lost(id)).collect();
+        let voters: Vec<u64> = members.voters.iter().copied().filter(|id| !lost(id) && *id != leader).collect();
+        let promoted = self.random.faults.pick(&learners).copied();
+        let demoted = self.random.faults.pick(&voters).copied().filter(|_| members.voters.len() > 3);
+        let swap = self.random.faults.pick(&voters).copied().filter(|_| self.random.faults.percent(30));
+        let changes = match (promoted, demoted, swap) {
+            (Some(up), _, Some(down)) => vec![Change::AddVoter(up), Change::AddLearner(down)],
+            (Some(up), None, None) => vec![Change::AddVoter(up)],
+            (Some(up), Some(_), None) if self.random.faults.percent(50) => vec![Change::AddVoter(up)],
+            (_, Some(down), _) => vec![Change::AddLearner(down)],
+            _ => return Ok(()),
+        };
+        self.coverage.fault(Fault::MembershipChange);
+        self.input(leader, Input::ChangeMembership(MembershipChange::new(changes)))
+    }
+}

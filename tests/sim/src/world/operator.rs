@@ -1,0 +1,105 @@
+//! Whoever runs the network: takes out what is broken, and puts something new in its place.
+
+use super::{Event, World, clock};
+use crate::clock::MILLISECOND;
+use crate::coverage::Fault;
+use crate::invariant::{Check, Violation};
+use crate::node::Node;
+use ledger::disk::Disk;
+use ledger::members::{Change, MembershipChange};
+use ledger::segment::{Found, LogPosition, scan};
+use ledger_raft::Input;
+
+/// How far behind a new node may be when it becomes a voter, in blocks.
+const BEHIND_MAX: u64 = 20;
+
+/// A node whose disk is lost, and the new one that takes its place.
+#[derive(Clone, Copy, Debug)]
+pub struct Replacement {
+    /// Is taken out.
+    pub lost: u64,
+    /// Comes in.
+    pub new: u64,
+    /// Shall vote.
+    pub voter: bool,
+}
+
+impl World {
+    /// May this node's disk be lost? The promise is about a majority of the voters, so it happens to one at a time.
+    pub(super) fn may_lose(&self, id: u64) -> bool {
+        let members = self.newest_members();
+        let healthy = self.nodes.values().all(|node| !node.damaged);
+        let settled = self.replacement.is_none() && !members.is_joint() && healthy;
+        settled && members.voters.len() >= 3 && (members.voters.contains(&id) || members.learners.contains(&id))
+    }
+
+    /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
+    pub(super) fn flip(&mut self, id: u64) {
+        self.stop(id, false);
+        let delay = self.random.faults.between(2, 2_000) * MILLISECOND;
+        self.schedule(delay, Event::Start { node: id });
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        let mut records = Vec::new();
+        let mut proven = LogPosition::default();
+        for found in scan(&node.disk, None).into_iter().flatten().flatten() {
+            if let Found::Record { file, position, bytes, durable_upto, .. } = found {
+                records.push((file, position, bytes));
+                proven = durable_upto;
+            }
+        }
+        records.retain(|(_, position, bytes)| {
+            (position.sequence, position.offset + bytes) <= (proven.sequence, proven.offset)
+        });
+        let Some((file, position, bytes)) = self.random.faults.pick(&records).cloned() else { return };
+        let Some(mut content) = node.disk.contents(&file) else { return };
+        let at = position.offset as usize + self.random.faults.below(u64::from(bytes)) as usize;
+        content[at] ^= 1 << self.random.faults.below(8);
+        node.disk.set_contents(&file, &content);
+        node.damaged = true;
+        self.coverage.fault(Fault::BitFlip);
+        self.note(format_args!("n{id} has a flipped bit at {file} byte {at}"));
+    }
+
+    /// A node has started although a bit of its log is not what it was.
+    pub(super) fn undetected(&self, id: u64) -> Check {
+        let files = self.nodes.get(&id).and_then(|node| node.disk.list().ok()).unwrap_or_default();
+        Err(Violation::new("damage is refused", format!("node {id} starts on a damaged disk: {files:?}")))
+    }
+
+    /// Puts a new node in the place of one that is lost.
+    pub(super) fn replace(&mut self, lost: u64) {
+        let new = self.nodes.keys().next_back().map_or(1, |last| last + 1);
+        let voter = self.newest_members().voters.contains(&lost);
+        let clock = clock(&mut self.random.faults, self.plan.faults.contains(&Fault::ClockDrift));
+        self.nodes.insert(new, Node::new(new, self.random.disk.number(), clock));
+        self.replacement = Some(Replacement { lost, new, voter });
+        self.note(format_args!("n{new} takes the place of n{lost}"));
+        self.schedule(MILLISECOND, Event::Start { node: new });
+        self.schedule(200 * MILLISECOND, Event::Operator);
+    }
+
+    /// Does the next step of a replacement.
+    pub(super) fn operate(&mut self) -> Check {
+        let Some(Replacement { lost, new, voter }) = self.replacement else { return Ok(()) };
+        self.schedule(300 * MILLISECOND, Event::Operator);
+        let members = self.newest_members();
+        let Some(leader) = self.leader().filter(|_| !members.is_joint()) else { return Ok(()) };
+        let is_in = |id| members.voters.contains(&id) || members.learners.contains(&id);
+        let changes = if is_in(lost) {
+            vec![Change::Remove(lost), Change::AddLearner(new)]
+        } else if !is_in(new) {
+            vec![Change::AddLearner(new)]
+        } else if voter && !members.voters.contains(&new) {
+            let reached = self.tip(new).map_or(0, |(height, ..)| height);
+            if reached + BEHIND_MAX < self.blocks.len() as u64 {
+                return Ok(());
+            }
+            vec![Change::AddVoter(new)]
+        } else {
+            self.note(format_args!("n{new} has taken the place of n{lost}"));
+            self.replacement = None;
+            return Ok(());
+        };
+        self.input(leader, Input::ChangeMembership(MembershipChange::new(changes)))
+    }
+}
