@@ -47,6 +47,8 @@ pub struct Client {
     pub orders: Vec<Call>,
     /// It does nothing of its own any more.
     pub obedient: bool,
+    /// It takes every verdict for an answer to its orders.
+    pub obliging: bool,
     /// Verdicts of its orders.
     pub obeyed: Vec<Code>,
 }
@@ -75,6 +77,7 @@ impl Client {
             ready: false,
             orders: Vec::new(),
             obedient: false,
+            obliging: false,
             obeyed: Vec::new(),
         }
     }
@@ -114,7 +117,7 @@ impl World {
     }
 
     /// Adds a client that does only what it is told, and tells it.
-    pub(crate) fn employ_for(&mut self, person: &str, orders: Vec<Call>) -> usize {
+    pub(crate) fn employ_for(&mut self, person: &str, orders: Vec<Call>, obliging: bool) -> usize {
         let number = self.clients.len();
         let gateway = self.usable().first().copied().unwrap_or(1);
         let mut client = Client::new(person, gateway);
@@ -122,6 +125,7 @@ impl World {
         client.ahead = self.clients.iter().map(|client| client.ahead).max().unwrap_or(EPOCH);
         client.orders = orders;
         client.obedient = true;
+        client.obliging = obliging;
         self.clients.push(client);
         self.schedule(1, Event::Client { client: number, attempt: 0 });
         number
@@ -267,10 +271,12 @@ impl World {
     fn learn(&mut self, number: usize, code: Code, response: &Bytes) {
         let client = &mut self.clients[number];
         let Some(call) = client.call.clone() else { return };
-        if client.obedient {
+        if let Some(order) = client.orders.first() {
             // What is not settled is tried again.
-            let again = matches!(code, Code::Expired | Code::UnknownCreator | Code::Held | Code::NotHolder | Code::StaleEpoch);
-            if !again {
+            let passing = matches!(code, Code::Expired | Code::NotAfterTooFar | Code::UnknownCreator);
+            let lost = matches!(code, Code::Held | Code::NotHolder | Code::StaleEpoch);
+            let settled = !passing && (client.obliging || !lost);
+            if settled && std::mem::discriminant(order) == std::mem::discriminant(&call) {
                 client.orders.remove(0);
                 client.obeyed.push(code);
             }

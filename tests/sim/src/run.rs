@@ -75,7 +75,7 @@ fn last_word(world: &mut World, deadline: u64) -> Check {
     orders.extend(policies.map(Call::Remove));
     orders.push(Call::Put(crate::policy::Policy::Trusted));
     orders.extend(SERVICES.map(|service| Call::Release { service: service.to_owned() }));
-    let owner = world.employ_for("Org2/admin", orders);
+    let owner = world.employ_for("Org2/admin", orders, true);
     until(world, deadline, "the owner puts everything right", |world| world.clients[owner].orders.is_empty())?;
     let orders = SERVICES.iter().flat_map(|service| {
         let service = (*service).to_owned();
@@ -85,7 +85,7 @@ fn last_word(world: &mut World, deadline: u64) -> Check {
             Call::Release { service },
         ]
     });
-    let user = world.employ_for("Org1/Nina", orders.collect());
+    let user = world.employ_for("Org1/Nina", orders.collect(), false);
     until(world, deadline, "a user is served", |world| world.clients[user].orders.is_empty())?;
     let codes = &world.clients[user].obeyed;
     if codes.iter().any(|code| *code != Code::Ok) {

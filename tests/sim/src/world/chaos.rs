@@ -216,7 +216,7 @@ impl World {
         let Some(node) = self.nodes.get_mut(&id) else { return };
         let wall = node.clock.wall(self.now);
         // Certificates began a year before, so a clock is never set that far back.
-        let by = if back { -(by.min(wall - EPOCH + 3600 * SECOND) as i64) } else { by as i64 };
+        let by = if back { -(by.min((wall + 3600 * SECOND).saturating_sub(EPOCH)) as i64) } else { by as i64 };
         node.clock.step(by);
     }
 

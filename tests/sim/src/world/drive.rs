@@ -194,7 +194,7 @@ impl World {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         // A full disk keeps it in memory; the blocks have it.
         let _kept = running.state.flush();
-        let prepared = running.store.prepare();
+        let prepared = if self.plan.prepares { running.store.prepare() } else { Ok(false) };
         let mut late = Vec::new();
         running.waiters.retain(|_, waiting| {
             let expired = waiting.iter().any(|waiter| now > waiter.since + WAIT_MAX);

@@ -30,6 +30,13 @@ impl World {
                 self.schedule(SECOND, Event::Start { node: id });
                 return Ok(());
             }
+            Err(fault) if fault.code == Code::DiskFailed && node.sync_will_fail => {
+                node.sync_will_fail = false;
+                node.disk.kill();
+                self.coverage.fault(Fault::FailedSync);
+                self.schedule(SECOND, Event::Start { node: id });
+                return Ok(());
+            }
             Err(fault) if fault.code == Code::Corrupt && node.damaged => {
                 self.note(format_args!("n{id} refuses its disk: {}", fault.code));
                 self.lose(id);
@@ -92,8 +99,8 @@ impl World {
         let Some(node) = self.nodes.get_mut(&id) else { return };
         node.up = None;
         node.paused_until = 0;
-        node.sync_will_fail = false;
         if power_fails {
+            node.sync_will_fail = false;
             node.disk.crash();
         } else {
             node.disk.kill();
@@ -112,8 +119,9 @@ impl World {
 
     /// A process has failed by itself; it starts again soon.
     pub(super) fn failed(&mut self, id: u64, why: &str) -> Check {
-        if !self.nodes.get(&id).is_some_and(|node| node.sync_will_fail) {
-            return Err(Violation::new(UNEXPLAINED, format!("node {id}: {why}")));
+        match self.nodes.get_mut(&id) {
+            Some(node) if node.sync_will_fail => node.sync_will_fail = false,
+            _ => return Err(Violation::new(UNEXPLAINED, format!("node {id}: {why}"))),
         }
         self.coverage.fault(Fault::FailedSync);
         // The machine may live on with pages that were never written, or not.
