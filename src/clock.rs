@@ -18,7 +18,8 @@ pub(crate) fn wall() -> u64 {
 /// monotonic time, and follows the machine's clock again once that is ahead. Clones share what they have observed.
 #[derive(Clone, Debug)]
 pub(crate) struct Clock {
-    /// What the clock showed, at least, when it was started.
+    /// Block time when the clock was started, or what newer block time makes of it. Never the machine's clock: one that
+    /// was wrong at the start and is set right later must not stay wrong here.
     base: Arc<AtomicU64>,
     since: Instant,
 }
@@ -26,7 +27,7 @@ pub(crate) struct Clock {
 impl Clock {
     /// Starts at block time, microseconds since the UNIX epoch, or at the machine's clock if that is later.
     pub(crate) fn starting_at(block_time: u64) -> Self {
-        Self { base: Arc::new(AtomicU64::new(block_time.max(wall()))), since: Instant::now() }
+        Self { base: Arc::new(AtomicU64::new(block_time)), since: Instant::now() }
     }
 
     /// Microseconds since the UNIX epoch.
@@ -62,6 +63,12 @@ mod tests {
         assert_eq!(clock.at(1_500, 500), 1_500);
         assert_eq!(clock.at(200, 600), 1_600, "set back: it goes on");
         assert_eq!(clock.at(9_000, 700), 9_000, "set ahead: it follows");
+    }
+
+    #[test]
+    fn a_machines_clock_that_was_wrong_at_the_start_and_is_set_right_leaves_nothing_behind() {
+        let clock = Clock::starting_at(1_000);
+        assert_eq!((clock.at(900_000, 10), clock.at(2_000, 20)), (900_000, 2_000));
     }
 
     #[test]
