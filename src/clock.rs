@@ -25,7 +25,7 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// Starts at block time, microseconds since the UNIX epoch, or at the machine's clock if that is later.
+    /// Never shows less than this block time, microseconds since the UNIX epoch.
     pub(crate) fn starting_at(block_time: u64) -> Self {
         Self { base: Arc::new(AtomicU64::new(block_time)), since: Instant::now() }
     }

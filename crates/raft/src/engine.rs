@@ -20,6 +20,7 @@ use ledger::block::Payload;
 use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger::entry::EntryKind;
 use ledger::members::Membership;
+use ledger::mutation::{Mutation, active};
 use ledger::{Code, Rejection};
 use raft::{RawNode, StateRole};
 use std::collections::{BTreeMap, VecDeque};
@@ -154,7 +155,7 @@ impl Engine {
             unpersisted_bytes: 0,
             own: VecDeque::new(),
             membership,
-            emitted: applied,
+            emitted: applied + u64::from(active(Mutation::CatchUpOffByOne)),
             unapplied: VecDeque::new(),
             unapplied_bytes: 0,
             applied,

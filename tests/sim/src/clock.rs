@@ -17,7 +17,7 @@ pub struct Clock {
     offset: i64,
     /// By how many millionths it runs too fast (or slow).
     drift_ppm: i64,
-    /// What the process's clock showed at least when it was started.
+    /// Block time when the process was started, or what newer block time makes of it.
     base: u64,
     /// Monotonic time then.
     started: u64,
@@ -41,7 +41,7 @@ impl Clock {
 
     /// The process starts, with a state that has seen this block time.
     pub fn start(&mut self, virtual_now: u64, block_time: u64) {
-        self.base = block_time.max(self.wall(virtual_now));
+        self.base = block_time;
         self.started = self.monotonic(virtual_now);
     }
 

@@ -143,7 +143,11 @@ impl fmt::Display for Coverage {
         writeln!(f, "blocks            {blocks}")?;
         writeln!(f, "elections         {}", self.elections)?;
         writeln!(f, "restarts          {}", self.restarts)?;
-        writeln!(f, "operations        {} begun, {} answered, {} attempts timed out", self.operations, self.answered, self.timeouts)?;
+        writeln!(
+            f,
+            "operations        {} begun, {} answered, {} attempts timed out",
+            self.operations, self.answered, self.timeouts
+        )?;
         writeln!(f, "linearizable      {} reads", self.linearizable)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;

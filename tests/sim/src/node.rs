@@ -4,7 +4,7 @@
 mod open;
 mod shelf;
 
-pub use open::{Opened, open};
+pub use open::{Opened, open, open_blocks};
 pub use shelf::Shelf;
 
 use crate::clock::Clock;

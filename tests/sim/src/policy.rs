@@ -62,9 +62,7 @@ impl Policy {
                  && principal.getTag(resource.requiredAttribute) == resource.requiredValue }};"
             ),
             Self::Trusted => format!("permit (principal, action, resource) when {{ {trusted} }};"),
-            Self::ForbidFarhad => {
-                "forbid (principal == User::\"Org1/Farhad\", action, resource);".to_owned()
-            }
+            Self::ForbidFarhad => "forbid (principal == User::\"Org1/Farhad\", action, resource);".to_owned(),
             // Block time is far above 2, so the product overflows.
             Self::ErringForbid => {
                 "forbid (principal, action, resource) when { context.time * 9223372036854775807 == 0 };".to_owned()

@@ -11,9 +11,9 @@ impl Random {
     /// The sequence of a purpose.
     pub fn new(seed: u64, purpose: &str) -> Self {
         // FNV-1a over the purpose, so that each has its own place in the sequence.
-        let mixed = purpose.bytes().fold(0xcbf2_9ce4_8422_2325 ^ seed, |hash, byte| {
-            (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-        });
+        let mixed = purpose
+            .bytes()
+            .fold(0xcbf2_9ce4_8422_2325 ^ seed, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3));
         let mut random = Self(mixed);
         random.number();
         random

@@ -57,7 +57,9 @@ fn play(world: &mut World) -> Check {
     world.heal();
     let deadline = world.now + HEAL_MAX;
     // First everybody finishes what they are doing, and the members are complete again.
-    until(world, deadline, "the members are complete", |world| world.replacement.is_none() && !world.newest_members().is_joint())?;
+    until(world, deadline, "the members are complete", |world| {
+        world.replacement.is_none() && !world.newest_members().is_joint()
+    })?;
     for client in &mut world.clients {
         client.obedient = true;
     }
@@ -111,7 +113,8 @@ fn until(world: &mut World, deadline: u64, what: &str, holds: impl Fn(&World) ->
 fn agree(world: &World) -> bool {
     let members = world.newest_members();
     let tips: Vec<_> = members.voters.iter().chain(&members.learners).map(|id| world.tip(*id)).collect();
-    tips.iter().all(|tip| tip.as_ref().is_some_and(|tip| tip.0 == world.blocks.len() as u64 && Some(tip) == tips[0].as_ref()))
+    tips.iter()
+        .all(|tip| tip.as_ref().is_some_and(|tip| tip.0 == world.blocks.len() as u64 && Some(tip) == tips[0].as_ref()))
 }
 
 /// All members hold the same keys and values.

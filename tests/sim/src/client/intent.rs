@@ -100,10 +100,14 @@ impl Call {
 /// The robots as their owner registers them.
 pub fn robots(open: bool) -> [String; 2] {
     let service = |topic: &str, mode: &str| {
-        format!(r#"{{"topic":"{topic}","type":"geometry_msgs/msg/Twist","mode":"{mode}","lease_ms":3000,"lease_ms_max":20000}}"#)
+        format!(
+            r#"{{"topic":"{topic}","type":"geometry_msgs/msg/Twist","mode":"{mode}","lease_ms":3000,"lease_ms_max":20000}}"#
+        )
     };
     let robot = |name: &str, services: &str| {
-        format!(r#"{{"name":"{name}","attribute_required":"{name}","trusted":["Org1","Org2"],"services":[{services}]}}"#)
+        format!(
+            r#"{{"name":"{name}","attribute_required":"{name}","trusted":["Org1","Org2"],"services":[{services}]}}"#
+        )
     };
     let arm = service("/arm", if open { "open" } else { "exclusive" });
     [
@@ -121,7 +125,11 @@ impl World {
             return Some(match call.clone() {
                 Call::Set { service, .. } => {
                     let (epoch, seq) = client.grants.get(&service).copied().unwrap_or_default();
-                    if epoch == 0 { Call::Acquire { service, lease_ms: None } } else { Call::Set { service, epoch, seq } }
+                    if epoch == 0 {
+                        Call::Acquire { service, lease_ms: None }
+                    } else {
+                        Call::Set { service, epoch, seq }
+                    }
                 }
                 call => call,
             });
@@ -163,7 +171,9 @@ impl World {
             .people
             .all
             .iter()
-            .filter(|person| person.identity.organisation == "Org1" && person.identity.name != "admin" && person.nth == 0)
+            .filter(|person| {
+                person.identity.organisation == "Org1" && person.identity.name != "admin" && person.nth == 0
+            })
             .collect();
         let person = self.random.clients.pick(&revocable)?;
         let (issuer, serial) = (hex::encode(person.identity.issuer), hex::encode(&person.identity.serial));

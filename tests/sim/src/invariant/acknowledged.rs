@@ -62,9 +62,10 @@ impl AcknowledgedIsDurable {
             self.durable.get(node).and_then(|terms| terms.get(height as usize - 1)).is_some_and(|found| *found == term)
         };
         let majority = |voters: &BTreeSet<u64>| voters.iter().filter(|node| holds(node)).count() > voters.len() / 2;
-        if members.iter().any(|members| {
-            majority(&members.voters) && (members.outgoing.is_empty() || majority(&members.outgoing))
-        }) {
+        if members
+            .iter()
+            .any(|members| majority(&members.voters) && (members.outgoing.is_empty() || majority(&members.outgoing)))
+        {
             return Ok(());
         }
         let holders: Vec<&u64> = self.durable.keys().filter(|node| holds(node)).collect();

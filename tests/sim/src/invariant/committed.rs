@@ -27,7 +27,10 @@ impl CommittedIsImmutable {
             Some(chosen) if chosen == entry => Ok(()),
             Some(chosen) => Err(Violation::new(
                 NAME,
-                format!("node {node} commits entry {} of term {}, and term {} was", entry.index, entry.term, chosen.term),
+                format!(
+                    "node {node} commits entry {} of term {}, and term {} was",
+                    entry.index, entry.term, chosen.term
+                ),
             )),
             None => Err(Violation::new(NAME, format!("node {node} commits entry {} after {}", entry.index, at))),
         }
@@ -43,7 +46,10 @@ impl CommittedIsImmutable {
             if store.term(index) != term {
                 return Err(Violation::new(
                     NAME,
-                    format!("node {node} has entry {index} of term {:?} after a start, committed was {term:?}", store.term(index)),
+                    format!(
+                        "node {node} has entry {index} of term {:?} after a start, committed was {term:?}",
+                        store.term(index)
+                    ),
                 ));
             }
         }

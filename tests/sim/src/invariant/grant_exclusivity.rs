@@ -43,7 +43,8 @@ impl GrantExclusivity {
                 "renewed" if holders.contains(&(holder.clone(), epoch)) => {}
                 "released" if holders.remove(&(holder.clone(), epoch)) => {}
                 _ => {
-                    let what = format!("at height {height} {service} {name} for {holder}, epoch {epoch}: no such grant");
+                    let what =
+                        format!("at height {height} {service} {name} for {holder}, epoch {epoch}: no such grant");
                     return Err(Violation::new(NAME, what));
                 }
             }

@@ -35,7 +35,9 @@ impl LeaderCompleteness {
             if index >= store.first_index() && store.term(index) != Some(*entry_term) {
                 return Err(Violation::new(
                     NAME,
-                    format!("node {node} leads term {term} without entry {index} of term {entry_term}, which was committed"),
+                    format!(
+                        "node {node} leads term {term} without entry {index} of term {entry_term}, which was committed"
+                    ),
                 ));
             }
         }

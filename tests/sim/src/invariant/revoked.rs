@@ -38,7 +38,8 @@ impl RevokedStaysRevoked {
             let key = creator.map(|person| (hex::encode(person.identity.issuer), hex::encode(&person.identity.serial)));
             if let Some(first) = key.and_then(|key| self.revoked.get(&key)) {
                 let who = creator.map(crate::people::Person::id).unwrap_or_default();
-                let what = format!("{who} succeeded with {} in block {height}, revoked in block {first}", body.function);
+                let what =
+                    format!("{who} succeeded with {} in block {height}, revoked in block {first}", body.function);
                 return Err(Violation::new(NAME, what));
             }
             if let ("msp", "revoke", [issuer, serial, ..]) = (&*body.chaincode, &*body.function, body.args.as_slice()) {

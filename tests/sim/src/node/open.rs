@@ -13,8 +13,6 @@ const REPLAY_BYTES: usize = 4 << 20;
 
 /// What a start found.
 pub struct Opened {
-    /// The log.
-    pub store: Arc<BlockStore>,
     /// The world state.
     pub state: Arc<State>,
     /// The ledger at its savepoint.
@@ -23,23 +21,20 @@ pub struct Opened {
     pub replay: Vec<Entry>,
 }
 
-/// Opens the stores of a node whose process is not running.
+/// Opens the world state of a node whose log is open, and says what of the log it has not executed.
 ///
 /// # Errors
 /// What the node would say, and end.
 pub fn open(
     node: &mut Node,
+    store: &BlockStore,
     genesis: &[u8],
-    network: Hash,
-    segment_bytes: u64,
-    salt: u64,
     abac: &Arc<dyn Chaincode>,
 ) -> Result<Opened, Rejection> {
-    let store = Arc::new(open_blocks(node, network, segment_bytes, salt)?);
-    let (state, ledger) = match open_ledger(&node.shelf, genesis, abac, &store) {
+    let (state, ledger) = match open_ledger(&node.shelf, genesis, abac, store) {
         Err(fault) if fault.code == Code::Corrupt => {
             node.shelf = Shelf::default();
-            open_ledger(&node.shelf, genesis, abac, &store)?
+            open_ledger(&node.shelf, genesis, abac, store)?
         }
         other => other?,
     };
@@ -50,10 +45,14 @@ pub fn open(
         next += entries.len() as u64;
         replay.extend(entries);
     }
-    Ok(Opened { store, state, ledger, replay })
+    Ok(Opened { state, ledger, replay })
 }
 
-fn open_blocks(node: &Node, network: Hash, segment_bytes: u64, salt: u64) -> Result<BlockStore, StoreError> {
+/// Opens the log of a node whose process is not running.
+///
+/// # Errors
+/// What the node would say, and end.
+pub fn open_blocks(node: &Node, network: Hash, segment_bytes: u64, salt: u64) -> Result<BlockStore, StoreError> {
     let mut segment = salt;
     let mut options = Options::new(network.0, move || {
         segment = segment.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);

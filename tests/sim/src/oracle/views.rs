@@ -53,7 +53,10 @@ fn check_verdict(world: &World, places: &BTreeMap<Hash, Place>, verdict: &Verdic
         return Ok(());
     }
     let (id, code, height, index) = (verdict.id, verdict.code.name(), verdict.height, verdict.index);
-    Err(Violation::new(NAME, format!("a client was told {code} for {id} at {height}/{index}, which is not in the chain")))
+    Err(Violation::new(
+        NAME,
+        format!("a client was told {code} for {id} at {height}/{index}, which is not in the chain"),
+    ))
 }
 
 /// Does this verdict take the id of the transaction?
@@ -66,7 +69,8 @@ fn is_final(code: Code) -> bool {
 fn never(world: &World, places: &BTreeMap<Hash, Place>) -> Result<u64, Violation> {
     let mut checks = 0;
     for operation in &world.history.operations {
-        if let (Kind::Submit { id, .. }, Outcome::Refused { never: true, code, .. }) = (&operation.kind, &operation.result)
+        if let (Kind::Submit { id, .. }, Outcome::Refused { never: true, code, .. }) =
+            (&operation.kind, &operation.result)
         {
             checks += 1;
             if let Some((height, index)) = places.get(id) {
@@ -115,7 +119,8 @@ fn in_real_time(world: &World, places: &BTreeMap<Hash, Place>) -> Result<u64, Vi
         checks += 1;
         let before = if what == "read" { place < newest } else { place <= newest };
         if before {
-            let what = format!("operation {number} {what} at {place:?}, and {newest:?} had been answered before it began");
+            let what =
+                format!("operation {number} {what} at {place:?}, and {newest:?} had been answered before it began");
             return Err(Violation::new(NAME, what));
         }
     }

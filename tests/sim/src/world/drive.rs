@@ -87,7 +87,8 @@ impl World {
                 RaftKind::Vote => self.invariants.election_safety.votes(id, term, id)?,
                 _ => {}
             }
-            let what = format_args!("n{id} > n{to} {kind:?} term {term} index {index} +{entries} commit {commit}{reject}");
+            let what =
+                format_args!("n{id} > n{to} {kind:?} term {term} index {index} +{entries} commit {commit}{reject}");
             self.trace.note(self.now, what);
         } else {
             self.note(format_args!("n{id} > n{to} transactions"));

@@ -4,9 +4,10 @@ use super::{Event, Timer, World};
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
-use crate::node::{Opened, Running, open};
+use crate::node::{Opened, Running, open, open_blocks};
+use ledger::block_store::StoreError;
 use ledger::entry::Entry;
-use ledger::{Chaincode, Code, Hash, Ledger};
+use ledger::{Chaincode, Hash, Ledger};
 use ledger_abac::AccessControl;
 use ledger_raft::{Engine, EngineConfig};
 use std::collections::{BTreeMap, VecDeque};
@@ -22,36 +23,20 @@ impl World {
         let (seed, salt) = (self.random.nodes.number(), self.random.nodes.number());
         let waits_for_disk = self.random.nodes.percent(70);
         let Some(node) = self.nodes.get_mut(&id).filter(|node| !node.lost && node.up.is_none()) else { return Ok(()) };
-        let opened = open(node, &self.genesis, self.network, self.plan.segment_bytes, salt, &abac);
-        let Opened { store, state, ledger, replay } = match opened {
-            Ok(opened) => opened,
-            Err(fault) if fault.code == Code::DiskFull => {
-                self.note(format_args!("n{id} has no room to start"));
-                self.schedule(SECOND, Event::Start { node: id });
-                return Ok(());
-            }
-            Err(fault) if fault.code == Code::DiskFailed && node.sync_will_fail => {
-                node.sync_will_fail = false;
-                node.disk.kill();
-                self.coverage.fault(Fault::FailedSync);
-                self.schedule(SECOND, Event::Start { node: id });
-                return Ok(());
-            }
-            Err(fault) if fault.code == Code::Corrupt && node.damaged => {
-                self.note(format_args!("n{id} refuses its disk: {}", fault.code));
-                self.lose(id);
-                return Ok(());
-            }
-            Err(fault) => return Err(Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}"))),
+        let store = match open_blocks(node, self.network, self.plan.segment_bytes, salt) {
+            Ok(store) => Arc::new(store),
+            Err(fault) => return self.refused(id, &fault),
         };
         if node.damaged {
             return self.undetected(id);
         }
+        self.invariants.committed.reopened(id, &store)?;
+        self.invariants.acknowledged.restarted(id, &store)?;
+        let Opened { state, ledger, replay } = open(node, &store, &self.genesis, &abac)
+            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}")))?;
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
         node.clock.start(self.now, ledger.tip().time);
-        self.invariants.committed.reopened(id, &store)?;
-        self.invariants.acknowledged.restarted(id, &store)?;
         for entry in &replay {
             self.executed(id, &ledger, entry)?;
         }
@@ -91,6 +76,27 @@ impl World {
         let housekeeping = self.random.nodes.below(self.plan.state_flush);
         self.schedule_timer(id, 1, Timer::Tick);
         self.schedule_timer(id, housekeeping, Timer::Housekeeping);
+        Ok(())
+    }
+
+    /// A node does not start on the log that it finds.
+    fn refused(&mut self, id: u64, fault: &StoreError) -> Check {
+        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
+        match fault {
+            StoreError::DiskFull { .. } => {}
+            StoreError::Io { .. } if node.sync_will_fail => {
+                node.sync_will_fail = false;
+                node.disk.kill();
+                self.coverage.fault(Fault::FailedSync);
+            }
+            StoreError::Corrupt { .. } if node.damaged => {
+                self.lose(id);
+                return Ok(());
+            }
+            fault => return Err(Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}"))),
+        }
+        self.note(format_args!("n{id} cannot start: {fault}"));
+        self.schedule(SECOND, Event::Start { node: id });
         Ok(())
     }
 
