@@ -35,7 +35,8 @@ impl Clock {
         self.at(wall(), self.elapsed())
     }
 
-    /// Takes note of a block's time, which the clock is not behind from now on.
+    /// Takes note of the newest block's time, which the clock is not behind from now on. Where the machine's clock is
+    /// behind, the nodes go on from the same block and so agree, but for the time that it took to reach them.
     pub(crate) fn observe(&self, block_time: u64) {
         self.observe_at(block_time, self.elapsed());
     }
@@ -49,7 +50,7 @@ impl Clock {
     }
 
     fn observe_at(&self, block_time: u64, elapsed: u64) {
-        self.base.fetch_max(block_time.saturating_sub(elapsed), Ordering::Relaxed);
+        self.base.store(block_time.saturating_sub(elapsed), Ordering::Relaxed);
     }
 }
 
@@ -76,8 +77,8 @@ mod tests {
         let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), since: Instant::now() };
         clock.observe_at(50_000, 100);
         assert_eq!((clock.at(200, 100), clock.at(200, 150)), (50_000, 50_050));
-        clock.observe_at(10_000, 200);
-        assert_eq!(clock.at(200, 200), 50_100, "an older block changes nothing");
+        clock.observe_at(50_020, 200);
+        assert_eq!(clock.at(200, 250), 50_070, "the newest block counts: whoever made it was less ahead");
     }
 
     #[test]
