@@ -20,7 +20,7 @@ pub enum Mutation {
     AcceptAnErringForbid,
     /// The vote is not written to the disk.
     ForgetTheVote,
-    /// A node that catches up begins one block too late.
+    /// A node that has caught up says that it holds one block more than it does.
     CatchUpOffByOne,
     /// A lease is measured by the node's wall clock.
     WallClockLease,

@@ -20,7 +20,6 @@ use ledger::block::Payload;
 use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger::entry::EntryKind;
 use ledger::members::Membership;
-use ledger::mutation::{Mutation, active};
 use ledger::{Code, Rejection};
 use raft::{RawNode, StateRole};
 use std::collections::{BTreeMap, VecDeque};
@@ -155,7 +154,7 @@ impl Engine {
             unpersisted_bytes: 0,
             own: VecDeque::new(),
             membership,
-            emitted: applied + u64::from(active(Mutation::CatchUpOffByOne)),
+            emitted: applied,
             unapplied: VecDeque::new(),
             unapplied_bytes: 0,
             applied,

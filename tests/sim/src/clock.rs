@@ -48,7 +48,7 @@ impl Clock {
     /// The process has executed a block of this time.
     pub fn observe(&mut self, virtual_now: u64, block_time: u64) {
         let elapsed = self.monotonic(virtual_now) - self.started;
-        self.base = self.base.max(block_time.saturating_sub(elapsed));
+        self.base = block_time.saturating_sub(elapsed);
     }
 
     /// What the process takes for the time, microseconds since the UNIX epoch.

@@ -65,6 +65,10 @@ faults! {
     MembershipChange "change of members";
     /// A node whose disk is lost is taken out, and a new one takes its place.
     Replacement "node replaced";
+    /// Old blocks are dropped.
+    Pruning "old blocks dropped";
+    /// A node is so far behind that it fetches blocks from its peers.
+    CatchUp "caught up from peers";
     /// A member orders what no honest gateway would let through.
     Hostile "hostile transaction";
 }

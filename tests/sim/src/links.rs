@@ -32,6 +32,11 @@ impl Links {
         self.cuts.remove(&name);
     }
 
+    /// Does this link lose everything now?
+    pub fn is_cut(&self, link: (u64, u64)) -> bool {
+        self.cuts.values().any(|cut| cut.contains(&link))
+    }
+
     /// Holds everything on a link back until a time.
     pub fn clog(&mut self, link: (u64, u64), until: u64) {
         self.clogged.insert(link, until);
@@ -54,7 +59,7 @@ impl Links {
 
     /// When a message that is sent now arrives: not at all, once, or several times.
     pub fn send(&mut self, now: u64, link: (u64, u64), random: &mut Random, coverage: &mut Coverage) -> Vec<u64> {
-        if self.cuts.values().any(|cut| cut.contains(&link)) {
+        if self.is_cut(link) {
             return Vec::new();
         }
         if random.per_mille(self.plan.lose_per_mille) {

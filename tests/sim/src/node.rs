@@ -44,14 +44,18 @@ pub struct Node {
     pub damaged: bool,
     /// A failed fsync was injected; it will die.
     pub sync_will_fail: bool,
+    /// How many blocks it keeps behind its world state; all of them if none is given.
+    pub keep: Option<u64>,
+    /// Height of the world state that is on its disk.
+    pub saved: u64,
     /// Power fails in the middle of its next write.
     pub tear: bool,
 }
 
 /// The process of a node.
 pub struct Running {
-    /// Orders.
-    pub engine: Engine,
+    /// Orders; none while blocks are fetched from peers.
+    pub engine: Option<Engine>,
     /// The log.
     pub store: Arc<BlockStore>,
     /// The world state.
@@ -80,6 +84,8 @@ pub struct Running {
     pub disk_full: bool,
     /// The deadline for which an empty block was asked for, and the height then.
     pub asked_for: (u64, u64),
+    /// The height up to which blocks are to be fetched from peers.
+    pub catch_up_to: u64,
     /// It leads.
     pub leading: bool,
     /// Names of reads.
@@ -201,6 +207,8 @@ impl Node {
             lost: false,
             damaged: false,
             sync_will_fail: false,
+            keep: None,
+            saved: 0,
             tear: false,
         }
     }

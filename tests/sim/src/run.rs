@@ -57,9 +57,7 @@ fn play(world: &mut World) -> Check {
     world.heal();
     let deadline = world.now + HEAL_MAX;
     // First everybody finishes what they are doing, and the members are complete again.
-    until(world, deadline, "the members are complete", |world| {
-        world.replacement.is_none() && !world.newest_members().is_joint()
-    })?;
+    until(world, deadline, "the members are complete", |world| world.replacement.is_none() && world.is_settled())?;
     for client in &mut world.clients {
         client.obedient = true;
     }

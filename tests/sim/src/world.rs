@@ -3,6 +3,7 @@
 //! Nothing here reads a clock, starts a thread or opens a socket; every choice is a number of a sequence that the seed
 //! decides. Events of the same moment happen in the order in which they were scheduled.
 
+mod catch_up;
 mod chaos;
 mod drive;
 mod execute;
@@ -28,11 +29,15 @@ use ledger::entry::Entry;
 use ledger::members::Membership;
 use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
 use ledger::{Bytes, Chaincode, Hash, Outcome};
+use ledger_raft::Desired;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Events that are scheduled in one run before it is given up: something goes round in circles.
 const EVENTS_MAX: u64 = 30_000_000;
+
+/// Nodes that keep all blocks, so that there is always somebody to fetch them from: those with the lowest numbers.
+pub(crate) const ARCHIVES: u64 = 2;
 
 /// Something that will happen.
 pub(crate) enum Event {
@@ -64,6 +69,8 @@ pub(crate) enum Timer {
     Flushed,
     /// Committed blocks are executed.
     Execute,
+    /// Blocks are fetched from a peer.
+    CatchUp,
     /// The world state is flushed, who waits too long is told.
     Housekeeping,
 }
@@ -124,6 +131,8 @@ pub struct World {
     /// Faults still happen.
     pub(crate) chaos: bool,
     pub(crate) replacement: Option<Replacement>,
+    /// Who shall vote and follow, as the operator wants it.
+    pub desired: Desired,
     pub(crate) access: Option<Arc<dyn Chaincode>>,
     queue: BTreeMap<(u64, u64), Event>,
     sequence: u64,
@@ -159,7 +168,11 @@ impl World {
                 coverage.fault(Fault::ClockDrift);
             }
             let clock = clock(&mut random.faults, drifts);
-            nodes.insert(id, Node::new(id, random.disk.number(), clock));
+            let mut node = Node::new(id, random.disk.number(), clock);
+            if plan.faults.contains(&Fault::Pruning) && id > ARCHIVES {
+                node.keep = Some(random.faults.between(5, 60));
+            }
+            nodes.insert(id, node);
         }
         let mut world = Self {
             now: 0,
@@ -178,6 +191,7 @@ impl World {
             random,
             chaos: true,
             replacement: None,
+            desired: Desired { voters: (1..=voters).collect(), learners: (voters + 1..=all).collect() },
             access: None,
             queue: BTreeMap::new(),
             sequence: 0,
@@ -286,7 +300,7 @@ impl World {
     /// The node that leads and may order, if there is one; of two, the one of the higher term.
     pub fn leader(&self) -> Option<u64> {
         let leading = self.nodes.values().filter_map(|node| {
-            let status = node.up.as_ref().filter(|up| up.leading)?.engine.status();
+            let status = node.up.as_ref().filter(|up| up.leading)?.engine.as_ref()?.status();
             status.may_propose.then_some((status.role.term, node.id))
         });
         leading.max().map(|(_, id)| id)

@@ -1,13 +1,15 @@
 //! What goes wrong, and when.
 
-use super::{Event, Undo, World};
+use super::{ARCHIVES, Event, Undo, World};
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::Check;
 use crate::node::Shelf;
-use ledger::members::{Change, MembershipChange};
 use ledger_raft::{Input, Lane};
 use std::collections::BTreeSet;
+
+/// Most machines of one run.
+const NODES_MAX: usize = 14;
 
 /// The faults that happen at a moment; the others are rates.
 const AT_A_MOMENT: [Fault; 18] = [
@@ -62,6 +64,8 @@ impl World {
                     node.tear = true;
                 }
             }
+            // Without its first blocks a node cannot rebuild the world state.
+            Fault::StateLost if self.nodes.get(&id).is_some_and(|node| node.keep.is_some()) => {}
             Fault::StateLost => {
                 self.fell(fault, id, true);
                 if let Some(node) = self.nodes.get_mut(&id) {
@@ -229,24 +233,43 @@ impl World {
         self.input(leader, Input::TransferLeadership { to })
     }
 
-    /// A voter becomes a learner, or a learner a voter; at least three voters stay.
+    /// The operator wants other members: a voter becomes a learner, a learner a voter, a new learner comes, an old one
+    /// goes. At least three voters stay. The leader does it, whoever leads.
     fn change_members(&mut self) -> Check {
-        let Some(leader) = self.leader() else { return Ok(()) };
-        let members = self.newest_members().clone();
-        let lost = |id: &u64| self.nodes.get(id).is_none_or(|node| node.lost);
-        let learners: Vec<u64> = members.learners.iter().copied().filter(|id| !lost(id)).collect();
-        let voters: Vec<u64> = members.voters.iter().copied().filter(|id| !lost(id) && *id != leader).collect();
-        let promoted = self.random.faults.pick(&learners).copied();
-        let demoted = self.random.faults.pick(&voters).copied().filter(|_| members.voters.len() > 3);
-        let swap = self.random.faults.pick(&voters).copied().filter(|_| self.random.faults.percent(30));
-        let changes = match (promoted, demoted, swap) {
-            (Some(up), _, Some(down)) => vec![Change::AddVoter(up), Change::AddLearner(down)],
-            (Some(up), None, None) => vec![Change::AddVoter(up)],
-            (Some(up), Some(_), None) if self.random.faults.percent(50) => vec![Change::AddVoter(up)],
-            (_, Some(down), _) => vec![Change::AddLearner(down)],
+        if self.replacement.is_some() || !self.is_settled() {
+            return Ok(());
+        }
+        let random = &mut self.random.faults;
+        let learners: Vec<u64> = self.desired.learners.iter().copied().collect();
+        let voters: Vec<u64> = self.desired.voters.iter().copied().collect();
+        let (learner, voter) = (random.pick(&learners).copied(), random.pick(&voters).copied());
+        match (random.below(5), learner, voter) {
+            (0, Some(learner), _) => {
+                self.desired.learners.remove(&learner);
+                self.desired.voters.insert(learner);
+            }
+            (1, _, Some(voter)) if voters.len() > 3 => {
+                self.desired.voters.remove(&voter);
+                self.desired.learners.insert(voter);
+            }
+            (2, Some(learner), Some(voter)) => {
+                self.desired.learners.remove(&learner);
+                self.desired.voters.remove(&voter);
+                self.desired.learners.insert(voter);
+                self.desired.voters.insert(learner);
+            }
+            (3, Some(learner), _) if learner > ARCHIVES => {
+                self.desired.learners.remove(&learner);
+            }
+            (4, ..) if self.nodes.len() < NODES_MAX => {
+                let new = self.newcomer();
+                self.desired.learners.insert(new);
+            }
             _ => return Ok(()),
-        };
+        }
         self.coverage.fault(Fault::MembershipChange);
-        self.input(leader, Input::ChangeMembership(MembershipChange::new(changes)))
+        let desired = format!("{:?}", self.desired);
+        self.note(format_args!("members wanted: {desired}"));
+        Ok(())
     }
 }

@@ -8,7 +8,7 @@ use crate::node::{Answer, Refused, WAIT_MAX};
 use ledger::block_store::StoreError;
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code};
-use ledger_raft::{Input, Output, PeerMessage, RaftKind, Role, RoleChange};
+use ledger_raft::{Input, Output, PeerMessage, RaftKind, Role, RoleChange, next_step};
 
 /// Pause before a write is tried again that found no space (`src/orderer.rs`).
 const FULL_DISK_PAUSE: u64 = 100 * MILLISECOND;
@@ -30,11 +30,16 @@ impl World {
         let clock = node.clock.now(now);
         let Some(running) = node.up.as_mut() else { return Ok(()) };
         let mut outputs = Vec::new();
-        running.engine.step(clock, input, &mut outputs);
+        let Some(engine) = running.engine.as_mut() else { return Ok(()) };
+        engine.step(clock, input, &mut outputs);
         if outputs.iter().any(|output| matches!(output, Output::Flush { .. } | Output::Role(_))) {
             self.invariants.log_matching.look(id, &running.store)?;
         }
-        outputs.into_iter().try_for_each(|output| self.carry_out(id, output))
+        // Nothing that comes after the end of an engine is carried out.
+        outputs.into_iter().try_for_each(|output| match self.has_engine(id) {
+            true => self.carry_out(id, output),
+            false => Ok(()),
+        })
     }
 
     fn carry_out(&mut self, id: u64, output: Output) -> Check {
@@ -58,9 +63,14 @@ impl World {
                 Input::ReadIndex { context } => self.read_refused(id, context, reason.code),
                 input => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
             },
+            Output::Behind { first_index, .. } => return self.behind(id, first_index),
             Output::Failed(reason) => return self.failed(id, &reason.to_string()),
         }
         Ok(())
+    }
+
+    fn has_engine(&self, id: u64) -> bool {
+        self.nodes.get(&id).and_then(|node| node.up.as_ref()).is_some_and(|running| running.engine.is_some())
     }
 
     fn role(&mut self, id: u64, change: RoleChange) -> Check {
@@ -116,11 +126,23 @@ impl World {
             Timer::Tick => {
                 self.schedule_timer(id, self.plan.tick, Timer::Tick);
                 self.input(id, Input::Tick)?;
+                self.reconcile(id)?;
                 self.meet_deadline(id)
             }
             Timer::Flushed => self.flushed(id),
             Timer::Execute => self.execute(id),
+            Timer::CatchUp => self.fetch(id),
             Timer::Housekeeping => self.keep_house(id),
+        }
+    }
+
+    /// A leader brings the members to what the operator wants.
+    fn reconcile(&mut self, id: u64) -> Check {
+        let Some(running) = self.nodes.get(&id).and_then(|node| node.up.as_ref()) else { return Ok(()) };
+        let Some(engine) = running.engine.as_ref().filter(|_| running.leading) else { return Ok(()) };
+        match next_step(&self.desired, &engine.status()) {
+            Some(step) => self.input(id, step),
+            None => Ok(()),
         }
     }
 
@@ -194,7 +216,8 @@ impl World {
         self.schedule_timer(id, self.plan.state_flush, Timer::Housekeeping);
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         // A full disk keeps it in memory; the blocks have it.
-        let _kept = running.state.flush();
+        let reached = running.ledger.tip().height;
+        let kept = running.state.flush();
         let prepared = if self.plan.prepares { running.store.prepare() } else { Ok(false) };
         let mut late = Vec::new();
         running.waiters.retain(|_, waiting| {
@@ -208,9 +231,16 @@ impl World {
             self.reply(id, waiter.reply, Answer::Refused(Refused::unordered(Code::Timeout)));
         }
         match prepared {
-            Ok(_) | Err(StoreError::DiskFull { .. }) => self.catch_up(id),
-            Err(error) => self.failed(id, &error.to_string()),
+            Ok(_) | Err(StoreError::DiskFull { .. }) => {}
+            Err(error) => return self.failed(id, &error.to_string()),
         }
+        self.catch_up(id)?;
+        if kept.is_ok()
+            && let Some(node) = self.nodes.get_mut(&id)
+        {
+            node.saved = reached;
+        }
+        self.prune(id)
     }
 
     fn dropped(&mut self, id: u64, transaction: Bytes, code: Code) {

@@ -94,7 +94,7 @@ impl World {
     /// Schedules the execution of what was committed.
     pub(super) fn committed(&mut self, id: u64, entries: Vec<Entry>) -> Check {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        let term = running.engine.status().role.term;
+        let term = running.engine.as_ref().map_or(u64::MAX, |engine| engine.status().role.term);
         for entry in &entries {
             self.invariants.committed.committed(id, entry)?;
             self.invariants.leader_completeness.committed(entry.index, entry.term, term);

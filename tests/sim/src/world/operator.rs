@@ -1,17 +1,12 @@
 //! Whoever runs the network: takes out what is broken, and puts something new in its place.
 
-use super::{Event, World, clock};
+use super::{ARCHIVES, Event, World, clock};
 use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Node;
 use ledger::disk::Disk;
-use ledger::members::{Change, MembershipChange};
 use ledger::segment::{Found, LogPosition, scan};
-use ledger_raft::Input;
-
-/// How far behind a new node may be when it becomes a voter, in blocks.
-const BEHIND_MAX: u64 = 20;
 
 /// A node whose disk is lost, and the new one that takes its place.
 #[derive(Clone, Copy, Debug)]
@@ -20,8 +15,6 @@ pub struct Replacement {
     pub lost: u64,
     /// Comes in.
     pub new: u64,
-    /// Shall vote.
-    pub voter: bool,
 }
 
 impl World {
@@ -29,8 +22,17 @@ impl World {
     pub(super) fn may_lose(&self, id: u64) -> bool {
         let members = self.newest_members();
         let healthy = self.nodes.values().all(|node| !node.damaged);
-        let settled = self.replacement.is_none() && !members.is_joint() && healthy;
-        settled && members.voters.len() >= 3 && (members.voters.contains(&id) || members.learners.contains(&id))
+        // Everybody must know who is needed: one who does not know of the last change would wait for the lost one.
+        let known = members.voters.iter().filter(|voter| **voter != id).all(|voter| {
+            let engine = self.nodes.get(voter).and_then(|node| node.up.as_ref()?.engine.as_ref());
+            engine.is_some_and(|engine| engine.status().membership == *members)
+        });
+        let settled = self.replacement.is_none() && self.is_settled() && healthy && known;
+        let kept_elsewhere = id > ARCHIVES || !self.plan.faults.contains(&Fault::Pruning);
+        settled
+            && kept_elsewhere
+            && members.voters.len() >= 3
+            && (members.voters.contains(&id) || members.learners.contains(&id))
     }
 
     /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
@@ -68,38 +70,42 @@ impl World {
 
     /// Puts a new node in the place of one that is lost.
     pub(super) fn replace(&mut self, lost: u64) {
-        let new = self.nodes.keys().next_back().map_or(1, |last| last + 1);
-        let voter = self.newest_members().voters.contains(&lost);
-        let clock = clock(&mut self.random.faults, self.plan.faults.contains(&Fault::ClockDrift));
-        self.nodes.insert(new, Node::new(new, self.random.disk.number(), clock));
-        self.replacement = Some(Replacement { lost, new, voter });
+        let new = self.newcomer();
+        if self.desired.voters.remove(&lost) {
+            self.desired.voters.insert(new);
+        } else if self.desired.learners.remove(&lost) {
+            self.desired.learners.insert(new);
+        }
+        self.replacement = Some(Replacement { lost, new });
         self.note(format_args!("n{new} takes the place of n{lost}"));
-        self.schedule(MILLISECOND, Event::Start { node: new });
         self.schedule(200 * MILLISECOND, Event::Operator);
     }
 
-    /// Does the next step of a replacement.
+    /// A new machine, with a number that nobody had.
+    pub(super) fn newcomer(&mut self) -> u64 {
+        let new = self.nodes.keys().next_back().map_or(1, |last| last + 1);
+        let clock = clock(&mut self.random.faults, self.plan.faults.contains(&Fault::ClockDrift));
+        self.nodes.insert(new, Node::new(new, self.random.disk.number(), clock));
+        self.schedule(MILLISECOND, Event::Start { node: new });
+        new
+    }
+
+    /// Looks whether a replacement is complete.
     pub(super) fn operate(&mut self) -> Check {
-        let Some(Replacement { lost, new, voter }) = self.replacement else { return Ok(()) };
-        self.schedule(300 * MILLISECOND, Event::Operator);
-        let members = self.newest_members();
-        let Some(leader) = self.leader().filter(|_| !members.is_joint()) else { return Ok(()) };
-        let is_in = |id| members.voters.contains(&id) || members.learners.contains(&id);
-        let changes = if is_in(lost) {
-            vec![Change::Remove(lost), Change::AddLearner(new)]
-        } else if !is_in(new) {
-            vec![Change::AddLearner(new)]
-        } else if voter && !members.voters.contains(&new) {
-            let reached = self.tip(new).map_or(0, |(height, ..)| height);
-            if reached + BEHIND_MAX < self.blocks.len() as u64 {
-                return Ok(());
-            }
-            vec![Change::AddVoter(new)]
-        } else {
+        let Some(Replacement { lost, new }) = self.replacement else { return Ok(()) };
+        if self.is_settled() {
             self.note(format_args!("n{new} has taken the place of n{lost}"));
             self.replacement = None;
-            return Ok(());
-        };
-        self.input(leader, Input::ChangeMembership(MembershipChange::new(changes)))
+        } else {
+            self.schedule(300 * MILLISECOND, Event::Operator);
+        }
+        Ok(())
+    }
+
+    /// Are the members what the operator wants?
+    pub(crate) fn is_settled(&self) -> bool {
+        let members = self.newest_members();
+        let same = members.voters == self.desired.voters && members.learners == self.desired.learners;
+        same && !members.is_joint()
     }
 }

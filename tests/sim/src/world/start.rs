@@ -5,7 +5,7 @@ use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Opened, Running, open, open_blocks};
-use ledger::block_store::StoreError;
+use ledger::block_store::{BlockStore, StoreError};
 use ledger::entry::Entry;
 use ledger::{Chaincode, Hash, Ledger};
 use ledger_abac::AccessControl;
@@ -40,18 +40,12 @@ impl World {
         for entry in &replay {
             self.executed(id, &ledger, entry)?;
         }
-        let members = ledger
-            .members()
-            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not know the members: {fault}")))?;
         let tip = ledger.tip().height;
-        let mut config = EngineConfig::new(id, members, seed);
-        config.applied = tip;
-        let engine = Engine::new(config, Arc::clone(&store))
-            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))?;
+        let engine = engine(id, seed, &ledger, &store)?;
         self.invariants.log_matching.look(id, &store)?;
         let last = store.last_index();
         let running = Running {
-            engine,
+            engine: Some(engine),
             store,
             state,
             ledger,
@@ -67,6 +61,7 @@ impl World {
             disk_full: false,
             asked_for: (0, 0),
             leading: false,
+            catch_up_to: 0,
             next_context: 0,
         };
         if let Some(node) = self.nodes.get_mut(&id) {
@@ -169,4 +164,15 @@ impl World {
         let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
         Some((tip.height, tip.hash, tip.digest))
     }
+}
+
+/// A new engine that goes on from what is executed.
+pub(super) fn engine(id: u64, seed: u64, ledger: &Ledger, store: &Arc<BlockStore>) -> Result<Engine, Violation> {
+    let members = ledger
+        .members()
+        .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not know the members: {fault}")))?;
+    let mut config = EngineConfig::new(id, members, seed);
+    config.applied = ledger.tip().height;
+    Engine::new(config, Arc::clone(store))
+        .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))
 }
