@@ -17,6 +17,9 @@ use std::collections::BTreeMap;
 /// How often an operation is tried before its client gives it up.
 const TRIES_MAX: u64 = 8;
 
+/// Does little but read, often.
+pub(crate) const READER: &str = "Org2/Owen";
+
 /// A program that uses the ledger for somebody.
 pub struct Client {
     /// `Org1/Salma`.
@@ -107,6 +110,7 @@ impl World {
             let person = match nth {
                 0 => "Org2/admin",
                 1 => "Org1/admin",
+                2 => READER,
                 _ => self.random.clients.pick(&users).copied().unwrap_or("Org1/Salma"),
             };
             let gateway = self.random.clients.between(1, nodes);
@@ -119,7 +123,7 @@ impl World {
     /// Adds a client that does only what it is told, and tells it.
     pub(crate) fn employ_for(&mut self, person: &str, orders: Vec<Call>, obliging: bool) -> usize {
         let number = self.clients.len();
-        let gateway = self.usable().first().copied().unwrap_or(1);
+        let gateway = self.gateways().first().copied().unwrap_or(1);
         let mut client = Client::new(person, gateway);
         client.nth = CERTIFICATES - 1;
         client.ahead = self.clients.iter().map(|client| client.ahead).max().unwrap_or(EPOCH);
@@ -184,7 +188,7 @@ impl World {
 
     /// Sends what the client is doing, perhaps to another node; gives it up after a while.
     fn again(&mut self, number: usize, elsewhere: bool) {
-        let nodes = self.usable();
+        let nodes = self.gateways();
         let client = &mut self.clients[number];
         let Some((_, what, tries)) = client.doing.as_mut() else { return };
         if *tries >= TRIES_MAX {
@@ -195,6 +199,7 @@ impl World {
         *tries += 1;
         let what = what.clone();
         client.attempt += 1;
+        let elsewhere = elsewhere || !nodes.contains(&client.gateway);
         if elsewhere && let Some(node) = self.random.clients.pick(&nodes) {
             client.gateway = *node;
         }
@@ -256,10 +261,16 @@ impl World {
         self.rest(number);
     }
 
+    /// The nodes that clients are told to use.
+    fn gateways(&self) -> Vec<u64> {
+        self.desired.voters.iter().chain(&self.desired.learners).copied().collect()
+    }
+
     /// The client does nothing for a while.
     fn rest(&mut self, number: usize) {
         let think = self.random.clients.around(self.plan.think);
         let client = &mut self.clients[number];
+        let think = if client.person == READER { think / 8 + 1 } else { think };
         client.doing = None;
         client.call = None;
         client.attempt += 1;

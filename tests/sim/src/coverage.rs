@@ -45,6 +45,8 @@ faults! {
     SlowDisk "slow flush";
     /// An fsync fails.
     FailedSync "failed fsync";
+    /// A write of the log fails, or stores only its beginning.
+    FailedWrite "failed write";
     /// A bit of a durable record flips.
     BitFlip "bit flipped";
     /// The disk is full for a while.

@@ -8,6 +8,7 @@ pub use open::{Opened, open, open_blocks};
 pub use shelf::Shelf;
 
 use crate::clock::Clock;
+use crate::coverage::Fault;
 use ledger::block_store::BlockStore;
 use ledger::disk::SimDisk;
 use ledger::entry::Entry;
@@ -40,10 +41,10 @@ pub struct Node {
     pub paused_until: u64,
     /// Its disk is gone; it will never start again.
     pub lost: bool,
-    /// Its disk was damaged on purpose; it may refuse to start.
-    pub damaged: bool,
-    /// A failed fsync was injected; it will die.
-    pub sync_will_fail: bool,
+    /// This file was damaged on purpose; with it the node must refuse to start.
+    pub damaged: Option<String>,
+    /// A fault of its disk was injected that may end it until power fails, which clears it.
+    pub disk_will_fail: Option<Fault>,
     /// How many blocks it keeps behind its world state; all of them if none is given.
     pub keep: Option<u64>,
     /// Height of the world state that is on its disk.
@@ -205,8 +206,8 @@ impl Node {
             start: 0,
             paused_until: 0,
             lost: false,
-            damaged: false,
-            sync_will_fail: false,
+            damaged: None,
+            disk_will_fail: None,
             keep: None,
             saved: 0,
             tear: false,

@@ -91,7 +91,7 @@ impl Plan {
             between_faults: random.between(200 * MILLISECOND, 4 * SECOND),
             tick: random.between(10, 25) * MILLISECOND,
             shares_caches: random.percent(70),
-            clients: random.between(3, 7) as usize,
+            clients: random.between(4, 8) as usize,
             think: random.between(100 * MILLISECOND, 800 * MILLISECOND),
             segment_bytes: random.between(8, 64) * 1024,
             prepares: random.percent(60),

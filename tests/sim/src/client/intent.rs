@@ -1,5 +1,6 @@
 //! What a client wants to do next.
 
+use super::READER;
 use crate::clock::EPOCH;
 use crate::policy::Policy;
 use crate::world::World;
@@ -141,6 +142,9 @@ impl World {
         match &*client.person {
             "Org2/admin" if !client.ready => Some(Call::Setup { open: true }),
             "Org2/admin" => Some(self.rule(service)),
+            READER if self.random.clients.percent(90) => {
+                Some(Call::Read { service, linearizable: self.random.clients.percent(80) })
+            }
             "Org1/admin" if self.random.clients.percent(4) => self.revocation(),
             _ => Some(self.use_service(number, service)),
         }

@@ -1,7 +1,7 @@
 //! State agreement (design.md §7.2): the same state digest at the same height on every node.
 
 use super::{Check, Executed, Violation};
-use ledger::Hash;
+use ledger::{Hash, Outcome};
 
 const NAME: &str = "state agreement";
 
@@ -28,6 +28,18 @@ impl StateAgreement {
                 format!("after block {} the state of node {} is not that of the others", at + 1, executed.node),
             )),
         }
+    }
+
+    /// What a node says of a block, beyond what the digest covers: texts of refusals, events.
+    ///
+    /// # Errors
+    /// It says something else than the node that executed the block first.
+    pub fn same(&self, node: u64, first: &Outcome, outcome: &Outcome) -> Check {
+        if first == outcome {
+            return Ok(());
+        }
+        let height = outcome.header.height;
+        Err(Violation::new(NAME, format!("node {node} tells of block {height} what others do not")))
     }
 
     /// Two nodes at the same height hold the same keys and values.

@@ -23,15 +23,16 @@ pub(super) fn check(world: &World) -> Result<u64, Violation> {
     checks += never(world, &places)?;
     checks += in_real_time(world, &places)?;
     checks += monotonic(world)?;
+    checks += remembered(world)?;
     Ok(checks)
 }
 
-/// The first place of every transaction that was executed, whatever its verdict.
+/// Where every transaction got its verdict.
 fn places(world: &World) -> BTreeMap<Hash, Place> {
     let mut places = BTreeMap::new();
     for block in &world.blocks {
         for ((index, id), result) in (0u32..).zip(&block.outcome.ids).zip(&block.outcome.results) {
-            if result.code() != Code::Duplicate {
+            if is_final(result.code()) {
                 places.entry(*id).or_insert((block.outcome.header.height, index));
             }
         }
@@ -63,6 +64,31 @@ fn check_verdict(world: &World, places: &BTreeMap<Hash, Place>, verdict: &Verdic
 fn is_final(code: Code) -> bool {
     use Code::{Duplicate, Expired, NotAfterTooFar, Revoked, UnknownCreator};
     !matches!(code, Duplicate | Expired | NotAfterTooFar | Revoked | UnknownCreator)
+}
+
+/// Every member answers who asks again with the same verdict at the same place.
+fn remembered(world: &World) -> Result<u64, Violation> {
+    let members = world.newest_members();
+    let mut checks = 0;
+    for id in members.voters.iter().chain(&members.learners) {
+        let Some(running) = world.nodes.get(id).and_then(|node| node.up.as_ref()) else { continue };
+        for verdict in world.history.verdicts.iter().filter(|verdict| is_final(verdict.code)) {
+            checks += 1;
+            let record = running.ledger.transaction(&verdict.id);
+            let same = record.as_ref().is_ok_and(|record| {
+                record.as_ref().is_some_and(|record| {
+                    (record.height, record.index) == (verdict.height, verdict.index)
+                        && record.result.code() == verdict.code
+                        && record.result.response == verdict.response
+                })
+            });
+            if !same {
+                let what = format!("node {id} remembers {record:?} of a transaction with verdict {verdict:?}");
+                return Err(Violation::new(NAME, what));
+            }
+        }
+    }
+    Ok(checks)
 }
 
 /// What was refused at the first try never happens.

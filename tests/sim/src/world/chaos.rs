@@ -5,14 +5,16 @@ use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::Check;
 use crate::node::Shelf;
+use ledger::disk::Fault as DiskFault;
 use ledger_raft::{Input, Lane};
 use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// Most machines of one run.
 const NODES_MAX: usize = 14;
 
 /// The faults that happen at a moment; the others are rates.
-const AT_A_MOMENT: [Fault; 18] = [
+const AT_A_MOMENT: [Fault; 19] = [
     Fault::Clog,
     Fault::Partition,
     Fault::OneWay,
@@ -20,6 +22,7 @@ const AT_A_MOMENT: [Fault; 18] = [
     Fault::TornWrite,
     Fault::Kill,
     Fault::FailedSync,
+    Fault::FailedWrite,
     Fault::BitFlip,
     Fault::FullDisk,
     Fault::StateLost,
@@ -74,8 +77,18 @@ impl World {
             }
             Fault::FailedSync => {
                 if let Some(node) = self.nodes.get_mut(&id) {
-                    node.sync_will_fail = true;
-                    node.disk.fail_sync(1);
+                    node.disk_will_fail = Some(fault);
+                    node.disk.fail_sync(self.random.faults.between(1, 3));
+                }
+            }
+            Fault::FailedWrite => {
+                let kind = match self.random.faults.below(2) {
+                    0 => DiskFault::Error,
+                    _ => DiskFault::Short(self.random.faults.below(600) as usize),
+                };
+                if let Some(node) = self.nodes.get_mut(&id) {
+                    node.disk_will_fail = Some(fault);
+                    node.disk.fail_write(self.random.faults.between(1, 3), kind);
                 }
             }
             Fault::FullDisk => self.fill(id),
@@ -130,11 +143,20 @@ impl World {
         self.chaos = false;
         self.links.heal();
         for id in self.usable() {
+            if !self.desired.voters.contains(&id) && !self.desired.learners.contains(&id) {
+                // Taken out long ago, and switched off at last.
+                self.stop(id, false);
+                continue;
+            }
             self.undo(Undo::FullDisk(id));
             if let Some(node) = self.nodes.get_mut(&id) {
                 node.clock.heal();
                 node.tear = false;
                 node.paused_until = node.paused_until.min(self.now);
+            }
+            // A damaged log is found by looking.
+            if self.nodes.get(&id).is_some_and(|node| node.damaged.is_some()) {
+                self.stop(id, false);
             }
             let delay = self.random.faults.below(SECOND);
             self.schedule(delay, Event::Start { node: id });
@@ -156,8 +178,13 @@ impl World {
         self.coverage.fault(Fault::TornWrite);
         if let Some(node) = self.nodes.get_mut(&id) {
             node.tear = false;
-            let disk = node.disk.clone();
-            node.disk.before_sync(move || disk.crash());
+            // The first sync of the write, or a later one, if a new segment begins.
+            let (disk, left) = (node.disk.clone(), AtomicU64::new(self.random.faults.below(3)));
+            node.disk.before_sync(move || {
+                if left.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |left| left.checked_sub(1)).is_err() {
+                    disk.crash();
+                }
+            });
             if let Some(running) = &node.up {
                 // The power fails before it returns; the error is heard by nobody.
                 let _lost = running.store.flush();

@@ -44,6 +44,9 @@ impl World {
             self.note(format_args!("n{id} block {height} term {term} time {time} {hash} digest {digest} {codes:?}"));
         } else {
             self.note(format_args!("n{id} block {height}"));
+            if let Some(block) = self.blocks.get(height as usize - 1) {
+                self.invariants.state_agreement.same(id, &block.outcome, &outcome)?;
+            }
         }
         self.invariants.executed(&Executed { node: id, outcome: &outcome, transactions: &transactions }, first)?;
         if first {

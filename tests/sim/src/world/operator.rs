@@ -5,7 +5,6 @@ use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Node;
-use ledger::disk::Disk;
 use ledger::segment::{Found, LogPosition, scan};
 
 /// A node whose disk is lost, and the new one that takes its place.
@@ -21,7 +20,7 @@ impl World {
     /// May this node's disk be lost? The promise is about a majority of the voters, so it happens to one at a time.
     pub(super) fn may_lose(&self, id: u64) -> bool {
         let members = self.newest_members();
-        let healthy = self.nodes.values().all(|node| !node.damaged);
+        let healthy = self.nodes.values().all(|node| node.damaged.is_none());
         // Everybody must know who is needed: one who does not know of the last change would wait for the lost one.
         let known = members.voters.iter().filter(|voter| **voter != id).all(|voter| {
             let engine = self.nodes.get(voter).and_then(|node| node.up.as_ref()?.engine.as_ref());
@@ -37,9 +36,12 @@ impl World {
 
     /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
     pub(super) fn flip(&mut self, id: u64) {
-        self.stop(id, false);
-        let delay = self.random.faults.between(2, 2_000) * MILLISECOND;
-        self.schedule(delay, Event::Start { node: id });
+        // While it stands still, or while it runs and may read it.
+        if self.random.faults.percent(60) {
+            self.stop(id, false);
+            let delay = self.random.faults.between(2, 2_000) * MILLISECOND;
+            self.schedule(delay, Event::Start { node: id });
+        }
         let Some(node) = self.nodes.get_mut(&id) else { return };
         let mut records = Vec::new();
         let mut proven = LogPosition::default();
@@ -53,19 +55,16 @@ impl World {
             (position.sequence, position.offset + bytes) <= (proven.sequence, proven.offset)
         });
         let Some((file, position, bytes)) = self.random.faults.pick(&records).cloned() else { return };
-        let Some(mut content) = node.disk.contents(&file) else { return };
-        let at = position.offset as usize + self.random.faults.below(u64::from(bytes)) as usize;
-        content[at] ^= 1 << self.random.faults.below(8);
-        node.disk.set_contents(&file, &content);
-        node.damaged = true;
+        let at = u64::from(position.offset) + self.random.faults.below(u64::from(bytes));
+        node.disk.flip(&file, at * 8 + self.random.faults.below(8));
+        node.damaged = Some(file.to_string());
         self.coverage.fault(Fault::BitFlip);
         self.note(format_args!("n{id} has a flipped bit at {file} byte {at}"));
     }
 
     /// A node has started although a bit of its log is not what it was.
-    pub(super) fn undetected(&self, id: u64) -> Check {
-        let files = self.nodes.get(&id).and_then(|node| node.disk.list().ok()).unwrap_or_default();
-        Err(Violation::new("damage is refused", format!("node {id} starts on a damaged disk: {files:?}")))
+    pub(super) fn undetected(&self, id: u64, file: &str) -> Check {
+        Err(Violation::new("damage is refused", format!("node {id} starts with a damaged {file}")))
     }
 
     /// Puts a new node in the place of one that is lost.

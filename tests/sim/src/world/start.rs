@@ -27,8 +27,10 @@ impl World {
             Ok(store) => Arc::new(store),
             Err(fault) => return self.refused(id, &fault),
         };
-        if node.damaged {
-            return self.undetected(id);
+        if let Some(file) = node.damaged.take()
+            && node.disk.contents(&file).is_some()
+        {
+            return self.undetected(id, &file);
         }
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;
@@ -79,12 +81,13 @@ impl World {
         let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
         match fault {
             StoreError::DiskFull { .. } => {}
-            StoreError::Io { .. } if node.sync_will_fail => {
-                node.sync_will_fail = false;
+            StoreError::Io { .. } if node.disk_will_fail.is_some() => {
                 node.disk.kill();
-                self.coverage.fault(Fault::FailedSync);
+                if let Some(fault) = node.disk_will_fail {
+                    self.coverage.fault(fault);
+                }
             }
-            StoreError::Corrupt { .. } if node.damaged => {
+            StoreError::Corrupt { .. } if node.damaged.is_some() => {
                 self.lose(id);
                 return Ok(());
             }
@@ -101,7 +104,7 @@ impl World {
         node.up = None;
         node.paused_until = 0;
         if power_fails {
-            node.sync_will_fail = false;
+            node.disk_will_fail = None;
             node.disk.crash();
         } else {
             node.disk.kill();
@@ -120,11 +123,12 @@ impl World {
 
     /// A process has failed by itself; it starts again soon.
     pub(super) fn failed(&mut self, id: u64, why: &str) -> Check {
-        match self.nodes.get_mut(&id) {
-            Some(node) if node.sync_will_fail => node.sync_will_fail = false,
-            _ => return Err(Violation::new(UNEXPLAINED, format!("node {id}: {why}"))),
+        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
+        match node.disk_will_fail {
+            Some(fault) => self.coverage.fault(fault),
+            None if node.damaged.is_some() => {}
+            None => return Err(Violation::new(UNEXPLAINED, format!("node {id}: {why}"))),
         }
-        self.coverage.fault(Fault::FailedSync);
         // The machine may live on with pages that were never written, or not.
         let power_fails = self.random.faults.percent(50);
         self.stop(id, power_fails);
