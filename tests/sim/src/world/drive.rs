@@ -8,7 +8,7 @@ use crate::node::{Answer, Refused, WAIT_MAX};
 use ledger::block_store::StoreError;
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code};
-use ledger_raft::{Input, Output, PeerMessage, RaftKind, Role, RoleChange, next_step};
+use ledger_raft::{Input, Output, PeerMessage, RaftKind, Role, RoleChange, next_step, successor};
 
 /// Pause before a write is tried again that found no space (`src/orderer.rs`).
 const FULL_DISK_PAUSE: u64 = 100 * MILLISECOND;
@@ -127,12 +127,23 @@ impl World {
                 self.schedule_timer(id, self.plan.tick, Timer::Tick);
                 self.input(id, Input::Tick)?;
                 self.reconcile(id)?;
+                self.leave_full_disk(id)?;
                 self.meet_deadline(id)
             }
             Timer::Flushed => self.flushed(id),
             Timer::Execute => self.execute(id),
             Timer::CatchUp => self.fetch(id),
             Timer::Housekeeping => self.keep_house(id),
+        }
+    }
+
+    /// A leader without space answers nobody: another voter shall lead.
+    fn leave_full_disk(&mut self, id: u64) -> Check {
+        let running = self.nodes.get(&id).and_then(|node| node.up.as_ref());
+        let full = running.filter(|running| running.leading && running.disk_full);
+        match full.and_then(|running| successor(&running.engine.as_ref()?.status())) {
+            Some(to) => self.step(id, Input::TransferLeadership { to }),
+            None => Ok(()),
         }
     }
 
