@@ -14,7 +14,7 @@ use ledger::disk::SimDisk;
 use ledger::entry::Entry;
 use ledger::state::State;
 use ledger::{Bytes, Code, Hash, Ledger};
-use ledger_raft::{Engine, Input};
+use ledger_raft::{Engine, Input, Lane};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -76,7 +76,11 @@ pub struct Running {
     /// The execute thread has something to do.
     pub executing: bool,
     /// Who waits for the verdict on a transaction.
-    pub waiters: BTreeMap<Hash, Vec<Waiter>>,
+    pub waiters: BTreeMap<Hash, Waiting>,
+    /// Another node leads than before: what waits is submitted again.
+    pub submit_again: bool,
+    /// Numbers what waits.
+    pub next_waiting: u64,
     /// Reads that wait for the leader's confirmation, and then for a height.
     pub reads: BTreeMap<u64, Read>,
     /// Requests that wait for a height.
@@ -91,6 +95,19 @@ pub struct Running {
     pub leading: bool,
     /// Names of reads.
     pub next_context: u64,
+}
+
+/// A transaction whose verdict clients wait for.
+#[derive(Debug)]
+pub struct Waiting {
+    /// In which order it came.
+    pub number: u64,
+    /// How urgent it is.
+    pub lane: Lane,
+    /// The signed bytes.
+    pub encoded: Bytes,
+    /// Who waits.
+    pub waiters: Vec<Waiter>,
 }
 
 /// A client that waits for a verdict.

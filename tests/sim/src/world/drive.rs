@@ -79,6 +79,7 @@ impl World {
         let elected = change.role == Role::Leader && !running.leading;
         running.leading = change.role == Role::Leader;
         running.asked_for = (0, 0);
+        running.submit_again = change.leader.is_some();
         if running.leading {
             self.invariants.election_safety.leads(id, change.term)?;
         }
@@ -128,6 +129,7 @@ impl World {
                 self.input(id, Input::Tick)?;
                 self.reconcile(id)?;
                 self.leave_full_disk(id)?;
+                self.submit_again(id)?;
                 self.meet_deadline(id)
             }
             Timer::Flushed => self.flushed(id),
@@ -135,6 +137,18 @@ impl World {
             Timer::CatchUp => self.fetch(id),
             Timer::Housekeeping => self.keep_house(id),
         }
+    }
+
+    /// What was given to a leader that is gone may be lost with it: everything that still waits goes to the next one.
+    fn submit_again(&mut self, id: u64) -> Check {
+        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        if !std::mem::take(&mut running.submit_again) {
+            return Ok(());
+        }
+        let mut all: Vec<_> =
+            running.waiters.values().map(|waiting| (waiting.number, waiting.lane, waiting.encoded.clone())).collect();
+        all.sort_unstable_by_key(|(number, ..)| *number);
+        all.into_iter().try_for_each(|(_, lane, transaction)| self.input(id, Input::Submit { lane, transaction }))
     }
 
     /// A leader without space answers nobody: another voter shall lead.
@@ -232,9 +246,9 @@ impl World {
         let prepared = if self.plan.prepares { running.store.prepare() } else { Ok(false) };
         let mut late = Vec::new();
         running.waiters.retain(|_, waiting| {
-            let expired = waiting.iter().any(|waiter| now > waiter.since + WAIT_MAX);
+            let expired = waiting.waiters.iter().any(|waiter| now > waiter.since + WAIT_MAX);
             if expired {
-                late.append(waiting);
+                late.append(&mut waiting.waiters);
             }
             !expired
         });
@@ -258,8 +272,8 @@ impl World {
         let Ok(transaction) = Transaction::decode(transaction) else { return };
         self.note(format_args!("n{id} drops {}: {code}", transaction.id()));
         let running = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut());
-        let waiting = running.and_then(|running| running.waiters.remove(&transaction.id())).unwrap_or_default();
-        for waiter in waiting {
+        let waiting = running.and_then(|running| running.waiters.remove(&transaction.id()));
+        for waiter in waiting.map(|waiting| waiting.waiters).unwrap_or_default() {
             self.reply(id, waiter.reply, Answer::Refused(Refused::unordered(code)));
         }
     }

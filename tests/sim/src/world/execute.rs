@@ -76,7 +76,8 @@ impl World {
                 None => (height, index, result.code(), result.response.clone()),
             };
             let answer = Answer::Verdict { height, index, code, response };
-            answers.extend(waiting.into_iter().map(|waiter| (*transaction, waiter.reply, height, answer.clone())));
+            answers
+                .extend(waiting.waiters.into_iter().map(|waiter| (*transaction, waiter.reply, height, answer.clone())));
         }
         for (transaction, reply, height, answer) in answers {
             self.acknowledge(id, &transaction, height)?;

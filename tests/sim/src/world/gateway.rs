@@ -2,7 +2,7 @@
 
 use super::{Event, World};
 use crate::invariant::Check;
-use crate::node::{Answer, Read, Refused, Reply, Request, WAIT_FOR_HEIGHT, Waiter, What};
+use crate::node::{Answer, Read, Refused, Reply, Request, WAIT_FOR_HEIGHT, Waiter, Waiting, What};
 use ledger::{Admission, Bytes, Code};
 use ledger_raft::{Input, Lane};
 
@@ -52,7 +52,11 @@ impl World {
                 let chaincode = running.ledger.registry().find(&body.chaincode);
                 let urgent = chaincode.is_ok_and(|chaincode| chaincode.urgent(&body.function));
                 let lane = if urgent { Lane::Control } else { Lane::Data };
-                running.waiters.entry(transaction.id()).or_default().push(Waiter { reply, since: now });
+                running.next_waiting += 1;
+                let (number, encoded) = (running.next_waiting, transaction.encoded().clone());
+                let waiting = Waiting { number, lane, encoded, waiters: Vec::new() };
+                let waiting = running.waiters.entry(transaction.id()).or_insert(waiting);
+                waiting.waiters.push(Waiter { reply, since: now });
                 self.input(id, Input::Submit { lane, transaction: transaction.encoded().clone() })
             }
             Ok(Admission::Known(transaction, record)) => {

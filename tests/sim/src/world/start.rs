@@ -58,6 +58,8 @@ impl World {
             committed: VecDeque::new(),
             executing: false,
             waiters: BTreeMap::new(),
+            submit_again: false,
+            next_waiting: 0,
             reads: BTreeMap::new(),
             behind: Vec::new(),
             disk_full: false,
