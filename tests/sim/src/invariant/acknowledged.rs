@@ -35,13 +35,16 @@ impl AcknowledgedIsDurable {
     /// The disk lacks what the node had called durable.
     pub fn restarted(&mut self, node: u64, store: &BlockStore) -> Check {
         let terms = self.durable.get(&node).map(Vec::as_slice).unwrap_or_default();
+        let newest = store.term(store.last_index());
         for (at, term) in terms.iter().enumerate() {
             let index = at as u64 + 1;
             if index < store.first_index() {
                 continue;
             }
-            // A later write that was not acknowledged may have superseded it: that has a higher term.
-            if store.term(index).is_none_or(|found| found < *term) {
+            // A later write that was not acknowledged may have superseded it, or one before it: that has a higher term.
+            if store.term(index).or(newest).is_none_or(|found| found < *term)
+                || (index > store.last_index() && newest == Some(*term))
+            {
                 return Err(Violation::new(
                     NAME,
                     format!("node {node} had entry {index} of term {term} on its disk, and lost it in a crash"),
