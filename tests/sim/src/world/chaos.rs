@@ -48,7 +48,11 @@ impl World {
             AT_A_MOMENT.iter().copied().filter(|fault| self.plan.faults.contains(fault)).collect();
         let Some(fault) = self.random.faults.pick(&possible).copied() else { return Ok(()) };
         let running: Vec<u64> = self.nodes.values().filter(|node| node.up.is_some()).map(|node| node.id).collect();
-        let Some(id) = self.random.faults.pick(&running).copied() else { return Ok(()) };
+        let Some(mut id) = self.random.faults.pick(&running).copied() else { return Ok(()) };
+        // What hits the leader is worth more.
+        if let Some(leader) = self.leader().filter(|_| self.random.faults.percent(30)) {
+            id = leader;
+        }
         self.note(format_args!("fault: {} at n{id}", fault.name()));
         match fault {
             Fault::Clog => self.clog(),
@@ -203,13 +207,24 @@ impl World {
             return;
         };
         self.coverage.fault(Fault::Clog);
-        let time = self.random.faults.between(50, 3_000) * MILLISECOND;
-        self.links.clog((from, to), self.now + time);
+        let until = self.now + self.random.faults.between(50, 3_000) * MILLISECOND;
+        self.links.clog((from, to), until);
+        if self.random.faults.percent(30) {
+            // Everything to one node at once: when it goes on, it hears of a world that has gone.
+            for from in all {
+                self.links.clog((from, to), until);
+            }
+        }
     }
 
     fn part(&mut self, fault: Fault) {
         let all = self.usable();
-        let side: BTreeSet<u64> = all.iter().copied().filter(|_| self.random.faults.percent(40)).collect();
+        let mut side: BTreeSet<u64> = all.iter().copied().filter(|_| self.random.faults.percent(40)).collect();
+        if let Some(leader) = self.leader().filter(|_| self.random.faults.percent(40)) {
+            // The leader with few, or alone.
+            side.retain(|_| self.random.faults.percent(50));
+            side.insert(leader);
+        }
         if side.is_empty() || side.len() == all.len() {
             return;
         }

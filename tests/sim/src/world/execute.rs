@@ -90,8 +90,11 @@ impl World {
     pub(super) fn acknowledge(&mut self, id: u64, transaction: &Hash, height: u64) -> Check {
         let term = self.blocks.get(height as usize - 1).map_or(0, |block| block.outcome.header.term);
         self.note(format_args!("n{id} answers {transaction} with block {height}"));
-        // A change of members takes effect a little later on each node: any set since the block may have decided.
-        let sets: Vec<_> = self.members.iter().skip((height as usize).saturating_sub(2)).collect();
+        // A change of members takes effect when it is executed, so the blocks that were on their way behind it are
+        // still decided by the set before; any since may have decided, too. (There is never more than one such change.)
+        let (before, since) = self.members.split_at(height as usize);
+        let last = before.iter().rev().find(|set| Some(*set) != since.first());
+        let sets: Vec<_> = since.iter().chain(last).collect();
         self.invariants.acknowledged.acknowledged(height, term, &sets)
     }
 
