@@ -71,6 +71,8 @@ faults! {
     Pruning "old blocks dropped";
     /// A node is so far behind that it fetches blocks from its peers.
     CatchUp "caught up from peers";
+    /// Nobody has the blocks any more that a node needs: it takes a snapshot.
+    Snapshot "snapshot taken";
     /// A member orders what no honest gateway would let through.
     Hostile "hostile transaction";
 }

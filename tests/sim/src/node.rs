@@ -12,6 +12,7 @@ use crate::coverage::Fault;
 use ledger::block_store::BlockStore;
 use ledger::disk::SimDisk;
 use ledger::entry::Entry;
+use ledger::snapshot::Snapshots;
 use ledger::state::State;
 use ledger::{Bytes, Code, Hash, Ledger};
 use ledger_raft::{Engine, Input, Lane};
@@ -31,6 +32,10 @@ pub struct Node {
     pub disk: SimDisk,
     /// Its world state.
     pub shelf: Shelf,
+    /// The results of executed blocks.
+    pub results: SimDisk,
+    /// The world state at some heights.
+    pub snapshots: SimDisk,
     /// Its clocks.
     pub clock: Clock,
     /// The process.
@@ -61,6 +66,8 @@ pub struct Running {
     pub store: Arc<BlockStore>,
     /// The world state.
     pub state: Arc<State>,
+    /// The world state at some heights.
+    pub snapshots: Arc<Snapshots>,
     /// Executes.
     pub ledger: Ledger,
     /// The number of the newest flush that the engine waits for.
@@ -212,12 +219,25 @@ impl Refused {
 }
 
 impl Node {
+    /// All its disks: the log, results, snapshots.
+    pub fn disks(&self) -> [&SimDisk; 3] {
+        [&self.disk, &self.results, &self.snapshots]
+    }
+
+    /// The world state is gone, with the results of blocks.
+    pub fn forget_state(&mut self, seed: u64) {
+        self.shelf = Shelf::default();
+        self.results = SimDisk::new(seed);
+    }
+
     /// A new machine with empty disks.
     pub fn new(id: u64, disk_seed: u64, clock: Clock) -> Self {
         Self {
             id,
             disk: SimDisk::new(disk_seed),
             shelf: Shelf::default(),
+            results: SimDisk::new(disk_seed ^ 1),
+            snapshots: SimDisk::new(disk_seed ^ 2),
             clock,
             up: None,
             start: 0,

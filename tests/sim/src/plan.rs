@@ -30,6 +30,8 @@ pub struct Plan {
     pub think: u64,
     /// Size of a segment: small, so that many begin.
     pub segment_bytes: u64,
+    /// Blocks between two snapshots.
+    pub snapshot_every: u64,
     /// Zeros are written ahead of the log, as in a node; without, every write needs new space.
     pub prepares: bool,
     /// Time between two flushes of the world state.
@@ -94,6 +96,7 @@ impl Plan {
             clients: random.between(4, 8) as usize,
             think: random.between(100 * MILLISECOND, 800 * MILLISECOND),
             segment_bytes: random.between(8, 64) * 1024,
+            snapshot_every: random.between(10, 80),
             prepares: random.percent(60),
             state_flush: random.between(100 * MILLISECOND, 3 * SECOND),
             disk_max: if faults.contains(&Fault::SlowDisk) { random.between(5, 60) * MILLISECOND } else { MILLISECOND },

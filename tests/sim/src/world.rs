@@ -36,9 +36,6 @@ use std::sync::Arc;
 /// Events that are scheduled in one run before it is given up: something goes round in circles.
 const EVENTS_MAX: u64 = 30_000_000;
 
-/// Nodes that keep all blocks, so that there is always somebody to fetch them from: those with the lowest numbers.
-pub(crate) const ARCHIVES: u64 = 2;
-
 /// Something that will happen.
 pub(crate) enum Event {
     /// To the process of a node, if that start of it still runs.
@@ -169,7 +166,7 @@ impl World {
             }
             let clock = clock(&mut random.faults, drifts);
             let mut node = Node::new(id, random.disk.number(), clock);
-            if plan.faults.contains(&Fault::Pruning) && id > ARCHIVES {
+            if plan.faults.contains(&Fault::Pruning) {
                 node.keep = Some(random.faults.between(5, 60));
             }
             nodes.insert(id, node);
@@ -343,7 +340,7 @@ fn found(plan: &Plan, people: &People, seed: u64) -> (Bytes, Hash) {
         salt: Hash::of(&[&seed.to_be_bytes()]),
         organisations: people.organisations.clone(),
         nodes: nodes.collect(),
-        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
+        snapshot_every: plan.snapshot_every,
     };
     let genesis = genesis.to_bytes().unwrap();
     let (_, network) = Genesis::from_bytes(&genesis).unwrap();

@@ -112,6 +112,9 @@ fn another_block_or_another_state_at_a_height_is_noticed() {
     state.executed(&at(1, &first)).unwrap();
     let other = Outcome { digest: Hash::ZERO, ..first.clone() };
     state.executed(&at(2, &other)).unwrap_err();
+    state.snapshot(1, 10, Hash::ZERO).unwrap();
+    state.snapshot(2, 10, Hash::ZERO).unwrap();
+    state.snapshot(3, 10, Hash::of(&[])).unwrap_err();
     state.same(2, &first, &event(first.clone(), "message", "{}")).unwrap_err();
     let (one, two) = (vec![("k".into(), "1".into())], vec![("k".into(), "2".into())]);
     state.compare((1, &one), (2, &one.clone())).unwrap();

@@ -37,7 +37,11 @@ impl LogMatching {
             known.pop();
         }
         let from = (known.len() as u64 + 1).max(store.first_index());
-        known.resize(from as usize - 1, 0);
+        if (known.len() as u64) + 1 < from {
+            // A log that begins after a snapshot knows the term of the entry before its first.
+            known.resize(from as usize - 2, 0);
+            known.push(store.term(from - 1).unwrap_or(0));
+        }
         let entries = store
             .entries(from..last + 1, usize::MAX)
             .map_err(|error| Violation::new(NAME, format!("node {node} cannot read its own log: {error}")))?;

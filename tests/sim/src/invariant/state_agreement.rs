@@ -2,6 +2,7 @@
 
 use super::{Check, Executed, Violation};
 use ledger::{Hash, Outcome};
+use std::collections::BTreeMap;
 
 const NAME: &str = "state agreement";
 
@@ -9,6 +10,8 @@ const NAME: &str = "state agreement";
 #[derive(Default)]
 pub struct StateAgreement {
     digests: Vec<Hash>,
+    /// What the snapshot of each height contains.
+    snapshots: BTreeMap<u64, Hash>,
 }
 
 impl StateAgreement {
@@ -27,6 +30,17 @@ impl StateAgreement {
                 NAME,
                 format!("after block {} the state of node {} is not that of the others", at + 1, executed.node),
             )),
+        }
+    }
+
+    /// A node has a snapshot of a height.
+    ///
+    /// # Errors
+    /// Another node's is another one.
+    pub fn snapshot(&mut self, node: u64, height: u64, content: Hash) -> Check {
+        match *self.snapshots.entry(height).or_insert(content) {
+            known if known == content => Ok(()),
+            _ => Err(Violation::new(NAME, format!("the snapshot of height {height} of node {node} is another"))),
         }
     }
 

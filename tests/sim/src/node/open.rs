@@ -1,10 +1,12 @@
 //! Opening what a node has, as `src/stores.rs` does: blocks, then the world state, which is rebuilt if there is any
 //! doubt about it.
 
-use super::{Node, Shelf};
+use super::Node;
 use ledger::block_store::{BlockStore, Options, StoreError};
 use ledger::entry::Entry;
-use ledger::state::State;
+use ledger::results::ResultStore;
+use ledger::snapshot::Snapshots;
+use ledger::state::{State, Store};
 use ledger::{Chaincode, Code, Hash, Ledger, Registry, Rejection};
 use std::sync::Arc;
 
@@ -15,6 +17,8 @@ const REPLAY_BYTES: usize = 4 << 20;
 pub struct Opened {
     /// The world state.
     pub state: Arc<State>,
+    /// The world state at some heights.
+    pub snapshots: Arc<Snapshots>,
     /// The ledger at its savepoint.
     pub ledger: Ledger,
     /// Blocks that are committed and not yet executed.
@@ -28,13 +32,14 @@ pub struct Opened {
 pub fn open(
     node: &mut Node,
     store: &BlockStore,
-    genesis: &[u8],
+    (genesis, network): (&[u8], Hash),
     abac: &Arc<dyn Chaincode>,
 ) -> Result<Opened, Rejection> {
-    let (state, ledger) = match open_ledger(&node.shelf, genesis, abac, store) {
+    let snapshots = Arc::new(Snapshots::open(Arc::new(node.snapshots.clone()), network)?);
+    let (state, ledger) = match open_ledger(node, (genesis, network), abac, store, &snapshots) {
         Err(fault) if fault.code == Code::Corrupt => {
-            node.shelf = Shelf::default();
-            open_ledger(&node.shelf, genesis, abac, store)?
+            node.forget_state(node.start);
+            open_ledger(node, (genesis, network), abac, store, &snapshots)?
         }
         other => other?,
     };
@@ -45,7 +50,7 @@ pub fn open(
         next += entries.len() as u64;
         replay.extend(entries);
     }
-    Ok(Opened { state, ledger, replay })
+    Ok(Opened { state, snapshots, ledger, replay })
 }
 
 /// Opens the log of a node whose process is not running.
@@ -65,15 +70,23 @@ pub fn open_blocks(node: &Node, network: Hash, segment_bytes: u64, salt: u64) ->
 }
 
 fn open_ledger(
-    shelf: &Shelf,
-    genesis: &[u8],
+    node: &Node,
+    (genesis, network): (&[u8], Hash),
     abac: &Arc<dyn Chaincode>,
     store: &BlockStore,
+    snapshots: &Snapshots,
 ) -> Result<(Arc<State>, Ledger), Rejection> {
-    let state = Arc::new(State::open(Box::new(shelf.clone()))?);
+    let results = ResultStore::open(Arc::new(node.results.clone()), network)?;
+    if store.first_index() > 1 && Store::range(&node.shelf, b"", None, 1)?.is_empty() {
+        let usable = snapshots.newest().filter(|snapshot| snapshot.manifest().height + 1 >= store.first_index());
+        let missing =
+            || Rejection::new(Code::ChainInvalid, "the world state cannot be rebuilt: older blocks were dropped");
+        usable.ok_or_else(missing)?.fill(&node.shelf, &results)?;
+    }
+    let state = Arc::new(State::open(Box::new(node.shelf.clone()))?);
     let mut registry = Registry::new();
     registry.install(Arc::clone(abac))?;
-    let ledger = Ledger::open(genesis, registry, Arc::clone(&state))?;
+    let ledger = Ledger::open(genesis, registry, Arc::clone(&state), Arc::new(results))?;
     let reached = ledger.tip();
     if reached.height > store.last_index() {
         return Err(Rejection::new(Code::ChainInvalid, "the log has lost committed blocks"));

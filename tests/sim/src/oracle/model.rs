@@ -123,6 +123,9 @@ impl Model {
 
     /// What a gateway would say at this state and time; nothing changes.
     pub(super) fn admit(&self, transaction: &Transaction, time: u64) -> Code {
+        if self.done.contains(&transaction.id()) {
+            return Code::Duplicate;
+        }
         let mut copy = self.clone();
         copy.execute(Some(transaction), time).code
     }
@@ -130,7 +133,8 @@ impl Model {
     /// The checks before any chaincode runs, in their order.
     fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<usize, Code> {
         let body = transaction.body();
-        if self.done.contains(&transaction.id()) {
+        // Ids are remembered as long as they could be used.
+        if self.done.contains(&transaction.id()) && body.not_after >= time {
             return Err(Code::Duplicate);
         }
         if body.network != self.network.0[..] {

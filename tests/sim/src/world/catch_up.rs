@@ -1,12 +1,15 @@
 //! A node that the leader cannot serve any more fetches blocks from whoever has them: the engine ends, blocks come in
 //! batches, are written, executed, and a new engine goes on from there (`src/catch_up/` of the node).
 
-use super::{Timer, World};
+use super::{Event, Timer, World};
 use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
-use crate::invariant::Check;
-use ledger::block_store::StoreError;
+use crate::invariant::{Check, Violation};
+use crate::node::Running;
+use ledger::block_store::{Base, StoreError};
 use ledger::entry::{Entry, HardState};
+use ledger::snapshot::Snapshot;
+use ledger::{Code, Rejection};
 use ledger_raft::Input;
 
 /// Most blocks of one answer of a peer.
@@ -43,6 +46,9 @@ impl World {
             self.take(id, own)?;
         } else if next > target {
             return self.resume(id);
+        } else if self.install(id, next)? {
+            // The process goes on with what it has now, as after a start.
+            return Ok(());
         } else if let Some(entries) = self.ask(id, next) {
             match self.write(id, &entries) {
                 Ok(()) => self.take(id, entries)?,
@@ -71,6 +77,57 @@ impl World {
         let peer = self.nodes.get(&peer)?.up.as_ref()?;
         let until = (peer.ledger.tip().height + 1).min(next + BATCH_MAX);
         peer.store.entries(next..until, usize::MAX).ok().filter(|entries| !entries.is_empty())
+    }
+
+    /// If nobody has the next block any more, takes the newest snapshot of a peer. Answers whether it did.
+    fn install(&mut self, id: u64, next: u64) -> Result<bool, Violation> {
+        let now = self.now;
+        let peers = self.nodes.values().filter(|peer| peer.id != id && peer.paused_until <= now);
+        let peers: Vec<&Running> = peers
+            .filter(|peer| !self.links.is_cut((id, peer.id)) && !self.links.is_cut((peer.id, id)))
+            .filter_map(|peer| peer.up.as_ref())
+            .collect();
+        if peers.iter().any(|peer| peer.store.first_index() <= next) {
+            return Ok(false);
+        }
+        let newest =
+            peers.iter().filter_map(|peer| peer.snapshots.newest()).max_by_key(|found| found.manifest().height);
+        let Some(snapshot) = newest.filter(|snapshot| snapshot.manifest().height >= next) else { return Ok(false) };
+        let interrupted = self.random.nodes.percent(10);
+        match self.receive(id, &snapshot, interrupted) {
+            Ok(()) => {}
+            Err(fault) if matches!(fault.code, Code::DiskFull) => return Ok(false),
+            Err(fault) => {
+                self.failed(id, &fault.to_string())?;
+                return Ok(true);
+            }
+        }
+        self.coverage.fault(Fault::Snapshot);
+        let height = snapshot.manifest().height;
+        self.note(format_args!("n{id} takes the snapshot of height {height}, interrupted: {interrupted}"));
+        self.stop(id, interrupted);
+        self.schedule(MILLISECOND, Event::Start { node: id });
+        Ok(true)
+    }
+
+    /// Chunk by chunk; power may fail before it is used.
+    fn receive(&mut self, id: u64, from: &Snapshot, interrupted: bool) -> Result<(), Rejection> {
+        let Some(running) = self.nodes.get(&id).and_then(|node| node.up.as_ref()) else { return Ok(()) };
+        let mut installer = running.snapshots.install(from.manifest().clone())?;
+        while let Some(number) = installer.wanted() {
+            installer.put(&from.chunk(number)?)?;
+        }
+        if interrupted {
+            return Ok(());
+        }
+        installer.accept()?;
+        let tip = &from.manifest().tip;
+        running.store.begin_after(Base { index: tip.height, term: tip.term })?;
+        let seed = self.random.nodes.number();
+        if let Some(node) = self.nodes.get_mut(&id) {
+            node.forget_state(seed);
+        }
+        Ok(())
     }
 
     fn write(&mut self, id: u64, entries: &[Entry]) -> Result<(), StoreError> {
@@ -112,7 +169,12 @@ impl World {
         let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
         let (Some(keep), Some(running)) = (node.keep, node.up.as_ref()) else { return Ok(()) };
         let before = running.store.first_index();
-        match running.store.prune(node.saved.saturating_sub(keep)) {
+        let oldest = running.snapshots.oldest().map_or(0, |snapshot| snapshot.manifest().height);
+        let keep_from = node.saved.saturating_sub(keep).min(oldest + 1);
+        if let Err(fault) = running.ledger.prune_results(keep_from) {
+            return self.failed(id, &fault.to_string());
+        }
+        match running.store.prune(keep_from) {
             Ok(first) if first > before => {
                 self.coverage.fault(Fault::Pruning);
                 self.note(format_args!("n{id} begins at {first}"));

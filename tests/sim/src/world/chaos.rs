@@ -1,10 +1,9 @@
 //! What goes wrong, and when.
 
-use super::{ARCHIVES, Event, Undo, World};
+use super::{Event, Undo, World};
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::Check;
-use crate::node::Shelf;
 use ledger::disk::Fault as DiskFault;
 use ledger_raft::{Input, Lane};
 use std::collections::BTreeSet;
@@ -71,12 +70,10 @@ impl World {
                     node.tear = true;
                 }
             }
-            // Without its first blocks a node cannot rebuild the world state.
-            Fault::StateLost if self.nodes.get(&id).is_some_and(|node| node.keep.is_some()) => {}
             Fault::StateLost => {
                 self.fell(fault, id, true);
                 if let Some(node) = self.nodes.get_mut(&id) {
-                    node.shelf = Shelf::default();
+                    node.forget_state(self.now);
                 }
             }
             Fault::FailedSync => {
@@ -134,7 +131,7 @@ impl World {
             Undo::Cut(name) => self.links.join(name),
             Undo::FullDisk(id) => {
                 if let Some(node) = self.nodes.get_mut(&id) {
-                    node.disk.set_capacity(None);
+                    node.disks().iter().for_each(|disk| disk.set_capacity(None));
                     node.shelf.set_full(false);
                 }
             }
@@ -248,7 +245,7 @@ impl World {
     fn fill(&mut self, id: u64) {
         let time = self.random.faults.between(300, 5_000) * MILLISECOND;
         if let Some(node) = self.nodes.get_mut(&id) {
-            node.disk.set_capacity(Some(node.disk.used_bytes()));
+            node.disks().iter().for_each(|disk| disk.set_capacity(Some(disk.used_bytes())));
             node.shelf.set_full(true);
         }
         self.schedule(time, Event::Undo(Undo::FullDisk(id)));
@@ -300,7 +297,7 @@ impl World {
                 self.desired.learners.insert(voter);
                 self.desired.voters.insert(learner);
             }
-            (3, Some(learner), _) if learner > ARCHIVES => {
+            (3, Some(learner), _) => {
                 self.desired.learners.remove(&learner);
             }
             (4, ..) if self.nodes.len() < NODES_MAX => {

@@ -241,8 +241,12 @@ impl World {
         self.schedule_timer(id, self.plan.state_flush, Timer::Housekeeping);
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         // A full disk keeps it in memory; the blocks have it.
-        let reached = running.ledger.tip().height;
-        let kept = running.state.flush();
+        let kept = running.ledger.flush(Some(&running.snapshots));
+        let reached = running.state.stored().map_or(0, |tip| tip.height);
+        if let Some(snapshot) = running.snapshots.newest() {
+            let (height, content) = (snapshot.manifest().height, snapshot.content());
+            self.invariants.state_agreement.snapshot(id, height, content)?;
+        }
         let prepared = if self.plan.prepares { running.store.prepare() } else { Ok(false) };
         let mut late = Vec::new();
         running.waiters.retain(|_, waiting| {

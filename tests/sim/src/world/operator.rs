@@ -1,6 +1,6 @@
 //! Whoever runs the network: takes out what is broken, and puts something new in its place.
 
-use super::{ARCHIVES, Event, World, clock};
+use super::{Event, World, clock};
 use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
@@ -27,11 +27,7 @@ impl World {
             engine.is_some_and(|engine| engine.status().membership == *members)
         });
         let settled = self.replacement.is_none() && self.is_settled() && healthy && known;
-        let kept_elsewhere = id > ARCHIVES || !self.plan.faults.contains(&Fault::Pruning);
-        settled
-            && kept_elsewhere
-            && members.voters.len() >= 3
-            && (members.voters.contains(&id) || members.learners.contains(&id))
+        settled && members.voters.len() >= 3 && (members.voters.contains(&id) || members.learners.contains(&id))
     }
 
     /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
@@ -84,7 +80,11 @@ impl World {
     pub(super) fn newcomer(&mut self) -> u64 {
         let new = self.nodes.keys().next_back().map_or(1, |last| last + 1);
         let clock = clock(&mut self.random.faults, self.plan.faults.contains(&Fault::ClockDrift));
-        self.nodes.insert(new, Node::new(new, self.random.disk.number(), clock));
+        let mut node = Node::new(new, self.random.disk.number(), clock);
+        if self.plan.faults.contains(&Fault::Pruning) {
+            node.keep = Some(self.random.faults.between(5, 60));
+        }
+        self.nodes.insert(new, node);
         self.schedule(MILLISECOND, Event::Start { node: new });
         new
     }

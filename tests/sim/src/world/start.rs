@@ -6,6 +6,7 @@ use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Opened, Running, open, open_blocks};
 use ledger::block_store::{BlockStore, StoreError};
+use ledger::disk::SimDisk;
 use ledger::entry::Entry;
 use ledger::{Chaincode, Hash, Ledger};
 use ledger_abac::AccessControl;
@@ -34,8 +35,9 @@ impl World {
         }
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;
-        let Opened { state, ledger, replay } = open(node, &store, &self.genesis, &abac)
-            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}")))?;
+        let opened = open(node, &store, (&self.genesis, self.network), &abac);
+        let Opened { state, snapshots, ledger, replay } =
+            opened.map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}")))?;
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
         node.clock.start(self.now, ledger.tip().time);
@@ -50,6 +52,7 @@ impl World {
             engine: Some(engine),
             store,
             state,
+            snapshots,
             ledger,
             flush: None,
             flushing: false,
@@ -107,9 +110,9 @@ impl World {
         node.paused_until = 0;
         if power_fails {
             node.disk_will_fail = None;
-            node.disk.crash();
+            node.disks().into_iter().for_each(SimDisk::crash);
         } else {
-            node.disk.kill();
+            node.disks().into_iter().for_each(SimDisk::kill);
         }
         self.note(format_args!("n{id} stops, power fails: {power_fails}"));
     }
