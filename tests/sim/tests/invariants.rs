@@ -1,6 +1,6 @@
 //! Every invariant notices what breaks it, and nothing else.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use ledger::block::Header;
 use ledger::block_store::{BlockStore, Options};

@@ -74,5 +74,5 @@ fn a_digest_in_any_order_is_noticed() {
 
 #[test]
 fn damage_that_a_start_does_not_look_for_is_noticed() {
-    caught(Mutation::NoRecheckAfterRestart, &["damage is refused", "log matching"]);
+    caught(Mutation::NoRecheckAfterRestart, &["damage is refused", "log matching", "committed is immutable"]);
 }

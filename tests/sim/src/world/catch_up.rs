@@ -87,7 +87,7 @@ impl World {
             .filter(|peer| !self.links.is_cut((id, peer.id)) && !self.links.is_cut((peer.id, id)))
             .filter_map(|peer| peer.up.as_ref())
             .collect();
-        if peers.iter().any(|peer| peer.store.first_index() <= next) {
+        if peers.iter().any(|peer| peer.store.first_index() <= next && peer.ledger.tip().height >= next) {
             return Ok(false);
         }
         let newest =

@@ -166,7 +166,7 @@ impl World {
     }
 
     /// A process ends, and starts again after a while.
-    fn fell(&mut self, fault: Fault, id: u64, power_fails: bool) {
+    pub(super) fn fell(&mut self, fault: Fault, id: u64, power_fails: bool) {
         self.coverage.fault(fault);
         self.stop(id, power_fails);
         let soon = self.random.faults.percent(50);

@@ -94,7 +94,10 @@ impl World {
             let (kind, term, index, entries) = (raft.kind(), raft.term, raft.index, raft.entries.len());
             let (commit, reject) = (raft.commit, if raft.reject { " refused" } else { "" });
             match kind {
-                RaftKind::VoteResponse if !raft.reject => self.invariants.election_safety.votes(id, term, to)?,
+                RaftKind::VoteResponse if !raft.reject => {
+                    self.invariants.election_safety.votes(id, term, to)?;
+                    self.forgets(id);
+                }
                 RaftKind::Vote => self.invariants.election_safety.votes(id, term, id)?,
                 _ => {}
             }
@@ -109,6 +112,14 @@ impl World {
             self.schedule_at(at, Event::Deliver { from: id, to, bytes: bytes.clone() });
         }
         Ok(())
+    }
+
+    /// Who has just voted is made to forget it, if it can: power fails now and then at this moment.
+    fn forgets(&mut self, id: u64) {
+        let fault = Fault::Crash;
+        if self.chaos && self.plan.faults.contains(&fault) && self.random.faults.percent(10) {
+            self.fell(fault, id, true);
+        }
     }
 
     /// A message arrives.
