@@ -18,15 +18,16 @@ pub(crate) fn wall() -> u64 {
 /// monotonic time, and follows the machine's clock again once that is ahead. Clones share what they have observed.
 #[derive(Clone, Debug)]
 pub(crate) struct Clock {
-    /// What the clock showed, at least, when it was started.
+    /// Block time when the clock was started, or what newer block time makes of it. Never the machine's clock: one that
+    /// was wrong at the start and is set right later must not stay wrong here.
     base: Arc<AtomicU64>,
     since: Instant,
 }
 
 impl Clock {
-    /// Starts at block time, microseconds since the UNIX epoch, or at the machine's clock if that is later.
+    /// Never shows less than this block time, microseconds since the UNIX epoch.
     pub(crate) fn starting_at(block_time: u64) -> Self {
-        Self { base: Arc::new(AtomicU64::new(block_time.max(wall()))), since: Instant::now() }
+        Self { base: Arc::new(AtomicU64::new(block_time)), since: Instant::now() }
     }
 
     /// Microseconds since the UNIX epoch.
@@ -34,7 +35,8 @@ impl Clock {
         self.at(wall(), self.elapsed())
     }
 
-    /// Takes note of a block's time, which the clock is not behind from now on.
+    /// Takes note of the newest block's time, which the clock is not behind from now on. Where the machine's clock is
+    /// behind, the nodes go on from the same block and so agree, but for the time that it took to reach them.
     pub(crate) fn observe(&self, block_time: u64) {
         self.observe_at(block_time, self.elapsed());
     }
@@ -48,7 +50,7 @@ impl Clock {
     }
 
     fn observe_at(&self, block_time: u64, elapsed: u64) {
-        self.base.fetch_max(block_time.saturating_sub(elapsed), Ordering::Relaxed);
+        self.base.store(block_time.saturating_sub(elapsed), Ordering::Relaxed);
     }
 }
 
@@ -65,12 +67,18 @@ mod tests {
     }
 
     #[test]
+    fn a_machines_clock_that_was_wrong_at_the_start_and_is_set_right_leaves_nothing_behind() {
+        let clock = Clock::starting_at(1_000);
+        assert_eq!((clock.at(900_000, 10), clock.at(2_000, 20)), (900_000, 2_000));
+    }
+
+    #[test]
     fn it_is_never_behind_a_block_that_was_seen() {
         let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), since: Instant::now() };
         clock.observe_at(50_000, 100);
         assert_eq!((clock.at(200, 100), clock.at(200, 150)), (50_000, 50_050));
-        clock.observe_at(10_000, 200);
-        assert_eq!(clock.at(200, 200), 50_100, "an older block changes nothing");
+        clock.observe_at(50_020, 200);
+        assert_eq!(clock.at(200, 250), 50_070, "the newest block counts: whoever made it was less ahead");
     }
 
     #[test]

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 8] = [
+const LAYERS: [(&str, &[&str]); 9] = [
     ("ledger", &["ledger"]),
     ("ledger-raft", &["ledger"]),
     ("ledger-abac", &["ledger"]),
@@ -16,6 +16,8 @@ const LAYERS: [(&str, &[&str]); 8] = [
     ("ledgerctl", &["ledger", "ledger-api", "ledger-abac"]),
     ("ledgerd", &["ledger", "ledger-raft", "ledger-abac", "ledger-api", "ros-bridge"]),
     ("inventory", &["ledger", "ledger-api", "ledgerd"]),
+    // The simulation drives what a node drives, without a node.
+    ("ledgerd-sim", &["ledger", "ledger-raft", "ledger-abac"]),
 ];
 
 /// Crates that are kept behind few files, so that they can be replaced: who uses them, and where they are named.

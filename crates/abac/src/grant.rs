@@ -13,6 +13,7 @@ use crate::service::{self, LEASE_MS_MIN, Mode, Target};
 use crate::store;
 use crate::timestamp::rfc3339;
 use ledger::identity::{Identity, Role};
+use ledger::mutation::{Mutation, active, lease_clock};
 use ledger::{Bytes, Code, Context, Hash, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -128,7 +129,7 @@ impl Principal {
 impl Holding {
     /// Does it count at this block time?
     pub(crate) fn is_live(&self, now: u64) -> bool {
-        self.ending.is_none() && self.grant.expires > now
+        self.ending.is_none() && self.grant.expires > lease_clock(now)
     }
 
     /// Why it ended, if it is not live.
@@ -251,8 +252,9 @@ pub(crate) fn may_acquire(
 }
 
 fn grant(ctx: &mut Context<'_>, target: &Target, principal: Principal, lease_ms: u64) -> Result<Bytes, Rejection> {
-    let epoch = newest_epoch(ctx, &target.id)?
-        .checked_add(1)
+    let newest = newest_epoch(ctx, &target.id)?;
+    let epoch = newest
+        .checked_add(u64::from(newest == 0 || !active(Mutation::ReuseAnEpoch)))
         .ok_or_else(|| Rejection::new(Code::LimitExceeded, format!("{} has used up its epochs", target.id)))?;
     store::write(ctx, &store::epoch_key(&target.id), &epoch)?;
     let mut holding = Holding {

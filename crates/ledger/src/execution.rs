@@ -7,6 +7,7 @@ use crate::entry::{Entry, EntryKind};
 use crate::governance::{MEMBERS_KEY, certificate_key, found, members_record, read};
 use crate::identities::Identities;
 use crate::identity::Identity;
+use crate::mutation::{Mutation, active};
 use crate::network::Genesis;
 use crate::rejection::Rejection;
 use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
@@ -182,7 +183,7 @@ fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> 
     part(b"ledgerd state v1");
     part(&previous.0);
     part(&(writes.len() as u64).to_be_bytes());
-    for (key, value) in writes {
+    for (key, value) in in_order(writes) {
         part(key);
         match value {
             Some(value) => {
@@ -197,6 +198,14 @@ fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> 
         part(&result.response);
     }
     Hash::finish(sha)
+}
+
+/// The writes in the order of their keys, which is the same on every node.
+fn in_order(writes: &WriteSet) -> Vec<(&Bytes, &Option<Bytes>)> {
+    if active(Mutation::UnsortedDigest) {
+        return writes.iter().collect::<std::collections::HashMap<_, _>>().into_iter().collect();
+    }
+    writes.iter().collect()
 }
 
 /// The tip, the writes and the result of the genesis block.

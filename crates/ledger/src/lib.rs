@@ -20,6 +20,8 @@ pub mod identity;
 pub mod key;
 pub mod members;
 pub mod msp;
+#[doc(hidden)]
+pub mod mutation;
 pub mod network;
 mod rejection;
 pub mod result;

@@ -9,6 +9,7 @@ use super::ahead::{Ahead, Marks, Spare, write_zeros};
 use super::files::StoredSegment;
 use crate::disk::{Disk, DiskFile};
 use crate::entry::{Entry, HardState};
+use crate::mutation::{Mutation, active};
 use crate::segment::{Base, LogPosition, Record, SegmentHeader, encode_record, encoded_bytes, segment_name};
 
 /// A buffer larger than this is given back after use.
@@ -263,6 +264,9 @@ impl Writer {
                 return Err(undo(&segment.name, file.as_ref(), (start, end), full, ahead, marks));
             }
             Err(error) => return Err(Failure::Fatal(StoreError::io("write", &segment.name, error))),
+        }
+        if active(Mutation::NoFsync) {
+            return Ok(());
         }
         file.sync_data().map_err(|error| Failure::Fatal(StoreError::io("sync", &segment.name, error)))
     }

@@ -7,6 +7,7 @@
 use super::Engine;
 use crate::interface::Output;
 use crate::message::{Behind, PeerMessage, RaftKind, RaftMessage};
+use ledger::mutation::{Mutation, active};
 use ledger::{Code, Rejection};
 use raft::StateRole;
 use raft::eraftpb::{Message, MessageType};
@@ -91,6 +92,7 @@ impl Engine {
     pub(super) fn tell_what_is_held(&mut self, leader: u64, known: u64) {
         let raft = &mut self.raw.raft;
         let held = raft.raft_log.committed.min(raft.raft_log.persisted);
+        let held = held + u64::from(active(Mutation::CatchUpOffByOne));
         if raft.state != StateRole::Follower || raft.leader_id != leader || known >= held {
             return;
         }

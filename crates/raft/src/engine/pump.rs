@@ -13,6 +13,7 @@ use ledger::block::Payload;
 use ledger::block_store::StoreError;
 use ledger::entry::{Entry, EntryKind, HardState};
 use ledger::members::MembershipChange;
+use ledger::mutation::{Mutation, active};
 use raft::eraftpb::{Message, MessageType};
 use raft::{INVALID_ID, StateRole};
 
@@ -113,6 +114,10 @@ impl Engine {
     /// Hands out what is committed and on the own disk, as far as the executor keeps up.
     fn commit(&mut self, out: &mut Vec<Output>) -> Result<(), StoreError> {
         loop {
+            if active(Mutation::AcknowledgeBeforeMajority) && self.is_leader() {
+                let persisted = self.raw.raft.raft_log.persisted;
+                self.raw.raft.raft_log.commit_to(persisted);
+            }
             let log = &self.raw.raft.raft_log;
             let until = log.committed.min(log.persisted);
             if self.emitted >= until || self.unapplied_bytes >= self.config.unapplied_bytes {
@@ -196,7 +201,8 @@ impl Engine {
             }
         }
         let entries: Vec<Entry> = ready.take_entries().into_iter().map(entry_from_raft).collect();
-        let hard_state = ready.hs().map(|state| HardState { term: state.term, vote: state.vote, commit: state.commit });
+        let hard_state =
+            ready.hs().map(|state| HardState { term: state.term, vote: kept(state.vote), commit: state.commit });
         if !entries.is_empty() || hard_state.is_some() {
             self.store.append(&entries, hard_state.as_ref())?;
         }
@@ -267,4 +273,9 @@ impl Engine {
         earlier.entries.extend(later.entries);
         true
     }
+}
+
+/// The vote as it is written to the disk.
+fn kept(vote: u64) -> u64 {
+    if active(Mutation::ForgetTheVote) { 0 } else { vote }
 }

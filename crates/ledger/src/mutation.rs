@@ -1,0 +1,78 @@
+//! Deliberate bugs, to check that the simulation (`tests/sim`) would notice them. Each is a fault that a change could
+//! bring in without any unit test failing.
+//!
+//! Without the feature `mutations`, which nothing but that check turns on, [`active`] is a constant `false` and the
+//! compiler takes the bugs out.
+
+/// A deliberate bug.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum Mutation {
+    /// The log is written and not synced.
+    NoFsync = 1,
+    /// A leader takes its own disk for the majority.
+    AcknowledgeBeforeMajority,
+    /// A new grant gets the epoch of the one before.
+    ReuseAnEpoch,
+    /// A revoked certificate is accepted.
+    SkipTheRevocationCheck,
+    /// A `forbid` that cannot be evaluated is skipped.
+    AcceptAnErringForbid,
+    /// The vote is not written to the disk.
+    ForgetTheVote,
+    /// A node that has caught up says that it holds one block more than it does.
+    CatchUpOffByOne,
+    /// A lease is measured by the node's wall clock.
+    WallClockLease,
+    /// The writes of a block go into the state digest in any order.
+    UnsortedDigest,
+    /// What is read from the log at a start is not checked again.
+    NoRecheckAfterRestart,
+}
+
+/// Is this bug turned on?
+#[cfg(not(feature = "mutations"))]
+pub const fn active(_mutation: Mutation) -> bool {
+    false
+}
+
+#[cfg(feature = "mutations")]
+mod switch {
+    use super::Mutation;
+    use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
+
+    static ACTIVE: AtomicU8 = AtomicU8::new(0);
+    static WALL_CLOCK: AtomicU64 = AtomicU64::new(0);
+
+    /// Is this bug turned on?
+    pub fn active(mutation: Mutation) -> bool {
+        ACTIVE.load(Ordering::Relaxed) == mutation as u8
+    }
+
+    /// Turns a bug on in the whole process, and any other off.
+    pub fn turn_on(mutation: Option<Mutation>) {
+        ACTIVE.store(mutation.map_or(0, |mutation| mutation as u8), Ordering::Relaxed);
+    }
+
+    /// Sets the clock of [`Mutation::WallClockLease`], microseconds since the UNIX epoch.
+    pub fn set_wall_clock(now: u64) {
+        WALL_CLOCK.store(now, Ordering::Relaxed);
+    }
+
+    /// The clock of [`Mutation::WallClockLease`].
+    pub fn wall_clock() -> u64 {
+        WALL_CLOCK.load(Ordering::Relaxed)
+    }
+}
+
+#[cfg(feature = "mutations")]
+pub use switch::{active, set_wall_clock, turn_on, wall_clock};
+
+/// The clock by which a lease is measured: block time.
+pub fn lease_clock(block_time: u64) -> u64 {
+    #[cfg(feature = "mutations")]
+    if active(Mutation::WallClockLease) {
+        return wall_clock();
+    }
+    block_time
+}

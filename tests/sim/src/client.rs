@@ -1,0 +1,344 @@
+//! The clients: what they want, how they retry, and what they remember.
+
+mod intent;
+
+pub use intent::{Call, SERVICES, robots};
+
+use crate::clock::{EPOCH, MILLISECOND, SECOND};
+use crate::history::{Kind, Outcome, Verdict};
+use crate::node::{Answer, Reply, Request, What};
+use crate::people::{CERTIFICATES, Person};
+use crate::world::{Event, World};
+use ledger::transaction::{Body, Transaction};
+use ledger::{Bytes, Class, Code, Hash};
+use serde::Deserialize;
+use std::collections::BTreeMap;
+
+/// How often an operation is tried before its client gives it up.
+const TRIES_MAX: u64 = 8;
+
+/// Does little but read, often.
+pub(crate) const READER: &str = "Org2/Owen";
+
+/// A program that uses the ledger for somebody.
+pub struct Client {
+    /// `Org1/Salma`.
+    pub person: String,
+    /// Which of the person's certificates.
+    pub nth: usize,
+    /// The node that it talks to.
+    pub gateway: u64,
+    /// The newest height that it has seen.
+    pub seen: u64,
+    /// Grants that it believes to have: epoch and next sequence number.
+    pub grants: BTreeMap<String, (u64, u64)>,
+    /// By how much the nodes' time is ahead of virtual time.
+    ahead: u64,
+    /// Everything about an earlier attempt is void.
+    pub attempt: u64,
+    /// Counts its crashes: each begins a new session.
+    pub session: u64,
+    /// The operation under way: its number, what it is, and how often it was tried.
+    doing: Option<(usize, What, u64)>,
+    /// The call under way.
+    call: Option<Call>,
+    /// The ledger knows its certificate.
+    introduced: bool,
+    /// The robots are set up; only the owner's client cares.
+    pub ready: bool,
+    /// What it does whatever the plan; for the last word of a run.
+    pub orders: Vec<Call>,
+    /// It does nothing of its own any more.
+    pub obedient: bool,
+    /// It takes every verdict for an answer to its orders.
+    pub obliging: bool,
+    /// Verdicts of its orders.
+    pub obeyed: Vec<Code>,
+}
+
+/// What is read of a grant.
+#[derive(Deserialize)]
+struct Granted {
+    epoch: u64,
+    next_seq: u64,
+}
+
+impl Client {
+    fn new(person: &str, gateway: u64) -> Self {
+        Self {
+            person: person.to_owned(),
+            nth: 0,
+            gateway,
+            seen: 0,
+            grants: BTreeMap::new(),
+            ahead: EPOCH,
+            attempt: 0,
+            session: 0,
+            doing: None,
+            call: None,
+            introduced: false,
+            ready: false,
+            orders: Vec::new(),
+            obedient: false,
+            obliging: false,
+            obeyed: Vec::new(),
+        }
+    }
+
+    /// Is it doing something?
+    pub fn is_busy(&self) -> bool {
+        self.doing.is_some()
+    }
+
+    /// It dies, and whoever starts it again knows nothing of what it was doing.
+    pub fn crash(&mut self) {
+        self.attempt += 1;
+        self.session += 1;
+        self.seen = 0;
+        self.grants.clear();
+        self.doing = None;
+        self.call = None;
+    }
+}
+
+impl World {
+    /// Hires the clients of the plan: the owner, an admin, and users.
+    pub(crate) fn employ(&mut self) {
+        let users = ["Org1/Salma", "Org1/Farhad", "Org1/Nina", "Org2/Owen", "Org1/Salma", "Org3/Trudy", "Org2/Mallory"];
+        let nodes = self.plan.voters + self.plan.learners;
+        for nth in 0..self.plan.clients {
+            let person = match nth {
+                0 => "Org2/admin",
+                1 => "Org1/admin",
+                2 => READER,
+                _ => self.random.clients.pick(&users).copied().unwrap_or("Org1/Salma"),
+            };
+            let gateway = self.random.clients.between(1, nodes);
+            self.clients.push(Client::new(person, gateway));
+            let delay = self.random.clients.below(SECOND);
+            self.schedule(delay, Event::Client { client: nth, attempt: 0 });
+        }
+    }
+
+    /// Adds a client that does only what it is told, and tells it.
+    pub(crate) fn employ_for(&mut self, person: &str, orders: Vec<Call>, obliging: bool) -> usize {
+        let number = self.clients.len();
+        let gateway = self.gateways().first().copied().unwrap_or(1);
+        let mut client = Client::new(person, gateway);
+        client.nth = CERTIFICATES - 1;
+        client.ahead = self.clients.iter().map(|client| client.ahead).max().unwrap_or(EPOCH);
+        client.orders = orders;
+        client.obedient = true;
+        client.obliging = obliging;
+        self.clients.push(client);
+        self.schedule(1, Event::Client { client: number, attempt: 0 });
+        number
+    }
+
+    /// A client has time: a new operation, or another try if nobody has answered.
+    pub(crate) fn work(&mut self, number: usize, attempt: u64) {
+        let Some(client) = self.clients.get_mut(number).filter(|client| client.attempt == attempt) else { return };
+        if client.doing.is_some() {
+            // Nobody has answered: another node may.
+            self.coverage.timeouts += 1;
+            return self.again(number, true);
+        }
+        if self.clients[number].obedient && self.clients[number].orders.is_empty() {
+            return;
+        }
+        self.begin(number);
+    }
+
+    /// Begins an operation.
+    fn begin(&mut self, number: usize) {
+        let Some(call) = self.intend(number) else {
+            return self.rest(number);
+        };
+        self.coverage.operations += 1;
+        let client = &self.clients[number];
+        let Some(person) = self.people.index(&client.person, client.nth) else { return };
+        let (session, seen) = (client.session, client.seen);
+        let (kind, what) = match &call {
+            Call::Read { service, linearizable } => {
+                let (service, linearizable) = (service.clone(), *linearizable);
+                let kind = Kind::Read { person, service: service.clone(), linearizable, min_height: seen };
+                (kind, What::Read { person, service, linearizable })
+            }
+            call => {
+                let (chaincode, function, args) = call.transaction();
+                let valid = self.random.clients.between(5, 60) * SECOND;
+                let not_after = client.ahead + self.now + valid;
+                let introduce = !client.introduced || self.random.clients.percent(10);
+                let nonce = self.random.clients.number();
+                let whose = &self.people.all[person];
+                let transaction = sign(whose, self.network, nonce, not_after, (chaincode, function, args), introduce);
+                let encoded = transaction.encoded().clone();
+                (Kind::Submit { id: transaction.id(), encoded: encoded.clone() }, What::Submit(encoded))
+            }
+        };
+        let operation = self.history.begin(number, session, self.now, kind);
+        let name = call.name();
+        let client = &mut self.clients[number];
+        client.call = Some(call);
+        client.doing = Some((operation, what, 0));
+        let person = client.person.clone();
+        self.note(format_args!("c{number} {person} begins {operation}: {name}"));
+        self.again(number, false);
+    }
+
+    /// Sends what the client is doing, perhaps to another node; gives it up after a while.
+    fn again(&mut self, number: usize, elsewhere: bool) {
+        let nodes = self.gateways();
+        let client = &mut self.clients[number];
+        let Some((_, what, tries)) = client.doing.as_mut() else { return };
+        if *tries >= TRIES_MAX {
+            client.doing = None;
+            client.call = None;
+            return self.rest(number);
+        }
+        *tries += 1;
+        let what = what.clone();
+        client.attempt += 1;
+        let elsewhere = elsewhere || !nodes.contains(&client.gateway);
+        if elsewhere && let Some(node) = self.random.clients.pick(&nodes) {
+            client.gateway = *node;
+        }
+        let reply = Reply { client: number, attempt: client.attempt };
+        let (attempt, gateway) = (client.attempt, client.gateway);
+        let request = Request { reply, min_height: client.seen, what };
+        if let Some(at) = self.links.client(self.now, &mut self.random.network, &mut self.coverage) {
+            self.schedule_at(at, Event::Request { node: gateway, request });
+        }
+        let patience = self.random.clients.between(500 * MILLISECOND, 3 * SECOND);
+        self.schedule(patience, Event::Client { client: number, attempt });
+    }
+
+    /// An answer arrives.
+    pub(crate) fn answered(&mut self, reply: Reply, clock: u64, answer: Answer) {
+        let number = reply.client;
+        let (now, late) = (self.now, self.clients[number].attempt != reply.attempt);
+        let client = &mut self.clients[number];
+        client.ahead = clock.saturating_sub(now).max(client.ahead / 2);
+        let Some((operation, _, tries)) = client.doing.clone() else { return };
+        if late {
+            return;
+        }
+        let result = match answer {
+            Answer::Verdict { height, index, code, response } => {
+                let id = match &self.history.operations[operation].kind {
+                    Kind::Submit { id, .. } => *id,
+                    Kind::Read { .. } => Hash::ZERO,
+                };
+                let verdict = Verdict { id, height, index, code, response };
+                self.history.verdicts.push(verdict.clone());
+                client.seen = client.seen.max(height);
+                self.learn(number, verdict.code, &verdict.response);
+                Outcome::Executed(verdict)
+            }
+            Answer::Refused(refused) if is_passing(refused.code) => {
+                // It may still be ordered, or not: the same again, a little later.
+                let client = &mut self.clients[number];
+                client.attempt += 1;
+                let attempt = client.attempt;
+                let pause = self.random.clients.between(20 * MILLISECOND, 300 * MILLISECOND);
+                return self.schedule(pause, Event::Client { client: number, attempt });
+            }
+            Answer::Refused(refused) => {
+                self.learn(number, refused.code, &Bytes::new());
+                Outcome::Refused { code: refused.code, judged: refused.judged, never: tries == 1 }
+            }
+            Answer::Value { height, judged_at, code, response } => {
+                client.seen = client.seen.max(height);
+                Outcome::Read { height, judged_at, code, response }
+            }
+        };
+        self.coverage.answered += 1;
+        if matches!(self.history.operations[operation].kind, Kind::Read { linearizable: true, .. }) {
+            self.coverage.linearizable += 1;
+        }
+        self.note(format_args!("c{number} ends {operation}"));
+        self.history.end(operation, now, result);
+        self.rest(number);
+    }
+
+    /// The nodes that clients are told to use.
+    fn gateways(&self) -> Vec<u64> {
+        self.desired.voters.iter().chain(&self.desired.learners).copied().collect()
+    }
+
+    /// The client does nothing for a while.
+    fn rest(&mut self, number: usize) {
+        let think = self.random.clients.around(self.plan.think);
+        let client = &mut self.clients[number];
+        let think = if client.person == READER { think / 8 + 1 } else { think };
+        client.doing = None;
+        client.call = None;
+        client.attempt += 1;
+        let attempt = client.attempt;
+        self.schedule(think, Event::Client { client: number, attempt });
+    }
+
+    /// What the client makes of a verdict.
+    fn learn(&mut self, number: usize, code: Code, response: &Bytes) {
+        let client = &mut self.clients[number];
+        let Some(call) = client.call.clone() else { return };
+        if let Some(order) = client.orders.first() {
+            // What is not settled is tried again.
+            let passing = matches!(code, Code::Expired | Code::NotAfterTooFar | Code::UnknownCreator);
+            let lost = matches!(code, Code::Held | Code::NotHolder | Code::StaleEpoch);
+            let settled = !passing && (client.obliging || !lost);
+            if settled && std::mem::discriminant(order) == std::mem::discriminant(&call) {
+                client.orders.remove(0);
+                client.obeyed.push(code);
+            }
+        }
+        client.introduced = code != Code::UnknownCreator;
+        match (code, call) {
+            (Code::Ok, Call::Acquire { service, .. } | Call::Renew { service }) => {
+                if let Ok(Granted { epoch, next_seq }) = serde_json::from_slice(response) {
+                    client.grants.insert(service, (epoch, next_seq));
+                }
+            }
+            (Code::Ok, Call::Set { service, epoch, seq }) => {
+                client.grants.insert(service, (epoch, seq + 1));
+            }
+            (Code::Ok, Call::Setup { .. }) => client.ready = true,
+            (_, Call::Set { service, .. } | Call::Release { service } | Call::Renew { service }) => {
+                client.grants.remove(&service);
+            }
+            (Code::Revoked, _) if client.nth + 2 < CERTIFICATES => {
+                client.nth += 1;
+                client.introduced = false;
+                client.grants.clear();
+            }
+            _ => {}
+        }
+    }
+}
+
+/// Repeating it may help.
+fn is_passing(code: Code) -> bool {
+    code.class() == Class::Unreachable || code == Code::DiskFull
+}
+
+/// Signs a call.
+pub fn sign(
+    whose: &Person,
+    network: Hash,
+    nonce: u64,
+    not_after: u64,
+    (chaincode, function, args): (&str, &str, Vec<Bytes>),
+    introduce: bool,
+) -> Transaction {
+    let body = Body {
+        network: Bytes::copy_from_slice(&network.0),
+        creator: Bytes::copy_from_slice(&whose.fingerprint().0),
+        nonce: [nonce.to_be_bytes(), whose.fingerprint().0[..8].try_into().unwrap()].concat().into(),
+        not_after,
+        chaincode: chaincode.into(),
+        function: function.into(),
+        args,
+    };
+    let transaction = Transaction::sign(&body, &whose.key).unwrap();
+    if introduce { transaction.with_certificate(whose.certificate.clone()).unwrap() } else { transaction }
+}

@@ -1,0 +1,204 @@
+//! What a client wants to do next.
+
+use super::READER;
+use crate::clock::EPOCH;
+use crate::policy::Policy;
+use crate::world::World;
+use ledger::Bytes;
+
+/// The services of the simulated robots.
+pub const SERVICES: [&str; 3] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel", "Husky/arm"];
+/// A small CDR message.
+const MESSAGE: &[u8] = &[0, 1, 0, 0, 42, 0, 0, 0];
+
+/// Something that a client wants.
+#[derive(Clone, Debug)]
+pub enum Call {
+    /// To hold a service, for so many milliseconds.
+    Acquire {
+        /// The service.
+        service: String,
+        /// The lease, or the service's own.
+        lease_ms: Option<u64>,
+    },
+    /// To keep it.
+    Renew {
+        /// The service.
+        service: String,
+    },
+    /// To give it back, or take it back.
+    Release {
+        /// The service.
+        service: String,
+    },
+    /// To publish a message.
+    Set {
+        /// The service.
+        service: String,
+        /// The epoch of the grant; 0 without one.
+        epoch: u64,
+        /// Sequence number.
+        seq: u64,
+    },
+    /// To know who holds it.
+    Read {
+        /// The service.
+        service: String,
+        /// With everything that was acknowledged before.
+        linearizable: bool,
+    },
+    /// To register the robots, with this mode for the arm of the Husky.
+    Setup {
+        /// Is the arm for everybody?
+        open: bool,
+    },
+    /// To put a policy.
+    Put(Policy),
+    /// To remove a policy.
+    Remove(Policy),
+    /// To revoke a certificate: issuer and serial in hexadecimal.
+    Revoke {
+        /// SHA-256 of the issuer's name.
+        issuer: String,
+        /// Its serial number.
+        serial: String,
+    },
+}
+
+impl Call {
+    /// Chaincode, function and arguments.
+    pub fn transaction(&self) -> (&'static str, &'static str, Vec<Bytes>) {
+        let text = |text: &str| Bytes::copy_from_slice(text.as_bytes());
+        match self {
+            Self::Acquire { service, lease_ms } => {
+                let lease = lease_ms.map(|lease| text(&lease.to_string()));
+                ("abac", "acquire", std::iter::once(text(service)).chain(lease).collect())
+            }
+            Self::Renew { service } => ("abac", "renew", vec![text(service)]),
+            Self::Release { service } => ("abac", "release", vec![text(service)]),
+            Self::Set { service, epoch, seq } => {
+                let head = [text(service), text(&epoch.to_string()), text(&seq.to_string())];
+                ("abac", "set", head.into_iter().chain([Bytes::from_static(MESSAGE)]).collect())
+            }
+            Self::Read { service, .. } => ("abac", "service", vec![text(service)]),
+            Self::Setup { open } => ("abac", "setup", robots(*open).iter().map(|robot| text(robot)).collect()),
+            Self::Put(policy) => ("abac", "policy", vec![text("put"), text(policy.id()), text(&policy.text())]),
+            Self::Remove(policy) => ("abac", "policy", vec![text("remove"), text(policy.id())]),
+            Self::Revoke { issuer, serial } => ("msp", "revoke", vec![text(issuer), text(serial)]),
+        }
+    }
+
+    /// For the trace.
+    pub fn name(&self) -> String {
+        match self {
+            Self::Put(policy) => format!("policy put {}", policy.id()),
+            Self::Remove(policy) => format!("policy remove {}", policy.id()),
+            other => format!("{other:?}"),
+        }
+    }
+}
+
+/// The robots as their owner registers them.
+pub fn robots(open: bool) -> [String; 2] {
+    let service = |topic: &str, mode: &str| {
+        format!(
+            r#"{{"topic":"{topic}","type":"geometry_msgs/msg/Twist","mode":"{mode}","lease_ms":3000,"lease_ms_max":20000}}"#
+        )
+    };
+    let robot = |name: &str, services: &str| {
+        format!(
+            r#"{{"name":"{name}","attribute_required":"{name}","trusted":["Org1","Org2"],"services":[{services}]}}"#
+        )
+    };
+    let arm = service("/arm", if open { "open" } else { "exclusive" });
+    [
+        robot("Turtlebot4", &service("/cmd_vel", "exclusive")),
+        robot("Husky", &format!("{},{arm}", service("/cmd_vel", "exclusive"))),
+    ]
+}
+
+impl World {
+    /// What a client does next; nothing if it has no work.
+    pub(super) fn intend(&mut self, number: usize) -> Option<Call> {
+        let client = &self.clients[number];
+        if let Some(call) = client.orders.first() {
+            // Of the grant that it got by an earlier order.
+            return Some(match call.clone() {
+                Call::Set { service, .. } => {
+                    let (epoch, seq) = client.grants.get(&service).copied().unwrap_or_default();
+                    if epoch == 0 {
+                        Call::Acquire { service, lease_ms: None }
+                    } else {
+                        Call::Set { service, epoch, seq }
+                    }
+                }
+                call => call,
+            });
+        }
+        if client.obedient {
+            return None;
+        }
+        let service = self.random.clients.pick(&SERVICES).copied().unwrap_or(SERVICES[0]).to_owned();
+        match &*client.person {
+            "Org2/admin" if !client.ready => Some(Call::Setup { open: true }),
+            "Org2/admin" => Some(self.rule(service)),
+            READER if self.random.clients.percent(90) => {
+                Some(Call::Read { service, linearizable: self.random.clients.percent(80) })
+            }
+            "Org1/admin" if self.random.clients.percent(4) => self.revocation(),
+            _ => Some(self.use_service(number, service)),
+        }
+    }
+
+    fn rule(&mut self, service: String) -> Call {
+        let random = &mut self.random.clients;
+        let until = (EPOCH + self.now) / 1000 + random.between(1_000, 20_000);
+        let policies =
+            [Policy::Attribute, Policy::Trusted, Policy::ForbidFarhad, Policy::ErringForbid, Policy::Until(until)];
+        let policy = random.pick(&policies).copied().unwrap_or(Policy::Attribute);
+        match random.below(20) {
+            // Mostly the permitting ones, so that most of the time something is permitted.
+            0 => Call::Put(policy),
+            1..=2 => Call::Put(if random.percent(50) { Policy::Attribute } else { Policy::Trusted }),
+            3..=6 => Call::Remove(policy),
+            7..=8 => Call::Remove(Policy::ErringForbid),
+            9 => Call::Setup { open: random.percent(50) },
+            10..=12 => Call::Release { service },
+            13..=14 => Call::Acquire { service, lease_ms: None },
+            _ => Call::Read { service, linearizable: random.percent(50) },
+        }
+    }
+
+    /// Revokes one of the certificates that is not anybody's last.
+    fn revocation(&mut self) -> Option<Call> {
+        let revocable: Vec<_> = self
+            .people
+            .all
+            .iter()
+            .filter(|person| {
+                person.identity.organisation == "Org1" && person.identity.name != "admin" && person.nth == 0
+            })
+            .collect();
+        let person = self.random.clients.pick(&revocable)?;
+        let (issuer, serial) = (hex::encode(person.identity.issuer), hex::encode(&person.identity.serial));
+        Some(Call::Revoke { issuer, serial })
+    }
+
+    fn use_service(&mut self, number: usize, service: String) -> Call {
+        let grant = self.clients[number].grants.get(&service).copied();
+        let random = &mut self.random.clients;
+        match (random.below(100), grant) {
+            (0..=14, _) => Call::Read { service, linearizable: random.percent(50) },
+            (15..=30, _) | (_, None) if service != "Husky/arm" || random.percent(50) => {
+                let lease_ms = random.percent(30).then(|| random.between(50, 25_000));
+                Call::Acquire { service, lease_ms }
+            }
+            (31..=40, _) => Call::Renew { service },
+            (41..=48, _) => Call::Release { service },
+            (49..=53, Some((epoch, seq))) => Call::Set { service, epoch: epoch.saturating_sub(1), seq },
+            (54..=56, Some((epoch, seq))) => Call::Set { service, epoch, seq: seq.saturating_sub(1) },
+            (_, Some((epoch, seq))) => Call::Set { service, epoch, seq },
+            (_, None) => Call::Set { service, epoch: 0, seq: random.below(1000) },
+        }
+    }
+}

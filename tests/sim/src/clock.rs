@@ -1,0 +1,69 @@
+//! The clocks of a machine, in virtual time: the wall clock, which may be wrong and jump, and the monotonic one.
+//!
+//! What a node makes of them is a copy of the rule in `src/clock.rs` of the node: time that never goes back, not even
+//! behind the block time that it has seen. All times are in microseconds.
+
+/// Virtual time 0 as a wall clock shows it: 2030-01-01, in microseconds since the UNIX epoch.
+pub const EPOCH: u64 = 1_893_456_000_000_000;
+/// One second.
+pub const SECOND: u64 = 1_000_000;
+/// One millisecond.
+pub const MILLISECOND: u64 = 1_000;
+
+/// The clocks of one machine.
+#[derive(Clone, Debug, Default)]
+pub struct Clock {
+    /// How much the wall clock is ahead (or behind).
+    offset: i64,
+    /// By how many millionths it runs too fast (or slow).
+    drift_ppm: i64,
+    /// Block time when the process was started, or what newer block time makes of it.
+    base: u64,
+    /// Monotonic time then.
+    started: u64,
+}
+
+impl Clock {
+    /// A machine whose clock is wrong by `offset` and runs wrong by `drift_ppm`.
+    pub fn new(offset: i64, drift_ppm: i64) -> Self {
+        Self { offset, drift_ppm, base: 0, started: 0 }
+    }
+
+    /// Somebody sets the wall clock.
+    pub fn step(&mut self, by: i64) {
+        self.offset += by;
+    }
+
+    /// The wall clock is set right, and kept right.
+    pub fn heal(&mut self) {
+        (self.offset, self.drift_ppm) = (0, 0);
+    }
+
+    /// The process starts, with a state that has seen this block time.
+    pub fn start(&mut self, virtual_now: u64, block_time: u64) {
+        self.base = block_time;
+        self.started = self.monotonic(virtual_now);
+    }
+
+    /// The process has executed a block of this time.
+    pub fn observe(&mut self, virtual_now: u64, block_time: u64) {
+        let elapsed = self.monotonic(virtual_now) - self.started;
+        self.base = block_time.saturating_sub(elapsed);
+    }
+
+    /// What the process takes for the time, microseconds since the UNIX epoch.
+    pub fn now(&self, virtual_now: u64) -> u64 {
+        let elapsed = self.monotonic(virtual_now) - self.started;
+        self.wall(virtual_now).max(self.base + elapsed)
+    }
+
+    /// What the machine shows.
+    pub fn wall(&self, virtual_now: u64) -> u64 {
+        (EPOCH + self.monotonic(virtual_now)).saturating_add_signed(self.offset)
+    }
+
+    fn monotonic(&self, virtual_now: u64) -> u64 {
+        let drift = i128::from(virtual_now) * i128::from(self.drift_ppm) / 1_000_000;
+        virtual_now.saturating_add_signed(i64::try_from(drift).unwrap_or(0))
+    }
+}

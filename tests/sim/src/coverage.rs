@@ -1,0 +1,175 @@
+//! What was really done to the cluster, counted where it is done: a fault that was only planned tests nothing.
+
+use ledger::Code;
+use std::collections::BTreeMap;
+use std::fmt;
+
+macro_rules! faults {
+    ($($(#[$doc:meta])* $variant:ident $name:literal;)*) => {
+        /// A kind of fault.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum Fault { $($(#[$doc])* $variant,)* }
+
+        impl Fault {
+            /// Every kind.
+            pub const ALL: &'static [Self] = &[$(Self::$variant,)*];
+
+            /// The name in reports.
+            pub const fn name(self) -> &'static str { match self { $(Self::$variant => $name,)* } }
+        }
+    };
+}
+
+faults! {
+    /// A message between nodes is lost.
+    Loss "message lost";
+    /// It comes twice.
+    Duplication "message duplicated";
+    /// It overtakes one that was sent before.
+    Reordering "message overtook another";
+    /// It takes much longer than the others.
+    Delay "message delayed";
+    /// A link holds everything back for a while, then lets it all through.
+    Clog "link clogged";
+    /// Two groups of nodes do not hear each other.
+    Partition "partition";
+    /// One group does not hear the other, which hears it.
+    OneWay "one-way partition";
+    /// A node loses power; what was not synced is lost.
+    Crash "crash";
+    /// … in the middle of a write, of which some sectors survive.
+    TornWrite "crash that tears a write";
+    /// The process dies, the machine goes on.
+    Kill "process killed";
+    /// A flush takes very long.
+    SlowDisk "slow flush";
+    /// An fsync fails.
+    FailedSync "failed fsync";
+    /// A write of the log fails, or stores only its beginning.
+    FailedWrite "failed write";
+    /// A bit of a durable record flips.
+    BitFlip "bit flipped";
+    /// The disk is full for a while.
+    FullDisk "disk full";
+    /// The world state is lost, and rebuilt from the blocks.
+    StateLost "world state lost";
+    /// Somebody sets a machine's clock.
+    ClockStep "clock step";
+    /// A machine's clock runs wrong.
+    ClockDrift "clock drift";
+    /// A process stands still while the others go on.
+    Pause "pause";
+    /// A client dies and forgets what it was doing.
+    ClientCrash "client crash";
+    /// The leadership is handed over on demand.
+    Transfer "leadership transfer";
+    /// A voter becomes a learner, or a learner a voter.
+    MembershipChange "change of members";
+    /// A node whose disk is lost is taken out, and a new one takes its place.
+    Replacement "node replaced";
+    /// Old blocks are dropped.
+    Pruning "old blocks dropped";
+    /// A node is so far behind that it fetches blocks from its peers.
+    CatchUp "caught up from peers";
+    /// Nobody has the blocks any more that a node needs: it takes a snapshot.
+    Snapshot "snapshot taken";
+    /// A member orders what no honest gateway would let through.
+    Hostile "hostile transaction";
+}
+
+/// Counts of one run, or of many.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Coverage {
+    /// How often each fault was injected.
+    pub faults: BTreeMap<Fault, u64>,
+    /// Transactions on the chain, by verdict.
+    pub verdicts: BTreeMap<Code, u64>,
+    /// Transactions refused at a gateway, by reason.
+    pub refusals: BTreeMap<Code, u64>,
+    /// Runs.
+    pub seeds: u64,
+    /// Virtual time, microseconds.
+    pub time: u64,
+    /// Blocks of the longest chain of each run.
+    pub blocks: u64,
+    /// Leaders elected.
+    pub elections: u64,
+    /// Starts of nodes after the first.
+    pub restarts: u64,
+    /// Operations that clients began, and of which they know the outcome.
+    pub operations: u64,
+    /// See `operations`.
+    pub answered: u64,
+    /// Attempts that nobody answered in time.
+    pub timeouts: u64,
+    /// Reads that had to be linearizable and were answered.
+    pub linearizable: u64,
+    /// Facts checked by the oracle.
+    pub checks: u64,
+}
+
+impl Coverage {
+    /// Counts a fault.
+    pub fn fault(&mut self, fault: Fault) {
+        *self.faults.entry(fault).or_default() += 1;
+    }
+
+    /// Adds what another run covered.
+    pub fn add(&mut self, other: &Self) {
+        for (fault, count) in &other.faults {
+            *self.faults.entry(*fault).or_default() += count;
+        }
+        for (code, count) in &other.verdicts {
+            *self.verdicts.entry(*code).or_default() += count;
+        }
+        for (code, count) in &other.refusals {
+            *self.refusals.entry(*code).or_default() += count;
+        }
+        self.seeds += other.seeds;
+        self.time += other.time;
+        self.blocks += other.blocks;
+        self.elections += other.elections;
+        self.restarts += other.restarts;
+        self.operations += other.operations;
+        self.answered += other.answered;
+        self.timeouts += other.timeouts;
+        self.linearizable += other.linearizable;
+        self.checks += other.checks;
+    }
+
+    /// The kinds of faults that never happened.
+    pub fn missing(&self) -> Vec<Fault> {
+        Fault::ALL.iter().copied().filter(|fault| !self.faults.contains_key(fault)).collect()
+    }
+}
+
+impl fmt::Display for Coverage {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (seconds, blocks) = (self.time / 1_000_000, self.blocks);
+        writeln!(f, "seeds             {}", self.seeds)?;
+        writeln!(f, "virtual time      {}.{:02} hours", seconds / 3600, seconds % 3600 * 100 / 3600)?;
+        writeln!(f, "blocks            {blocks}")?;
+        writeln!(f, "elections         {}", self.elections)?;
+        writeln!(f, "restarts          {}", self.restarts)?;
+        writeln!(
+            f,
+            "operations        {} begun, {} answered, {} attempts timed out",
+            self.operations, self.answered, self.timeouts
+        )?;
+        writeln!(f, "linearizable      {} reads", self.linearizable)?;
+        writeln!(f, "facts checked     {}", self.checks)?;
+        writeln!(f, "faults injected")?;
+        for fault in Fault::ALL {
+            writeln!(f, "  {:<26} {:>9}", fault.name(), self.faults.get(fault).unwrap_or(&0))?;
+        }
+        writeln!(f, "verdicts on the chain")?;
+        for (code, count) in &self.verdicts {
+            writeln!(f, "  {:<26} {count:>9}", code.name())?;
+        }
+        writeln!(f, "refused before ordering")?;
+        for (code, count) in &self.refusals {
+            writeln!(f, "  {:<26} {count:>9}", code.name())?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,113 @@
+//! What the clients did and saw, in real (virtual) time: what the oracle judges in the end.
+
+use ledger::{Bytes, Code, Hash};
+
+/// Everything that all clients did.
+#[derive(Debug, Default)]
+pub struct History {
+    /// In the order in which they were begun.
+    pub operations: Vec<Operation>,
+    /// Every verdict that a node told a client, also those that came too late to be waited for.
+    pub verdicts: Vec<Verdict>,
+}
+
+/// One operation of one client.
+#[derive(Debug)]
+pub struct Operation {
+    /// Whose it is.
+    pub client: usize,
+    /// The client's session: it remembers nothing of an earlier one.
+    pub session: u64,
+    /// When it was begun.
+    pub invoked: u64,
+    /// When it returned; none while it runs, or if nobody ever knew.
+    pub returned: Option<u64>,
+    /// What it is.
+    pub kind: Kind,
+    /// What came of it.
+    pub result: Outcome,
+}
+
+/// What an operation is.
+#[derive(Debug)]
+pub enum Kind {
+    /// A transaction.
+    Submit {
+        /// Its id.
+        id: Hash,
+        /// The signed bytes.
+        encoded: Bytes,
+    },
+    /// A read.
+    Read {
+        /// Index of the certificate with which it was asked.
+        person: usize,
+        /// The service that it is about.
+        service: String,
+        /// Must it see everything that was acknowledged before?
+        linearizable: bool,
+        /// The height that the client had seen.
+        min_height: u64,
+    },
+}
+
+/// What came of an operation, as far as its client knows.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// Nothing yet, or never anything: it may have happened or not.
+    Unknown,
+    /// It was executed, with this verdict.
+    Executed(Verdict),
+    /// It was refused.
+    Refused {
+        /// Why.
+        code: Code,
+        /// Height and time by which it was judged, if it was.
+        judged: Option<(u64, u64)>,
+        /// It had never been sent before, so that it can never happen.
+        never: bool,
+    },
+    /// What was read.
+    Read {
+        /// The height that it is from.
+        height: u64,
+        /// The time by which it was judged.
+        judged_at: u64,
+        /// Whether it could be read.
+        code: Code,
+        /// What it is.
+        response: Bytes,
+    },
+}
+
+/// A verdict as a client heard it.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// The transaction.
+    pub id: Hash,
+    /// Where.
+    pub height: u64,
+    /// Position in the block.
+    pub index: u32,
+    /// The code.
+    pub code: Code,
+    /// The response.
+    pub response: Bytes,
+}
+
+impl History {
+    /// Begins an operation; returns its number.
+    pub fn begin(&mut self, client: usize, session: u64, now: u64, kind: Kind) -> usize {
+        let result = Outcome::Unknown;
+        self.operations.push(Operation { client, session, invoked: now, returned: None, kind, result });
+        self.operations.len() - 1
+    }
+
+    /// Ends it.
+    pub fn end(&mut self, number: usize, now: u64, result: Outcome) {
+        if let Some(operation) = self.operations.get_mut(number) {
+            operation.returned = Some(now);
+            operation.result = result;
+        }
+    }
+}

@@ -1,0 +1,136 @@
+//! What must hold at every moment, whatever happens: one file each, with where it is from.
+//!
+//! Each invariant is a small state machine that is told what the nodes do and compares it with what it was told
+//! before. It sees all nodes at once, which no node does. [`Invariants`] passes on what the world observes.
+
+mod acknowledged;
+mod chain_agreement;
+mod committed;
+mod denied_by_default;
+mod election_safety;
+mod epochs_grow;
+mod exactly_once;
+mod grant_exclusivity;
+mod leader_completeness;
+mod log_matching;
+mod revoked;
+mod state_agreement;
+
+pub use acknowledged::AcknowledgedIsDurable;
+pub use chain_agreement::ChainAgreement;
+pub use committed::CommittedIsImmutable;
+pub use denied_by_default::DeniedByDefault;
+pub use election_safety::ElectionSafety;
+pub use epochs_grow::EpochsGrow;
+pub use exactly_once::ExactlyOnce;
+pub use grant_exclusivity::GrantExclusivity;
+pub use leader_completeness::LeaderCompleteness;
+pub use log_matching::LogMatching;
+pub use revoked::RevokedStaysRevoked;
+pub use state_agreement::StateAgreement;
+
+use crate::people::People;
+use ledger::Outcome;
+use ledger::transaction::Transaction;
+use std::fmt;
+use std::sync::Arc;
+
+/// A promise that was broken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Violation {
+    /// Which one, e.g. `election safety`.
+    pub invariant: &'static str,
+    /// What was found.
+    pub what: String,
+}
+
+impl Violation {
+    /// A broken promise.
+    pub fn new(invariant: &'static str, what: impl Into<String>) -> Self {
+        Self { invariant, what: what.into() }
+    }
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.invariant, self.what)
+    }
+}
+
+/// What a check answers.
+pub type Check = Result<(), Violation>;
+
+/// A block that a node has executed, with its transactions read once for all invariants.
+pub struct Executed<'a> {
+    /// The node.
+    pub node: u64,
+    /// What came out.
+    pub outcome: &'a Outcome,
+    /// Its transactions; none where the bytes are not one.
+    pub transactions: &'a [Option<Transaction>],
+}
+
+/// All invariants.
+pub struct Invariants {
+    /// At most one leader a term, one vote a term.
+    pub election_safety: ElectionSafety,
+    /// Logs that agree at one place agree before it.
+    pub log_matching: LogMatching,
+    /// A new leader has everything that was committed.
+    pub leader_completeness: LeaderCompleteness,
+    /// One chain.
+    pub chain_agreement: ChainAgreement,
+    /// One state at each height.
+    pub state_agreement: StateAgreement,
+    /// A transaction is executed once.
+    pub exactly_once: ExactlyOnce,
+    /// What was promised is on disks.
+    pub acknowledged: AcknowledgedIsDurable,
+    /// At most as many holders as the mode allows.
+    pub grant_exclusivity: GrantExclusivity,
+    /// Epochs never come twice.
+    pub epochs_grow: EpochsGrow,
+    /// Who has no right has no success.
+    pub denied_by_default: DeniedByDefault,
+    /// Who was revoked does nothing any more.
+    pub revoked: RevokedStaysRevoked,
+    /// What is committed does not change.
+    pub committed: CommittedIsImmutable,
+}
+
+impl Invariants {
+    /// Before anything has happened.
+    pub fn new(people: &Arc<People>) -> Self {
+        Self {
+            election_safety: ElectionSafety::default(),
+            log_matching: LogMatching::default(),
+            leader_completeness: LeaderCompleteness::default(),
+            chain_agreement: ChainAgreement::default(),
+            state_agreement: StateAgreement::default(),
+            exactly_once: ExactlyOnce::default(),
+            acknowledged: AcknowledgedIsDurable::default(),
+            grant_exclusivity: GrantExclusivity::default(),
+            epochs_grow: EpochsGrow::default(),
+            denied_by_default: DeniedByDefault::new(Arc::clone(people)),
+            revoked: RevokedStaysRevoked::new(Arc::clone(people)),
+            committed: CommittedIsImmutable::default(),
+        }
+    }
+
+    /// A node has executed a block; `first` if no node had before.
+    ///
+    /// # Errors
+    /// The promise that this breaks.
+    pub fn executed(&mut self, executed: &Executed<'_>, first: bool) -> Check {
+        self.chain_agreement.executed(executed)?;
+        self.state_agreement.executed(executed)?;
+        if first {
+            self.exactly_once.executed(executed)?;
+            self.epochs_grow.executed(executed)?;
+            self.denied_by_default.executed(executed)?;
+            self.revoked.executed(executed)?;
+            self.grant_exclusivity.executed(executed)?;
+        }
+        Ok(())
+    }
+}

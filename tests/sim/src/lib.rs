@@ -1,0 +1,50 @@
+//! A whole cluster of `ledgerd` in one thread, in virtual time: the real ledger, access control and ordering engine, on
+//! disks, clocks and a network that fail in every way that we could think of.
+//!
+//! One number, the seed, decides everything: how many nodes there are, what the clients want, what goes wrong and when.
+//! So a run that breaks a promise can be repeated, byte for byte:
+//!
+//! ```text
+//! cargo run --release --bin simulate -- --seed 4711 --trace
+//! ```
+//!
+//! After a storm everything heals; then the cluster must converge and serve. What must hold meanwhile is in
+//! [`invariant`], one file each. In the end [`oracle`] replays the chain through a small model of access control, written
+//! apart from the product, and looks at every client's view in real time.
+//!
+//! What is real: `ledger_raft::Engine`, `ledger::block_store::BlockStore`, `ledger::Ledger` with the chaincodes `msp` and
+//! `abac`. What is simulated: disks ([`ledger::disk::SimDisk`]), network, clocks, clients, and the threads of the node
+//! that drive all that (`node`, `world`; compare `src/orderer.rs`). What it is not: a test of sockets, TLS, gRPC, threads
+//! or sled; tests/cluster does those with real processes.
+//!
+//! | module | what is there |
+//! |---|---|
+//! | [`plan`], [`coverage`] | what a seed decides; what was really done |
+//! | [`world`] | the event queue, and what happens: starts, threads, gateways, chaos, the operator |
+//! | [`node`], [`links`], [`clock`] | machines, network, time |
+//! | [`client`], [`people`], [`policy`] | who wants what, and who they are |
+//! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
+//! | [`run`], [`trace`], [`random`] | one seed from beginning to end |
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    reason = "a simulation that cannot go on has found something, or is wrong itself"
+)]
+
+pub mod client;
+pub mod clock;
+pub mod coverage;
+pub mod history;
+pub mod invariant;
+pub mod links;
+pub mod node;
+pub mod oracle;
+pub mod people;
+pub mod plan;
+pub mod policy;
+pub mod random;
+pub mod run;
+pub mod trace;
+pub mod world;

@@ -1,0 +1,22 @@
+//! The judge: replays the committed chain through a small model of access control, and asks whether everything that
+//! clients saw fits it.
+//!
+//! The model (`model`) was written from the function table of the contract, not from its code. `replay` compares every
+//! verdict of the chain, every refusal of a gateway and every read with it; `views` looks at the clients in real time.
+
+mod model;
+mod replay;
+mod views;
+
+use crate::invariant::Check;
+use crate::world::World;
+
+/// Judges a run that has ended.
+///
+/// # Errors
+/// What does not fit.
+pub fn judge(world: &mut World) -> Check {
+    world.coverage.checks += replay::replay(world)?;
+    world.coverage.checks += views::check(world)?;
+    Ok(())
+}

@@ -1,0 +1,262 @@
+//! Who may do what, in as few words as possible.
+
+mod grants;
+
+use crate::people::{People, Person};
+use crate::policy::{Asked, Policy, Says};
+use ledger::identity::Role;
+use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger::{Bytes, Code, Hash};
+use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// The world as far as the simulated people can change it.
+#[derive(Clone)]
+pub(super) struct Model {
+    people: Arc<People>,
+    network: Hash,
+    /// Certificates that the ledger knows.
+    known: BTreeSet<Hash>,
+    /// Issuer and serial in hexadecimal.
+    revoked: BTreeSet<(String, String)>,
+    /// Transactions that were executed.
+    done: BTreeSet<Hash>,
+    robots: BTreeMap<String, Robot>,
+    /// By organisation and id.
+    policies: BTreeMap<(String, String), Policy>,
+    /// Newest epoch of each service.
+    epochs: BTreeMap<String, u64>,
+    /// Of each service, oldest first.
+    grants: BTreeMap<String, Vec<Grant>>,
+    /// Epoch and number of the last message: of a service for one, or of each publisher of one for all.
+    last: BTreeMap<(String, String), (u64, u64)>,
+}
+
+/// A robot as it was registered.
+#[derive(Clone, Deserialize)]
+pub(super) struct Robot {
+    #[serde(skip)]
+    owner: String,
+    name: String,
+    attribute_required: String,
+    trusted: Vec<String>,
+    services: Vec<Service>,
+}
+
+#[derive(Clone, Deserialize)]
+pub(super) struct Service {
+    topic: String,
+    mode: String,
+    lease_ms: u64,
+    lease_ms_max: u64,
+}
+
+/// A grant that has not ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Grant {
+    pub(super) holder: String,
+    pub(super) certificate: Hash,
+    pub(super) epoch: u64,
+    /// Block time, microseconds.
+    pub(super) expires: u64,
+    lease_ms: u64,
+}
+
+/// A verdict, and what of the response can be told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Judged {
+    pub(super) code: Code,
+    /// Of a grant: epoch and expiry.
+    pub(super) grant: Option<(u64, u64)>,
+}
+
+impl From<Code> for Judged {
+    fn from(code: Code) -> Self {
+        Self { code, grant: None }
+    }
+}
+
+type Verdict = Result<Judged, Code>;
+
+impl Model {
+    pub(super) fn new(people: &Arc<People>, network: Hash) -> Self {
+        Self {
+            people: Arc::clone(people),
+            network,
+            known: BTreeSet::new(),
+            revoked: BTreeSet::new(),
+            done: BTreeSet::new(),
+            robots: BTreeMap::new(),
+            policies: BTreeMap::new(),
+            epochs: BTreeMap::new(),
+            grants: BTreeMap::new(),
+            last: BTreeMap::new(),
+        }
+    }
+
+    /// A block begins: what is due ends.
+    pub(super) fn begin(&mut self, time: u64) {
+        for grants in self.grants.values_mut() {
+            grants.retain(|grant| grant.expires > time);
+        }
+    }
+
+    /// Executes a transaction at a block time.
+    pub(super) fn execute(&mut self, transaction: Option<&Transaction>, time: u64) -> Judged {
+        let Some(transaction) = transaction else { return Code::Malformed.into() };
+        let before = self.clone_small();
+        let verdict = self.authenticate(transaction, time).and_then(|creator| {
+            self.done.insert(transaction.id());
+            self.known.insert(transaction.creator());
+            let people = Arc::clone(&self.people);
+            self.call(&people.all[creator], transaction, time)
+        });
+        match verdict {
+            Ok(judged) => judged,
+            Err(code) => {
+                self.restore(before);
+                code.into()
+            }
+        }
+    }
+
+    /// What a gateway would say at this state and time; nothing changes.
+    pub(super) fn admit(&self, transaction: &Transaction, time: u64) -> Code {
+        if self.done.contains(&transaction.id()) {
+            return Code::Duplicate;
+        }
+        let mut copy = self.clone();
+        copy.execute(Some(transaction), time).code
+    }
+
+    /// The checks before any chaincode runs, in their order.
+    fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<usize, Code> {
+        let body = transaction.body();
+        // Ids are remembered as long as they could be used.
+        if self.done.contains(&transaction.id()) && body.not_after >= time {
+            return Err(Code::Duplicate);
+        }
+        if body.network != self.network.0[..] {
+            return Err(Code::WrongNetwork);
+        }
+        if body.not_after < time {
+            return Err(Code::Expired);
+        }
+        if body.not_after > time + NOT_AFTER_AHEAD_MAX {
+            return Err(Code::NotAfterTooFar);
+        }
+        if !self.known.contains(&transaction.creator()) && transaction.certificate().is_none() {
+            return Err(Code::UnknownCreator);
+        }
+        let at = self.people.all.iter().position(|person| person.fingerprint() == transaction.creator());
+        let at = at.ok_or(Code::UnknownCreator)?;
+        let person = &self.people.all[at];
+        if self.is_revoked(person) {
+            return Err(Code::Revoked);
+        }
+        transaction.verify(&person.identity.public_key).map_err(|_| Code::BadSignature)?;
+        Ok(at)
+    }
+
+    /// Is one of the people's certificates revoked?
+    pub(super) fn is_revoked_now(&self, person: usize) -> bool {
+        self.is_revoked(&self.people.all[person])
+    }
+
+    fn is_revoked(&self, person: &Person) -> bool {
+        self.revoked.contains(&(hex::encode(person.identity.issuer), hex::encode(&person.identity.serial)))
+    }
+
+    fn call(&mut self, who: &Person, transaction: &Transaction, time: u64) -> Verdict {
+        let body = transaction.body();
+        let text = |at: usize| body.args.get(at).map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+        let first = text(0).unwrap_or_default();
+        match (&*body.chaincode, &*body.function) {
+            ("abac", "acquire") => self.acquire(who, &first, number(text(1))?, time),
+            ("abac", "renew") => self.renew(who, &first, number(text(1))?, time),
+            ("abac", "release") => self.release(who, &first, time),
+            ("abac", "set") => {
+                let (epoch, seq) = (number(text(1))?.unwrap_or(0), number(text(2))?.unwrap_or(0));
+                self.set(who, &first, epoch, seq, time)
+            }
+            ("abac", "setup") => self.setup(who, &body.args, time),
+            ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
+            ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default()),
+            (chaincode, function) => panic!("the model does not know {chaincode} {function}"),
+        }
+    }
+
+    fn setup(&mut self, who: &Person, robots: &[Bytes], time: u64) -> Verdict {
+        only_admins(who)?;
+        for robot in robots {
+            let mut robot: Robot = serde_json::from_slice(robot).map_err(|_| Code::BadArgument)?;
+            robot.owner.clone_from(&who.identity.organisation);
+            self.robots.insert(robot.name.clone(), robot);
+        }
+        self.end_unfit(&who.identity.organisation, time);
+        Ok(Code::Ok.into())
+    }
+
+    fn policy(&mut self, who: &Person, verb: &str, id: &str, text: Option<String>, time: u64) -> Verdict {
+        only_admins(who)?;
+        let key = (who.identity.organisation.clone(), id.to_owned());
+        match (verb, text) {
+            ("put", Some(text)) => {
+                let policy = Policy::read(id, &text).unwrap_or_else(|| panic!("no policy of the collection: {text}"));
+                self.policies.insert(key, policy);
+            }
+            _ => drop(self.policies.remove(&key).ok_or(Code::NotFound)?),
+        }
+        self.end_unfit(&who.identity.organisation, time);
+        Ok(Code::Ok.into())
+    }
+
+    fn revoke(&mut self, who: &Person, issuer: &str, serial: &str) -> Verdict {
+        let issued = |person: &&Person| hex::encode(person.identity.issuer) == issuer;
+        let organisation = self.people.all.iter().find(issued).map(|person| person.identity.organisation.clone());
+        if who.identity.role != Role::Admin || Some(&who.identity.organisation) != organisation.as_ref() {
+            return Err(Code::NotAdmin);
+        }
+        self.revoked.insert((issuer.to_owned(), serial.to_owned()));
+        let people = Arc::clone(&self.people);
+        let revoked = people.all.iter().filter(|person| self.is_revoked(person)).map(Person::fingerprint);
+        let revoked: BTreeSet<Hash> = revoked.collect();
+        for grants in self.grants.values_mut() {
+            grants.retain(|grant| !revoked.contains(&grant.certificate));
+        }
+        Ok(Code::Ok.into())
+    }
+
+    /// Do the policies let them hold (or publish on) a robot's service?
+    fn permits(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
+        let id = who.id();
+        let attribute = who.identity.attributes.get(&robot.attribute_required).is_some_and(|value| value == "true");
+        let trusted = robot.trusted.contains(&who.identity.organisation);
+        let asked = Asked { who: &id, trusted, attribute, time_ms: time / 1000 };
+        let own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner);
+        let mut said: Vec<Says> = own.map(|(_, policy)| policy.says(&asked)).collect();
+        if said.is_empty() {
+            said.push(Policy::Attribute.says(&asked));
+        }
+        if said.contains(&Says::Error) {
+            Err(Code::PolicyError)
+        } else if said.contains(&Says::Forbid) {
+            Err(Code::DeniedByPolicy)
+        } else if said.contains(&Says::Permit) {
+            Ok(())
+        } else if trusted && !attribute {
+            Err(Code::MissingAttribute)
+        } else {
+            Err(Code::DeniedByPolicy)
+        }
+    }
+}
+
+fn only_admins(who: &Person) -> Result<(), Code> {
+    if who.identity.role == Role::Admin { Ok(()) } else { Err(Code::NotAdmin) }
+}
+
+fn number(text: Option<String>) -> Result<Option<u64>, Code> {
+    text.map(|text| text.parse().map_err(|_| Code::BadArgument)).transpose()
+}

@@ -1,0 +1,183 @@
+//! Taking, keeping, using and giving back.
+
+use super::{Grant, Judged, Model, Robot, Service, Verdict};
+use crate::people::Person;
+use ledger::identity::Role;
+use ledger::{Code, Hash};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Shortest lease that may be asked for, milliseconds.
+const LEASE_MS_MIN: u64 = 100;
+
+/// What a refused call may have changed before it was refused.
+pub(super) struct Before {
+    grants: BTreeMap<String, Vec<Grant>>,
+    robots: BTreeMap<String, Robot>,
+}
+
+impl Model {
+    pub(super) fn clone_small(&self) -> Before {
+        Before { grants: self.grants.clone(), robots: self.robots.clone() }
+    }
+
+    pub(super) fn restore(&mut self, before: Before) {
+        self.grants = before.grants;
+        self.robots = before.robots;
+    }
+
+    /// The grants of a service that count at a time, oldest first.
+    pub(in crate::oracle) fn live(&self, service: &str, time: u64) -> Vec<Grant> {
+        let grants = self.grants.get(service).map(Vec::as_slice).unwrap_or_default();
+        grants.iter().filter(|grant| grant.expires > time).cloned().collect()
+    }
+
+    /// The newest epoch of a service.
+    pub(in crate::oracle) fn epoch(&self, service: &str) -> u64 {
+        self.epochs.get(service).copied().unwrap_or(0)
+    }
+
+    /// Is there such a service?
+    pub(in crate::oracle) fn find(&self, id: &str) -> Result<(Robot, Service), Code> {
+        let (name, topic) = id.split_at(id.find('/').unwrap_or(id.len()));
+        let robot = self.robots.get(name).ok_or(Code::UnknownRobot)?;
+        let service = robot.services.iter().find(|service| service.topic == topic).ok_or(Code::UnknownService)?;
+        Ok((robot.clone(), service.clone()))
+    }
+
+    pub(super) fn acquire(&mut self, who: &Person, id: &str, lease_ms: Option<u64>, time: u64) -> Verdict {
+        let (robot, service) = self.find(id)?;
+        check_lease(&service, lease_ms)?;
+        self.permits(who, &robot, time)?;
+        let live = self.live(id, time);
+        let own = live.iter().find(|grant| grant.holder == who.id());
+        if let Some(own) = own {
+            if own.certificate == who.fingerprint() {
+                return Ok(self.extend(who, id, &service, lease_ms, time));
+            }
+            self.end(id, &who.id());
+        } else if service.mode == "exclusive" && !live.is_empty() {
+            return Err(Code::Held);
+        }
+        let epoch = self.epoch(id) + 1;
+        self.epochs.insert(id.to_owned(), epoch);
+        let lease_ms = lease_ms.unwrap_or(service.lease_ms);
+        let expires = expiry(who, lease_ms, time);
+        let grants = self.grants.entry(id.to_owned()).or_default();
+        grants.retain(|grant| grant.expires > time);
+        grants.push(Grant { holder: who.id(), certificate: who.fingerprint(), epoch, expires, lease_ms });
+        Ok(Judged { code: Code::Ok, grant: Some((epoch, expires)) })
+    }
+
+    pub(super) fn renew(&mut self, who: &Person, id: &str, lease_ms: Option<u64>, time: u64) -> Verdict {
+        let (robot, service) = self.find(id)?;
+        self.own(who, id, time).ok_or(Code::NotHolder)?;
+        self.permits(who, &robot, time)?;
+        check_lease(&service, lease_ms)?;
+        Ok(self.extend(who, id, &service, lease_ms, time))
+    }
+
+    pub(super) fn release(&mut self, who: &Person, id: &str, time: u64) -> Verdict {
+        let (robot, _) = self.find(id)?;
+        if self.own(who, id, time).is_some() {
+            self.end(id, &who.id());
+        } else if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
+            self.grants.remove(id);
+        } else {
+            return Err(Code::NotHolder);
+        }
+        Ok(Code::Ok.into())
+    }
+
+    pub(super) fn set(&mut self, who: &Person, id: &str, epoch: u64, seq: u64, time: u64) -> Verdict {
+        let (robot, service) = self.find(id)?;
+        let open = service.mode == "open";
+        let mut used = None;
+        if open && epoch == 0 {
+            self.permits(who, &robot, time)?;
+        } else {
+            match self.own(who, id, time) {
+                Some(own) if own.epoch == epoch => used = Some(own),
+                Some(_) => return Err(Code::StaleEpoch),
+                None if epoch > 0 && epoch < self.epoch(id) => return Err(Code::StaleEpoch),
+                None => return Err(self.permits(who, &robot, time).err().unwrap_or(Code::NotHolder)),
+            }
+        }
+        let place = (id.to_owned(), if open { who.id() } else { String::new() });
+        if let Some((last_epoch, last)) = self.last.get(&place)
+            && (open || *last_epoch == epoch)
+            && seq <= *last
+        {
+            return Err(Code::StaleSequence);
+        }
+        if let Some(own) = used {
+            // Use keeps a grant alive, but is written down only when it is worth it, and only while policies permit.
+            let expires = expiry(who, own.lease_ms, time);
+            let worth = expires.saturating_sub(own.expires) > own.lease_ms * 250;
+            if worth && self.permits(who, &robot, time).is_ok() {
+                self.change(id, &own.holder, |grant| grant.expires = expires);
+            }
+        }
+        self.last.insert(place, (epoch, seq));
+        Ok(Code::Ok.into())
+    }
+
+    /// Ends what the policies of an owner, or the modes of its robots, do not allow any more.
+    pub(super) fn end_unfit(&mut self, owner: &str, time: u64) {
+        let people = Arc::clone(&self.people);
+        let robots: Vec<Robot> = self.robots.values().filter(|robot| robot.owner == owner).cloned().collect();
+        for robot in &robots {
+            for service in &robot.services {
+                let id = format!("{}{}", robot.name, service.topic);
+                let mut stay: Vec<Grant> = Vec::new();
+                for grant in self.live(&id, time) {
+                    let who = people.by_fingerprint(&grant.certificate);
+                    let fits = service.mode == "open" || stay.is_empty();
+                    if fits && who.is_some_and(|who| self.permits(who, robot, time).is_ok()) {
+                        stay.push(grant);
+                    }
+                }
+                self.grants.insert(id, stay);
+            }
+        }
+    }
+
+    fn extend(&mut self, who: &Person, id: &str, service: &Service, lease_ms: Option<u64>, time: u64) -> Judged {
+        let mut told = None;
+        self.change(id, &who.id(), |grant| {
+            grant.lease_ms = lease_ms.unwrap_or(grant.lease_ms).min(service.lease_ms_max);
+            grant.expires = expiry(who, grant.lease_ms, time);
+            told = Some((grant.epoch, grant.expires));
+        });
+        Judged { code: Code::Ok, grant: told }
+    }
+
+    /// The grant that somebody has with this very certificate.
+    fn own(&self, who: &Person, id: &str, time: u64) -> Option<Grant> {
+        let certificate: Hash = who.fingerprint();
+        self.live(id, time).into_iter().find(|grant| grant.holder == who.id() && grant.certificate == certificate)
+    }
+
+    fn end(&mut self, id: &str, holder: &str) {
+        if let Some(grants) = self.grants.get_mut(id) {
+            grants.retain(|grant| grant.holder != holder);
+        }
+    }
+
+    fn change(&mut self, id: &str, holder: &str, change: impl FnOnce(&mut Grant)) {
+        let grants = self.grants.get_mut(id).into_iter().flatten();
+        if let Some(grant) = grants.into_iter().find(|grant| grant.holder == holder) {
+            change(grant);
+        }
+    }
+}
+
+fn check_lease(service: &Service, lease_ms: Option<u64>) -> Result<(), Code> {
+    let fits = lease_ms.is_none_or(|lease| (LEASE_MS_MIN..=service.lease_ms_max).contains(&lease));
+    if fits { Ok(()) } else { Err(Code::BadArgument) }
+}
+
+/// No lease outlives the certificate.
+fn expiry(who: &Person, lease_ms: u64, time: u64) -> u64 {
+    (time + lease_ms * 1000).min(who.identity.not_after)
+}

@@ -1,0 +1,138 @@
+//! The chain through the model: every verdict, every refusal, every read.
+
+use super::model::Model;
+use crate::history::{Kind, Outcome};
+use crate::invariant::Violation;
+use crate::world::World;
+use ledger::entry::EntryKind;
+use ledger::result::TransactionResult;
+use ledger::transaction::Transaction;
+use ledger::{Bytes, Code};
+use serde::Deserialize;
+
+const NAME: &str = "the oracle agrees";
+
+/// What is read of a grant.
+#[derive(Deserialize)]
+struct Granted {
+    epoch: u64,
+    expires: u64,
+}
+
+/// What is read of a service.
+#[derive(Deserialize)]
+struct Served {
+    holders: Vec<String>,
+    epoch: u64,
+    expires: u64,
+}
+
+/// Something that a node said on the state of some height.
+enum Claim<'a> {
+    /// That a transaction is to be refused.
+    Refusal { encoded: &'a Bytes, code: Code },
+    /// That this is who holds a service.
+    Read { service: &'a str, code: Code, response: &'a Bytes, person: usize },
+}
+
+/// Replays everything; answers with how many facts were checked.
+pub(super) fn replay(world: &World) -> Result<u64, Violation> {
+    let mut claims = claims(world);
+    claims.sort_by_key(|(height, ..)| *height);
+    let mut claims = claims.into_iter().peekable();
+    let mut model = Model::new(&world.people, world.network);
+    let (mut time, mut checks) = (0, 0);
+    for height in 0..=world.blocks.len() as u64 {
+        if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {
+            time = block.outcome.header.time.max(time);
+            if block.entry.kind == EntryKind::Normal {
+                model.begin(time);
+            }
+            for (at, (encoded, result)) in block.outcome.transactions.iter().zip(&block.outcome.results).enumerate() {
+                let transaction = Transaction::decode(encoded.clone()).ok();
+                let judged = model.execute(transaction.as_ref(), time);
+                let says = transaction.map(|transaction| transaction.body().clone());
+                let wrong = |what: String| {
+                    let what = format!("block {height}, transaction {at}: {what}; {says:?}");
+                    Violation::new(NAME, what)
+                };
+                if judged.code != result.code() {
+                    let (found, wanted) = (result.code().name(), judged.code.name());
+                    return Err(wrong(format!("verdict {found}, the model says {wanted}")));
+                }
+                if let Some(grant) = judged.grant
+                    && grant != granted(result)
+                {
+                    return Err(wrong(format!("grant {:?}, the model says {grant:?}", granted(result))));
+                }
+                checks += 1;
+            }
+        }
+        while let Some((_, judged_at, claim)) = claims.next_if(|(of, ..)| *of == height) {
+            check(&model, height, judged_at, &claim)?;
+            checks += 1;
+        }
+    }
+    match claims.next() {
+        None => Ok(checks),
+        Some((height, ..)) => Err(Violation::new(NAME, format!("a node spoke of height {height}, which never came"))),
+    }
+}
+
+fn granted(result: &TransactionResult) -> (u64, u64) {
+    serde_json::from_slice(&result.response).map_or((0, 0), |Granted { epoch, expires }| (epoch, expires))
+}
+
+/// Everything that nodes claimed, with the height and the time by which they judged.
+fn claims(world: &World) -> Vec<(u64, u64, Claim<'_>)> {
+    let mut claims = Vec::new();
+    for operation in &world.history.operations {
+        match (&operation.kind, &operation.result) {
+            (Kind::Submit { encoded, .. }, Outcome::Refused { code, judged: Some((height, time)), .. }) => {
+                claims.push((*height, *time, Claim::Refusal { encoded, code: *code }));
+            }
+            (Kind::Read { service, person, .. }, Outcome::Read { height, judged_at, code, response }) => {
+                claims.push((*height, *judged_at, Claim::Read { service, code: *code, response, person: *person }));
+            }
+            _ => {}
+        }
+    }
+    claims
+}
+
+fn check(model: &Model, height: u64, time: u64, claim: &Claim<'_>) -> Result<(), Violation> {
+    match claim {
+        Claim::Refusal { encoded, code } => {
+            let transaction = Transaction::decode((*encoded).clone()).unwrap();
+            let wanted = model.admit(&transaction, time);
+            if wanted != *code {
+                let (found, wanted, body) = (code.name(), wanted.name(), transaction.body());
+                let what = format!("refused with {found} at height {height}, the model says {wanted}: {body:?}");
+                return Err(Violation::new(NAME, what));
+            }
+        }
+        Claim::Read { service, code, response, person } => {
+            let wanted = match model.find(service) {
+                _ if model.is_revoked_now(*person) => Err(Code::Revoked),
+                Err(code) => Err(code),
+                Ok(_) => {
+                    let live = model.live(service, time);
+                    let expires = live.first().map_or(0, |grant| grant.expires);
+                    Ok((live.into_iter().map(|grant| grant.holder).collect::<Vec<_>>(), model.epoch(service), expires))
+                }
+            };
+            let found = match code {
+                Code::Ok => {
+                    let served: Served = serde_json::from_slice(response).unwrap();
+                    Ok((served.holders, served.epoch, served.expires))
+                }
+                code => Err(*code),
+            };
+            if found != wanted {
+                let what = format!("{service} at height {height} read as {found:?}, the model says {wanted:?}");
+                return Err(Violation::new(NAME, what));
+            }
+        }
+    }
+    Ok(())
+}

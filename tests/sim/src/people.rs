@@ -1,0 +1,148 @@
+//! The organisations of the simulated network, their people, and what they sign. Keys come from fixed seeds, so that
+//! every transaction has the same bytes in every run.
+
+use crate::clock::EPOCH;
+use ledger::certificate::{ATTRIBUTES_OID, encode_attributes};
+use ledger::identity::Identity;
+use ledger::key::{KeyKind, SigningKey};
+use ledger::msp::{Msp, Msps};
+use ledger::network::FoundingOrganisation;
+use ledger::{Bytes, Hash};
+use rcgen::{
+    BasicConstraints, CertificateParams, CertifiedIssuer, CustomExtension, DistinguishedName, DnType, IsCa, KeyPair,
+    KeyUsagePurpose, PKCS_ED25519, SerialNumber, date_time_ymd,
+};
+use std::collections::BTreeMap;
+
+/// How many certificates each person has: after a revocation they go on with the next.
+pub const CERTIFICATES: usize = 3;
+/// Everything before the seed of an Ed25519 key in PKCS#8 version 1 (RFC 8410).
+const ED25519_PKCS8: &[u8] =
+    &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
+
+/// Who: organisation, name, role, attributes.
+const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
+    ("Org1", "admin", "admin", &[]),
+    ("Org1", "Salma", "member", &["Turtlebot4", "Husky"]),
+    ("Org1", "Farhad", "member", &["Turtlebot4"]),
+    ("Org1", "Nina", "member", &["Turtlebot4", "Husky"]),
+    ("Org2", "admin", "admin", &[]),
+    ("Org2", "Owen", "member", &["Turtlebot4", "Husky"]),
+    ("Org3", "admin", "admin", &[]),
+    // Trusted by nobody, whatever the own CA signs.
+    ("Org3", "Trudy", "member", &["Turtlebot4", "Husky"]),
+    ("Org2", "Mallory", "member", &[]),
+];
+
+/// One certificate of a person, with its key.
+pub struct Person {
+    /// What a node reads from the certificate.
+    pub identity: Identity,
+    /// The certificate in DER.
+    pub certificate: Bytes,
+    /// Signs for it.
+    pub key: SigningKey,
+    /// Which of the person's certificates it is, from 0.
+    pub nth: usize,
+}
+
+/// Everybody.
+pub struct People {
+    /// As the genesis names them.
+    pub organisations: Vec<FoundingOrganisation>,
+    /// Every certificate: those of one person follow each other.
+    pub all: Vec<Person>,
+}
+
+impl Person {
+    /// SHA-256 of the certificate: names the creator of a transaction.
+    pub fn fingerprint(&self) -> Hash {
+        Hash(self.identity.fingerprint)
+    }
+
+    /// `Org1/Salma`.
+    pub fn id(&self) -> String {
+        self.identity.id()
+    }
+}
+
+impl People {
+    /// Makes all keys and certificates; the same ones every time.
+    pub fn new() -> Self {
+        let names = ["Org1", "Org2", "Org3"];
+        let authorities: BTreeMap<&str, CertifiedIssuer<'static, KeyPair>> =
+            names.into_iter().map(|name| (name, authority(name))).collect();
+        let mut msps = Msps::new();
+        let mut organisations = Vec::new();
+        for (name, authority) in &authorities {
+            let root = Bytes::copy_from_slice(authority.der());
+            msps.insert(Msp::new(name, std::slice::from_ref(&root), &[] as &[Bytes]).unwrap()).unwrap();
+            organisations.push(FoundingOrganisation {
+                name: (*name).to_owned(),
+                roots: vec![root],
+                intermediates: Vec::new(),
+            });
+        }
+        let mut all = Vec::new();
+        for (organisation, name, role, attributes) in PEOPLE {
+            for nth in 0..CERTIFICATES {
+                let key = key(&format!("{organisation}/{name}/{nth}"));
+                let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+                let mut params = params(name, role);
+                params.serial_number = Some(SerialNumber::from(all.len() as u64 + 1000));
+                let attributes: BTreeMap<String, String> =
+                    attributes.iter().map(|name| ((*name).to_owned(), "true".to_owned())).collect();
+                let json = encode_attributes(&attributes).unwrap();
+                params.custom_extensions.push(CustomExtension::from_oid_content(ATTRIBUTES_OID, json));
+                let certificate = params.signed_by(&public, &authorities[organisation]).unwrap();
+                let certificate = Bytes::copy_from_slice(certificate.der());
+                let identity = msps.verify(&certificate, &[], EPOCH).unwrap();
+                all.push(Person { identity, certificate, key, nth });
+            }
+        }
+        Self { organisations, all }
+    }
+
+    /// A person's certificate by its fingerprint.
+    pub fn by_fingerprint(&self, fingerprint: &Hash) -> Option<&Person> {
+        self.all.iter().find(|person| person.fingerprint() == *fingerprint)
+    }
+
+    /// Index of a person's `nth` certificate.
+    pub fn index(&self, id: &str, nth: usize) -> Option<usize> {
+        self.all.iter().position(|person| person.nth == nth && person.id() == id)
+    }
+}
+
+impl Default for People {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+fn key(name: &str) -> SigningKey {
+    let seed = Hash::of(&[b"simulated key", name.as_bytes()]);
+    let key = SigningKey::from_pkcs8_der(&[ED25519_PKCS8, &seed.0].concat()).unwrap();
+    assert_eq!(key.kind(), KeyKind::Ed25519);
+    key
+}
+
+fn authority(name: &str) -> CertifiedIssuer<'static, KeyPair> {
+    let mut params = params(&format!("{name}-ca"), "ca");
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    params.serial_number = Some(SerialNumber::from(1u64));
+    let key = key(&format!("{name}-ca"));
+    let pair = KeyPair::from_pkcs8_der_and_sign_algo(&key.to_pkcs8_der().into(), &PKCS_ED25519).unwrap();
+    CertifiedIssuer::self_signed(params, pair).unwrap()
+}
+
+fn params(name: &str, unit: &str) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+    params.not_before = date_time_ymd(2029, 1, 1);
+    params.not_after = date_time_ymd(2031, 1, 1);
+    params
+}

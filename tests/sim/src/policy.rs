@@ -1,0 +1,98 @@
+//! The policies that simulated admins put on the ledger: each as Cedar text for the product, and as a plain function
+//! for the oracle. The two were written apart; that they agree is part of what is checked.
+
+/// A policy of the collection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Policy {
+    /// The rule of the paper, as an organisation's own policy.
+    Attribute,
+    /// Whoever is of a trusted organisation.
+    Trusted,
+    /// Never this person.
+    ForbidFarhad,
+    /// A `forbid` whose condition cannot be evaluated: it must deny, not be skipped.
+    ErringForbid,
+    /// Permits only until some block time (milliseconds since the UNIX epoch).
+    Until(u64),
+}
+
+/// What a single policy says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Says {
+    /// Yes.
+    Permit,
+    /// No.
+    Forbid,
+    /// Nothing.
+    Nothing,
+    /// It cannot be evaluated.
+    Error,
+}
+
+/// Whom and what a policy is asked about.
+pub struct Asked<'a> {
+    /// `Org1/Farhad`.
+    pub who: &'a str,
+    /// Is the organisation one whose attributes the robot trusts?
+    pub trusted: bool,
+    /// Does the certificate carry what the robot requires?
+    pub attribute: bool,
+    /// Block time, milliseconds.
+    pub time_ms: u64,
+}
+
+impl Policy {
+    /// Its id on the ledger.
+    pub fn id(self) -> &'static str {
+        match self {
+            Self::Attribute => "attribute",
+            Self::Trusted => "trusted",
+            Self::ForbidFarhad => "no-farhad",
+            Self::ErringForbid => "erring",
+            Self::Until(_) => "until",
+        }
+    }
+
+    /// The Cedar text.
+    pub fn text(self) -> String {
+        let trusted = "resource.trusted.contains(principal.organisation)";
+        match self {
+            Self::Attribute => format!(
+                "permit (principal, action, resource) when {{ {trusted} && principal.hasTag(resource.requiredAttribute) \
+                 && principal.getTag(resource.requiredAttribute) == resource.requiredValue }};"
+            ),
+            Self::Trusted => format!("permit (principal, action, resource) when {{ {trusted} }};"),
+            Self::ForbidFarhad => "forbid (principal == User::\"Org1/Farhad\", action, resource);".to_owned(),
+            // Block time is far above 2, so the product overflows.
+            Self::ErringForbid => {
+                "forbid (principal, action, resource) when { context.time * 9223372036854775807 == 0 };".to_owned()
+            }
+            Self::Until(time) => {
+                format!("permit (principal, action, resource) when {{ {trusted} && context.time < {time} }};")
+            }
+        }
+    }
+
+    /// The policy with this id and text, if it is one of the collection.
+    pub fn read(id: &str, text: &str) -> Option<Self> {
+        let until = text.rsplit_once("context.time < ").and_then(|(_, rest)| rest.split_once(' '));
+        let until = until.and_then(|(time, _)| time.parse().ok()).map(Self::Until);
+        [Self::Attribute, Self::Trusted, Self::ForbidFarhad, Self::ErringForbid]
+            .into_iter()
+            .chain(until)
+            .find(|policy| policy.id() == id && policy.text() == text)
+    }
+
+    /// What it says.
+    pub fn says(self, asked: &Asked<'_>) -> Says {
+        let permit = |holds| if holds { Says::Permit } else { Says::Nothing };
+        match self {
+            Self::Attribute => permit(asked.trusted && asked.attribute),
+            Self::Trusted => permit(asked.trusted),
+            Self::ForbidFarhad if asked.who == "Org1/Farhad" => Says::Forbid,
+            Self::ForbidFarhad => Says::Nothing,
+            Self::ErringForbid => Says::Error,
+            Self::Until(time) => permit(asked.trusted && asked.time_ms < time),
+        }
+    }
+}

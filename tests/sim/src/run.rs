@@ -1,0 +1,125 @@
+//! One seed from the genesis to the last word: a storm, then quiet, then everything must be as if nothing had happened.
+
+use crate::client::{Call, SERVICES};
+use crate::clock::{MILLISECOND, SECOND};
+use crate::coverage::Coverage;
+use crate::invariant::{Check, Violation};
+use crate::oracle;
+use crate::people::People;
+use crate::plan::HEAL_MAX;
+use crate::world::World;
+use ledger::Code;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+/// What a run came to.
+pub struct Report {
+    /// The seed.
+    pub seed: u64,
+    /// The promise that was broken, if one was.
+    pub violation: Option<Violation>,
+    /// What was done.
+    pub coverage: Coverage,
+    /// Hash over the trace.
+    pub trace_hash: u64,
+    /// The trace, if it was asked for.
+    pub trace: Option<String>,
+}
+
+/// Runs one seed. A panic of the product is a broken promise like any other.
+pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report {
+    let mut world = World::new(seed, people, keep_trace);
+    let outcome = catch_unwind(AssertUnwindSafe(|| play(&mut world)));
+    let violation = match outcome {
+        Ok(check) => check.err(),
+        Err(panic) => {
+            let text = panic.downcast_ref::<String>().map(String::as_str);
+            let text = text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("something");
+            Some(Violation::new("no panic", text))
+        }
+    };
+    if let Some(violation) = &violation {
+        let text = violation.to_string();
+        world.note(format_args!("violation: {text}"));
+    }
+    world.coverage.elections = world.invariants.election_safety.elections();
+    Report {
+        seed,
+        violation,
+        trace_hash: world.trace.hash(),
+        trace: world.trace.text().map(str::to_owned),
+        coverage: world.coverage,
+    }
+}
+
+fn play(world: &mut World) -> Check {
+    world.run_until(world.plan.chaos)?;
+    world.heal();
+    let deadline = world.now + HEAL_MAX;
+    // First everybody finishes what they are doing, and the members are complete again.
+    until(world, deadline, "the members are complete", |world| world.replacement.is_none() && world.is_settled())?;
+    for client in &mut world.clients {
+        client.obedient = true;
+    }
+    until(world, deadline, "every client has ended", |world| world.clients.iter().all(|client| !client.is_busy()))?;
+    last_word(world, deadline)?;
+    until(world, deadline, "all nodes have the same chain", agree)?;
+    compare(world)?;
+    oracle::judge(world)
+}
+
+/// A user who has done nothing so far takes every service, uses it and gives it back.
+fn last_word(world: &mut World, deadline: u64) -> Check {
+    let policies = [crate::policy::Policy::ErringForbid, crate::policy::Policy::ForbidFarhad];
+    let mut orders: Vec<Call> = vec![Call::Setup { open: true }];
+    orders.extend(policies.map(Call::Remove));
+    orders.push(Call::Put(crate::policy::Policy::Trusted));
+    orders.extend(SERVICES.map(|service| Call::Release { service: service.to_owned() }));
+    let owner = world.employ_for("Org2/admin", orders, true);
+    until(world, deadline, "the owner puts everything right", |world| world.clients[owner].orders.is_empty())?;
+    let orders = SERVICES.iter().flat_map(|service| {
+        let service = (*service).to_owned();
+        [
+            Call::Acquire { service: service.clone(), lease_ms: None },
+            Call::Set { service: service.clone(), epoch: 0, seq: 0 },
+            Call::Release { service },
+        ]
+    });
+    let user = world.employ_for("Org1/Nina", orders.collect(), false);
+    until(world, deadline, "a user is served", |world| world.clients[user].orders.is_empty())?;
+    let codes = &world.clients[user].obeyed;
+    if codes.iter().any(|code| *code != Code::Ok) {
+        return Err(Violation::new("the cluster serves again", format!("verdicts {codes:?}")));
+    }
+    // Whatever is still due is done.
+    world.run_until(world.now + 2 * SECOND)
+}
+
+fn until(world: &mut World, deadline: u64, what: &str, holds: impl Fn(&World) -> bool) -> Check {
+    while !holds(world) {
+        if world.now >= deadline {
+            let tips: Vec<_> = world.nodes.keys().map(|id| (*id, world.tip(*id).map(|tip| tip.0))).collect();
+            let what = format!("not within {} s: {what}; heights {tips:?}", HEAL_MAX / SECOND);
+            return Err(Violation::new("the cluster serves again", what));
+        }
+        world.run_until(world.now + 50 * MILLISECOND)?;
+    }
+    Ok(())
+}
+
+/// All members run, and have executed the same.
+fn agree(world: &World) -> bool {
+    let members = world.newest_members();
+    let tips: Vec<_> = members.voters.iter().chain(&members.learners).map(|id| world.tip(*id)).collect();
+    tips.iter()
+        .all(|tip| tip.as_ref().is_some_and(|tip| tip.0 == world.blocks.len() as u64 && Some(tip) == tips[0].as_ref()))
+}
+
+/// All members hold the same keys and values.
+fn compare(world: &World) -> Check {
+    let members = world.newest_members();
+    let mut all = members.voters.iter().chain(&members.learners);
+    let Some(first) = all.next() else { return Ok(()) };
+    let reference = world.contents(*first);
+    all.try_for_each(|id| world.invariants.state_agreement.compare((*first, &reference), (*id, &world.contents(*id))))
+}

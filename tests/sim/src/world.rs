@@ -1,0 +1,348 @@
+//! The whole cluster in one thread: nodes, network, clients and what befalls them, as events in virtual time.
+//!
+//! Nothing here reads a clock, starts a thread or opens a socket; every choice is a number of a sequence that the seed
+//! decides. Events of the same moment happen in the order in which they were scheduled.
+
+mod catch_up;
+mod chaos;
+mod drive;
+mod execute;
+mod gateway;
+mod hostile;
+mod operator;
+mod start;
+
+pub use operator::Replacement;
+
+use crate::client::Client;
+use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
+use crate::coverage::{Coverage, Fault};
+use crate::history::History;
+use crate::invariant::{Check, Invariants, Violation};
+use crate::links::Links;
+use crate::node::{Answer, Node, Reply, Request};
+use crate::people::People;
+use crate::plan::Plan;
+use crate::random::Random;
+use crate::trace::Trace;
+use ledger::entry::Entry;
+use ledger::members::Membership;
+use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
+use ledger::{Bytes, Chaincode, Hash, Outcome};
+use ledger_raft::Desired;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Events that are scheduled in one run before it is given up: something goes round in circles.
+const EVENTS_MAX: u64 = 30_000_000;
+
+/// Something that will happen.
+pub(crate) enum Event {
+    /// To the process of a node, if that start of it still runs.
+    Node { node: u64, start: u64, timer: Timer },
+    /// A message arrives.
+    Deliver { from: u64, to: u64, bytes: Bytes },
+    /// A node is switched on.
+    Start { node: u64 },
+    /// A request arrives at a node.
+    Request { node: u64, request: Request },
+    /// An answer arrives at a client, with the node's clock.
+    Answer { reply: Reply, clock: u64, answer: Answer },
+    /// A client looks what it is to do, if it still waits for that.
+    Client { client: usize, attempt: u64 },
+    /// Something goes wrong.
+    Fault,
+    /// The operator looks after the members.
+    Operator,
+    /// A fault ends.
+    Undo(Undo),
+}
+
+/// What a process does at its own time.
+pub(crate) enum Timer {
+    /// A tick of the engine.
+    Tick,
+    /// The flush of the log is done.
+    Flushed,
+    /// Committed blocks are executed.
+    Execute,
+    /// Blocks are fetched from a peer.
+    CatchUp,
+    /// The world state is flushed, who waits too long is told.
+    Housekeeping,
+}
+
+/// The end of a fault.
+pub(crate) enum Undo {
+    /// These links work again.
+    Cut(u64),
+    /// There is room on the disk.
+    FullDisk(u64),
+}
+
+/// Random sequences, one for each purpose.
+pub(crate) struct Randoms {
+    pub(crate) network: Random,
+    pub(crate) disk: Random,
+    pub(crate) faults: Random,
+    pub(crate) clients: Random,
+    pub(crate) nodes: Random,
+}
+
+/// A block as the first node executed it.
+pub struct Block {
+    /// The log entry.
+    pub entry: Entry,
+    /// What came out.
+    pub outcome: Outcome,
+}
+
+/// The cluster.
+pub struct World {
+    /// The circumstances.
+    pub plan: Plan,
+    /// Virtual time, microseconds.
+    pub now: u64,
+    /// Everybody.
+    pub people: Arc<People>,
+    /// All nodes that ever were.
+    pub nodes: BTreeMap<u64, Node>,
+    /// What clients did and saw.
+    pub history: History,
+    /// The promises.
+    pub invariants: Invariants,
+    /// What was done.
+    pub coverage: Coverage,
+    /// What happened.
+    pub trace: Trace,
+    /// The chain, as executed first.
+    pub blocks: Vec<Block>,
+    /// The members after the block of each height; the first are those of the genesis.
+    pub members: Vec<Membership>,
+    /// Name of the network.
+    pub network: Hash,
+    pub(crate) genesis: Bytes,
+    pub(crate) clients: Vec<Client>,
+    pub(crate) links: Links,
+    pub(crate) random: Randoms,
+    /// Faults still happen.
+    pub(crate) chaos: bool,
+    pub(crate) replacement: Option<Replacement>,
+    /// Who shall vote and follow, as the operator wants it.
+    pub desired: Desired,
+    pub(crate) access: Option<Arc<dyn Chaincode>>,
+    queue: BTreeMap<(u64, u64), Event>,
+    sequence: u64,
+    /// Names faults that end.
+    pub(crate) faults: u64,
+}
+
+enum Awake {
+    Yes,
+    At(u64),
+    No,
+}
+
+impl World {
+    /// A network that is about to start.
+    pub fn new(seed: u64, people: &Arc<People>, keep_text: bool) -> Self {
+        let plan = Plan::new(seed);
+        let (genesis, network) = found(&plan, people, seed);
+        let sequence = |purpose| Random::new(seed, purpose);
+        let mut random = Randoms {
+            network: sequence("network"),
+            disk: sequence("disk"),
+            faults: sequence("faults"),
+            clients: sequence("clients"),
+            nodes: sequence("nodes"),
+        };
+        let (voters, all) = (plan.voters, plan.voters + plan.learners);
+        let mut coverage = Coverage { seeds: 1, ..Coverage::default() };
+        let mut nodes = BTreeMap::new();
+        for id in 1..=all {
+            let drifts = plan.faults.contains(&Fault::ClockDrift);
+            if drifts {
+                coverage.fault(Fault::ClockDrift);
+            }
+            let clock = clock(&mut random.faults, drifts);
+            let mut node = Node::new(id, random.disk.number(), clock);
+            if plan.faults.contains(&Fault::Pruning) {
+                node.keep = Some(random.faults.between(5, 60));
+            }
+            nodes.insert(id, node);
+        }
+        let mut world = Self {
+            now: 0,
+            people: Arc::clone(people),
+            nodes,
+            history: History::default(),
+            invariants: Invariants::new(people),
+            coverage,
+            trace: Trace::new(keep_text),
+            blocks: Vec::new(),
+            members: vec![Membership::new(1..=voters, voters + 1..=all)],
+            network,
+            genesis,
+            clients: Vec::new(),
+            links: Links::new(plan.network.clone()),
+            random,
+            chaos: true,
+            replacement: None,
+            desired: Desired { voters: (1..=voters).collect(), learners: (voters + 1..=all).collect() },
+            access: None,
+            queue: BTreeMap::new(),
+            sequence: 0,
+            faults: 0,
+            plan,
+        };
+        let plan = format!("{:?}", world.plan);
+        world.note(format_args!("seed {seed} {plan}"));
+        for id in 1..=all {
+            let delay = world.random.nodes.below(200 * MILLISECOND);
+            world.schedule(delay, Event::Start { node: id });
+        }
+        world.employ();
+        if !world.plan.faults.is_empty() {
+            let first = SECOND + world.random.faults.around(world.plan.between_faults);
+            world.schedule(first, Event::Fault);
+        }
+        world
+    }
+
+    /// Handles everything up to a moment.
+    ///
+    /// # Errors
+    /// The first promise that is broken.
+    pub fn run_until(&mut self, until: u64) -> Check {
+        while let Some(next) = self.queue.first_entry() {
+            if next.key().0 > until {
+                break;
+            }
+            let ((at, _), event) = next.remove_entry();
+            self.now = at;
+            if self.sequence > EVENTS_MAX {
+                return Err(Violation::new("progress", format!("{EVENTS_MAX} events and no end")));
+            }
+            self.handle(event)?;
+        }
+        self.now = until;
+        self.coverage.time = until;
+        Ok(())
+    }
+
+    fn handle(&mut self, event: Event) -> Check {
+        // What is meant for a process that stands still waits until it goes on.
+        let addressee = match &event {
+            Event::Node { node, .. } | Event::Request { node, .. } => Some(*node),
+            Event::Deliver { to, .. } => Some(*to),
+            _ => None,
+        };
+        match addressee.map_or(Awake::Yes, |id| self.awake(id)) {
+            Awake::Yes => {}
+            Awake::At(later) => {
+                self.schedule_at(later, event);
+                return Ok(());
+            }
+            Awake::No => return Ok(()),
+        }
+        match event {
+            Event::Node { node, start, timer } if self.start_of(node) == start => return self.timer(node, timer),
+            Event::Node { .. } => {}
+            Event::Deliver { from, to, bytes } => return self.deliver(from, to, bytes),
+            Event::Request { node, request } => return self.request(node, request),
+            Event::Start { node } => return self.start(node),
+            Event::Answer { reply, clock, answer } => self.answered(reply, clock, answer),
+            Event::Client { client, attempt } => self.work(client, attempt),
+            Event::Fault => return self.misfortune(),
+            Event::Operator => return self.operate(),
+            Event::Undo(undo) => self.undo(undo),
+        }
+        Ok(())
+    }
+
+    fn awake(&self, id: u64) -> Awake {
+        match self.nodes.get(&id) {
+            Some(node) if node.up.is_some() && node.paused_until > self.now => Awake::At(node.paused_until),
+            Some(node) if node.up.is_some() => Awake::Yes,
+            _ => Awake::No,
+        }
+    }
+
+    fn start_of(&self, id: u64) -> u64 {
+        self.nodes.get(&id).map_or(0, |node| node.start)
+    }
+
+    /// Schedules an event after a delay.
+    pub(crate) fn schedule(&mut self, delay: u64, event: Event) {
+        self.schedule_at(self.now + delay, event);
+    }
+
+    /// Schedules an event at a time.
+    pub(crate) fn schedule_at(&mut self, at: u64, event: Event) {
+        self.sequence += 1;
+        self.queue.insert((at, self.sequence), event);
+    }
+
+    /// Schedules what a process does later, unless it ends before.
+    pub(crate) fn schedule_timer(&mut self, node: u64, delay: u64, timer: Timer) {
+        let start = self.start_of(node);
+        self.schedule(delay, Event::Node { node, start, timer });
+    }
+
+    /// Adds a line to the trace.
+    pub(crate) fn note(&mut self, what: std::fmt::Arguments<'_>) {
+        self.trace.note(self.now, what);
+    }
+
+    /// The node that leads and may order, if there is one; of two, the one of the higher term.
+    pub fn leader(&self) -> Option<u64> {
+        let leading = self.nodes.values().filter_map(|node| {
+            let status = node.up.as_ref().filter(|up| up.leading)?.engine.as_ref()?.status();
+            status.may_propose.then_some((status.role.term, node.id))
+        });
+        leading.max().map(|(_, id)| id)
+    }
+
+    /// The members as of the newest block that any node has executed.
+    pub fn newest_members(&self) -> &Membership {
+        &self.members[self.members.len() - 1]
+    }
+
+    /// Nodes that run or could run.
+    pub(crate) fn usable(&self) -> Vec<u64> {
+        self.nodes.values().filter(|node| !node.lost).map(|node| node.id).collect()
+    }
+}
+
+/// A machine's clock: about right, or wrong and running wrong.
+pub(crate) fn clock(random: &mut Random, drifts: bool) -> Clock {
+    let about = |random: &mut Random, most: u64| random.below(2 * most + 1) as i64 - most as i64;
+    if drifts {
+        let offset = about(random, 200 * MILLISECOND);
+        return Clock::new(offset, about(random, 200));
+    }
+    Clock::new(about(random, MILLISECOND), 0)
+}
+
+/// The genesis: nodes in turn of the organisations.
+fn found(plan: &Plan, people: &People, seed: u64) -> (Bytes, Hash) {
+    let nodes = (1..=plan.voters + plan.learners).map(|id| FoundingNode {
+        id,
+        name: format!("node{id}"),
+        organisation: format!("Org{}", 1 + (id as usize - 1) % plan.organisations),
+        address: format!("127.0.0.1:{}", 7000 + id),
+        voter: id <= plan.voters,
+    });
+    let genesis = Genesis {
+        rules: RULES_VERSION,
+        label: "simulated".into(),
+        created: EPOCH - SECOND,
+        salt: Hash::of(&[&seed.to_be_bytes()]),
+        organisations: people.organisations.clone(),
+        nodes: nodes.collect(),
+        snapshot_every: plan.snapshot_every,
+    };
+    let genesis = genesis.to_bytes().unwrap();
+    let (_, network) = Genesis::from_bytes(&genesis).unwrap();
+    (genesis, network)
+}

@@ -1,0 +1,46 @@
+//! Transactions that no honest gateway would let through, ordered by a member that does.
+
+use super::World;
+use crate::client::{Call, SERVICES, sign};
+use crate::clock::{EPOCH, SECOND};
+use ledger::{Bytes, Hash};
+
+impl World {
+    /// One of the things that execution must refuse, or ignore, on every node alike.
+    pub(super) fn forge(&mut self) -> Option<Bytes> {
+        let random = &mut self.random.faults;
+        let service = random.pick(&SERVICES)?.to_string();
+        let person = random.pick(&self.people.all)?;
+        let now = EPOCH + self.now;
+        let call = match random.below(4) {
+            0 => Call::Release { service },
+            1 => Call::Acquire { service, lease_ms: None },
+            _ => Call::Set { service, epoch: random.below(4), seq: random.below(50) },
+        };
+        let nonce = random.number();
+        let sign = |network, not_after, introduce| {
+            sign(person, network, nonce, not_after, call.transaction(), introduce).encoded().clone()
+        };
+        let good = sign(self.network, now + 30 * SECOND, true);
+        Some(match random.below(8) {
+            0 => Bytes::from(nonce.to_be_bytes().to_vec()),
+            1 => sign(Hash::of(&[b"another network"]), now + 30 * SECOND, true),
+            2 => sign(self.network, now.saturating_sub(30 * SECOND), true),
+            3 => sign(self.network, now + 7_200 * SECOND, true),
+            4 => {
+                // The signature is 64 bytes somewhere behind the body; the last byte of it is changed.
+                let mut forged = sign(self.network, now + 30 * SECOND, false).to_vec();
+                if let Some(last) = forged.last_mut() {
+                    *last ^= 1;
+                }
+                forged.into()
+            }
+            5 => {
+                // What was executed long ago, once more.
+                let block = random.pick(&self.blocks)?;
+                random.pick(&block.outcome.transactions)?.clone()
+            }
+            _ => good,
+        })
+    }
+}

@@ -1,0 +1,110 @@
+//! Whoever runs the network: takes out what is broken, and puts something new in its place.
+
+use super::{Event, World, clock};
+use crate::clock::MILLISECOND;
+use crate::coverage::Fault;
+use crate::invariant::{Check, Violation};
+use crate::node::Node;
+use ledger::segment::{Found, LogPosition, scan};
+
+/// A node whose disk is lost, and the new one that takes its place.
+#[derive(Clone, Copy, Debug)]
+pub struct Replacement {
+    /// Is taken out.
+    pub lost: u64,
+    /// Comes in.
+    pub new: u64,
+}
+
+impl World {
+    /// May this node's disk be lost? The promise is about a majority of the voters, so it happens to one at a time.
+    pub(super) fn may_lose(&self, id: u64) -> bool {
+        let members = self.newest_members();
+        let healthy = self.nodes.values().all(|node| node.damaged.is_none());
+        // Everybody must know who is needed: one who does not know of the last change would wait for the lost one.
+        let known = members.voters.iter().filter(|voter| **voter != id).all(|voter| {
+            let engine = self.nodes.get(voter).and_then(|node| node.up.as_ref()?.engine.as_ref());
+            engine.is_some_and(|engine| engine.status().membership == *members)
+        });
+        let settled = self.replacement.is_none() && self.is_settled() && healthy && known;
+        settled && members.voters.len() >= 3 && (members.voters.contains(&id) || members.learners.contains(&id))
+    }
+
+    /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
+    pub(super) fn flip(&mut self, id: u64) {
+        // While it stands still, or while it runs and may read it.
+        if self.random.faults.percent(60) {
+            self.stop(id, false);
+            let delay = self.random.faults.between(2, 2_000) * MILLISECOND;
+            self.schedule(delay, Event::Start { node: id });
+        }
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        let mut records = Vec::new();
+        let mut proven = LogPosition::default();
+        for found in scan(&node.disk, None).into_iter().flatten().flatten() {
+            if let Found::Record { file, position, bytes, durable_upto, .. } = found {
+                records.push((file, position, bytes));
+                proven = durable_upto;
+            }
+        }
+        records.retain(|(_, position, bytes)| {
+            (position.sequence, position.offset + bytes) <= (proven.sequence, proven.offset)
+        });
+        let Some((file, position, bytes)) = self.random.faults.pick(&records).cloned() else { return };
+        let at = u64::from(position.offset) + self.random.faults.below(u64::from(bytes));
+        node.disk.flip(&file, at * 8 + self.random.faults.below(8));
+        node.damaged = Some(file.to_string());
+        self.coverage.fault(Fault::BitFlip);
+        self.note(format_args!("n{id} has a flipped bit at {file} byte {at}"));
+    }
+
+    /// A node has started although a bit of its log is not what it was.
+    pub(super) fn undetected(&self, id: u64, file: &str) -> Check {
+        Err(Violation::new("damage is refused", format!("node {id} starts with a damaged {file}")))
+    }
+
+    /// Puts a new node in the place of one that is lost.
+    pub(super) fn replace(&mut self, lost: u64) {
+        let new = self.newcomer();
+        if self.desired.voters.remove(&lost) {
+            self.desired.voters.insert(new);
+        } else if self.desired.learners.remove(&lost) {
+            self.desired.learners.insert(new);
+        }
+        self.replacement = Some(Replacement { lost, new });
+        self.note(format_args!("n{new} takes the place of n{lost}"));
+        self.schedule(200 * MILLISECOND, Event::Operator);
+    }
+
+    /// A new machine, with a number that nobody had.
+    pub(super) fn newcomer(&mut self) -> u64 {
+        let new = self.nodes.keys().next_back().map_or(1, |last| last + 1);
+        let clock = clock(&mut self.random.faults, self.plan.faults.contains(&Fault::ClockDrift));
+        let mut node = Node::new(new, self.random.disk.number(), clock);
+        if self.plan.faults.contains(&Fault::Pruning) {
+            node.keep = Some(self.random.faults.between(5, 60));
+        }
+        self.nodes.insert(new, node);
+        self.schedule(MILLISECOND, Event::Start { node: new });
+        new
+    }
+
+    /// Looks whether a replacement is complete.
+    pub(super) fn operate(&mut self) -> Check {
+        let Some(Replacement { lost, new }) = self.replacement else { return Ok(()) };
+        if self.is_settled() {
+            self.note(format_args!("n{new} has taken the place of n{lost}"));
+            self.replacement = None;
+        } else {
+            self.schedule(300 * MILLISECOND, Event::Operator);
+        }
+        Ok(())
+    }
+
+    /// Are the members what the operator wants?
+    pub(crate) fn is_settled(&self) -> bool {
+        let members = self.newest_members();
+        let same = members.voters == self.desired.voters && members.learners == self.desired.learners;
+        same && !members.is_joint()
+    }
+}

@@ -1,0 +1,187 @@
+//! Nodes come and go.
+
+use super::{Event, Timer, World};
+use crate::clock::{MILLISECOND, SECOND};
+use crate::coverage::Fault;
+use crate::invariant::{Check, Violation};
+use crate::node::{Opened, Running, open, open_blocks};
+use ledger::block_store::{BlockStore, StoreError};
+use ledger::disk::SimDisk;
+use ledger::entry::Entry;
+use ledger::{Chaincode, Hash, Ledger};
+use ledger_abac::AccessControl;
+use ledger_raft::{Engine, EngineConfig};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+/// What is broken when a node ends for no reason that was injected.
+const UNEXPLAINED: &str = "a node ends only for a reason";
+
+impl World {
+    /// Switches a node on.
+    pub(super) fn start(&mut self, id: u64) -> Check {
+        let abac = self.access_control();
+        let (seed, salt) = (self.random.nodes.number(), self.random.nodes.number());
+        let waits_for_disk = self.random.nodes.percent(70);
+        let Some(node) = self.nodes.get_mut(&id).filter(|node| !node.lost && node.up.is_none()) else { return Ok(()) };
+        let store = match open_blocks(node, self.network, self.plan.segment_bytes, salt) {
+            Ok(store) => Arc::new(store),
+            Err(fault) => return self.refused(id, &fault),
+        };
+        if let Some(file) = node.damaged.take()
+            && node.disk.contents(&file).is_some()
+        {
+            return self.undetected(id, &file);
+        }
+        self.invariants.committed.reopened(id, &store)?;
+        self.invariants.acknowledged.restarted(id, &store)?;
+        let opened = open(node, &store, (&self.genesis, self.network), &abac);
+        let Opened { state, snapshots, ledger, replay } =
+            opened.map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}")))?;
+        self.coverage.restarts += u64::from(node.start > 0);
+        node.start += 1;
+        node.clock.start(self.now, ledger.tip().time);
+        for entry in &replay {
+            self.executed(id, &ledger, entry)?;
+        }
+        let tip = ledger.tip().height;
+        let engine = engine(id, seed, &ledger, &store)?;
+        self.invariants.log_matching.look(id, &store)?;
+        let last = store.last_index();
+        let running = Running {
+            engine: Some(engine),
+            store,
+            state,
+            snapshots,
+            ledger,
+            flush: None,
+            flushing: false,
+            waits_for_disk,
+            inbox: VecDeque::new(),
+            committed: VecDeque::new(),
+            executing: false,
+            waiters: BTreeMap::new(),
+            submit_again: false,
+            next_waiting: 0,
+            reads: BTreeMap::new(),
+            behind: Vec::new(),
+            disk_full: false,
+            asked_for: (0, 0),
+            leading: false,
+            catch_up_to: 0,
+            next_context: 0,
+        };
+        if let Some(node) = self.nodes.get_mut(&id) {
+            node.up = Some(running);
+        }
+        self.note(format_args!("n{id} starts at height {tip}, log up to {last}"));
+        let housekeeping = self.random.nodes.below(self.plan.state_flush);
+        self.schedule_timer(id, 1, Timer::Tick);
+        self.schedule_timer(id, housekeeping, Timer::Housekeeping);
+        Ok(())
+    }
+
+    /// A node does not start on the log that it finds.
+    fn refused(&mut self, id: u64, fault: &StoreError) -> Check {
+        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
+        match fault {
+            StoreError::DiskFull { .. } => {}
+            StoreError::Io { .. } if node.disk_will_fail.is_some() => {
+                node.disk.kill();
+                if let Some(fault) = node.disk_will_fail {
+                    self.coverage.fault(fault);
+                }
+            }
+            StoreError::Corrupt { .. } if node.damaged.is_some() => {
+                self.lose(id);
+                return Ok(());
+            }
+            fault => return Err(Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}"))),
+        }
+        self.note(format_args!("n{id} cannot start: {fault}"));
+        self.schedule(SECOND, Event::Start { node: id });
+        Ok(())
+    }
+
+    /// Ends a process. What was not synced survives if the machine goes on, and not (or in parts) if power fails.
+    pub(super) fn stop(&mut self, id: u64, power_fails: bool) {
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        node.up = None;
+        node.paused_until = 0;
+        if power_fails {
+            node.disk_will_fail = None;
+            node.disks().into_iter().for_each(SimDisk::crash);
+        } else {
+            node.disks().into_iter().for_each(SimDisk::kill);
+        }
+        self.note(format_args!("n{id} stops, power fails: {power_fails}"));
+    }
+
+    /// A node's disk is gone for good.
+    pub(super) fn lose(&mut self, id: u64) {
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        node.up = None;
+        node.lost = true;
+        self.coverage.fault(Fault::Replacement);
+        self.replace(id);
+    }
+
+    /// A process has failed by itself; it starts again soon.
+    pub(super) fn failed(&mut self, id: u64, why: &str) -> Check {
+        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
+        match node.disk_will_fail {
+            Some(fault) => self.coverage.fault(fault),
+            None if node.damaged.is_some() => {}
+            None => return Err(Violation::new(UNEXPLAINED, format!("node {id}: {why}"))),
+        }
+        // The machine may live on with pages that were never written, or not.
+        let power_fails = self.random.faults.percent(50);
+        self.stop(id, power_fails);
+        let delay = self.random.faults.between(5 * MILLISECOND, 2 * SECOND);
+        self.schedule(delay, Event::Start { node: id });
+        Ok(())
+    }
+
+    /// A node executes a block.
+    pub(super) fn executed(&mut self, id: u64, ledger: &Ledger, entry: &Entry) -> Check {
+        #[cfg(feature = "mutations")]
+        if let Some(node) = self.nodes.get(&id) {
+            ledger::mutation::set_wall_clock(node.clock.wall(self.now));
+        }
+        let index = entry.index;
+        let outcome = ledger
+            .apply(entry)
+            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot execute block {index}: {fault}")))?;
+        self.observe(id, ledger, entry, outcome)
+    }
+
+    /// Access control for one start of a node. Most runs share one, which is faster; the others give every start its
+    /// own, with caches of its own, as a process has.
+    fn access_control(&mut self) -> Arc<dyn Chaincode> {
+        if let Some(shared) = &self.access {
+            return Arc::clone(shared);
+        }
+        let new: Arc<dyn Chaincode> = Arc::new(AccessControl::new().unwrap());
+        if self.plan.shares_caches {
+            self.access = Some(Arc::clone(&new));
+        }
+        new
+    }
+
+    /// Height, block hash and digest that a node has reached.
+    pub(crate) fn tip(&self, id: u64) -> Option<(u64, Hash, Hash)> {
+        let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
+        Some((tip.height, tip.hash, tip.digest))
+    }
+}
+
+/// A new engine that goes on from what is executed.
+pub(super) fn engine(id: u64, seed: u64, ledger: &Ledger, store: &Arc<BlockStore>) -> Result<Engine, Violation> {
+    let members = ledger
+        .members()
+        .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not know the members: {fault}")))?;
+    let mut config = EngineConfig::new(id, members, seed);
+    config.applied = ledger.tip().height;
+    Engine::new(config, Arc::clone(store))
+        .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))
+}

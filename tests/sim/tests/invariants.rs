@@ -1,0 +1,219 @@
+//! Every invariant notices what breaks it, and nothing else.
+
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+
+use ledger::block::Header;
+use ledger::block_store::{BlockStore, Options};
+use ledger::disk::SimDisk;
+use ledger::entry::{Entry, EntryKind, HardState};
+use ledger::members::Membership;
+use ledger::result::{BlockKind, EmittedEvent, TransactionResult};
+use ledger::transaction::Transaction;
+use ledger::{Bytes, Event, Hash, Outcome};
+use ledgerd_sim::client::{Call, sign};
+use ledgerd_sim::invariant::{
+    AcknowledgedIsDurable, ChainAgreement, CommittedIsImmutable, DeniedByDefault, ElectionSafety, EpochsGrow,
+    ExactlyOnce, Executed, GrantExclusivity, LeaderCompleteness, LogMatching, RevokedStaysRevoked, StateAgreement,
+};
+use ledgerd_sim::people::People;
+use std::sync::Arc;
+
+fn entry(index: u64, term: u64, data: &'static str) -> Entry {
+    Entry { index, term, kind: EntryKind::Normal, data: Bytes::from(data) }
+}
+
+fn store(entries: &[Entry]) -> BlockStore {
+    let (store, _) = BlockStore::open(Arc::new(SimDisk::new(1)), Options::new([0; 32], || 7)).unwrap();
+    store.append(entries, None).unwrap();
+    store.flush().unwrap();
+    store
+}
+
+/// A block without content at a height.
+fn block(height: u64, previous: Hash) -> Outcome {
+    let header = Header { height, term: 1, time: height, previous, root: Hash::ZERO };
+    Outcome {
+        hash: header.hash(),
+        header,
+        digest: Hash::of(&[&height.to_be_bytes()]),
+        kind: BlockKind::Transactions,
+        transactions: Vec::new(),
+        ids: Vec::new(),
+        results: Vec::new(),
+        events: Vec::new(),
+    }
+}
+
+/// A block with one transaction that succeeded.
+fn with(call: &Call, who: usize, people: &People, height: u64) -> (Outcome, Vec<Option<Transaction>>) {
+    let mut outcome = block(height, Hash::ZERO);
+    let transaction = sign(&people.all[who], Hash::ZERO, height, height, call.transaction(), true);
+    outcome.ids.push(transaction.id());
+    outcome.results.push(TransactionResult::default());
+    (outcome, vec![Some(transaction)])
+}
+
+fn event(mut outcome: Outcome, name: &str, payload: &str) -> Outcome {
+    let (chaincode, name, subject) = ("abac".to_owned(), name.to_owned(), "R/cmd_vel".to_owned());
+    let event = Event { chaincode, name, subject, payload: Bytes::from(payload.to_owned()) };
+    outcome.events.push(EmittedEvent { index: Some(0), event });
+    outcome
+}
+
+fn grant(holder: &str, epoch: u64) -> String {
+    format!(r#"{{"service":"R/cmd_vel","holder":"{holder}","epoch":{epoch},"mode":"exclusive"}}"#)
+}
+
+/// As one node has executed it.
+fn at(node: u64, outcome: &Outcome) -> Executed<'_> {
+    Executed { node, outcome, transactions: &[] }
+}
+
+#[test]
+fn a_second_leader_or_a_second_vote_in_a_term_is_noticed() {
+    let mut safety = ElectionSafety::default();
+    safety.leads(1, 5).unwrap();
+    safety.leads(1, 5).unwrap();
+    safety.leads(2, 6).unwrap();
+    safety.leads(2, 5).unwrap_err();
+    safety.votes(3, 7, 1).unwrap();
+    safety.votes(3, 8, 2).unwrap();
+    safety.votes(3, 7, 2).unwrap_err();
+}
+
+#[test]
+fn logs_that_differ_before_a_place_where_they_agree_are_noticed() {
+    let mut matching = LogMatching::default();
+    matching.look(1, &store(&[entry(1, 1, "a"), entry(2, 3, "b")])).unwrap();
+    matching.look(2, &store(&[entry(1, 2, "x")])).unwrap();
+    matching.look(3, &store(&[entry(1, 2, "x"), entry(2, 3, "b")])).unwrap_err();
+    matching.look(4, &store(&[entry(1, 1, "other")])).unwrap_err();
+}
+
+#[test]
+fn a_leader_without_a_committed_entry_is_noticed() {
+    let mut completeness = LeaderCompleteness::default();
+    completeness.committed(1, 1, 2);
+    completeness.elected(1, 3, &store(&[entry(1, 1, "a")])).unwrap();
+    completeness.elected(2, 2, &store(&[entry(1, 2, "b")])).unwrap();
+    completeness.elected(2, 3, &store(&[entry(1, 2, "b")])).unwrap_err();
+    completeness.elected(3, 3, &store(&[])).unwrap_err();
+}
+
+#[test]
+fn another_block_or_another_state_at_a_height_is_noticed() {
+    let (mut chain, mut state) = (ChainAgreement::default(), StateAgreement::default());
+    let first = block(1, Hash::ZERO);
+    chain.executed(&at(1, &first)).unwrap();
+    chain.executed(&at(2, &first)).unwrap();
+    chain.executed(&at(2, &block(2, first.hash))).unwrap();
+    chain.executed(&at(3, &block(2, Hash::ZERO))).unwrap_err();
+    chain.executed(&at(3, &block(1, first.hash))).unwrap_err();
+    state.executed(&at(1, &first)).unwrap();
+    let other = Outcome { digest: Hash::ZERO, ..first.clone() };
+    state.executed(&at(2, &other)).unwrap_err();
+    state.snapshot(1, 10, Hash::ZERO).unwrap();
+    state.snapshot(2, 10, Hash::ZERO).unwrap();
+    state.snapshot(3, 10, Hash::of(&[])).unwrap_err();
+    state.same(2, &first, &event(first.clone(), "message", "{}")).unwrap_err();
+    let (one, two) = (vec![("k".into(), "1".into())], vec![("k".into(), "2".into())]);
+    state.compare((1, &one), (2, &one.clone())).unwrap();
+    assert!(state.compare((1, &one), (2, &two)).unwrap_err().what.contains("\"k\""));
+    state.compare((1, &one), (2, &vec![])).unwrap_err();
+}
+
+#[test]
+fn a_transaction_that_succeeds_twice_is_noticed() {
+    let people = People::new();
+    let call = Call::Release { service: "R/cmd_vel".into() };
+    let (outcome, _) = with(&call, 3, &people, 1);
+    let mut once = ExactlyOnce::default();
+    once.executed(&at(1, &outcome)).unwrap();
+    let mut again = block(2, Hash::ZERO);
+    again.ids.clone_from(&outcome.ids);
+    again.results.push(TransactionResult { code: 1008, ..TransactionResult::default() });
+    once.executed(&at(1, &again)).unwrap();
+    again.results = vec![TransactionResult::default()];
+    once.executed(&at(1, &again)).unwrap_err();
+}
+
+#[test]
+fn an_answer_without_a_majority_and_a_disk_that_forgot_are_noticed() {
+    let mut durable = AcknowledgedIsDurable::default();
+    let members = Membership::new([1, 2, 3], []);
+    let full = store(&[entry(1, 1, "a")]);
+    durable.flushed(1, &full);
+    durable.acknowledged(1, 1, &[&members]).unwrap_err();
+    durable.flushed(2, &full);
+    durable.acknowledged(1, 1, &[&members]).unwrap();
+    durable.acknowledged(1, 2, &[&members]).unwrap_err();
+    durable.restarted(1, &full).unwrap();
+    durable.restarted(1, &store(&[])).unwrap_err();
+}
+
+#[test]
+fn a_second_holder_and_an_end_of_nothing_are_noticed() {
+    let mut grants = GrantExclusivity::default();
+    let told = |name: &str, grant: String| event(block(1, Hash::ZERO), name, &grant);
+    grants.executed(&at(1, &told("granted", grant("A", 1)))).unwrap();
+    grants.executed(&at(1, &told("released", grant("A", 1)))).unwrap();
+    grants.executed(&at(1, &told("granted", grant("B", 2)))).unwrap();
+    grants.executed(&at(1, &told("granted", grant("C", 3)))).unwrap_err();
+    grants.executed(&at(1, &told("released", grant("D", 9)))).unwrap_err();
+}
+
+#[test]
+fn an_epoch_that_comes_again_and_the_use_of_an_old_one_are_noticed() {
+    let mut epochs = EpochsGrow::default();
+    let told = |name: &str, payload: &str| event(block(1, Hash::ZERO), name, payload);
+    epochs.executed(&at(1, &told("granted", &grant("A", 1)))).unwrap();
+    epochs.executed(&at(1, &told("message", r#"{"epoch":1}"#))).unwrap();
+    epochs.executed(&at(1, &told("granted", &grant("B", 2)))).unwrap();
+    epochs.executed(&at(1, &told("message", r#"{"epoch":1}"#))).unwrap_err();
+    epochs.executed(&at(1, &told("granted", &grant("A", 2)))).unwrap_err();
+}
+
+#[test]
+fn success_of_somebody_without_rights_is_noticed() {
+    let people = Arc::new(People::new());
+    let mut denied = DeniedByDefault::new(Arc::clone(&people));
+    let mut succeed = |who: &str, call: Call| {
+        let (outcome, transactions) = with(&call, people.index(who, 0).unwrap(), &people, 1);
+        denied.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions })
+    };
+    let acquire = || Call::Acquire { service: "R/cmd_vel".into(), lease_ms: None };
+    succeed("Org1/Salma", acquire()).unwrap();
+    succeed("Org3/Trudy", acquire()).unwrap_err();
+    succeed("Org2/admin", Call::Setup { open: true }).unwrap();
+    succeed("Org1/Salma", Call::Setup { open: true }).unwrap_err();
+}
+
+#[test]
+fn success_of_a_revoked_certificate_is_noticed() {
+    let people = Arc::new(People::new());
+    let mut revoked = RevokedStaysRevoked::new(Arc::clone(&people));
+    let mut succeed = |who: &str, nth: usize, call: Call| {
+        let (outcome, transactions) = with(&call, people.index(who, nth).unwrap(), &people, 1);
+        revoked.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions })
+    };
+    let release = || Call::Release { service: "R/cmd_vel".into() };
+    let salma = &people.all[people.index("Org1/Salma", 0).unwrap()].identity;
+    let (issuer, serial) = (hex::encode(salma.issuer), hex::encode(&salma.serial));
+    succeed("Org1/Salma", 0, release()).unwrap();
+    succeed("Org1/admin", 0, Call::Revoke { issuer, serial }).unwrap();
+    succeed("Org1/Salma", 1, release()).unwrap();
+    succeed("Org1/Salma", 0, release()).unwrap_err();
+}
+
+#[test]
+fn a_committed_entry_that_changes_is_noticed() {
+    let mut committed = CommittedIsImmutable::default();
+    committed.committed(1, &entry(1, 1, "a")).unwrap();
+    committed.committed(2, &entry(1, 1, "a")).unwrap();
+    committed.committed(2, &entry(1, 2, "a")).unwrap_err();
+    committed.committed(2, &entry(3, 2, "c")).unwrap_err();
+    let log = store(&[entry(1, 2, "x")]);
+    committed.reopened(1, &log).unwrap();
+    log.append(&[], Some(&HardState { term: 2, vote: 0, commit: 1 })).unwrap();
+    committed.reopened(1, &log).unwrap_err();
+}

@@ -1,0 +1,78 @@
+//! Would the simulation notice? Ten deliberate bugs, one at a time: each must be caught within a bounded number of
+//! seeds, by the promises that it breaks.
+//!
+//! `cargo test --release -p ledgerd-sim --features mutations --test mutations`
+
+#![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
+
+use ledger::mutation::{Mutation, turn_on};
+use ledgerd_sim::people::People;
+use ledgerd_sim::run::run;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// The bug is a switch of the whole process, so one at a time.
+static ONE: Mutex<()> = Mutex::new(());
+/// Seeds within which a bug must show.
+const SEEDS_MAX: u64 = 100;
+
+#[track_caller]
+fn caught(mutation: Mutation, by: &[&str]) {
+    let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    let people = Arc::new(People::new());
+    turn_on(Some(mutation));
+    let found = (0..SEEDS_MAX).find_map(|seed| Some((seed, run(seed, &people, false).violation?)));
+    turn_on(None);
+    let Some((seed, violation)) = found else { panic!("{mutation:?} was not noticed in {SEEDS_MAX} seeds") };
+    eprintln!("{mutation:?} is caught with seed {seed} by {violation}");
+    assert!(by.contains(&violation.invariant), "{mutation:?} was caught by {violation}, wanted one of {by:?}");
+}
+
+#[test]
+fn a_log_that_is_not_synced_is_noticed() {
+    caught(Mutation::NoFsync, &["acknowledged is durable"]);
+}
+
+#[test]
+fn an_answer_before_a_majority_has_it_is_noticed() {
+    caught(Mutation::AcknowledgeBeforeMajority, &["acknowledged is durable", "committed is immutable"]);
+}
+
+#[test]
+fn an_epoch_that_comes_twice_is_noticed() {
+    caught(Mutation::ReuseAnEpoch, &["epochs grow"]);
+}
+
+#[test]
+fn a_revoked_certificate_that_is_accepted_is_noticed() {
+    caught(Mutation::SkipTheRevocationCheck, &["revoked stays revoked"]);
+}
+
+#[test]
+fn a_forbid_that_errs_and_is_skipped_is_noticed() {
+    caught(Mutation::AcceptAnErringForbid, &["the oracle agrees"]);
+}
+
+#[test]
+fn a_vote_that_is_forgotten_is_noticed() {
+    caught(Mutation::ForgetTheVote, &["election safety"]);
+}
+
+#[test]
+fn a_catch_up_that_is_off_by_one_is_noticed() {
+    caught(Mutation::CatchUpOffByOne, &["a node ends only for a reason", "acknowledged is durable", "log matching"]);
+}
+
+#[test]
+fn a_lease_by_the_wall_clock_is_noticed() {
+    caught(Mutation::WallClockLease, &["state agreement", "grant exclusivity", "the oracle agrees"]);
+}
+
+#[test]
+fn a_digest_in_any_order_is_noticed() {
+    caught(Mutation::UnsortedDigest, &["state agreement"]);
+}
+
+#[test]
+fn damage_that_a_start_does_not_look_for_is_noticed() {
+    caught(Mutation::NoRecheckAfterRestart, &["damage is refused", "log matching", "committed is immutable"]);
+}

@@ -1,0 +1,56 @@
+//! A few hundred seeds, those that once failed, and the same seed twice.
+
+#![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
+
+use ledgerd_sim::coverage::Coverage;
+use ledgerd_sim::people::People;
+use ledgerd_sim::run::run;
+use std::sync::Arc;
+
+/// Seeds of one test run; `LEDGER_SIM_SEEDS` runs more.
+const SEEDS: u64 = 300;
+/// Those that once failed.
+const REGRESSIONS: &str = include_str!("../regressions.txt");
+
+fn holds(seed: u64, people: &Arc<People>) -> Coverage {
+    let report = run(seed, people, false);
+    if let Some(violation) = report.violation {
+        panic!("{violation}\n  repeat it:  cargo run --release --bin simulate -- --seed {seed} --trace");
+    }
+    report.coverage
+}
+
+#[test]
+fn no_storm_breaks_a_promise_and_every_kind_of_fault_has_happened() {
+    let people = Arc::new(People::new());
+    let seeds = std::env::var("LEDGER_SIM_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(SEEDS);
+    let mut covered = Coverage::default();
+    for seed in 0..seeds {
+        covered.add(&holds(seed, &people));
+    }
+    eprintln!("{covered}");
+    let missing: Vec<&str> = covered.missing().into_iter().map(|fault| fault.name()).collect();
+    assert!(missing.is_empty(), "never happened: {missing:?}");
+}
+
+#[test]
+fn what_once_failed_does_not_fail_again() {
+    let people = Arc::new(People::new());
+    for line in REGRESSIONS.lines().filter(|line| !line.starts_with('#')) {
+        let seed = line.split_whitespace().next().and_then(|seed| seed.parse().ok());
+        let seed = seed.unwrap_or_else(|| panic!("regressions.txt: no seed in {line:?}"));
+        holds(seed, &people);
+    }
+}
+
+#[test]
+fn the_same_seed_gives_the_same_trace_byte_for_byte() {
+    let people = Arc::new(People::new());
+    for seed in [3, 11, 14] {
+        let (one, other) = (run(seed, &people, true), run(seed, &Arc::new(People::new()), true));
+        assert!(one.trace.is_some_and(|text| text.len() > 10_000));
+        let (one, other) = (run(seed, &people, true).trace, other.trace);
+        assert!(one == other, "seed {seed} gave two traces");
+    }
+    assert_ne!(run(3, &people, false).trace_hash, run(4, &people, false).trace_hash);
+}
