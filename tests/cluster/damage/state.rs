@@ -33,7 +33,13 @@ fn worlds(data: &Path, scratch: &Path) -> BTreeMap<u64, World> {
     let disk = Arc::new(RealDisk::open(scratch).unwrap());
     let (store, recovery) = BlockStore::open(disk, Options::new(network.0, || 1)).unwrap();
     let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-    let ledger = Ledger::open(&genesis, Node::builder().registry().unwrap(), Arc::clone(&state), Arc::new(ResultStore::in_memory())).unwrap();
+    let ledger = Ledger::open(
+        &genesis,
+        Node::builder().registry().unwrap(),
+        Arc::clone(&state),
+        Arc::new(ResultStore::in_memory()),
+    )
+    .unwrap();
     let mut worlds = BTreeMap::new();
     for entry in store.entries(1..recovery.last_index + 1, usize::MAX).unwrap() {
         ledger.apply(&entry).unwrap();

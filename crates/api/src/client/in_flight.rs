@@ -411,10 +411,17 @@ mod tests {
         Transaction::sign(&body, key).unwrap()
     }
 
+    fn identity() -> TlsIdentity {
+        let key = rcgen::KeyPair::generate().unwrap();
+        let certificate = rcgen::CertificateParams::new(Vec::new()).unwrap().self_signed(&key).unwrap();
+        let key = SigningKey::from_pkcs8_der(&key.serialize_der()).unwrap();
+        TlsIdentity::new(vec![certificate.der().clone()], Arc::new(key)).unwrap()
+    }
+
     #[tokio::test]
     async fn what_is_new_does_not_overtake_what_a_node_could_not_take() {
         let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-        let table = InFlight::new(Hash::ZERO, Bytes::new(), Duration::from_secs(60), false);
+        let table = InFlight::new(identity(), Duration::from_secs(60), false);
         let (outgoing, mut sent) = mpsc::unbounded_channel();
         table.attach(outgoing);
         let [first, second, third] = [1, 2, 3].map(|nonce| transaction(&key, nonce));
