@@ -7,7 +7,7 @@ use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead
 use crate::code::Code;
 use crate::entry::Entry;
 use crate::execution::{Execution, Executor, check_network, genesis};
-use crate::governance::{Governance, ORGANISATION_KEYS, certificate_key, read, revoked_key};
+use crate::governance::{self, Governance, ORGANISATION_KEYS, certificate_key, revoked_key};
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::identity::Identity;
 use crate::members::Membership;
@@ -168,7 +168,7 @@ impl Ledger {
     /// # Errors
     /// A fault of the store; [`Code::Corrupt`] if the record cannot be read.
     pub fn members(&self) -> Result<Membership, Rejection> {
-        read::members(&*self.state)
+        governance::members(&*self.state)
     }
 
     /// Executes the next block and makes its writes visible.

@@ -4,7 +4,7 @@ use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
 use crate::chaincode::{Environment, Event, Overlay, Registry, StateRead};
 use crate::code::Code;
 use crate::entry::{Entry, EntryKind};
-use crate::governance::{MEMBERS_KEY, certificate_key, found, members_record, read};
+use crate::governance::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::identities::Identities;
 use crate::identity::Identity;
 use crate::mutation::{Mutation, active};
@@ -89,7 +89,7 @@ impl Executor<'_> {
         }
 
         if kind == BlockKind::Membership
-            && let Some(members) = read::members(&*self.state)?.after(entry)
+            && let Some(members) = governance::members(&*self.state)?.after(entry)
         {
             overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
         }

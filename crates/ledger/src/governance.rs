@@ -31,7 +31,7 @@ mod invitations;
 mod nodes;
 mod organisations;
 mod proposals;
-pub mod read;
+mod read;
 mod revocations;
 mod store;
 
@@ -40,6 +40,7 @@ pub use invitations::{INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOr
 pub use nodes::{JoinNode, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, SetNodeRole, desired};
 pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{Action, Decision, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal};
+pub use read::{attestations, invitation, members, nodes, organisations};
 pub use revocations::RevocationRecord;
 
 pub(crate) use read::members_record;

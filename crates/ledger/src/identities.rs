@@ -3,7 +3,7 @@
 use crate::Hash;
 use crate::chaincode::{Overlay, StateRead};
 use crate::code::Code;
-use crate::governance::{certificate_key, read, revoked_key};
+use crate::governance::{self, certificate_key, revoked_key};
 use crate::identity::Identity;
 use crate::msp::{Msp, Msps};
 use crate::mutation::{Mutation, active};
@@ -133,7 +133,7 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
 
 fn read_msps(state: &dyn StateRead) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
-    for organisation in read::organisations(state)? {
+    for organisation in governance::organisations(state)? {
         msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
     }
     Ok(msps)

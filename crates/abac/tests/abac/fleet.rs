@@ -210,6 +210,16 @@ impl Fleet {
         .unwrap();
     }
 
+    /// A block that removes an organisation.
+    pub(crate) fn remove_organisation(&mut self, organisation: &str) {
+        self.block(|fleet, overlay, events| {
+            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
+            fleet.abac.organisation_removed(&mut ctx, organisation);
+            Ok(Bytes::new())
+        })
+        .unwrap();
+    }
+
     /// When the leader should tick next.
     pub(crate) fn next_deadline(&self) -> Option<u64> {
         self.look(None, |ctx, abac| abac.next_deadline(ctx))

@@ -187,6 +187,30 @@ fn revocation_ends_the_grants_of_that_certificate_in_its_block() {
 }
 
 #[test]
+fn the_grants_of_an_organisation_end_in_the_block_that_removes_it() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    fleet.remove_organisation("Org9");
+    assert_eq!(fleet.get::<Vec<Grant>>(&salma(), "grants", &[]).len(), 2);
+    let since = fleet.events.len();
+    fleet.remove_organisation("Org1");
+    assert_eq!(fleet.told(since), [("released", HUSKY), ("released", TURTLEBOT)]);
+    assert_eq!(fleet.newest::<Released>("released").reason, Reason::Revoked);
+    assert_eq!(fleet.next_deadline(), None);
+}
+
+#[test]
+fn the_robots_of_an_organisation_are_taken_out_of_service_in_the_block_that_removes_it() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    fleet.remove_organisation("Org2");
+    assert_eq!(fleet.newest::<Released>("released").reason, Reason::RobotRemoved);
+    fleet.set_refused(&salma(), Code::UnknownRobot, TURTLEBOT, 1, 1);
+    assert_eq!(fleet.get::<Vec<serde_json::Value>>(&salma(), "robots", &[]).len(), 0);
+}
+
+#[test]
 fn a_new_certificate_of_the_same_person_fences_off_the_old_one() {
     let mut fleet = Fleet::of_the_paper();
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);

@@ -1,13 +1,13 @@
 //! What nodes have signed about the chain, compared with what its blocks give.
 
 use crate::Hash;
-use crate::chain::{Ledger, Outcome};
-use crate::chaincode::StateRead;
+use crate::chain::Outcome;
+use crate::chaincode::Event;
 use crate::code::Code;
+use crate::governance::{self, Attest, Attestation};
 use crate::rejection::Rejection;
 use crate::state::Tip;
-use crate::transaction::Transaction;
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// How many blocks back an attestation is compared; nodes attest within seconds.
@@ -15,9 +15,6 @@ const HEIGHTS_MAX: usize = 100_000;
 
 /// Most differences that are told one by one.
 const DISSENTS_MAX: usize = 100;
-
-/// Keys of the records of attestations in the world state: organisation and name of the node follow.
-const ATTESTATION_KEYS: &str = "msp\0attestation/";
 
 /// A node signed something else than these blocks give.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -30,16 +27,6 @@ pub struct Dissent {
     pub hash: Hash,
     /// State digest that it signed.
     pub digest: Hash,
-}
-
-/// The record that an attestation leaves.
-#[derive(Deserialize)]
-struct Record {
-    height: u64,
-    hash: Hash,
-    digest: Hash,
-    #[serde(default)]
-    content: Option<Hash>,
 }
 
 /// The computed chain, and who signed what about it.
@@ -85,28 +72,20 @@ impl Attested {
     /// Compares the attestations in an executed block.
     ///
     /// # Errors
-    /// A fault of the state; [`Code::ChainInvalid`] for a snapshot that a node attested otherwise.
-    pub(super) fn block(&mut self, ledger: &Ledger, outcome: &Outcome) -> Result<(), Rejection> {
-        for emitted in &outcome.events {
-            if emitted.event.chaincode != "msp" || emitted.event.name != "attested" {
-                continue;
-            }
-            let position = emitted.index.and_then(|index| usize::try_from(index).ok());
-            let Some(bytes) = position.and_then(|index| outcome.transactions.get(index)) else { continue };
-            let transaction = Transaction::decode(bytes.clone())?;
-            let Some(creator) = Hash::from_slice(&transaction.body().creator) else { continue };
-            let Some(node) = ledger.creator_name(&creator) else { continue };
-            let Some(record) = ledger.state().get(format!("{ATTESTATION_KEYS}{node}").as_bytes())? else { continue };
-            let record: Record = serde_json::from_slice(&record).map_err(|error| {
-                Rejection::new(Code::ChainInvalid, format!("the attestation of {node} cannot be read: {error}"))
+    /// [`Code::ChainInvalid`] for a snapshot that a node attested otherwise.
+    pub(super) fn block(&mut self, outcome: &Outcome) -> Result<(), Rejection> {
+        let ours = |event: &&Event| event.chaincode == governance::NAME && event.name == "attested";
+        for event in outcome.events.iter().map(|emitted| &emitted.event).filter(ours) {
+            let said: Attestation = serde_json::from_slice(&event.payload).map_err(|error| {
+                Rejection::new(Code::Internal, format!("the attestation of {} cannot be read: {error}", event.subject))
             })?;
-            self.attestation(node, &record)?;
+            self.attestation(event.subject.clone(), &said.attest)?;
         }
         Ok(())
     }
 
-    fn attestation(&mut self, node: String, record: &Record) -> Result<(), Rejection> {
-        let Record { height, hash, digest, content } = record;
+    fn attestation(&mut self, node: String, record: &Attest) -> Result<(), Rejection> {
+        let Attest { height, hash, digest, content } = record;
         if let (Some((begun, wanted)), Some(content)) = (self.snapshot, *content)
             && begun == *height
         {
@@ -169,12 +148,12 @@ mod tests {
         Tip { height, term: 1, time: height, hash, digest }
     }
 
-    fn right(height: u64) -> Record {
-        Record { height, hash: tip(height).hash, digest: tip(height).digest, content: None }
+    fn right(height: u64) -> Attest {
+        Attest { height, hash: tip(height).hash, digest: tip(height).digest, content: None }
     }
 
-    fn wrong(height: u64) -> Record {
-        Record { digest: Hash::ZERO, ..right(height) }
+    fn wrong(height: u64) -> Attest {
+        Attest { digest: Hash::ZERO, ..right(height) }
     }
 
     fn chain(last: u64) -> Attested {
@@ -220,9 +199,9 @@ mod tests {
     fn a_snapshot_that_a_node_attested_otherwise_is_refused() {
         let mut attested = chain(20);
         attested.begin(10, tip(10).hash);
-        attested.attestation("Org1/a".into(), &Record { content: Some(tip(10).hash), ..right(10) }).unwrap();
+        attested.attestation("Org1/a".into(), &Attest { content: Some(tip(10).hash), ..right(10) }).unwrap();
         assert!(attested.snapshot_attested_by.contains("Org1/a"));
-        let other = Record { content: Some(Hash::ZERO), ..right(10) };
+        let other = Attest { content: Some(Hash::ZERO), ..right(10) };
         assert!(attested.attestation("Org2/b".into(), &other).unwrap_err().message.contains("Org2/b"));
     }
 }

@@ -98,7 +98,7 @@ impl Verification {
             self.compare_result(entry.index, &place)?;
             self.compare_tip(&place)?;
             self.attested.computed(&self.ledger.tip())?;
-            self.attested.block(&self.ledger, &outcome)?;
+            self.attested.block(&outcome)?;
             if self.ledger.pending_bytes() > DIRTY_BYTES_MAX {
                 self.ledger.flush(None)?;
             }

@@ -1,5 +1,5 @@
 use crate::world::{Network, code, is_executed};
-use ledger::governance::{AttestationRecord, read};
+use ledger::governance::{self, AttestationRecord};
 use ledger::{Code, Hash};
 
 fn attest(height: u64, digest: u8, content: Option<u8>) -> String {
@@ -10,7 +10,7 @@ fn attest(height: u64, digest: u8, content: Option<u8>) -> String {
 
 fn known(network: &Network) -> Vec<AttestationRecord> {
     let answer = network.query("attestations", &[]);
-    assert_eq!(answer, read::attestations(&**network.ledger.state()).unwrap());
+    assert_eq!(answer, governance::attestations(&**network.ledger.state()).unwrap());
     answer
 }
 

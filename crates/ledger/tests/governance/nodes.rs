@@ -1,6 +1,6 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use ledger::Code;
-use ledger::governance::{NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired, read};
+use ledger::governance::{self, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired};
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;
@@ -17,7 +17,7 @@ fn founding_nodes_stand_on_the_ledger_with_what_they_are_in_fact() {
     assert_eq!(network.roles()[2], (3, "Org3/node3".into(), LEARNER));
     assert_eq!(desired(&nodes.nodes), (nodes.members.voters.clone(), nodes.members.learners.clone()));
     assert_eq!(nodes.members, network.ledger.members().unwrap());
-    assert_eq!(nodes.nodes, read::nodes(&**network.ledger.state()).unwrap());
+    assert_eq!(nodes.nodes, governance::nodes(&**network.ledger.state()).unwrap());
 }
 
 #[test]

@@ -5,6 +5,7 @@ use ledger::entry::{Entry, EntryKind};
 use ledger::governance::{NodeRole, Nodes};
 use ledger::key::{KeyKind, SigningKey};
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::results::ResultStore;
 use ledger::state::{MemoryState, State};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Registry, Rejection};
@@ -114,7 +115,8 @@ impl Network {
         let mut registry = Registry::new();
         registry.install(Arc::new(Listener)).unwrap();
         let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-        let ledger = Ledger::open(&genesis.to_bytes().unwrap(), registry, state).unwrap();
+        let ledger =
+            Ledger::open(&genesis.to_bytes().unwrap(), registry, state, Arc::new(ResultStore::in_memory())).unwrap();
         let admins = cas.iter().map(|ca| ca.user("Admin", "admin")).collect();
         let nodes = (1..).zip(&cas).map(|(number, ca)| ca.user(&format!("node{number}"), "node")).collect();
         Self { cas, admins, nodes, ledger, time: START, nonce: 0, events: Vec::new() }
