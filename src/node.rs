@@ -127,7 +127,7 @@ impl Node {
         let trust: Arc<dyn TrustSource> = Arc::new(Trust { ledger: Arc::clone(&ledger) });
         let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
-        let directory = Arc::new(Directory::read(&genesis, &ledger));
+        let directory = Arc::new(Directory::read(&ledger));
         let mut authorities = CertificateAuthority::open_all(&config.data)?;
         for authority in &mut authorities {
             authority.set_days(config.ca.certificate_days, config.ca.secret_days);

@@ -1,7 +1,7 @@
 //! Who belongs to the network: the node records on the ledger, and what they come to in the ordering.
 
+use ledger::governance::{self, NodeRecord, NodeRole};
 use ledger::members::Membership;
-use ledger::network::{FoundingNode, Genesis};
 use ledger::result::BlockKind;
 use ledger::{Ledger, Outcome};
 use ledger_raft::Desired;
@@ -58,7 +58,6 @@ impl Member {
 
 /// Who belongs to the network now. Follows the ledger.
 pub(crate) struct Directory {
-    founding: Vec<FoundingNode>,
     members: watch::Sender<Arc<[Member]>>,
     /// One reading at a time, so that an older one never replaces a newer one.
     reading: Mutex<()>,
@@ -66,19 +65,18 @@ pub(crate) struct Directory {
 
 impl Directory {
     /// The members as of the ledger's tip.
-    pub(crate) fn read(genesis: &Genesis, ledger: &Ledger) -> Self {
-        let directory = Self {
-            founding: genesis.nodes.clone(),
-            members: watch::Sender::new(Arc::from([])),
-            reading: Mutex::default(),
-        };
+    pub(crate) fn read(ledger: &Ledger) -> Self {
+        let directory = Self { members: watch::Sender::new(Arc::from([])), reading: Mutex::default() };
         directory.refresh(ledger);
         directory
     }
 
     /// Takes note of an executed block, which may have changed who belongs here.
     pub(crate) fn observe(&self, outcome: &Outcome, ledger: &Ledger) {
-        let governed = || outcome.events.iter().any(|emitted| emitted.event.chaincode == ledger::governance::NAME);
+        let governed = || {
+            let events = outcome.events.iter().map(|emitted| &emitted.event);
+            events.filter(|event| event.name != "attested").any(|event| event.chaincode == governance::NAME)
+        };
         if outcome.kind == BlockKind::Membership || governed() {
             self.refresh(ledger);
         }
@@ -90,18 +88,26 @@ impl Directory {
             tracing::error!(%fault, "cannot read who belongs to the network");
             Membership::default()
         });
-        let members: Arc<[Member]> = self
-            .founding
-            .iter()
-            .map(|FoundingNode { id, name, organisation, address, voter }| Member {
-                id: *id,
-                name: name.clone(),
-                organisation: organisation.clone(),
-                address: address.clone(),
-                wanted: Some(if *voter { Part::Voter } else { Part::Learner }),
-                actual: part(&actual, *id),
+        let records = governance::nodes(&**ledger.state()).unwrap_or_else(|fault| {
+            tracing::error!(%fault, "cannot read which nodes the network wants");
+            Vec::new()
+        });
+        let mut members: Vec<Member> = records
+            .into_iter()
+            .map(|NodeRecord { id, name, organisation, address, role }| {
+                let wanted = match role {
+                    NodeRole::Voter => Some(Part::Voter),
+                    NodeRole::Learner => Some(Part::Learner),
+                    NodeRole::Removed => None,
+                };
+                Member { id, name, organisation, address, wanted, actual: part(&actual, id) }
             })
+            // Who was removed belongs here until the ordering has let it go.
+            .filter(|member| member.wanted.is_some() || member.actual.is_some())
             .collect();
+        // A node that lost its disk is here twice for a while: whoever looks for its name finds the new one first.
+        members.sort_by_key(|member| (member.wanted.is_none(), member.id));
+        let members: Arc<[Member]> = members.into();
         self.members.send_if_modified(|known| {
             let changed = **known != *members;
             *known = members;
@@ -109,7 +115,7 @@ impl Directory {
         });
     }
 
-    /// The members now, in order of their ids.
+    /// The members now, in order of their ids; those that leave come last.
     pub(crate) fn members(&self) -> Arc<[Member]> {
         Arc::clone(&self.members.borrow())
     }
