@@ -11,6 +11,7 @@ mod tests;
 use crate::ca::CertificateAuthority;
 use crate::ca::durable;
 use ledger::block::PAYLOAD_BYTES_MAX;
+use ledger::retention::Retention;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
 use ledger::{Code, Rejection};
 use reader::{Reader, Section};
@@ -22,6 +23,9 @@ use tracing_subscriber::filter::LevelFilter;
 pub const CONFIG_BYTES_MAX: usize = 1024 * 1024;
 /// Longest time without a leader before a new one is elected, in milliseconds.
 const ELECTION_MS_MAX: u64 = 60_000;
+/// How `storage.retention` is written.
+const RETENTION: &str =
+    "forever, an age of at least 10min such as 30d or 12h, or a size of at least 64MiB such as 20GiB";
 /// Shortest such time: below it a slow disk looks like a dead leader.
 const ELECTION_MS_MIN: u64 = 100;
 
@@ -62,6 +66,10 @@ pub struct Limits {
 pub struct Storage {
     /// Size of a segment file, in MiB.
     pub segment_mib: u64,
+    /// How long blocks are kept.
+    pub retention: Retention,
+    /// Where blocks are copied to before they are dropped; empty = nowhere.
+    pub archive: PathBuf,
 }
 
 /// Ordering.
@@ -71,6 +79,8 @@ pub struct Order {
     pub tick_ms: u64,
     /// Ticks without a leader after which a new one is elected.
     pub election_ticks: u64,
+    /// Between two attestations, in milliseconds.
+    pub attest_ms: u64,
 }
 
 /// The enrolment CA, if the node carries one.
@@ -106,8 +116,8 @@ impl Default for Config {
             data: PathBuf::from("data"),
             listen: "127.0.0.1:7450".into(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
-            storage: Storage { segment_mib: 64 },
-            order: Order { tick_ms: 50, election_ticks: 10 },
+            storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
+            order: Order { tick_ms: 50, election_ticks: 10, attest_ms: 10_000 },
             ca: Ca {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
                 secret_days: CertificateAuthority::SECRET_DAYS,
@@ -192,6 +202,9 @@ impl Config {
         reader.root(|root| config.read(root));
         let directory = path.parent().unwrap_or(Path::new(""));
         config.data = directory.join(&config.data);
+        if !config.storage.archive.as_os_str().is_empty() {
+            config.storage.archive = directory.join(&config.storage.archive);
+        }
         if let Some(toml::Value::String(context)) =
             config.bridge.as_mut().and_then(|bridge| bridge.get_mut("context_dir"))
         {
@@ -212,10 +225,15 @@ impl Config {
             s.integer("in_flight_max", 1..=1_000_000, &mut limits.in_flight_max);
             s.integer("subscribers_max", 1..=100_000, &mut limits.subscribers_max);
         });
-        root.section("storage", |s| s.integer("segment_mib", 1..=1024, &mut storage.segment_mib));
+        root.section("storage", |s| {
+            s.integer("segment_mib", 1..=1024, &mut storage.segment_mib);
+            s.text("retention", RETENTION, &mut storage.retention, |text| text.parse().ok());
+            s.text("archive", "a path", &mut storage.archive, |text| Some(text.into()));
+        });
         root.section("order", |s| {
             s.integer("tick_ms", 1..=10_000, &mut order.tick_ms);
             s.integer("election_ticks", 2..=1000, &mut order.election_ticks);
+            s.integer("attest_ms", 100..=3_600_000, &mut order.attest_ms);
         });
         root.section("ca", |s| {
             s.integer("certificate_days", 1..=3650, &mut ca.certificate_days);

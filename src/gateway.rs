@@ -13,6 +13,7 @@ use crate::listen::Caller;
 use crate::orderer::{Executed, Reads, Seat};
 use crate::peers::{Directory, Member, Peers};
 use crate::waiters::{Waiter, Waiters};
+use crate::witness::Witness;
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
 pub(crate) use ledger_api::to_status as status;
@@ -69,6 +70,8 @@ pub(crate) struct NodeView {
     pub subscribers: Arc<AtomicU64>,
     /// Is there too little space to promise anything?
     pub disk_full: Arc<AtomicBool>,
+    /// Compares what others attest.
+    pub witness: Arc<Witness>,
     /// The node's clock.
     pub clock: Clock,
     /// When the node started.

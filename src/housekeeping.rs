@@ -2,9 +2,9 @@
 //! too long and watches the disk. The other stores results and world state and makes snapshots, which may take long.
 
 use crate::gateway::NodeView;
+use crate::retention::Pruner;
 use ledger::Code;
 use ledger::block_store::BlockStore;
-use ledger::snapshot::Snapshots;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -19,6 +19,8 @@ const PERIOD: Duration = Duration::from_millis(50);
 const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 /// Results and world state in memory that are stored at once.
 const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
+/// Old blocks are looked at this often.
+const PRUNE_PERIOD: Duration = Duration::from_secs(10);
 /// Waiters are looked at this often.
 const SWEEP_PERIOD: Duration = Duration::from_secs(1);
 /// With less space than this left, nothing more is accepted: what was accepted must still fit.
@@ -35,13 +37,9 @@ impl Housekeeping {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(
-        node: Arc<NodeView>,
-        store: Arc<BlockStore>,
-        snapshots: Arc<Snapshots>,
-        data: PathBuf,
-    ) -> io::Result<Self> {
-        let mut keeper = Keeper { node: Arc::clone(&node), snapshots, flushed: Instant::now() };
+    pub(crate) fn start(node: Arc<NodeView>, pruner: Pruner) -> io::Result<Self> {
+        let (store, data) = (Arc::clone(&pruner.store), pruner.data.clone());
+        let mut keeper = Keeper { node: Arc::clone(&node), pruner, flushed: Instant::now(), pruned: Instant::now() };
         let (stop_storing, stopped) = mpsc::channel();
         let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
             while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
@@ -73,8 +71,9 @@ impl Housekeeping {
 /// Stores results and world state.
 struct Keeper {
     node: Arc<NodeView>,
-    snapshots: Arc<Snapshots>,
+    pruner: Pruner,
     flushed: Instant,
+    pruned: Instant,
 }
 
 impl Keeper {
@@ -82,6 +81,12 @@ impl Keeper {
         let pending = self.node.ledger.pending_bytes();
         if pending > PENDING_BYTES_MAX || (pending > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {
             self.flush();
+        }
+        if self.pruned.elapsed() >= PRUNE_PERIOD {
+            self.pruned = Instant::now();
+            if let Err(fault) = self.pruner.prune() {
+                tracing::error!(%fault, "cannot drop old blocks");
+            }
         }
     }
 
@@ -91,7 +96,7 @@ impl Keeper {
             // The blocks have it; what the log still has to write goes first.
             return;
         }
-        match self.node.ledger.flush(Some(&self.snapshots)) {
+        match self.node.ledger.flush(Some(&self.pruner.snapshots)) {
             Ok(()) => {}
             Err(fault) if fault.code == Code::DiskFull => set_full(&self.node, true),
             // Nothing is lost: the blocks have it, and the next start rebuilds what is missing.

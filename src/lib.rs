@@ -57,10 +57,13 @@ mod orderer;
 mod peers;
 mod random;
 mod renewal;
+mod retention;
 pub mod setup;
+mod signer;
 mod stores;
 mod telemetry;
 mod waiters;
+mod witness;
 
 pub use command::run;
 pub use node::{Ended, Node, NodeBuilder};

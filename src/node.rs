@@ -16,8 +16,11 @@ use crate::listen::accept;
 use crate::orderer::{Executed, Reads, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::renewal::{self, Keeper};
+use crate::retention::Pruner;
+use crate::signer::Signer;
 use crate::stores::Stores;
 use crate::waiters::Waiters;
+use crate::witness::{Testimony, Witness};
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::identity::Identity;
 use ledger::msp::Msps;
@@ -111,6 +114,8 @@ pub struct Node {
     conductor: JoinHandle<()>,
     /// Renews the certificate.
     keeper: JoinHandle<()>,
+    /// Attests, and compares what others attest.
+    testimony: JoinHandle<()>,
     stop: watch::Sender<bool>,
 }
 
@@ -152,6 +157,7 @@ impl Node {
         };
         let peers = Peers::new(dialer.clone());
         let (reads, executed) = (Arc::new(Reads::default()), Arc::new(Executed::default()));
+        let (witness, seen) = Witness::new();
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
@@ -170,10 +176,20 @@ impl Node {
             start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
             disk_full: Arc::clone(&disk_full),
             executed: Arc::clone(&executed),
+            witness: Arc::clone(&witness),
         });
         peers.follow(&directory);
         let seat = Arc::new(Seat::empty());
         let id = me.id;
+        let testimony = Testimony {
+            shared: Arc::clone(&shared),
+            seat: Arc::clone(&seat),
+            dialer: dialer.clone(),
+            signer: Signer::new(tls.clone(), ledger.network(), clock.clone()),
+            me: me.full_name(),
+            every: Duration::from_millis(config.order.attest_ms),
+            data: config.data.clone(),
+        };
 
         let view = Arc::new(NodeView {
             me,
@@ -191,11 +207,20 @@ impl Node {
             in_flight: Arc::new(Semaphore::new(count(config.limits.in_flight_max).min(Semaphore::MAX_PERMITS))),
             subscribers: Arc::new(AtomicU64::new(0)),
             disk_full,
+            witness,
             clock,
             started,
         });
         let source = Arc::new(Source::new(Arc::clone(&shared), Arc::clone(&seat)));
-        let housekeeping = Housekeeping::start(Arc::clone(&view), store, snapshots, config.data.clone())
+        let pruner = Pruner {
+            ledger: Arc::clone(&ledger),
+            store,
+            snapshots: Arc::clone(&snapshots),
+            retention: config.storage.retention,
+            archive: Some(config.storage.archive.clone()).filter(|path| !path.as_os_str().is_empty()),
+            data: config.data.clone(),
+        };
+        let housekeeping = Housekeeping::start(Arc::clone(&view), pruner)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let inbox = Arc::clone(&seat);
         let peer_service = PeerService::new(peers, source, directory.subscribe(), move |from, message| {
@@ -254,8 +279,9 @@ impl Node {
             }
         };
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
+        let testimony = tokio::spawn(testimony.run(seen));
         let bridge = NodeBridge::start(config, own_gateway)?;
-        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, keeper, stop })
+        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, keeper, testimony, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -286,6 +312,7 @@ impl Node {
         }
         self.view.hand_over().await;
         self.keeper.abort();
+        self.testimony.abort();
         self.view.in_flight.close();
         self.stop.send_replace(true);
         let mut server = self.server;

@@ -29,6 +29,7 @@ use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::peers::{Directory, Peers};
 use crate::waiters::Waiters;
+use crate::witness::Witness;
 use execute::Execute;
 use ledger::block_store::BlockStore;
 use ledger::snapshot::Snapshots;
@@ -76,6 +77,8 @@ pub(crate) struct Shared {
     pub disk_full: Arc<AtomicBool>,
     /// What was executed, by number of the verdict's code.
     pub executed: Arc<Executed>,
+    /// Compares what others attest.
+    pub witness: Arc<Witness>,
 }
 
 /// The running threads.

@@ -2,6 +2,7 @@
 
 use crate::config::Config;
 use crate::random;
+use crate::witness::DIVERGED_FILE;
 use ledger::archive::SNAPSHOTS_DIRECTORY;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
@@ -41,6 +42,15 @@ impl Stores {
         let store = Arc::new(open_blocks(config, network)?);
         let snapshots = open_directory(&config.data.join(SNAPSHOTS_DIRECTORY))?;
         let snapshots = Arc::new(Snapshots::open(Arc::new(snapshots), network)?);
+        let mark = config.data.join(DIVERGED_FILE);
+        let diverged = mark.exists();
+        if diverged {
+            set_aside(&config.data.join(STATE_DIRECTORY))?;
+            set_aside(&config.data.join(RESULTS_DIRECTORY))?;
+            tracing::warn!(
+                "world state and results differed from the other nodes'; they are made anew from the blocks"
+            );
+        }
         let open = || open_ledger(&config.data, genesis_bytes, &registry, &store, &snapshots);
         let ledger = match open() {
             Ok(ledger) => ledger,
@@ -52,6 +62,9 @@ impl Stores {
             }
             Err(fault) => return Err(fault),
         };
+        if diverged && let Err(error) = std::fs::remove_file(&mark) {
+            tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start makes the state anew again");
+        }
         Ok(Self { genesis, ledger: Arc::new(ledger), store, snapshots })
     }
 }

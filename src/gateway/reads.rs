@@ -114,8 +114,9 @@ impl NodeView {
             payload_bytes_max: self.limits.payload_bytes_max,
             resident_bytes: resident_bytes(),
             first_height: self.blocks.first_height(),
+            snapshot_height: self.witness.snapshot_height(),
             catching_up_to: self.seat.catching_up_to().unwrap_or_default(),
-            ..StatusResponse::default()
+            divergence: self.witness.divergence(),
         })
     }
 

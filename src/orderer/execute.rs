@@ -53,6 +53,7 @@ impl Shared {
         self.clock.observe(outcome.header.time);
         self.waiters.resolve(&outcome, &self.ledger);
         self.directory.observe(&outcome, &self.ledger);
+        self.witness.observe(&outcome);
         self.blocks.publish(Arc::clone(&outcome));
         self.executed.count(&outcome);
         Ok(outcome)

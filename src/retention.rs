@@ -1,0 +1,52 @@
+//! Drops old blocks and their results, as the setting `storage.retention` wants; archives them first if there is an
+//! archive.
+
+use ledger::block_store::BlockStore;
+use ledger::retention::{Kept, Retention};
+use ledger::snapshot::Snapshots;
+use ledger::{Ledger, Rejection};
+use std::path::PathBuf;
+use std::sync::Arc;
+
+/// What decides about old blocks.
+pub(crate) struct Pruner {
+    pub ledger: Arc<Ledger>,
+    pub store: Arc<BlockStore>,
+    pub snapshots: Arc<Snapshots>,
+    pub retention: Retention,
+    /// Where finished segments are copied to before they are dropped.
+    pub archive: Option<PathBuf>,
+    /// The data directory.
+    pub data: PathBuf,
+}
+
+impl Pruner {
+    /// Drops what is not to be kept any more.
+    ///
+    /// # Errors
+    /// If the archive cannot be written: then nothing is dropped. A fault of the store.
+    pub(crate) fn prune(&self) -> Result<(), Rejection> {
+        if self.retention == Retention::Forever {
+            return Ok(());
+        }
+        let time_of = |height| self.ledger.result(height).ok().flatten().map(|result| result.time);
+        let keep_from = self.retention.keep_from(&Kept {
+            finished: &self.store.finished(),
+            oldest_snapshot: self.snapshots.oldest().map(|snapshot| snapshot.manifest().height),
+            time: self.ledger.tip().time,
+            time_of: &time_of,
+        });
+        if keep_from <= self.store.first_index() {
+            // A node that ended between the two drops what it has left.
+            return self.ledger.prune_results(self.store.first_index()).map(drop);
+        }
+        if let Some(archive) = &self.archive {
+            let report = ledger::archive::archive(&self.data, archive)?;
+            tracing::info!(segments = report.segments_copied, up_to = report.last_height, "archived blocks");
+        }
+        let first = self.store.prune(keep_from)?;
+        self.ledger.prune_results(first)?;
+        tracing::info!(first, "dropped older blocks");
+        Ok(())
+    }
+}

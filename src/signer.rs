@@ -1,0 +1,50 @@
+//! Signs transactions as the node itself.
+
+use crate::clock::Clock;
+use ledger::transaction::{Body, NONCE_BYTES, Transaction};
+use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_api::tls::TlsIdentity;
+use ring::rand::{SecureRandom, SystemRandom};
+use std::time::Duration;
+
+/// How long after now a transaction of the node may still be executed.
+const TTL: Duration = Duration::from_secs(30);
+
+/// The node's identity, ready to sign; follows the renewal of its certificate.
+pub(crate) struct Signer {
+    identity: TlsIdentity,
+    network: Hash,
+    clock: Clock,
+    random: SystemRandom,
+}
+
+impl Signer {
+    /// Signs as this identity on a network.
+    pub(crate) fn new(identity: TlsIdentity, network: Hash, clock: Clock) -> Self {
+        Self { identity, network, clock, random: SystemRandom::new() }
+    }
+
+    /// A call of a chaincode function, with the certificate, so that every ledger accepts it.
+    ///
+    /// # Errors
+    /// What keeps it from being a transaction.
+    pub(crate) fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Transaction, Rejection> {
+        let mut nonce = [0; NONCE_BYTES];
+        self.random
+            .fill(&mut nonce)
+            .map_err(|_| Rejection::new(Code::Internal, "the system's source of randomness failed"))?;
+        let own = self.identity.own();
+        let certificate = own.chain.first().map(|der| Bytes::copy_from_slice(der)).unwrap_or_default();
+        let ttl = u64::try_from(TTL.as_micros()).unwrap_or(u64::MAX);
+        let body = Body {
+            network: Bytes::copy_from_slice(&self.network.0),
+            creator: Bytes::copy_from_slice(&own.creator.0),
+            nonce: Bytes::copy_from_slice(&nonce),
+            not_after: self.clock.now().saturating_add(ttl),
+            chaincode: chaincode.into(),
+            function: function.into(),
+            args,
+        };
+        Transaction::sign(&body, &own.key)?.with_certificate(certificate)
+    }
+}

@@ -1,0 +1,220 @@
+//! Attestations: from time to time this node signs what it has computed into the ledger, and compares what the others
+//! have signed with what it has computed itself.
+//!
+//! An attestation is a transaction `msp attest` with a height, the hash of its block and the state digest after it; for a
+//! snapshot also the hash of its manifest. A network in which nothing happens attests nothing.
+//!
+//! ```text
+//! witness        what is attested and when; what others attest
+//!   judge        what a contradiction means
+//!   difference   where it began: height and key
+//! ```
+//!
+//! A node that more than half of the members contradict stops, says where the difference began, and leaves a mark, so
+//! that its next start makes the world state anew from the blocks.
+
+mod difference;
+mod judge;
+
+use crate::orderer::{Seat, Shared};
+use crate::peers::Dialer;
+use crate::signer::Signer;
+use judge::{Finding, Judge};
+use ledger::governance::{self, Attest, Attestation};
+use ledger::{Admission, Bytes, Code, Outcome, Rejection};
+use ledger_raft::{Input, Lane};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::sync::mpsc;
+use tokio::time::{MissedTickBehavior, interval};
+
+/// The name of the event that an attestation causes; its subject is the node, `ORGANISATION/NAME`.
+const EVENT: &str = "attested";
+/// The mark of a world state that contradicts the others', in the data directory.
+pub(crate) const DIVERGED_FILE: &str = "diverged";
+
+/// What the rest of the node sees of its witness.
+pub(crate) struct Witness {
+    seen: mpsc::UnboundedSender<Seen>,
+    /// Height of the newest block that holds anything but attestations.
+    ordinary: AtomicU64,
+    /// Height of this node's newest snapshot.
+    snapshot: AtomicU64,
+    differing: Mutex<String>,
+}
+
+/// An attestation that was executed.
+pub(crate) struct Seen {
+    /// Who signed it, `ORGANISATION/NAME`.
+    by: String,
+    attest: Attest,
+}
+
+impl Witness {
+    /// A witness, and what it will have seen.
+    pub(crate) fn new() -> (Arc<Self>, mpsc::UnboundedReceiver<Seen>) {
+        // Bounded by what nodes sign: a record in the ledger for each.
+        let (seen, attestations) = mpsc::unbounded_channel();
+        let (ordinary, snapshot, differing) = Default::default();
+        (Arc::new(Self { seen, ordinary, snapshot, differing }), attestations)
+    }
+
+    /// Takes note of an executed block.
+    pub(crate) fn observe(&self, outcome: &Outcome) {
+        let mut attestations = 0;
+        for emitted in &outcome.events {
+            let event = &emitted.event;
+            if event.chaincode != governance::NAME || event.name != EVENT {
+                continue;
+            }
+            attestations += 1;
+            if let Ok(Attestation { attest, .. }) = serde_json::from_slice(&event.payload) {
+                let _stopping = self.seen.send(Seen { by: event.subject.clone(), attest });
+            }
+        }
+        if outcome.results.len() > attestations {
+            self.ordinary.store(outcome.header.height, Ordering::Relaxed);
+        }
+    }
+
+    /// Height of this node's newest snapshot, as far as it was noticed; 0 if there is none.
+    pub(crate) fn snapshot_height(&self) -> u64 {
+        self.snapshot.load(Ordering::Relaxed)
+    }
+
+    /// Who contradicts this node, in words; empty if nobody does.
+    pub(crate) fn divergence(&self) -> String {
+        self.differing.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+/// The task of a witness.
+pub(crate) struct Testimony {
+    pub shared: Arc<Shared>,
+    pub seat: Arc<Seat>,
+    pub dialer: Dialer,
+    pub signer: Signer,
+    /// This node, `ORGANISATION/NAME`.
+    pub me: String,
+    /// Time between two attestations.
+    pub every: Duration,
+    /// The data directory.
+    pub data: PathBuf,
+}
+
+/// What the task remembers.
+#[derive(Default)]
+struct Memory {
+    judge: Judge,
+    /// Greatest height that this node has attested.
+    attested: u64,
+    /// Greatest height of a snapshot that it has attested.
+    snapshot: u64,
+}
+
+impl Testimony {
+    /// Attests and judges until the node stops.
+    pub(crate) async fn run(self, mut seen: mpsc::UnboundedReceiver<Seen>) {
+        let mut memory = Memory::default();
+        // What was attested before this node started counts as well.
+        for record in governance::attestations(&**self.shared.ledger.state()).unwrap_or_default() {
+            let by = format!("{}/{}", record.organisation, record.node);
+            self.judge(&mut memory, Seen { by, attest: record.latest.attest }).await;
+        }
+        let mut time = interval(self.every);
+        time.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            let told = tokio::select! {
+                attestation = seen.recv() => match attestation {
+                    Some(attestation) => {
+                        self.judge(&mut memory, attestation).await;
+                        continue;
+                    }
+                    None => return,
+                },
+                _ = time.tick() => self.attest_tip(&memory),
+            };
+            if let Err(reason) = told {
+                // The next one tells as much.
+                tracing::debug!(%reason, "cannot attest now");
+            }
+        }
+    }
+
+    fn attest_tip(&self, memory: &Memory) -> Result<(), Rejection> {
+        self.attest_snapshot(memory)?;
+        let tip = self.shared.ledger.tip();
+        if self.shared.witness.ordinary.load(Ordering::Relaxed) <= memory.attested {
+            return Ok(());
+        }
+        self.attest(&Attest { height: tip.height, hash: tip.hash, digest: tip.digest, content: None })
+    }
+
+    fn attest_snapshot(&self, memory: &Memory) -> Result<(), Rejection> {
+        let Some(snapshot) = self.shared.snapshots.newest() else { return Ok(()) };
+        let (height, content) = (snapshot.manifest().height, snapshot.content());
+        self.shared.witness.snapshot.store(height, Ordering::Relaxed);
+        let Some(result) = self.shared.ledger.result(height)?.filter(|_| height > memory.snapshot) else {
+            return Ok(());
+        };
+        let hash = result.hash();
+        self.attest(&Attest { height, hash, digest: result.digest(), content: Some(content) })
+    }
+
+    fn attest(&self, attest: &Attest) -> Result<(), Rejection> {
+        let argument = serde_json::to_vec(attest).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        let signed = self.signer.sign(governance::NAME, "attest", vec![Bytes::from(argument)])?;
+        let admission = self.shared.ledger.admit(signed.encoded().clone(), self.shared.clock.now());
+        match admission.map_err(|refusal| refusal.rejection)? {
+            Admission::New(transaction) => {
+                self.seat.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
+            }
+            Admission::Known(..) => Ok(()),
+        }
+    }
+
+    async fn judge(&self, memory: &mut Memory, Seen { by, attest }: Seen) {
+        if by == self.me {
+            memory.attested = memory.attested.max(attest.height);
+            memory.snapshot = memory.snapshot.max(attest.content.map_or(0, |_| attest.height));
+            return;
+        }
+        // What is not kept any more, or not yet executed, is not judged.
+        let Ok(Some(own)) = self.shared.ledger.result(attest.height) else { return };
+        let agrees = own.digest() == attest.digest && own.hash() == attest.hash;
+        let finding = memory.judge.judge(&by, attest.height, agrees, self.shared.directory.members().len());
+        *self.shared.witness.differing.lock().unwrap_or_else(PoisonError::into_inner) = memory.judge.describe();
+        match finding {
+            Finding::Agrees => {}
+            Finding::Differs => tracing::error!(
+                node = by,
+                height = attest.height,
+                own = %own.digest(),
+                attested = %attest.digest,
+                "this node and another differ; nobody knows yet which is right"
+            ),
+            Finding::Outvoted => self.stop(&memory.judge).await,
+        }
+    }
+
+    /// This node is wrong: it stops serving, and says where that began.
+    async fn stop(&self, judge: &Judge) {
+        self.seat.stop();
+        let mark = self.data.join(DIVERGED_FILE);
+        if let Err(error) = std::fs::write(&mark, judge.describe()) {
+            tracing::error!(%error, mark = %mark.display(), "cannot mark the world state");
+        }
+        let began = difference::find(&self.shared, &self.dialer, judge).await;
+        (self.shared.fatal)(
+            Rejection::new(Code::Diverged, "the world state of this node differs from that of most others")
+                .found(judge.describe())
+                .wanted(began)
+                .next(
+                    "start the node again: it makes its world state anew from its blocks; if it stops again, it runs \
+                     another program than the others",
+                ),
+        );
+    }
+}
