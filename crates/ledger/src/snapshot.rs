@@ -47,8 +47,10 @@ pub struct Snapshots {
     network: Hash,
     /// Oldest first.
     kept: RwLock<Vec<Arc<Snapshot>>>,
-    /// One is made or installed at a time.
+    /// One is made at a time.
     making: Mutex<()>,
+    /// And one fetched.
+    fetching: Mutex<()>,
 }
 
 impl Snapshots {
@@ -70,7 +72,7 @@ impl Snapshots {
                 Err(fault) => return Err(fault),
             }
         }
-        Ok(Self { disk, network, kept: RwLock::new(kept), making: Mutex::new(()) })
+        Ok(Self { disk, network, kept: RwLock::new(kept), making: Mutex::default(), fetching: Mutex::default() })
     }
 
     /// The newest.

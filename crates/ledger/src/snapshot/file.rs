@@ -118,7 +118,7 @@ impl Snapshot {
 
     /// Everything in it, in order.
     pub fn items(&self) -> Items<'_> {
-        Items::new(self)
+        Items::new(self, false)
     }
 
     /// The pairs of the world state whose keys begin so, for example [the organisations](crate::governance) whose nodes may
@@ -128,7 +128,7 @@ impl Snapshot {
     /// [`Code::Corrupt`] if it is no snapshot up to there.
     pub fn pairs(&self, prefix: &[u8], limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
         let mut found = Vec::new();
-        for item in self.items() {
+        for item in Items::new(self, true) {
             match item? {
                 Item::Pair(key, value) if key.starts_with(prefix) && found.len() < limit => found.push((key, value)),
                 Item::Pair(key, _) if key.as_ref() < prefix => {}

@@ -23,7 +23,7 @@ pub struct Installer<'a> {
 
 impl<'a> Installer<'a> {
     pub(super) fn begin(snapshots: &'a Snapshots, manifest: Manifest) -> Result<Self, Rejection> {
-        let one = snapshots.making.lock().unwrap_or_else(PoisonError::into_inner);
+        let one = snapshots.fetching.lock().unwrap_or_else(PoisonError::into_inner);
         let name = format!("{}.part", file::name(manifest.height));
         // Those of other heights will not be continued.
         for other in snapshots.disk.list().map_err(|error| failed("list", "", &error))? {

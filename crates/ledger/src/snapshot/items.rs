@@ -57,24 +57,29 @@ pub struct Items<'a> {
     key: Bytes,
     /// Height of the result before.
     height: Option<u64>,
+    /// End before the results.
+    pairs_only: bool,
     failed: bool,
 }
 
 impl<'a> Items<'a> {
-    pub(super) fn new(snapshot: &'a Snapshot) -> Self {
-        Self { snapshot, chunk: 0, rest: BytesMut::new(), key: Bytes::new(), height: None, failed: false }
+    pub(super) fn new(snapshot: &'a Snapshot, pairs_only: bool) -> Self {
+        Self { snapshot, chunk: 0, rest: BytesMut::new(), key: Bytes::new(), height: None, pairs_only, failed: false }
     }
 
     fn read(&mut self) -> Result<Option<Item>, Rejection> {
         if !self.fill(1)? {
             let reached = self.snapshot.manifest().height;
             return match self.height {
+                None if self.pairs_only => Ok(None),
                 Some(height) if height == reached => Ok(None),
                 _ => Err(self.wrong("it ends before the result of its last block")),
             };
         }
         match self.rest.get_u8() {
             PAIR if self.height.is_none() => self.pair().map(Some),
+            // Whoever only looks for pairs does not trust this snapshot yet, and results may be large.
+            RESULT if self.pairs_only => Ok(None),
             RESULT => self.result().map(Some),
             _ => Err(self.wrong("an item of unknown kind, or out of order")),
         }
