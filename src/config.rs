@@ -11,6 +11,7 @@ mod tests;
 use crate::ca::CertificateAuthority;
 use crate::ca::durable;
 use ledger::block::PAYLOAD_BYTES_MAX;
+use ledger::retention::Retention;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
 use ledger::{Code, Rejection};
 use reader::{Reader, Section};
@@ -62,6 +63,8 @@ pub struct Limits {
 pub struct Storage {
     /// Size of a segment file, in MiB.
     pub segment_mib: u64,
+    /// How long blocks are kept.
+    pub retention: Retention,
 }
 
 /// Ordering.
@@ -106,7 +109,7 @@ impl Default for Config {
             data: PathBuf::from("data"),
             listen: "127.0.0.1:7450".into(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
-            storage: Storage { segment_mib: 64 },
+            storage: Storage { segment_mib: 64, retention: Retention::Forever },
             order: Order { tick_ms: 50, election_ticks: 10 },
             ca: Ca {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
@@ -212,7 +215,11 @@ impl Config {
             s.integer("in_flight_max", 1..=1_000_000, &mut limits.in_flight_max);
             s.integer("subscribers_max", 1..=100_000, &mut limits.subscribers_max);
         });
-        root.section("storage", |s| s.integer("segment_mib", 1..=1024, &mut storage.segment_mib));
+        root.section("storage", |s| {
+            s.integer("segment_mib", 1..=1024, &mut storage.segment_mib);
+            let wanted = "forever, an age of at least 10min like 30d or 12h, or a size of at least 64MiB like 20GiB";
+            s.text("retention", wanted, &mut storage.retention, |text| text.parse().ok());
+        });
         root.section("order", |s| {
             s.integer("tick_ms", 1..=10_000, &mut order.tick_ms);
             s.integer("election_ticks", 2..=1000, &mut order.election_ticks);

@@ -1,10 +1,12 @@
 //! What a node does beside its work, on two threads of their own. One zeroes the log ahead, answers those who have waited
-//! too long and watches the disk. The other stores results and world state and makes snapshots, which may take long.
+//! too long and watches the disk. The other stores results and world state, makes snapshots, which may take long, and
+//! drops old blocks.
 
 use crate::gateway::NodeView;
-use ledger::Code;
 use ledger::block_store::BlockStore;
+use ledger::retention::{Kept, Retention};
 use ledger::snapshot::Snapshots;
+use ledger::{Code, Ledger, Rejection};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -21,6 +23,8 @@ const FLUSH_PERIOD: Duration = Duration::from_millis(500);
 const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Waiters are looked at this often.
 const SWEEP_PERIOD: Duration = Duration::from_secs(1);
+/// Old blocks are dropped this often.
+const PRUNE_PERIOD: Duration = Duration::from_secs(60);
 /// With less space than this left, nothing more is accepted: what was accepted must still fit.
 const FREE_BYTES_MIN: u64 = 16 * 1024 * 1024;
 
@@ -40,8 +44,16 @@ impl Housekeeping {
         store: Arc<BlockStore>,
         snapshots: Arc<Snapshots>,
         data: PathBuf,
+        retention: Retention,
     ) -> io::Result<Self> {
-        let mut keeper = Keeper { node: Arc::clone(&node), snapshots, flushed: Instant::now() };
+        let mut keeper = Keeper {
+            node: Arc::clone(&node),
+            store: Arc::clone(&store),
+            snapshots,
+            retention,
+            flushed: Instant::now(),
+            pruned: None,
+        };
         let (stop_storing, stopped) = mpsc::channel();
         let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
             while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
@@ -70,11 +82,14 @@ impl Housekeeping {
     }
 }
 
-/// Stores results and world state.
+/// Stores results and world state, and drops old blocks.
 struct Keeper {
     node: Arc<NodeView>,
+    store: Arc<BlockStore>,
     snapshots: Arc<Snapshots>,
+    retention: Retention,
     flushed: Instant,
+    pruned: Option<Instant>,
 }
 
 impl Keeper {
@@ -82,6 +97,12 @@ impl Keeper {
         let pending = self.node.ledger.pending_bytes();
         if pending > PENDING_BYTES_MAX || (pending > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {
             self.flush();
+        }
+        if self.pruned.is_none_or(|pruned| pruned.elapsed() >= PRUNE_PERIOD) {
+            self.pruned = Some(Instant::now());
+            if let Err(fault) = prune(&self.retention, &self.node.ledger, &self.store, &self.snapshots) {
+                tracing::error!(%fault, "cannot drop old blocks");
+            }
         }
     }
 
@@ -98,6 +119,24 @@ impl Keeper {
             Err(fault) => tracing::error!(%fault, "cannot store the world state"),
         }
     }
+}
+
+/// Drops the blocks that are not to be kept any longer, and their results.
+fn prune(retention: &Retention, ledger: &Ledger, store: &BlockStore, snapshots: &Snapshots) -> Result<(), Rejection> {
+    if *retention == Retention::Forever {
+        return Ok(());
+    }
+    let finished = store.finished();
+    let oldest_snapshot = snapshots.oldest().map(|snapshot| snapshot.manifest().height);
+    let time_of = |height| ledger.result(height).ok().flatten().map(|result| result.time);
+    let keep_from =
+        retention.keep_from(&Kept { finished: &finished, oldest_snapshot, time: ledger.tip().time, time_of: &time_of });
+    let before = store.first_index();
+    let first = if keep_from > before { store.prune(keep_from)? } else { before };
+    if first > before {
+        tracing::info!(first, "dropped the blocks before this one");
+    }
+    ledger.prune_results(first).map(drop)
 }
 
 struct Rounds {

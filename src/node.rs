@@ -195,8 +195,9 @@ impl Node {
             started,
         });
         let source = Arc::new(Source::new(Arc::clone(&shared), Arc::clone(&seat)));
-        let housekeeping = Housekeeping::start(Arc::clone(&view), store, snapshots, config.data.clone())
-            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
+        let housekeeping =
+            Housekeeping::start(Arc::clone(&view), store, snapshots, config.data.clone(), config.storage.retention)
+                .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let inbox = Arc::clone(&seat);
         let peer_service = PeerService::new(peers, source, directory.subscribe(), move |from, message| {
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering

@@ -51,9 +51,12 @@ fn the_shipped_file_lists_every_setting_with_its_default() {
 fn settings_replace_defaults() {
     let config = parse(
         "data = '/var/lib/ledgerd'\nlisten = '[::]:0'\n[limits]\npayload_bytes_max = 2_048\n\
-         [log]\nlevel = 'debug'\nformat = 'json'\n[ca]\ncertificate_days = 0x10\n",
+         [log]\nlevel = 'debug'\nformat = 'json'\n[ca]\ncertificate_days = 0x10\n\
+         [storage]\nretention = '30d'\n",
     )
     .unwrap();
+    assert_eq!(config.storage.retention.to_string(), "30d");
+    assert!(fault("[storage]\nretention = '1min'").contains("at least 10min"));
     assert_eq!(config.data, Path::new("/var/lib/ledgerd"));
     assert_eq!(config.listen, "[::]:0");
     assert_eq!(config.limits.payload_bytes_max, 2048);
