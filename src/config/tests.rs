@@ -57,7 +57,7 @@ fn settings_replace_defaults() {
     .unwrap();
     assert_eq!(config.storage.retention.to_string(), "30d");
     assert!(fault("[storage]\nretention = '1min'").contains("at least 10min"));
-    assert_eq!(config.storage.archive, Path::new("/etc/ledgerd/old"));
+    assert_eq!(config.storage.archive, Path::new("old"));
     assert_eq!(config.data, Path::new("/var/lib/ledgerd"));
     assert_eq!(config.listen, "[::]:0");
     assert_eq!(config.limits.payload_bytes_max, 2048);

@@ -129,7 +129,7 @@ async fn only_an_admin_with_a_good_certificate_manages_identities() {
         (None, Code::CertificateRequired),
         (Some(&member), Code::NotAdmin),
         (Some(&expired), Code::CertificateExpired),
-        (Some(&foreign), Code::NotFound),
+        (Some(&foreign), Code::Untrusted),
     ] {
         assert_eq!(code(f.register(caller, "Salma", "").await.verdict), expected);
         assert_eq!(code(f.list(caller, "").await.verdict), expected);
@@ -258,7 +258,7 @@ async fn only_who_has_a_good_certificate_renews_it_and_gets_the_same_name_and_ro
     for (caller, expected) in [
         (None, Code::CertificateRequired),
         (later(&expired), Code::CertificateExpired),
-        (later(&foreign), Code::NotFound),
+        (later(&foreign), Code::Untrusted),
         (later(&stranger), Code::NotFound),
         // Its certificate was issued just now.
         (later(&f.admin), Code::Overloaded),
