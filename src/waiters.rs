@@ -74,19 +74,31 @@ impl Waiters {
     }
 
     /// Answers everybody who waits for a transaction of this block.
+    ///
+    /// Only a verdict that took the id is the transaction's own (see [`TransactionResult::not_after`]). Another one may be
+    /// of a copy: of one that was executed before, whose verdict stands; of one that somebody else forged, which says
+    /// nothing; or of one that was ordered too early, while another copy may still be executed.
     pub(crate) fn resolve(&self, outcome: &Outcome, ledger: &Ledger) {
-        for ((index, id), result) in (0u32..).zip(&outcome.ids).zip(&outcome.results) {
-            let Some(waiting) = self.take(id) else { continue };
-            let response = match result.code() {
-                // The first execution's verdict stands.
-                Code::Duplicate => match ledger.transaction(id) {
-                    Ok(Some(record)) => known(id, &record),
-                    Ok(None) => executed(id, outcome.header.height, index, outcome.header.time, result),
-                    Err(fault) => refused(Some(id), &fault),
-                },
-                _ => executed(id, outcome.header.height, index, outcome.header.time, result),
+        let executed_here = outcome.ids.iter().zip(&outcome.results).zip(&outcome.transactions);
+        for (index, ((id, result), bytes)) in (0u32..).zip(executed_here) {
+            if result.not_after.is_some() {
+                let Some(waiting) = self.take(id) else { continue };
+                answer(waiting, &executed(id, outcome.header.height, index, outcome.header.time, result));
+                continue;
+            }
+            let Some(submitted) = self.lock().waiting.get(id).map(|waiting| waiting.encoded.clone()) else { continue };
+            let response = match ledger.transaction(id) {
+                Ok(Some(record)) => known(id, &record),
+                Ok(None) if *bytes != submitted => continue,
+                Ok(None) if matches!(result.code(), Code::NotAfterTooFar | Code::UnknownCreator) => {
+                    let reason = format!("transaction {id} was ordered too early: {}", result.message);
+                    let early = Rejection::new(Code::Timeout, reason);
+                    refused(Some(id), &early.next("submit the same transaction again: it is executed once"))
+                }
+                Ok(None) => executed(id, outcome.header.height, index, outcome.header.time, result),
+                Err(fault) => refused(Some(id), &fault),
             };
-            answer(waiting, &response);
+            answer(self.take(id).unwrap_or_default(), &response);
         }
     }
 
