@@ -15,8 +15,11 @@ use crate::output::Output;
 use crate::session::{MSP, Session};
 use ledger::governance::{NodeRecord, NodeRole, Nodes};
 use ledger::{Bytes, Code, Rejection};
+use ledger_api::Context;
+use ledger_api::context::msps_of;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::sync::Arc;
 
 /// See and change who belongs to the network and who orders.
 #[derive(Debug, clap::Subcommand)]
@@ -58,6 +61,12 @@ impl Network {
 /// The nodes of the network.
 async fn nodes(session: &Session) -> Result<Nodes, Rejection> {
     ask(session, "nodes", vec![], "the nodes").await
+}
+
+/// The context with the organisations of now: some may have joined since it was made, and their nodes answer too.
+async fn current(session: &Session) -> Result<Context, Rejection> {
+    let msps = Arc::new(msps_of(&session.client.network().await?.organisations)?);
+    Ok(Context { msps, ..session.context().clone() })
 }
 
 /// The answer of a query of the chaincode `msp`.

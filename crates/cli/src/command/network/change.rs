@@ -1,7 +1,7 @@
 //! `network promote|demote|remove|remove-organisation|transfer`.
 
 use super::decision::Decided;
-use super::{find, json, nodes};
+use super::{current, find, json, nodes};
 use crate::answer;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
@@ -130,6 +130,8 @@ impl Transfer {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let nodes = nodes(session).await?.nodes;
         let id = self.node.as_deref().map(|meant| find(&nodes, meant)).transpose()?.map_or(0, |node| node.id);
+        // The leader itself is asked, and may be of an organisation that has joined since.
+        let session = Session::connect(current(session).await?).await?;
         let leadership = session.client.transfer_leadership(id).await.map_err(|refused: Rejection| {
             if refused.next.is_empty() { refused.next("ledgerctl network status shows who votes") } else { refused }
         })?;

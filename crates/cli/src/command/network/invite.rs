@@ -24,6 +24,7 @@ use std::io::{self, Write};
 /// Prints a token: one word for `ledgerd join`, which holds a secret and is good once. A node joins as a learner. Another
 /// organisation joins once more than half of the organisations have approved; it founds its own CA on its own machine.
 #[derive(Debug, clap::Args)]
+#[command(group = clap::ArgGroup::new("who").required(true).args(["node", "organisation"]))]
 #[command(after_help = "\
 Example:
   ledgerctl network invite --node node2
@@ -31,7 +32,7 @@ Example:
   ledgerctl network invite --organisation Org2 --first-node edge --for 24h")]
 pub(crate) struct Invite {
     /// Name of a new node of your organisation, or of one that lost its disk
-    #[arg(long, value_name = "NAME", required_unless_present = "organisation", conflicts_with = "organisation")]
+    #[arg(long, value_name = "NAME")]
     node: Option<String>,
     /// Name of another organisation
     #[arg(long, value_name = "NAME")]
@@ -69,8 +70,7 @@ impl Facts for Invited {
             printable(if self.decision.is_some() { &self.organisation } else { &name })
         )?;
         let mut table = Table::pairs();
-        table.pair("token", &self.token);
-        table.pair("good", "once; whoever has it can use it");
+        table.pair("token", "in the command below; good once, and whoever has it can use it");
         table.pair("until", self.expires.map_or_else(String::new, time::moment));
         table.write(out, 2)?;
         if let Some(decision) = self.decision.as_ref().filter(|decision| !decision.executed) {
@@ -117,7 +117,10 @@ impl Invite {
 
 /// Registers the node at the CA of the caller's organisation, or gives it a new secret.
 async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invited, Rejection> {
-    let known = session.client.identities(name).await?;
+    let known = match session.client.identities(name).await {
+        Err(refused) if refused.code == Code::NotFound => Vec::new(),
+        known => known?,
+    };
     let registered = match known.first() {
         None => session.client.register(name, Role::Node, &BTreeMap::new()).await?,
         Some(known) if known.role == Role::Node.as_str() => session.client.reissue(name, &BTreeMap::new()).await?,
@@ -200,7 +203,7 @@ mod tests {
     fn a_token_is_told_with_the_command_that_uses_it() {
         let token = door().token("Org1".into(), "node2".into(), JoinKind::Node, "s3cret".into());
         let text = told(&invited(&token, None, None));
-        assert!(text.starts_with("invited node Org1/node2\n  token  ledgerd1-"), "{text}");
+        assert!(text.starts_with("invited node Org1/node2\n"), "{text}");
         let command = text.lines().last().unwrap().trim();
         let word = command.strip_prefix("ledgerd join ").unwrap();
         assert_eq!(word.parse::<JoinToken>().unwrap(), token);

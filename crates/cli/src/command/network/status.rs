@@ -1,18 +1,16 @@
 //! `network status`: how every node is, asked one by one.
 
 use super::nodes::{absent, actual};
-use super::{ask, nodes};
+use super::{ask, current, nodes};
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::Session;
 use ledger::governance::{AttestationRecord, NodeRecord, NodeRole, Nodes};
 use ledger::{Hash, Rejection};
-use ledger_api::context::msps_of;
 use ledger_api::{Client, Context, Credentials, Options, v1};
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::JoinSet;
 
@@ -76,9 +74,7 @@ struct Node {
 pub(super) async fn run(session: &Session, output: &mut Output) -> Result<(), Failure> {
     let known = nodes(session).await?;
     let attestations: Vec<AttestationRecord> = ask(session, "attestations", vec![], "the attestations").await?;
-    // Organisations may have joined since this context was made.
-    let msps = Arc::new(msps_of(&session.client.network().await?.organisations)?);
-    let credentials = Context { msps, ..session.context().clone() }.credentials()?;
+    let credentials = current(session).await?.credentials()?;
     let answers = everybody(&known, &credentials).await;
     output.show(&overview(session.context(), &known, &attestations, answers))
 }
