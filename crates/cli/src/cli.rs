@@ -1,8 +1,8 @@
 //! The table of commands.
 
 use crate::command::{
-    chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, policy, robot, verify,
-    whoami,
+    chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, network, policy,
+    robot, verify, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -52,6 +52,8 @@ enum Command {
     #[command(subcommand)]
     Identity(identity::Identity),
     #[command(subcommand)]
+    Network(network::Network),
+    #[command(subcommand)]
     Robot(robot::Robot),
     Acquire(grant::Acquire),
     Renew(grant::Renew),
@@ -94,6 +96,7 @@ impl Cli {
             Command::Whoami(command) => command.run(global, output).await,
             Command::Context(command) => command.run(global, output),
             Command::Identity(command) => command.run(global, output).await,
+            Command::Network(command) => command.run(global, output).await,
             Command::Robot(command) => command.run(global, output).await,
             Command::Acquire(command) => command.run(global, output).await,
             Command::Renew(command) => command.run(global, output).await,

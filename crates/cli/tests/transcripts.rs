@@ -130,6 +130,11 @@ fn a_wrong_command_line_ends_with_64_and_says_what_is_meant() {
         (vec!["publish", "Turtlebot4/cmd_vel"], "--hex"),
         (vec!["robot", "add", "T", "--attr-required", "T", "--service", "/c=a/msg/B,modus=open"], "did you mean mode?"),
         (vec!["status", "-o", "yaml"], "json"),
+        (vec!["network", "invite"], "--organisation"),
+        (vec!["network", "invite", "--node", "a", "--organisation", "B"], "cannot be used with"),
+        (vec!["network", "invite", "--organisation", "B", "--for", "7d"], "1h"),
+        (vec!["network", "promote"], "NODE"),
+        (vec!["network", "aprove", "12345678"], "approve"),
     ] {
         let said = machine.run(&args);
         assert_eq!((said.code, said.stdout.as_str()), (64, ""), "{args:?}");
@@ -167,7 +172,8 @@ fn completions_exist_for_the_usual_shells() {
 #[test]
 fn without_a_context_people_are_told_how_to_get_one() {
     let machine = Machine::new();
-    for args in [&["status"][..], &["whoami"], &["acquire", "Turtlebot4"], &["context", "show"]] {
+    for args in [&["status"][..], &["whoami"], &["acquire", "Turtlebot4"], &["network", "status"], &["context", "show"]]
+    {
         machine.run(args).refused(3, "LGR-7003", &["no context is selected", "ledgerctl enroll NAME"]);
     }
     let list = machine.run(&["context", "list"]);

@@ -1,0 +1,141 @@
+//! `network promote|demote|remove|remove-organisation|transfer`.
+
+use super::decision::Decided;
+use super::{current, find, json, nodes};
+use crate::answer;
+use crate::failure::Failure;
+use crate::output::{Facts, Output};
+use crate::session::{MSP, Session};
+use ledger::governance::{NodeRole, SetNodeRole};
+use ledger::{Bytes, Rejection};
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Let a node vote; for admins.
+///
+/// Needs the approval of more than half of the organisations. The leader lets the node vote once it has caught up.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl network promote Org2/node2")]
+pub(crate) struct Promote {
+    /// The node: its name, ORGANISATION/NAME, or its id
+    node: String,
+}
+
+/// Take a node's vote: it goes on as a learner; for admins.
+///
+/// An organisation does that with its own nodes at once; for others' it needs approval.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl network demote node2")]
+pub(crate) struct Demote {
+    /// The node: its name, ORGANISATION/NAME, or its id
+    node: String,
+}
+
+/// Remove a node from the network; for admins.
+///
+/// An organisation does that with its own nodes at once; for others' it needs approval. Its id never comes back: to bring
+/// the machine in again, invite it as a new node.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl network remove node2")]
+pub(crate) struct Remove {
+    /// The node: its name, ORGANISATION/NAME, or its id
+    node: String,
+}
+
+/// Remove an organisation with its nodes and robots; for admins, with approval.
+///
+/// Its certificates count no longer, and the rights of its members end in the same block.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl network remove-organisation Org3")]
+pub(crate) struct RemoveOrganisation {
+    /// The organisation
+    name: String,
+}
+
+/// Hand the leadership over to another voter; for admins.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl network transfer Org2/node2\n  ledgerctl network transfer")]
+pub(crate) struct Transfer {
+    /// The voter: its name, ORGANISATION/NAME, or its id; without it the one that has caught up most
+    node: Option<String>,
+}
+
+impl Promote {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let soon = "becomes a voter as soon as it has caught up; ledgerctl network status shows it";
+        set(session, output, &self.node, NodeRole::Voter, soon).await
+    }
+}
+
+impl Demote {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        set(session, output, &self.node, NodeRole::Learner, "becomes a learner").await
+    }
+}
+
+impl Remove {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        set(session, output, &self.node, NodeRole::Removed, "leaves the network").await
+    }
+}
+
+async fn set(
+    session: &Session,
+    output: &mut Output,
+    meant: &str,
+    role: NodeRole,
+    becomes: &str,
+) -> Result<(), Failure> {
+    let nodes = nodes(session).await?.nodes;
+    let node = find(&nodes, meant)?;
+    let set = SetNodeRole { id: Some(node.id), organisation: None, name: None, role };
+    let done = format!("node {} (id {}) {becomes}", node.full_name(), node.id);
+    decide(session, output, "set_node_role", json(&set)?, done).await
+}
+
+impl RemoveOrganisation {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let done = format!("organisation {} was removed, with its nodes and robots", self.name);
+        let args = json(&serde_json::json!({ "name": self.name }))?;
+        decide(session, output, "remove_organisation", args, done).await
+    }
+}
+
+async fn decide(
+    session: &Session,
+    output: &mut Output,
+    function: &str,
+    args: Vec<Bytes>,
+    done: String,
+) -> Result<(), Failure> {
+    let called = session.call(MSP, function, args).await?;
+    output.show(&Decided { decision: answer::parse(&called.response, "the decision")?, done })
+}
+
+/// Who leads now.
+#[derive(Serialize)]
+struct Leads {
+    leader_id: u64,
+    leader: String,
+    term: u64,
+}
+
+impl Facts for Leads {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "node {} (id {}) leads in term {}", self.leader, self.leader_id, self.term)
+    }
+}
+
+impl Transfer {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let nodes = nodes(session).await?.nodes;
+        let id = self.node.as_deref().map(|meant| find(&nodes, meant)).transpose()?.map_or(0, |node| node.id);
+        // The leader itself is asked, and may be of an organisation that has joined since.
+        let session = Session::connect(current(session).await?).await?;
+        let leadership = session.client.transfer_leadership(id).await.map_err(|refused: Rejection| {
+            if refused.next.is_empty() { refused.next("ledgerctl network status shows who votes") } else { refused }
+        })?;
+        let leader = nodes.iter().find(|node| node.id == leadership.leader).map_or_else(String::new, |n| n.full_name());
+        output.show(&Leads { leader_id: leadership.leader, leader, term: leadership.term })
+    }
+}

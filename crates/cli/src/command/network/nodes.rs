@@ -1,0 +1,47 @@
+//! `network nodes`: the nodes as the ledger wants them.
+
+use crate::output::{Facts, Table};
+use ledger::governance::{NodeRole, Nodes};
+use ledger::members::Membership;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// List the nodes: what they shall be, and what they are.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl network nodes")]
+pub(crate) struct List {}
+
+/// The nodes on the ledger.
+#[derive(Serialize)]
+#[serde(transparent)]
+pub(super) struct Known(pub(super) Nodes);
+
+impl Facts for Known {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::new(["NODE", "ID", "ADDRESS", "SHALL BE", "IS"]);
+        for node in &self.0.nodes {
+            table.row([
+                node.full_name(),
+                node.id.to_string(),
+                node.address.clone(),
+                node.role.to_string(),
+                actual(&self.0.members, node.id).unwrap_or(absent(node.role)).to_owned(),
+            ]);
+        }
+        table.write(out, 0)
+    }
+}
+
+/// What a node is in the ordering; none if it is not in it.
+pub(super) fn actual(members: &Membership, id: u64) -> Option<&'static str> {
+    match (members.is_voter(id), members.contains(id)) {
+        (true, _) => Some("voter"),
+        (false, true) => Some("learner"),
+        (false, false) => None,
+    }
+}
+
+/// What to call a node that is not in the ordering.
+pub(super) fn absent(wanted: NodeRole) -> &'static str {
+    if wanted == NodeRole::Removed { "removed" } else { "joining" }
+}
