@@ -27,3 +27,4 @@ mod renewal;
 mod story;
 mod two_nodes;
 mod verify;
+mod witness;
