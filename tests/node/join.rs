@@ -13,20 +13,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// A machine on which a node joins.
-struct Newcomer {
+pub(crate) struct Newcomer {
     directory: PathBuf,
     address: String,
 }
 
 /// What one run of `ledgerd join` said.
-struct Ran {
+pub(crate) struct Ran {
     ok: bool,
     stdout: String,
     stderr: String,
 }
 
 impl Newcomer {
-    fn new(fleet: &Fleet, name: &str) -> Self {
+    pub(crate) fn new(fleet: &Fleet, name: &str) -> Self {
         Self { directory: fleet.path().join(name), address: free_address() }
     }
 
@@ -38,7 +38,7 @@ impl Newcomer {
         self.directory.join("data")
     }
 
-    fn join(&self, token: &str) -> Ran {
+    pub(crate) fn join(&self, token: &str) -> Ran {
         let mut command = Command::new(programs::ledgerd());
         command.args(["join", token, "--address", &self.address, "--config"]).arg(self.config());
         let done = command.output().unwrap();
@@ -46,7 +46,7 @@ impl Newcomer {
         Ran { ok: done.status.success(), stdout: text(&done.stdout), stderr: text(&done.stderr) }
     }
 
-    fn run(&self, name: &str, fleet: &Fleet) -> Process {
+    pub(crate) fn run(&self, name: &str, fleet: &Fleet) -> Process {
         let mut command = Command::new(programs::ledgerd());
         command.env_remove("RUST_LOG").args(["run", "--config"]).arg(self.config());
         Process::start(name, fleet.path(), command)
@@ -79,7 +79,7 @@ impl Newcomer {
 
 impl Ran {
     #[track_caller]
-    fn ok(self) -> String {
+    pub(crate) fn ok(self) -> String {
         assert!(self.ok, "{}", self.stderr);
         self.stdout
     }
