@@ -120,6 +120,7 @@ async fn stream(channel: Channel, messages: mpsc::Receiver<Bytes>) -> (mpsc::Rec
     let mut messages = messages;
     let ended = |ended: Result<_, tonic::Status>| match ended {
         Ok(_) => "the peer closed the stream".to_owned(),
+        Err(status) if status.message().is_empty() => status.code().to_string(),
         Err(status) => status.message().to_owned(),
     };
     loop {
