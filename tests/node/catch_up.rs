@@ -269,11 +269,11 @@ async fn a_newcomer_takes_a_snapshot_that_two_organisations_attest_when_the_bloc
         async move { at(fleet, &person, 0).await.invoke("msp", "attest", vec![one.into()]).await.unwrap() }
     };
     attest(0).await;
-    for node in 0..2 {
-        voters[node].interrupt();
-        let first = log(&fleet.nodes[node]).prune(due).unwrap();
+    for (voter, place) in voters.iter_mut().zip(&fleet.nodes) {
+        voter.interrupt();
+        let first = log(place).prune(due).unwrap();
         assert!(first > 1, "something was dropped: the log begins at {first}");
-        voters[node] = fleet.nodes[node].start();
+        *voter = place.start();
     }
     // One organisation alone does not convince a newcomer.
     let (leader, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 1).await);
