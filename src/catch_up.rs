@@ -9,6 +9,9 @@
 //!   serve      the other side: what this node gives to those that ask
 //! ```
 //!
+//! **Newcomers.** A node that has joined has a ledger that stands at the genesis: it does not know the network as it is,
+//! nor perhaps its own organisation. The join token names nodes and their CA, which it asks as well, and believes.
+//!
 //! **Whom to believe.** A follower believes its leader, as Raft does. A node that asks around would believe whoever
 //! answers, so it asks for more: blocks are taken from a node of the own organisation, or from the leader that the engine
 //! named; blocks of any other node are taken if a node of a third organisation, or of the own, has the same block hash at
@@ -26,7 +29,7 @@ pub(crate) use serve::Source;
 use crate::orderer::{Seat, Shared};
 use crate::peers::Dialer;
 use ask::Offer;
-use ledger::{Code, Rejection};
+use ledger::{Code, Hash, Rejection};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -56,8 +59,19 @@ pub(crate) enum Caught {
     Nothing,
 }
 
+/// Who let this node in, for as long as its ledger does not know it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) struct Bootstrap {
+    /// `HOST:PORT` of nodes.
+    pub addresses: Vec<String>,
+    /// SHA-256 of the CA certificate behind them.
+    pub ca: Hash,
+}
+
 /// Fetches what this node lacks.
 pub(crate) struct CatchUp {
+    /// Set on a node that has joined.
+    pub bootstrap: Option<Bootstrap>,
     /// The node's parts.
     pub shared: Arc<Shared>,
     /// Where progress is shown.
@@ -101,6 +115,27 @@ impl CatchUp {
         offers.iter().any(|offer| offer.chain.height > next + LAG_MIN || offer.chain.first_height > next)
     }
 
+    /// Does the ledger know this node? Before it does, it knows perhaps neither the leader nor whoever else may call.
+    ///
+    /// # Errors
+    /// [`Code::NotAMember`] if it knows that this node was removed.
+    pub(crate) fn is_known(&self) -> Result<bool, Rejection> {
+        let me = self.dialer.me;
+        if self.shared.directory.members().iter().any(|member| member.id == me) {
+            return Ok(true);
+        }
+        let records = ledger::governance::nodes(&**self.shared.ledger.state())?;
+        match records.iter().any(|record| record.id == me) {
+            false => Ok(false),
+            true => Err(Rejection::new(Code::NotAMember, "this node was removed from the network")
+                .found(format!(
+                    "node {me}, removed, by the block of height {} or before",
+                    self.shared.ledger.tip().height
+                ))
+                .next("join again with an empty data directory and a new token: it comes back as a new node")),
+        }
+    }
+
     /// Fetches what the others have, as far as it can be believed. No engine may run.
     ///
     /// # Errors
@@ -121,7 +156,9 @@ impl CatchUp {
 
     async fn offers(&self) -> Vec<Offer> {
         let members = self.shared.directory.members();
-        self.dialer.ask(&members, self.shared.ledger.network(), ASK_TIME_MAX).await
+        let stranger = !members.iter().any(|member| member.id == self.dialer.me);
+        let bootstrap = self.bootstrap.as_ref().filter(|_| stranger);
+        self.dialer.ask(&members, bootstrap, self.shared.ledger.network(), ASK_TIME_MAX).await
     }
 
     fn is_stopping(&self) -> bool {

@@ -39,7 +39,7 @@ impl Conductor {
     /// What keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self) -> Result<JoinHandle<()>, Rejection> {
         let offers = self.catch_up.look().await?;
-        let far_behind = self.catch_up.is_far_behind(&offers);
+        let far_behind = self.catch_up.is_far_behind(&offers) || !self.catch_up.is_known()?;
         if !far_behind {
             self.start_engine()?;
         }
@@ -53,14 +53,22 @@ impl Conductor {
 
     async fn run(mut self, mut far_behind: bool) -> Result<(), Rejection> {
         let mut stopping = self.catch_up.stopping.clone();
+        let mut told = false;
         loop {
             if far_behind {
                 if self.catch_up.run(None).await? == Caught::Snapshot {
                     (self.catch_up.shared.start_again)();
                     return Ok(());
                 }
-                self.start_engine()?;
-                far_behind = false;
+                if self.catch_up.is_known()? {
+                    self.start_engine()?;
+                    far_behind = false;
+                } else if !std::mem::replace(&mut told, true) {
+                    tracing::warn!("no node says what the network is by now; asking on");
+                } else if tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await.is_ok() {
+                    return Ok(());
+                }
+                continue;
             }
             let behind = tokio::select! {
                 biased;

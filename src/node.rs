@@ -3,7 +3,7 @@
 use crate::blocks::Blocks;
 use crate::bridge::NodeBridge;
 use crate::ca::CertificateAuthority;
-use crate::catch_up::{CatchUp, Source};
+use crate::catch_up::{Bootstrap, CatchUp, Source};
 use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
 use crate::config::Config;
@@ -270,7 +270,8 @@ impl Node {
             }
         });
         // Only now, as others that start at the same time ask this node what it has, too.
-        let catch_up = CatchUp { shared, seat, dialer, stopping: stop.subscribe() };
+        let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
+        let catch_up = CatchUp { bootstrap, shared, seat, dialer, stopping: stop.subscribe() };
         let conductor = match Conductor::new(id, config.order.clone(), catch_up).begin().await {
             Ok(conductor) => conductor,
             Err(reason) => {

@@ -83,7 +83,10 @@ impl CatchUp {
     /// The nodes that must agree with what this one gives: none if it is believed by itself.
     fn confirming(&self, offer: &Offer, offers: &[Offer], behind: Option<Behind>) -> Result<Vec<Offer>, Unconfirmed> {
         let own = &self.dialer.organisation;
-        if offer.member.organisation == *own || behind.is_some_and(|behind| behind.from == offer.member.id) {
+        if offer.vouched
+            || offer.member.organisation == *own
+            || behind.is_some_and(|behind| behind.from == offer.member.id)
+        {
             return Ok(Vec::new());
         }
         let others = offers.iter().filter(|other| other.member.organisation != offer.member.organisation);

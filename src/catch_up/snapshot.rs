@@ -13,7 +13,7 @@ use ledger::identity::Identity;
 use ledger::msp::{Msp, Msps};
 use ledger::network::FoundingOrganisation;
 use ledger::snapshot::{CHUNK_BYTES_MAX, MANIFEST_BYTES_MAX, Manifest, Snapshot, Snapshots};
-use ledger::{Bytes, Code, Rejection};
+use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{SnapshotChunksRequest, SnapshotRequest};
 use std::sync::Arc;
@@ -62,9 +62,9 @@ impl CatchUp {
         let answer = in_time(client.snapshot(SnapshotRequest {})).await?.map_err(refused)?.into_inner();
         let manifest = Manifest::from_bytes(&answer.manifest)?;
         let claim = self.claim(&manifest)?;
-        let trusted = self.dialer.trust.msps();
+        let (trusted, vouched) = (self.dialer.trust.msps(), self.bootstrap.as_ref().filter(|_| offer.vouched));
         let revoked = |identity: &Identity| self.shared.ledger.check_revoked(identity).is_err();
-        if claim.attested_by(&answer.attestations, &trusted, &revoked).is_empty() {
+        if vouched.is_none() && claim.attested_by(&answer.attestations, &trusted, &revoked).is_empty() {
             return Err(Rejection::new(Code::Untrusted, "nobody whom this node trusts attests the snapshot")
                 .found(format!("height {}, {} attestations", claim.height, answer.attestations.len()))
                 .wanted("a node of an organisation that this node knows")
@@ -78,11 +78,13 @@ impl CatchUp {
         let (chunks, received) = mpsc::channel(AHEAD_MAX);
         let shared = Arc::clone(&self.shared);
         let (wanted, from) = tokio::sync::oneshot::channel();
-        let attested = answer.attestations;
+        let (attested, ca) = (answer.attestations, vouched.map(|vouched| vouched.ca));
         let gathering = tokio::task::spawn_blocking(move || {
             gather(&shared.snapshots, manifest, wanted, received, |snapshot| {
                 let revoked = |identity: &Identity| shared.ledger.check_revoked(identity).is_err();
-                claim.accept(&attested, &trusted, &declared(snapshot)?, &revoked)
+                let declared = declared(snapshot)?;
+                let trusted = with_ca(&trusted, &declared, ca)?;
+                claim.accept(&attested, &trusted, &declared, &revoked)
             })
         });
         if let Ok(Some(from)) = from.await {
@@ -175,4 +177,14 @@ fn declared(snapshot: &Snapshot) -> Result<Msps, Rejection> {
         msps.insert(msp).map_err(Rejection::from)?;
     }
     Ok(msps)
+}
+
+/// Whom this node trusts: those it knows, and the organisation behind the CA that its join token names.
+fn with_ca(known: &Msps, declared: &Msps, ca: Option<Hash>) -> Result<Msps, Rejection> {
+    let mut trusted = known.clone();
+    let is_named = |msp: &&Msp| msp.roots().any(|root| Some(Hash::of(&[root])) == ca);
+    if let Some(named) = declared.iter().find(is_named).filter(|named| trusted.get(named.organisation()).is_none()) {
+        trusted.insert(named.clone()).map_err(Rejection::from)?;
+    }
+    Ok(trusted)
 }

@@ -37,7 +37,11 @@ pub(crate) struct Member {
 impl Member {
     /// The name that people see: `Org1/node1`.
     pub(crate) fn full_name(&self) -> String {
-        format!("{}/{}", self.organisation, self.name)
+        match self.organisation.is_empty() {
+            // Known by its address only.
+            true => self.name.clone(),
+            false => format!("{}/{}", self.organisation, self.name),
+        }
     }
 
     /// What it is, for people: `voter`, `learner`, or how it is changing.

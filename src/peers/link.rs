@@ -2,8 +2,8 @@
 
 use super::{Dialer, Member};
 use hyper_util::rt::TokioIo;
-use ledger::Bytes;
-use ledger_api::tls::{ServerTrust, client_config_expecting};
+use ledger::{Bytes, Hash};
+use ledger_api::tls::{ServerTrust, TlsError, client_config, client_config_expecting};
 use ledger_api::v1::PeerFrame;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_raft::PEER_MESSAGE_BYTES_MAX;
@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
 use tokio::sync::{Notify, mpsc};
 use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::ClientConfig;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::transport::{Channel, Endpoint, Uri};
 
@@ -76,30 +77,38 @@ impl Way {
 impl Dialer {
     /// A connection to a peer, whose certificate must be of that node.
     pub(crate) async fn channel(&self, member: &Member) -> Result<Channel, String> {
-        let expected = member.full_name();
         let trust = ServerTrust::Network(Arc::clone(&self.trust));
-        let config = client_config_expecting(Some(self.identity.clone()), trust, &expected)
-            .map_err(|error| error.to_string())?;
-        let tls = TlsConnector::from(Arc::new(config));
-        let address = member.address.clone();
-        let connect = tower::service_fn(move |_: Uri| {
-            let (tls, address) = (tls.clone(), address.clone());
-            async move {
-                let socket = TcpStream::connect(&address).await?;
-                socket.set_nodelay(true)?;
-                let name = ServerName::try_from("node.ledgerd.invalid").map_err(std::io::Error::other)?;
-                Ok::<_, std::io::Error>(TokioIo::new(tls.connect(name, socket).await?))
-            }
-        });
-        Endpoint::from_static("http://node.ledgerd.invalid")
-            .connect_timeout(CONNECT_TIME_MAX)
-            .http2_keep_alive_interval(Duration::from_secs(2))
-            .keep_alive_timeout(Duration::from_secs(2))
-            .keep_alive_while_idle(true)
-            .connect_with_connector(connect)
-            .await
-            .map_err(|error| causes(&error))
+        let config = client_config_expecting(Some(self.identity.clone()), trust, &member.full_name());
+        open(&member.address, config).await
     }
+
+    /// A connection to some node whose certificate comes from a CA with this fingerprint: for a node whose ledger does
+    /// not know the others yet.
+    pub(crate) async fn first_contact(&self, address: &str, ca: Hash) -> Result<Channel, String> {
+        open(address, client_config(Some(self.identity.clone()), ServerTrust::Fingerprint(ca.0))).await
+    }
+}
+
+async fn open(address: &str, config: Result<ClientConfig, TlsError>) -> Result<Channel, String> {
+    let tls = TlsConnector::from(Arc::new(config.map_err(|error| error.to_string())?));
+    let address = address.to_owned();
+    let connect = tower::service_fn(move |_: Uri| {
+        let (tls, address) = (tls.clone(), address.clone());
+        async move {
+            let socket = TcpStream::connect(&address).await?;
+            socket.set_nodelay(true)?;
+            let name = ServerName::try_from("node.ledgerd.invalid").map_err(std::io::Error::other)?;
+            Ok::<_, std::io::Error>(TokioIo::new(tls.connect(name, socket).await?))
+        }
+    });
+    Endpoint::from_static("http://node.ledgerd.invalid")
+        .connect_timeout(CONNECT_TIME_MAX)
+        .http2_keep_alive_interval(Duration::from_secs(2))
+        .keep_alive_timeout(Duration::from_secs(2))
+        .keep_alive_while_idle(true)
+        .connect_with_connector(connect)
+        .await
+        .map_err(|error| causes(&error))
 }
 
 /// Sends until the connection breaks; answers with what is left to send from, and why it broke.
@@ -111,6 +120,7 @@ async fn stream(channel: Channel, messages: mpsc::Receiver<Bytes>) -> (mpsc::Rec
     let mut messages = messages;
     let ended = |ended: Result<_, tonic::Status>| match ended {
         Ok(_) => "the peer closed the stream".to_owned(),
+        Err(status) if status.message().is_empty() => status.code().to_string(),
         Err(status) => status.message().to_owned(),
     };
     loop {

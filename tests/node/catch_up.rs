@@ -10,9 +10,14 @@ use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
 use ledger::entry::{Entry, EntryKind};
 use ledger::identity::Role;
+use ledger::key::SigningKey;
+use ledger::snapshot::Snapshot;
+use ledger::state::Tip;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Context};
 use rustix::process::Signal;
+use rustls_pki_types::CertificateDer;
+use rustls_pki_types::pem::PemObject;
 use std::sync::Arc;
 
 /// More blocks than a node leaves to replication.
@@ -26,8 +31,12 @@ fn wish(name: &str, organisation: &str, voter: bool) -> NodeWish {
 
 /// A voter of each organisation and a learner of Org1, with small segments.
 fn found() -> (Fleet, Context, Vec<Context>) {
+    found_every(ledger::network::SNAPSHOT_EVERY_DEFAULT)
+}
+
+fn found_every(snapshot_every: u64) -> (Fleet, Context, Vec<Context>) {
     let wishes = [wish("node1", "Org1", true), wish("node2", "Org2", true), wish("node3", "Org1", false)];
-    let fleet = Fleet::found_with(&wishes, now());
+    let fleet = Fleet::found_every(&wishes, now(), snapshot_every);
     for place in &fleet.nodes {
         place.configure("[storage]\nsegment_mib = 2");
     }
@@ -220,4 +229,68 @@ async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_
     let log = learner.stderr();
     assert!(log.contains("Org1/node1 has another block at height"), "{log}");
     assert_eq!(said(&learner, "caught up"), 1, "{log}");
+}
+
+/// A node as a client: what it signs and calls by its own certificate.
+fn itself(place: &NodePlace, like: &Context) -> Context {
+    let read = |name: &str| std::fs::read_to_string(place.data.join(name)).unwrap();
+    let key = SigningKey::from_pkcs8_pem(&read("node.key")).unwrap();
+    let chain = CertificateDer::pem_slice_iter(read("node.pem").as_bytes()).map(Result::unwrap).collect();
+    let (name, organisation) = (place.name.clone(), place.organisation.clone());
+    Context { name, organisation, chain, key: Arc::new(key), ..like.clone() }
+}
+
+/// The newest snapshot of a node: height, block hash, state digest, content.
+fn snapshot(place: &NodePlace) -> Option<(u64, String)> {
+    let files = std::fs::read_dir(place.data.join("snapshots")).ok()?;
+    let files = files.filter_map(|entry| entry.ok().map(|entry| entry.path()));
+    let newest = files.filter(|path| path.extension().is_some_and(|extension| extension == "snap")).max()?;
+    let snapshot = Snapshot::open(&newest).ok()?;
+    let Tip { height, hash, digest, .. } = snapshot.manifest().tip.clone();
+    let content = snapshot.content();
+    Some((height, format!(r#"{{"height":{height},"hash":"{hash}","digest":"{digest}","content":"{content}"}}"#)))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_newcomer_takes_a_snapshot_that_two_organisations_attest_when_the_blocks_are_gone() {
+    const EVERY: u64 = 500;
+    let (fleet, owner, users) = found_every(EVERY);
+    let attesting = [0, 1].map(|node| itself(&fleet.nodes[node], &owner));
+    let mut voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    register_robots(&at(&fleet, &owner, 0).await, "open").await;
+    let height = blocks(&fleet, &users, 0, 2 * BLOCKS).await;
+    let due = height / EVERY * EVERY;
+    let made = |node: usize| snapshot(&fleet.nodes[node]).filter(|(height, _)| *height == due).map(|(_, text)| text);
+    let (one, other) = (eventually("a snapshot", || made(0)), eventually("another snapshot", || made(1)));
+    assert_eq!(one, other, "every node makes the same");
+    let attest = |person: usize| {
+        let (fleet, one) = (&fleet, one.clone());
+        let person = attesting[person].clone();
+        async move { at(fleet, &person, 0).await.invoke("msp", "attest", vec![one.into()]).await.unwrap() }
+    };
+    attest(0).await;
+    for (voter, place) in voters.iter_mut().zip(&fleet.nodes) {
+        voter.interrupt();
+        let first = log(place).prune(due).unwrap();
+        assert!(first > 1, "something was dropped: the log begins at {first}");
+        *voter = place.start();
+    }
+    // One organisation alone does not convince a newcomer.
+    let (leader, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 1).await);
+    agree(&leader, &follower, height).await;
+    let mut learner = fleet.nodes[2].start();
+    eventually("the snapshot is refused", || (said(&learner, "is not attested enough") > 0).then_some(()));
+    let newcomer = at(&fleet, &owner, 2).await;
+    assert_eq!(newcomer.status().await.unwrap().height, 0);
+    let height = attest(1).await.height;
+    let status = agree(&leader, &newcomer, height).await;
+    let status = (status.height, newcomer.status().await.unwrap().first_height);
+    assert_eq!(status.1, due + 1, "it begins after the snapshot");
+    // What was executed before the snapshot is not executed again after it, and the chain goes on.
+    let after = blocks(&fleet, &users, 2, 10).await;
+    agree(&leader, &newcomer, after).await;
+    for process in voters.iter_mut().chain([&mut learner]) {
+        process.check();
+        process.interrupt();
+    }
 }

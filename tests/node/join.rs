@@ -13,20 +13,20 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// A machine on which a node joins.
-pub(crate) struct Newcomer {
-    directory: PathBuf,
-    address: String,
+pub struct Newcomer {
+    pub directory: PathBuf,
+    pub address: String,
 }
 
 /// What one run of `ledgerd join` said.
-pub(crate) struct Ran {
+pub struct Ran {
     ok: bool,
     stdout: String,
     stderr: String,
 }
 
 impl Newcomer {
-    pub(crate) fn new(fleet: &Fleet, name: &str) -> Self {
+    pub fn new(fleet: &Fleet, name: &str) -> Self {
         Self { directory: fleet.path().join(name), address: free_address() }
     }
 
@@ -34,11 +34,11 @@ impl Newcomer {
         self.directory.join("ledgerd.toml")
     }
 
-    fn data(&self) -> PathBuf {
+    pub fn data(&self) -> PathBuf {
         self.directory.join("data")
     }
 
-    pub(crate) fn join(&self, token: &str) -> Ran {
+    pub fn join(&self, token: &str) -> Ran {
         let mut command = Command::new(programs::ledgerd());
         command.args(["join", token, "--address", &self.address, "--config"]).arg(self.config());
         let done = command.output().unwrap();
@@ -46,7 +46,7 @@ impl Newcomer {
         Ran { ok: done.status.success(), stdout: text(&done.stdout), stderr: text(&done.stderr) }
     }
 
-    pub(crate) fn run(&self, name: &str, fleet: &Fleet) -> Process {
+    pub fn run(&self, name: &str, fleet: &Fleet) -> Process {
         let mut command = Command::new(programs::ledgerd());
         command.env_remove("RUST_LOG").args(["run", "--config"]).arg(self.config());
         Process::start(name, fleet.path(), command)
@@ -79,7 +79,7 @@ impl Newcomer {
 
 impl Ran {
     #[track_caller]
-    pub(crate) fn ok(self) -> String {
+    pub fn ok(self) -> String {
         assert!(self.ok, "{}", self.stderr);
         self.stdout
     }
@@ -94,7 +94,7 @@ impl Ran {
 }
 
 /// A token of this fleet for a node of an organisation.
-async fn token(fleet: &Fleet, admin: &Client, organisation: &str, node: &str) -> JoinToken {
+pub async fn token(fleet: &Fleet, admin: &Client, organisation: &str, node: &str) -> JoinToken {
     let secret = admin.register(node, Role::Node, &BTreeMap::new()).await.unwrap().secret;
     let authority = &fleet.founded.authorities[0];
     JoinToken {
@@ -108,13 +108,13 @@ async fn token(fleet: &Fleet, admin: &Client, organisation: &str, node: &str) ->
     }
 }
 
-fn id(data: &Path) -> u64 {
+pub fn id(data: &Path) -> u64 {
     let joined: serde_json::Value = serde_json::from_slice(&std::fs::read(data.join("node.json")).unwrap()).unwrap();
     joined["id"].as_u64().unwrap()
 }
 
 /// The node follows what its network does, as somebody sees who trusts its organisation.
-async fn follows(somebody: &Context, leader: &Client, newcomer: &Newcomer) {
+pub async fn follows(somebody: &Context, leader: &Client, newcomer: &Newcomer) {
     let there = connect(&Context { nodes: vec![newcomer.address.clone()], ..somebody.clone() }).await;
     let done = leader.invoke("msp", "organisations", Vec::new()).await.unwrap();
     until("the new node follows", || async {

@@ -22,6 +22,7 @@ mod disk_full;
 mod hostile;
 mod join;
 mod leadership;
+mod members;
 mod network;
 mod rebuild;
 mod renewal;
