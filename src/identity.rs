@@ -6,6 +6,7 @@
 use crate::ca::durable;
 use crate::clock::wall;
 use crate::peers::{Member, Part};
+use ledger::governance::{self, NodeRole};
 use ledger::identity::Role;
 use ledger::msp::{Msp, Msps, Usage};
 use ledger::network::Genesis;
@@ -13,11 +14,16 @@ use ledger::{Code, Hash, Ledger, Rejection};
 use ledger_api::tls::TlsIdentity;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
 
 /// Name of the file in the data directory of a node that has joined.
 pub(crate) const JOINED_FILE: &str = "node.json";
 /// Largest such file, in bytes.
 const JOINED_BYTES_MAX: usize = 64 * 1024;
+/// How long a node that was removed waits for the change of members to be complete.
+const LEAVE_TIME_MAX: Duration = Duration::from_secs(5);
 
 /// What a node knows of itself and of the network before its ledger does.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -77,6 +83,10 @@ pub(crate) fn own_membership(
     let (organisation, name) = verified(tls, ledger, joined)?;
     let own = joined.filter(|joined| joined.organisation == organisation && joined.name == name);
     let expected = own.map(|own| own.id).or_else(|| genesis.node(&organisation, &name).map(|node| node.id));
+    let records = governance::nodes(&**ledger.state())?;
+    if records.iter().any(|record| Some(record.id) == expected && record.role == NodeRole::Removed) {
+        return Err(no_member(&format!("{organisation}/{name}")));
+    }
     match members.iter().find(|member| member.organisation == organisation && member.name == name) {
         Some(known) if expected == Some(known.id) => Ok(known.clone()),
         Some(known) => Err(Rejection::new(Code::BadFile, "the place of this node was given to another data directory")
@@ -92,6 +102,24 @@ pub(crate) fn own_membership(
                 .next("ledgerctl network invite --node NAME makes a token, with which ledgerd join brings a node in")
         }),
     }
+}
+
+/// Waits until the ledger says that this node belongs to the network no more: it must not serve on from what it knew.
+pub(crate) async fn removed(me: Member, mut members: watch::Receiver<Arc<[Member]>>) -> Rejection {
+    let stays = |members: &Arc<[Member]>| members.iter().any(|member| member.id == me.id && member.wanted.is_some());
+    let is_gone = |members: &Arc<[Member]>| !members.iter().any(|member| member.id == me.id);
+    // A newcomer's ledger does not know it at first.
+    if members.wait_for(stays).await.is_err() || members.wait_for(|members| !stays(members)).await.is_err() {
+        return std::future::pending().await;
+    }
+    // The others need it for the change itself, and may not tell it that it is complete.
+    let _gone_or_late = tokio::time::timeout(LEAVE_TIME_MAX, members.wait_for(is_gone)).await;
+    no_member(&me.full_name())
+}
+
+fn no_member(name: &str) -> Rejection {
+    Rejection::new(Code::NotAMember, format!("{name} was removed from the network"))
+        .next("bring it in as a new node: ledgerctl network invite --node NAME, then ledgerd join TOKEN with an empty data directory")
 }
 
 impl From<&Joined> for Member {

@@ -11,7 +11,7 @@ use crate::denials::Denials;
 use crate::enrolment::{self, EnrolmentService};
 use crate::gateway::{GatewayService, NodeView};
 use crate::housekeeping::Housekeeping;
-use crate::identity::{Joined, own_membership};
+use crate::identity::{Joined, own_membership, removed};
 use crate::listen::accept;
 use crate::orderer::{Executed, Reads, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
@@ -112,10 +112,8 @@ pub struct Node {
     bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
     conductor: JoinHandle<()>,
-    /// Renews the certificate.
-    keeper: JoinHandle<()>,
-    /// Attests, and compares what others attest.
-    testimony: JoinHandle<()>,
+    /// What goes on beside: renewing the certificate, attesting, watching whether the node still belongs here.
+    beside: [JoinHandle<()>; 3],
     stop: watch::Sender<bool>,
 }
 
@@ -240,7 +238,6 @@ impl Node {
             enrolment: enrolment.clone(),
             others: others_of_own_organisation(&view),
         };
-        let keeper = tokio::spawn(keeper.keep());
         let server_tls =
             server_config(tls, Arc::clone(&trust)).map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
         let connections = accept(listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
@@ -280,9 +277,11 @@ impl Node {
             }
         };
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
-        let testimony = tokio::spawn(testimony.run(seen));
+        let (me, members, fatal) = (view.me.clone(), directory.subscribe(), Arc::clone(&testimony.shared));
+        let belonging = async move { (fatal.fatal)(removed(me, members).await) };
+        let beside = [tokio::spawn(keeper.keep()), tokio::spawn(testimony.run(seen)), tokio::spawn(belonging)];
         let bridge = NodeBridge::start(config, own_gateway)?;
-        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, keeper, testimony, stop })
+        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, beside, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -312,8 +311,7 @@ impl Node {
             bridge.stop().await;
         }
         self.view.hand_over().await;
-        self.keeper.abort();
-        self.testimony.abort();
+        self.beside.iter().for_each(JoinHandle::abort);
         self.view.in_flight.close();
         self.stop.send_replace(true);
         let mut server = self.server;
