@@ -84,8 +84,9 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             let config = load(&config)?;
             telemetry::start(&config.log);
             block_on(async move {
+                let stop = stop_signal();
                 let node = builder.start(&config).await?;
-                until_stopped(node).await
+                until_stopped(node, stop).await
             })
         }
         Command::Check(WithConfig { config: path }) => {
@@ -106,7 +107,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Bridge(WithConfig { config }) => {
             telemetry::start(&Log::default());
-            block_on(ros_bridge::run(&config, stop_signal()))
+            block_on(async move { ros_bridge::run(&config, stop_signal()).await })
         }
         Command::Verify { directory } => {
             let report = ledger::verify::verify_directory(&directory, &builder.registry()?)?;
@@ -119,9 +120,9 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
 }
 
 /// Waits for a signal to stop, or for the node to end; ends the node in order either way.
-pub(crate) async fn until_stopped(node: crate::Node) -> Result<(), Rejection> {
+pub(crate) async fn until_stopped(node: crate::Node, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
     let outcome = tokio::select! {
-        () = stop_signal() => Ok(()),
+        () = stop => Ok(()),
         ended = node.ended() => Err(ended),
     };
     node.stop().await;
@@ -145,17 +146,25 @@ fn start_again() -> Rejection {
     }
 }
 
-/// Ends when the process is asked to stop (SIGINT, SIGTERM).
-pub(crate) async fn stop_signal() {
-    use tokio::signal::unix::{SignalKind, signal};
-    match signal(SignalKind::terminate()) {
-        Ok(mut terminate) => tokio::select! {
-            _ = tokio::signal::ctrl_c() => {}
-            _ = terminate.recv() => {}
-        },
-        Err(error) => {
-            tracing::warn!(%error, "cannot wait for SIGTERM");
-            let _waited = tokio::signal::ctrl_c().await;
+/// Catches SIGINT and SIGTERM from now on; the future ends when one of them comes. Called before a node starts, so that
+/// it ends in order whenever it is asked to. Must be called inside a tokio runtime.
+pub(crate) fn stop_signal() -> impl Future<Output = ()> {
+    use tokio::signal::unix::{Signal, SignalKind, signal};
+    let listen = |kind| {
+        let listening = signal(kind);
+        listening.inspect_err(|error| tracing::warn!(%error, ?kind, "cannot wait for this signal")).ok()
+    };
+    async fn received(signal: Option<Signal>) {
+        match signal {
+            Some(mut signal) => drop(signal.recv().await),
+            None => std::future::pending().await,
+        }
+    }
+    let (terminate, interrupt) = (listen(SignalKind::terminate()), listen(SignalKind::interrupt()));
+    async move {
+        tokio::select! {
+            () = received(terminate) => {}
+            () = received(interrupt) => {}
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::ca::{self, CertificateAuthority};
 use crate::clock::wall;
-use crate::command::{print_line, until_stopped};
+use crate::command::{print_line, stop_signal, until_stopped};
 use crate::config::{Config, Log};
 use crate::node::NodeBuilder;
 use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
@@ -105,7 +105,7 @@ async fn play(
         facts.robots = register_robots(home, facts.contexts.last()).await?;
     }
     print(&facts, as_json, temporary)?;
-    until_stopped(node).await
+    until_stopped(node, stop_signal()).await
 }
 
 /// One node that orders, and carries the CAs of both organisations.

@@ -39,7 +39,7 @@ impl NodeView {
             let left = deadline.saturating_duration_since(Instant::now());
             match orderer.transfer(0, left).await {
                 Ok(RoleChange { leader, .. }) => return tracing::info!(leader, "handed over the leadership"),
-                Err(reason) if left.is_zero() => {
+                Err(reason) if deadline <= Instant::now() + HANDOVER_PAUSE => {
                     return tracing::warn!(%reason, "could not hand over; the others elect a leader");
                 }
                 // Perhaps the others have just come back, and are heard of in a moment.

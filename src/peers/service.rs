@@ -43,7 +43,8 @@ impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
         match member {
             Some(member) if identity.role == Role::Node => Ok(member.clone()),
             _ => Err(Status::permission_denied(format!(
-                "found {} with role {}, wanted the certificate of a node of this network",
+                "found {} with role {}, wanted a node that belongs to this network now; one that was removed joins again \
+                 as a new one",
                 identity.id(),
                 identity.role
             ))),
