@@ -213,6 +213,8 @@ impl Order {
             }
             Output::Membership { height, membership } => {
                 tracing::info!(height, ?membership, "members changed");
+                // Whoever sees the change on the ledger must find it here, too.
+                self.report();
                 self.reconcile = true;
             }
             Output::Dropped { transaction, reason } => {
