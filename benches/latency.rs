@@ -1,11 +1,14 @@
-//! Commit latency: from a command (`set` of one Twist, signed) to its verdict at the client, over TLS, from real
-//! processes with their data on disk.
+//! Commit and delivery latency against message frequency, over TLS, from real processes with their data on disk.
 //!
-//! - `sweep`: open loop at 1 to 1000 Hz, percentiles as a table and in `target/bench/latency.json`; beside it what the
-//!   disk alone takes for the same bytes.
+//! - `sweep`: open loop at 1 to 5000 Hz: from the time a command (`set` of one Twist, signed) was due to its verdict at the
+//!   client, and to its event at a subscriber on the other organisation's node. Percentiles as a table, in
+//!   `target/bench/latency.json`, and as the paper's figure in `target/bench/latency.svg`.
+//! - `side_by_side`: one in flight and at 50 Hz, in turns with the floor (TLS, sign, verify, `fdatasync`: nothing else) and
+//!   with etcd of one and of three nodes, so that all meet the same mood of the machine. The targets are ratios of these.
 //! - `commit/one_in_flight`: closed loop, by criterion, which tells whether it changed since the last run.
 //!
-//! `cargo bench --bench latency [-- sweep | one_in_flight]`; `LEDGERD_BENCH_SECONDS` sets the length of each rate.
+//! `cargo bench --bench latency [-- sweep | side_by_side | one_in_flight]`; `LEDGERD_BENCH_SECONDS` sets the length of each
+//! rate.
 
 #![expect(
     clippy::unwrap_used,
@@ -17,6 +20,9 @@
 )]
 
 mod disk;
+mod draw;
+mod etcd;
+mod floor;
 mod founding;
 mod load;
 mod network;
@@ -24,63 +30,157 @@ mod report;
 
 use criterion::Criterion;
 use disk::Disk;
-use founding::{ONE_VOTER, Shape};
-use load::open_loop;
-use network::Network;
-use report::Line;
+use draw::Curve;
+use etcd::Etcd;
+use floor::Floor;
+use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS};
+use hdrhistogram::Histogram;
+use load::{Run, histogram, open_loop};
+use network::{Arrivals, Network, Operator};
+use report::{Line, Side};
 use serde_json::Value;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
 
-/// Frequencies of ROS 2 topics, from a heartbeat to a fast controller.
-const RATES_HZ: [f64; 8] = [1.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 1000.0];
-/// The paper's network: one organisation orders, the other follows.
-const PAPER: Shape = Shape { name: "voter_and_learner", voters: 1, learners: 1 };
+/// Frequencies of ROS 2 topics, from a heartbeat to far beyond a fast controller.
+const RATES_HZ: [f64; 10] = [1.0, 10.0, 25.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0, 5000.0];
+/// The paper's frequency.
+const PAPER_HZ: f64 = 50.0;
 /// The disk alone is measured at no lower rate, or too few writes would be seen.
 const DISK_HZ_MIN: f64 = 10.0;
 /// Length of each rate unless the environment says otherwise.
 const SECONDS_DEFAULT: f64 = 4.0;
 /// Length of each rate where only it is checked that the bench works.
 const SECONDS_SMOKE: f64 = 0.1;
+/// Turns that each side takes in `side_by_side`.
+const TURNS: u32 = 5;
+/// Bytes of a value of etcd: those of its measurements elsewhere.
+const ETCD_VALUE_BYTES: usize = 100;
 
 fn main() {
     let arguments: Vec<_> = std::env::args().skip(1).collect();
-    let with_sweep = !arguments.iter().any(|argument| argument.contains("one_in_flight"));
+    let names = ["sweep", "side_by_side", "one_in_flight"];
+    let chosen = |name: &str| {
+        let named = |name: &str| arguments.iter().any(|argument| argument.contains(name));
+        named(name) || !names.iter().any(|name| named(name))
+    };
     // Without --bench it was started as a test, which wants to know only whether it works.
     let smoke = !arguments.iter().any(|argument| argument == "--bench");
+    let seconds = std::env::var("LEDGERD_BENCH_SECONDS").map_or(SECONDS_DEFAULT, |text| text.parse().expect("seconds"));
+    let duration = Duration::from_secs_f64(if smoke { SECONDS_SMOKE } else { seconds });
     let mut criterion = Criterion::default().configure_from_args();
-    let mut results = serde_json::Map::new();
-    for shape in [ONE_VOTER, PAPER] {
-        let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    let (mut results, mut curves) = (serde_json::Map::new(), Vec::new());
+    let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+    for shape in [ONE_VOTER, PAPER, THREE_VOTERS] {
         let network = runtime.block_on(Network::start(shape));
-        if with_sweep {
-            results.insert(shape.name.to_owned(), sweep(&runtime, &network, shape, smoke));
+        if chosen("sweep") {
+            let lines = sweep(&runtime, &network, shape, duration);
+            curves.extend(self::curves(shape, &lines));
+            results.insert(shape.name.to_owned(), report::lines(&lines));
         }
-        one_in_flight(&mut criterion, &network, shape);
+        if chosen("one_in_flight") {
+            one_in_flight(&mut criterion, &network, shape);
+        }
+    }
+    if chosen("side_by_side") {
+        results.insert("side_by_side".into(), side_by_side(&runtime, duration, smoke));
     }
     criterion.final_summary();
     if !smoke && !results.is_empty() {
+        if !curves.is_empty() {
+            draw::write("latency", "Latency against message frequency", ("Hz", "ms, p50 and p99"), &curves);
+        }
         report::write("latency", &results.into());
     }
 }
 
-fn sweep(runtime: &Runtime, network: &Network, shape: Shape, smoke: bool) -> Value {
-    let seconds = std::env::var("LEDGERD_BENCH_SECONDS").map_or(SECONDS_DEFAULT, |text| text.parse().expect("seconds"));
-    let duration = Duration::from_secs_f64(if smoke { SECONDS_SMOKE } else { seconds });
+fn sweep(runtime: &Runtime, network: &Network, shape: Shape, duration: Duration) -> Vec<Line> {
     let operator = runtime.block_on(network.operator("Turtlebot4"));
+    let arrivals = runtime.block_on(network.listen("Turtlebot4"));
     // The first commands bring the certificate and warm caches.
-    open_loop(runtime, &operator, 200.0, duration.min(Duration::from_millis(500)));
+    commands(runtime, &operator, 200.0, duration.min(Duration::from_millis(500)));
     let mut disk = Disk::new();
     let lines: Vec<_> = RATES_HZ
         .iter()
-        .map(|hz| Line {
-            run: open_loop(runtime, &operator, *hz, duration),
+        .map(|hz| {
+            let first_seq = operator.next_seq();
+            let run = commands(runtime, &operator, *hz, duration);
+            let delivery = delivery(&run, &arrivals, first_seq..operator.next_seq());
             // Right after it, so that both meet the same mood of the disk.
-            disk: disk.measure(hz.max(DISK_HZ_MIN), duration / 4),
+            Line { run, delivery, disk: disk.measure(hz.max(DISK_HZ_MIN), duration / 4) }
         })
         .collect();
     report::print_table(shape.name, &lines);
-    report::lines(&lines)
+    lines
+}
+
+fn commands(runtime: &Runtime, operator: &Operator, hz: f64, duration: Duration) -> Run {
+    open_loop(runtime, hz, duration, || {
+        let verdict = operator.command();
+        async move { drop(verdict.await.unwrap()) }
+    })
+}
+
+/// From when the commands with these sequence numbers were due until they arrived.
+fn delivery(run: &Run, arrivals: &Arrivals, sequence: std::ops::Range<u64>) -> Histogram<u64> {
+    let due = |number: u32| run.start + Duration::from_secs_f64(f64::from(number) / run.hz);
+    histogram((0..).zip(sequence).map(|(number, seq)| arrivals.of(seq) - due(number)))
+}
+
+fn curves(shape: Shape, lines: &[Line]) -> Vec<Curve> {
+    let curve = |what: &str, of: &dyn Fn(&Line) -> u64| Curve {
+        name: format!("{} {what}", shape.name.replace('_', " ").replace("three voters and learner", "3 voters")),
+        points: lines.iter().map(|line| (line.run.hz, of(line) as f64 / 1e6)).collect(),
+    };
+    let quantile = |quantile: f64| move |line: &Line| line.run.latency.value_at_quantile(quantile);
+    vec![curve("p50", &quantile(0.5)), curve("p99", &quantile(0.99))]
+}
+
+/// Everything that the targets compare, in turns within one run.
+fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
+    let paper = runtime.block_on(Network::start(PAPER));
+    let three = runtime.block_on(Network::start(THREE_VOTERS));
+    let operators = [&paper, &three].map(|network| runtime.block_on(network.operator("Turtlebot4")));
+    let mut floor = Floor::new(operators[0].command_bytes());
+    let etcd = Etcd::version()
+        .filter(|_| !smoke)
+        .map(|_| [1, 3].map(|nodes| runtime.block_on(Etcd::start(nodes, ETCD_VALUE_BYTES))));
+    let turn = duration / TURNS;
+    let mut sides: Vec<Side> = Vec::new();
+    for _ in 0..TURNS {
+        let mut note = |name: &str, one_in_flight: Histogram<u64>, at_50_hz: Histogram<u64>| match sides
+            .iter_mut()
+            .find(|side| side.name == name)
+        {
+            Some(side) => side.add(&one_in_flight, &at_50_hz),
+            None => sides.push(Side { name: name.to_owned(), one_in_flight, at_50_hz }),
+        };
+        note("floor", closed(turn, || floor.once()), floor.measure(PAPER_HZ, turn));
+        for (name, operator) in
+            ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
+        {
+            let once = || drop(runtime.block_on(operator.command()).unwrap());
+            note(name, closed(turn, once), commands(runtime, operator, PAPER_HZ, turn).latency);
+        }
+        for (name, etcd) in ["etcd, one node", "etcd, three nodes"].iter().zip(etcd.iter().flatten()) {
+            let once = || runtime.block_on(etcd.put());
+            note(name, closed(turn, once), open_loop(runtime, PAPER_HZ, turn, || etcd.put()).latency);
+        }
+    }
+    report::print_sides(&sides);
+    report::sides(&sides)
+}
+
+/// Calls one after the other.
+fn closed(duration: Duration, mut once: impl FnMut()) -> Histogram<u64> {
+    let start = Instant::now();
+    let mut times = Vec::new();
+    while start.elapsed() < duration {
+        let begin = Instant::now();
+        once();
+        times.push(begin.elapsed());
+    }
+    histogram(times.into_iter())
 }
 
 fn one_in_flight(criterion: &mut Criterion, network: &Network, shape: Shape) {

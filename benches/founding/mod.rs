@@ -25,6 +25,11 @@ pub(crate) struct Shape {
 /// One node.
 pub(crate) const ONE_VOTER: Shape = Shape { name: "one_voter", voters: 1, learners: 0 };
 
+/// The paper's network: one organisation orders, the other follows.
+pub(crate) const PAPER: Shape = Shape { name: "voter_and_learner", voters: 1, learners: 1 };
+/// A cluster that survives the loss of a node.
+pub(crate) const THREE_VOTERS: Shape = Shape { name: "three_voters_and_learner", voters: 3, learners: 1 };
+
 const OPERATORS: &str = "Org1";
 const OWNERS: &str = "Org2";
 
@@ -34,6 +39,8 @@ pub(crate) struct Founding {
     pub(crate) owner: Context,
     /// Salma, whom policies let acquire every robot here; connects to the first node.
     pub(crate) salma: Context,
+    /// Farhad, of her organisation, whom no policy lets acquire a robot; connects to the first node.
+    pub(crate) farhad: Context,
     /// Data directory and address of each node, the voters first.
     pub(crate) nodes: Vec<(PathBuf, String)>,
     /// Where all of it lies.
@@ -92,6 +99,7 @@ impl Founding {
         Self {
             owner: identity(OWNERS, ("Admin", Role::Admin), BTreeMap::new()),
             salma: identity(OPERATORS, ("Salma", Role::Member), BTreeMap::from(drives)),
+            farhad: identity(OPERATORS, ("Farhad", Role::Member), BTreeMap::new()),
             nodes,
             _directory: directory,
         }

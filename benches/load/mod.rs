@@ -1,7 +1,7 @@
 //! Load by the clock: commands at fixed times, whether or not earlier ones are answered.
 
-use crate::network::Operator;
 use hdrhistogram::Histogram;
+use std::future::Future;
 use std::hint::spin_loop;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -26,6 +26,8 @@ pub(crate) struct Run {
     pub(crate) sending: Histogram<u64>,
     /// Median latency of the last third of the run, as a multiple of that of the first third.
     pub(crate) growth: f64,
+    /// When the first command was due; the others follow every 1/hz.
+    pub(crate) start: Instant,
 }
 
 struct Sample {
@@ -34,8 +36,13 @@ struct Sample {
     done: Instant,
 }
 
-/// Sends commands at `hz` for `duration`; panics at the first that is refused.
-pub(crate) fn open_loop(runtime: &Runtime, operator: &Operator, hz: f64, duration: Duration) -> Run {
+/// Starts `send` at `hz` for `duration`, whether or not earlier ones are done.
+pub(crate) fn open_loop<F: Future<Output = ()> + Send + 'static>(
+    runtime: &Runtime,
+    hz: f64,
+    duration: Duration,
+    send: impl Fn() -> F,
+) -> Run {
     let _context = runtime.enter();
     let (samples, mut done) = mpsc::unbounded_channel();
     let count = (duration.as_secs_f64() * hz).ceil().max(2.0) as u32;
@@ -43,11 +50,11 @@ pub(crate) fn open_loop(runtime: &Runtime, operator: &Operator, hz: f64, duratio
     for number in 0..count {
         let due = start + Duration::from_secs_f64(f64::from(number) / hz);
         wait_until(due);
-        let verdict = operator.command();
+        let verdict = send();
         let sent = Instant::now();
         let samples = samples.clone();
         runtime.spawn(async move {
-            verdict.await.unwrap();
+            verdict.await;
             samples.send(Sample { due, sent, done: Instant::now() }).unwrap();
         });
     }
@@ -58,7 +65,51 @@ pub(crate) fn open_loop(runtime: &Runtime, operator: &Operator, hz: f64, duratio
     }
     assert_eq!(finished.len(), count as usize, "a command got no verdict");
     finished.sort_unstable_by_key(|sample| sample.due);
-    summarise(hz, &finished)
+    summarise(hz, start, &finished)
+}
+
+/// What a closed loop came to.
+pub(crate) struct Throughput {
+    /// Calls that were under way at any time.
+    pub(crate) in_flight: usize,
+    /// Calls done a second.
+    pub(crate) per_second: f64,
+    /// Calls done.
+    pub(crate) done: u64,
+    /// From a call's start to its end.
+    pub(crate) latency: Histogram<u64>,
+}
+
+/// Keeps `in_flight` calls under way for `duration`: each is followed by the next as soon as it is done.
+pub(crate) fn closed_loop<F: Future<Output = ()> + Send + 'static>(
+    runtime: &Runtime,
+    in_flight: usize,
+    duration: Duration,
+    send: impl Fn() -> F + Clone + Send + 'static,
+) -> Throughput {
+    let start = Instant::now();
+    let callers: Vec<_> = (0..in_flight)
+        .map(|_| {
+            let send = send.clone();
+            runtime.spawn(async move {
+                let mut times = Vec::new();
+                while start.elapsed() < duration {
+                    let begin = Instant::now();
+                    send().await;
+                    times.push(begin.elapsed());
+                }
+                times
+            })
+        })
+        .collect();
+    let times: Vec<_> = callers.into_iter().flat_map(|caller| runtime.block_on(caller).unwrap()).collect();
+    let elapsed = start.elapsed().as_secs_f64();
+    Throughput {
+        in_flight,
+        per_second: times.len() as f64 / elapsed,
+        done: times.len() as u64,
+        latency: histogram(times.into_iter()),
+    }
 }
 
 /// Sleeps, then spins, until that moment; returns at once if it has passed.
@@ -71,7 +122,7 @@ pub(crate) fn wait_until(due: Instant) {
     }
 }
 
-fn summarise(hz: f64, samples: &[Sample]) -> Run {
+fn summarise(hz: f64, start: Instant, samples: &[Sample]) -> Run {
     let latencies = |samples: &[Sample]| histogram(samples.iter().map(|sample| sample.done - sample.due));
     let first = samples.iter().map(|sample| sample.done).min().unwrap();
     let last = samples.iter().map(|sample| sample.done).max().unwrap();
@@ -79,6 +130,7 @@ fn summarise(hz: f64, samples: &[Sample]) -> Run {
     let median = |samples: &[Sample]| latencies(samples).value_at_quantile(0.5) as f64;
     Run {
         hz,
+        start,
         achieved_hz: (samples.len() - 1) as f64 / (last - first).as_secs_f64(),
         latency: latencies(samples),
         sending: histogram(samples.iter().map(|sample| sample.sent - sample.due)),

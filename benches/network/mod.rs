@@ -3,11 +3,14 @@
 use crate::founding::{Founding, Shape, robots, twist};
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code};
-use ledger_abac::Grant;
-use ledger_api::{Call, Client, Context, Pending};
+use ledger_abac::{Grant, MessageEvent};
+use ledger_api::{Call, Client, Context, Pending, Subscription};
+use std::collections::HashMap;
 use std::fs::{File, write};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// Time for a node to answer after it was started.
@@ -45,6 +48,49 @@ impl Network {
         let owner = network.connect(&network.founding.owner).await;
         owner.invoke("abac", "setup", robots()).await.unwrap();
         network
+    }
+
+    /// The processes' ids.
+    pub(crate) fn processes(&self) -> Vec<u32> {
+        self.processes.iter().map(Child::id).collect()
+    }
+
+    /// The nodes' data directories.
+    pub(crate) fn directories(&self) -> impl Iterator<Item = &Path> {
+        self.founding.nodes.iter().map(|(data, _)| data.as_path())
+    }
+
+    /// Notes when messages about a robot arrive at a subscriber of the owner, at the last node: the other
+    /// organisation's, where there is one.
+    pub(crate) async fn listen(&self, robot: &str) -> Arrivals {
+        let (_, address) = self.founding.nodes.last().unwrap();
+        let context = Context { nodes: vec![address.clone()], ..self.founding.owner.clone() };
+        let client = self.connect(&context).await;
+        let mut events = client.subscribe(Subscription {
+            chaincode: "abac".into(),
+            subjects: vec![format!("{robot}/cmd_vel")],
+            names: vec!["message".into()],
+            ..Subscription::default()
+        });
+        let arrivals = Arrivals::default();
+        let noted = arrivals.clone();
+        tokio::spawn(async move {
+            while let Ok(delivery) = events.next().await {
+                let now = Instant::now();
+                for event in delivery.events {
+                    let message: MessageEvent = serde_json::from_slice(&event.payload).unwrap();
+                    noted.0.lock().unwrap().insert(message.first_seq, now);
+                }
+            }
+        });
+        arrivals
+    }
+
+    /// Farhad, who holds nothing: his commands are refused. His calls go to the first node.
+    pub(crate) async fn intruder(&self) -> Operator {
+        let client = self.connect(&self.founding.farhad).await;
+        let service = Bytes::from_static(b"Turtlebot4/cmd_vel");
+        Operator { client, service, epoch: Bytes::from_static(b"1"), next_seq: AtomicU64::new(1), message: twist() }
     }
 
     /// Salma with the grant of a robot. Her calls go to the first node.
@@ -96,15 +142,49 @@ pub(crate) struct Operator {
     message: Bytes,
 }
 
+/// When messages arrived, by sequence number.
+#[derive(Clone, Default)]
+pub(crate) struct Arrivals(Arc<Mutex<HashMap<u64, Instant>>>);
+
+impl Arrivals {
+    /// When the message with this number arrived; waits a moment for it.
+    pub(crate) fn of(&self, seq: u64) -> Instant {
+        let deadline = Instant::now() + Duration::from_secs(10);
+        loop {
+            if let Some(arrival) = self.0.lock().unwrap().get(&seq) {
+                return *arrival;
+            }
+            assert!(Instant::now() < deadline, "message {seq} did not arrive");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
 impl Operator {
-    /// Signs the next command and sends it.
-    pub(crate) fn command(&self) -> Pending {
-        self.client.submit_nowait(&self.sign())
+    /// Sequence number of the next command.
+    pub(crate) fn next_seq(&self) -> u64 {
+        self.next_seq.load(Ordering::Relaxed)
     }
 
-    fn sign(&self) -> Transaction {
-        let seq = self.next_seq.fetch_add(1, Ordering::Relaxed).to_string();
-        let args = vec![self.service.clone(), self.epoch.clone(), seq.into(), self.message.clone()];
+    /// Bytes of a command as it is signed and sent.
+    pub(crate) fn command_bytes(&self) -> usize {
+        self.sign(1).encoded().len()
+    }
+
+    /// Signs the next command with so many messages and sends it.
+    pub(crate) fn commands(&self, messages: usize) -> Pending {
+        self.client.submit_nowait(&self.sign(messages))
+    }
+
+    /// Signs the next command and sends it.
+    pub(crate) fn command(&self) -> Pending {
+        self.commands(1)
+    }
+
+    fn sign(&self, messages: usize) -> Transaction {
+        let seq = self.next_seq.fetch_add(messages as u64, Ordering::Relaxed).to_string();
+        let mut args = vec![self.service.clone(), self.epoch.clone(), seq.into()];
+        args.extend(std::iter::repeat_n(self.message.clone(), messages));
         let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: COMMAND_TTL };
         self.client.prepare(call).unwrap()
     }

@@ -13,23 +13,29 @@ const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p95", 0.95), ("p99", 0.99),
 pub(crate) struct Line {
     /// Commands at that rate.
     pub(crate) run: Run,
+    /// From when a command was due to its event at the last node's subscriber, in nanoseconds.
+    pub(crate) delivery: Histogram<u64>,
     /// What a write with `fdatasync` of the same size took right after, in nanoseconds.
     pub(crate) disk: Histogram<u64>,
 }
 
 /// Prints the runs on one network, a line each.
 pub(crate) fn print_table(title: &str, lines: &[Line]) {
-    println!("\n{title}: from the time a command was due to its verdict, ms; the disk alone, ms");
-    println!("      Hz  achieved  commands     p50     p95     p99   p99.9     max  growth | disk p50     p99");
-    for Line { run, disk } in lines {
+    println!("\n{title}: from the time a command was due to its verdict, to its event; the disk alone; ms");
+    println!(
+        "      Hz  achieved  commands     p50     p95     p99   p99.9     max  growth | event p50     p99 | disk p50     p99"
+    );
+    for Line { run, delivery, disk } in lines {
         let [p50, p95, p99, p99_9] = QUANTILES.map(|(_, quantile)| ms(run.latency.value_at_quantile(quantile)));
         println!(
-            "{:8} {:9.1} {:9} {p50:7.3} {p95:7.3} {p99:7.3} {p99_9:7.3} {:7.3} {:7.2} | {:8.3} {:7.3}",
+            "{:8} {:9.1} {:9} {p50:7.3} {p95:7.3} {p99:7.3} {p99_9:7.3} {:7.3} {:7.2} | {:9.3} {:7.3} | {:8.3} {:7.3}",
             run.hz,
             run.achieved_hz,
             run.latency.len(),
             ms(run.latency.max()),
             run.growth,
+            ms(delivery.value_at_quantile(0.5)),
+            ms(delivery.value_at_quantile(0.99)),
             ms(disk.value_at_quantile(0.5)),
             ms(disk.value_at_quantile(0.99)),
         );
@@ -38,18 +44,61 @@ pub(crate) fn print_table(title: &str, lines: &[Line]) {
 
 /// The runs on one network for [`write`].
 pub(crate) fn lines(lines: &[Line]) -> Value {
-    let line = |Line { run, disk }: &Line| {
+    let line = |Line { run, delivery, disk }: &Line| {
         json!({
             "hz": run.hz,
             "achieved_hz": run.achieved_hz,
             "commands": run.latency.len(),
             "latency_ms": percentiles(&run.latency),
             "sending_ms": percentiles(&run.sending),
+            "delivery_ms": percentiles(delivery),
             "disk_ms": percentiles(disk),
             "growth": run.growth,
         })
     };
     lines.iter().map(line).collect()
+}
+
+/// One of several that do the same work in turns. Latencies are in nanoseconds.
+pub(crate) struct Side {
+    /// As it is called in results.
+    pub(crate) name: String,
+    /// Calls one after the other.
+    pub(crate) one_in_flight: Histogram<u64>,
+    /// At 50 Hz, from when a call was due.
+    pub(crate) at_50_hz: Histogram<u64>,
+}
+
+impl Side {
+    /// Adds another turn.
+    pub(crate) fn add(&mut self, one_in_flight: &Histogram<u64>, at_50_hz: &Histogram<u64>) {
+        self.one_in_flight.add(one_in_flight).unwrap();
+        self.at_50_hz.add(at_50_hz).unwrap();
+    }
+}
+
+/// Prints the sides, each also as a multiple of the first.
+pub(crate) fn print_sides(sides: &[Side]) {
+    let Some(first) = sides.first() else { return };
+    println!("\nside by side, ms (and as a multiple of: {})", first.name);
+    println!("                                     one in flight p50              50 Hz p50              50 Hz p99");
+    for side in sides {
+        let figure =
+            |of: &dyn Fn(&Side) -> u64| format!("{:.3} ({:5.2} x)", ms(of(side)), of(side) as f64 / of(first) as f64);
+        println!(
+            "{:35} {:>20} {:>22} {:>22}",
+            side.name,
+            figure(&|side| side.one_in_flight.value_at_quantile(0.5)),
+            figure(&|side| side.at_50_hz.value_at_quantile(0.5)),
+            figure(&|side| side.at_50_hz.value_at_quantile(0.99)),
+        );
+    }
+}
+
+/// The sides for [`write`].
+pub(crate) fn sides(sides: &[Side]) -> Value {
+    let side = |Side { name, one_in_flight, at_50_hz }: &Side| json!({ "name": name, "one_in_flight_ms": percentiles(one_in_flight), "at_50_hz_ms": percentiles(at_50_hz) });
+    sides.iter().map(side).collect()
 }
 
 /// Writes `target/bench/NAME.json`.
