@@ -1,4 +1,5 @@
 //! The disk alone, as the measure of what a commit may cost at best: disks differ, and so do their moods.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
 use crate::load::{histogram, wait_until};

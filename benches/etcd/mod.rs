@@ -97,12 +97,12 @@ impl Etcd {
     }
 
     /// One put; keys repeat after a thousand, as robots do.
-    pub(crate) fn put(&self) -> impl Future<Output = ()> + Send + 'static {
+    pub(crate) fn put(&self) -> impl Future<Output = ()> + Send + 'static + use<> {
         let put = self.try_put();
         async move { put.await.unwrap() }
     }
 
-    fn try_put(&self) -> impl Future<Output = Result<(), tonic::Status>> + Send + 'static {
+    fn try_put(&self) -> impl Future<Output = Result<(), tonic::Status>> + Send + 'static + use<> {
         let key = format!("robot/{}", self.next.fetch_add(1, Ordering::Relaxed) % 1000);
         let request = PutRequest { key: key.into(), value: self.value.clone() };
         let mut client = Grpc::new(self.channel.clone());

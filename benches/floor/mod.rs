@@ -57,7 +57,8 @@ impl Floor {
     /// One message and its answer.
     pub(crate) fn once(&mut self) {
         let stream = self.stream.as_mut().unwrap();
-        let (body, place) = self.message.split_at_mut(self.message.len() - SIGNATURE_BYTES);
+        let body_bytes = self.message.len() - SIGNATURE_BYTES;
+        let (body, place) = self.message.split_at_mut(body_bytes);
         body[0] = body[0].wrapping_add(1);
         place.copy_from_slice(self.key.sign(body).as_ref());
         stream.write_all(&self.message).unwrap();

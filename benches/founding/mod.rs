@@ -1,4 +1,5 @@
 //! A network on disk that no node runs yet: one robot owner, one operator, as many nodes as a bench wants.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use ledger::Bytes;
 use ledger::identity::Role;

@@ -1,4 +1,5 @@
 //! Load by the clock: commands at fixed times, whether or not earlier ones are answered.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use hdrhistogram::Histogram;
 use std::future::Future;

@@ -1,4 +1,5 @@
 //! A network of real processes: the `ledgerd` of this build, each node with its data on disk, TLS between all.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::{Founding, Shape, robots, twist};
 use ledger::transaction::Transaction;

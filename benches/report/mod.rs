@@ -1,4 +1,5 @@
 //! What a bench leaves: a table on standard output for people, `target/bench/NAME.json` for programs.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
 use crate::load::Run;
