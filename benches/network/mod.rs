@@ -30,25 +30,50 @@ pub(crate) struct Network {
 impl Network {
     /// Founds a network, starts its nodes and registers the robots.
     pub(crate) async fn start(shape: Shape) -> Self {
-        let founding = Founding::new(shape);
-        let mut network = Self { processes: Vec::new(), founding };
-        for (data, address) in &network.founding.nodes {
-            let config = data.with_extension("toml");
-            write(&config, format!("data = {data:?}\nlisten = {address:?}\n")).unwrap();
-            let log = File::create(data.with_extension("log")).unwrap();
-            let child = Command::new(env!("CARGO_BIN_EXE_ledgerd"))
-                .args(["run", "--config"])
-                .arg(&config)
-                .stdin(Stdio::null())
-                .stdout(log.try_clone().unwrap())
-                .stderr(log)
-                .spawn()
-                .unwrap();
-            network.processes.push(child);
+        Self::start_with(shape, "").await
+    }
+
+    /// As [`Network::start`], with more settings: sections of TOML.
+    pub(crate) async fn start_with(shape: Shape, settings: &str) -> Self {
+        let mut network = Self::of(Founding::new(shape));
+        for node in 0..network.founding.nodes.len() {
+            network.start_node(node, settings);
         }
         let owner = network.connect(&network.founding.owner).await;
         owner.invoke("abac", "setup", robots()).await.unwrap();
         network
+    }
+
+    /// A founded network of which no node runs yet.
+    pub(crate) fn of(founding: Founding) -> Self {
+        Self { processes: Vec::new(), founding }
+    }
+
+    /// Height of a node, once it answers.
+    pub(crate) async fn height(&self, node: usize) -> u64 {
+        let nodes = vec![self.founding.nodes[node].1.clone()];
+        let client = Client::connect(&Context { nodes, ..self.founding.owner.clone() }).await;
+        match client {
+            Ok(client) => client.status().await.map_or(0, |status| status.height),
+            Err(_) => 0,
+        }
+    }
+
+    /// Starts a node with more settings: sections of TOML.
+    pub(crate) fn start_node(&mut self, node: usize, settings: &str) {
+        let (data, address) = &self.founding.nodes[node];
+        let config = data.with_extension("toml");
+        write(&config, format!("data = {data:?}\nlisten = {address:?}\n{settings}")).unwrap();
+        let log = File::create(data.with_extension("log")).unwrap();
+        let child = Command::new(env!("CARGO_BIN_EXE_ledgerd"))
+            .args(["run", "--config"])
+            .arg(&config)
+            .stdin(Stdio::null())
+            .stdout(log.try_clone().unwrap())
+            .stderr(log)
+            .spawn()
+            .unwrap();
+        self.processes.push(child);
     }
 
     /// The processes' ids.
