@@ -116,11 +116,12 @@ fn write_chain(founding: &Founding, blocks: u64) -> u64 {
         entry
     };
     let setup = sign(&founding.owner, "setup", robots(), time);
-    ledger.apply(&append(vec![setup.encoded().clone()], time)).unwrap();
-    let lease = ["Turtlebot4", "3600000"].map(|arg| Bytes::copy_from_slice(arg.as_bytes())).into();
+    let set_up = ledger.apply(&append(vec![setup.encoded().clone()], time)).unwrap();
+    assert_eq!(set_up.results[0].code(), Code::Ok, "{:?}", set_up.results[0]);
+    let lease = ["Turtlebot4", "600000"].map(|arg| Bytes::copy_from_slice(arg.as_bytes())).into();
     let acquire = sign(&founding.salma, "acquire", lease, time);
     let granted = ledger.apply(&append(vec![acquire.encoded().clone()], time)).unwrap();
-    assert_eq!(granted.results[0].code(), Code::Ok);
+    assert_eq!(granted.results[0].code(), Code::Ok, "{:?}", granted.results[0]);
     let Grant { epoch, mut next_seq, .. } =
         serde_json::from_slice(&granted.results[0].response).unwrap();
     for _ in 0..blocks {
