@@ -122,8 +122,7 @@ fn write_chain(founding: &Founding, blocks: u64) -> u64 {
     let acquire = sign(&founding.salma, "acquire", lease, time);
     let granted = ledger.apply(&append(vec![acquire.encoded().clone()], time)).unwrap();
     assert_eq!(granted.results[0].code(), Code::Ok, "{:?}", granted.results[0]);
-    let Grant { epoch, mut next_seq, .. } =
-        serde_json::from_slice(&granted.results[0].response).unwrap();
+    let Grant { epoch, mut next_seq, .. } = serde_json::from_slice(&granted.results[0].response).unwrap();
     for _ in 0..blocks {
         time += BLOCK_EVERY;
         let transactions = (0..BLOCK_TRANSACTIONS).map(|_| {

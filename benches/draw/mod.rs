@@ -1,4 +1,5 @@
 //! Curves as SVG and in a page of HTML: latency against frequency, the paper's figure.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
 use std::fmt::Write as _;

@@ -1,5 +1,6 @@
 //! etcd beside us: the same load as puts on a cluster of one or three nodes with mutual TLS, data on the same disk.
 //! It verifies no signature per message and decides on no attributes; it is what a distributed log costs at least.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
 use bytes::Bytes;

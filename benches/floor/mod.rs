@@ -1,6 +1,7 @@
 //! The floor: what any signed, durable answer costs at least. A client signs and sends a message over mutual TLS 1.3, a
 //! server verifies it, writes it with `fdatasync` into space that was written before, and answers. No ordering, no
 //! framing, no access decision, no execution, one thread at each end.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
 use crate::load::{histogram, wait_until};

@@ -1,4 +1,5 @@
 //! What processes used: CPU, memory, bytes on disk and on the wire, read from `/proc` and `/sys`.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use std::path::Path;
 use std::time::Duration;
