@@ -4,13 +4,19 @@ use crate::chaincode::WriteSet;
 use crate::code::Code;
 use crate::rejection::Rejection;
 use bytes::Bytes;
+use std::io::ErrorKind;
 use std::ops::Bound;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::{PoisonError, RwLock};
+use std::time::Duration;
 
 /// Bytes of sled's page cache: small, for a node on a robot; hot keys live in [`super::State`]'s memory anyway.
 const CACHE_BYTES: u64 = 16 * 1024 * 1024;
+
+/// How often, and after which pause, a store is tried again whose lock is held.
+const LOCK_ATTEMPTS_MAX: u32 = 100;
+const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
 /// A sorted store with atomic batches.
 pub trait Store: Send + Sync {
@@ -72,7 +78,16 @@ impl SledStore {
 fn open(directory: &Path) -> Result<sled::Db, Rejection> {
     let config =
         sled::Config::new().path(directory).flush_every_ms(None).cache_capacity(CACHE_BYTES).mode(sled::Mode::LowSpace);
-    match catch_unwind(AssertUnwindSafe(|| config.open())) {
+    let mut opened = catch_unwind(AssertUnwindSafe(|| config.open()));
+    for _ in 0..LOCK_ATTEMPTS_MAX {
+        if !matches!(&opened, Ok(Err(sled::Error::Io(error))) if error.kind() == ErrorKind::WouldBlock) {
+            break;
+        }
+        // A store that was closed just now lets go of its lock only when its threads have ended.
+        std::thread::sleep(LOCK_PAUSE);
+        opened = catch_unwind(AssertUnwindSafe(|| config.open()));
+    }
+    match opened {
         Ok(Ok(tree)) => Ok(tree),
         Ok(Err(error)) => Err(fault(&error)),
         Err(_) => Err(Rejection::new(Code::Corrupt, "the state store cannot be opened: it panicked")
