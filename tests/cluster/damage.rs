@@ -11,12 +11,12 @@ mod log;
 mod nodes;
 mod state;
 
+use std::fs;
+
 use crate::audit::{Chain, audit};
 use crate::cluster::{Cluster, NODES};
 use crate::load::Load;
 use crate::support::network::message;
-use std::fs;
-use std::path::Path;
 
 /// Bytes of a large message, and how many of them fill a segment.
 const LARGE_BYTES: usize = 30_000;
@@ -56,19 +56,5 @@ impl History {
             history.cluster.kill(node);
         }
         history
-    }
-}
-
-/// Copies a directory with everything in it.
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let target = to.join(path.file_name().unwrap());
-        if path.is_dir() {
-            copy(&path, &target);
-        } else {
-            fs::copy(&path, &target).unwrap();
-        }
     }
 }

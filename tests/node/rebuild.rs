@@ -1,5 +1,6 @@
 //! The world state is a cache: lost or damaged, it is made again from the blocks, to the same digest.
 
+use crate::support::directory::copy;
 use crate::support::network::{message, register_robots};
 use crate::support::{Dice, Fleet, Process, connect, until};
 use ledger::Bytes;
@@ -79,19 +80,6 @@ fn files(directory: &Path) -> Vec<PathBuf> {
     found.retain(|path| fs::metadata(path).unwrap().len() > 0);
     found.sort();
     found
-}
-
-fn copy(from: &Path, to: &Path) {
-    fs::create_dir_all(to).unwrap();
-    for entry in fs::read_dir(from).unwrap() {
-        let path = entry.unwrap().path();
-        let target = to.join(path.file_name().unwrap());
-        if path.is_dir() {
-            copy(&path, &target);
-        } else {
-            fs::copy(&path, &target).unwrap();
-        }
-    }
 }
 
 #[tokio::test]

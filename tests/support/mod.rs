@@ -5,6 +5,7 @@
 //! | `process` | a child process, killed by its id when the test ends |
 //! | `programs` | where the built programs are |
 //! | `network` | a network on disk, its nodes and identities |
+//! | `directory` | a copy of a stopped node's directory |
 //! | `small_disk` | a disk that can be full |
 //! | `dev` | `ledgerd dev` with its users |
 //! | `ctl` | one run of `ledgerctl` |
@@ -15,6 +16,7 @@
 
 pub mod ctl;
 pub mod dev;
+pub mod directory;
 pub mod network;
 pub mod process;
 pub mod programs;

@@ -1,11 +1,12 @@
 //! Damage to one voter while the others go on: with the real program it catches up to the same digest, or it ends and
 //! names file and byte.
 
-use super::{FILL_A_SEGMENT, History, copy};
+use super::{FILL_A_SEGMENT, History};
 use crate::audit::audit;
 use crate::cluster::VOTERS;
 use crate::load::Load;
 use crate::rounds;
+use crate::support::directory::copy;
 use crate::support::network::NodePlace;
 use crate::support::{Dice, until};
 use ledger::verify::STATE_DIRECTORY;

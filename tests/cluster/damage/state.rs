@@ -1,9 +1,10 @@
 //! A state store that rots. The blocks are the truth: whatever the store says or loses, the node comes to the state that
 //! executing the blocks gives.
 
-use super::{History, copy};
+use super::History;
 use crate::rounds;
 use crate::support::Dice;
+use crate::support::directory::copy;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
 use ledger::results::ResultStore;

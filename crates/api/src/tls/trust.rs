@@ -42,7 +42,7 @@ pub enum ServerTrust {
 impl ServerTrust {
     /// Checks what a server presented: its certificate first. `now` is the wall clock in microseconds since the UNIX
     /// epoch; [`ServerTrust::Network`] has its own. With [`ServerTrust::Fingerprint`] the organisation in the answer
-    /// is only a placeholder.
+    /// means nothing: no MSP is known yet that would name it.
     ///
     /// # Errors
     /// [`Refusal`]: why this server is not accepted.

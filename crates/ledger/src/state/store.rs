@@ -105,7 +105,7 @@ fn guard<T>(body: impl FnOnce() -> Result<T, sled::Error>) -> Result<T, Rejectio
 
 fn fault(error: &sled::Error) -> Rejection {
     let code = match error {
-        sled::Error::Io(io) if io.kind() == std::io::ErrorKind::StorageFull => Code::DiskFull,
+        sled::Error::Io(io) if io.kind() == ErrorKind::StorageFull => Code::DiskFull,
         sled::Error::Io(_) => Code::DiskFailed,
         _ => Code::Corrupt,
     };
