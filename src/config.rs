@@ -81,6 +81,8 @@ pub struct Order {
     pub election_ticks: u64,
     /// Between two attestations, in milliseconds.
     pub attest_ms: u64,
+    /// How long processors are kept awake for a transaction in flight, at most, in microseconds; 0 = they may sleep.
+    pub awake_us: u64,
 }
 
 /// The enrolment CA, if the node carries one.
@@ -117,7 +119,7 @@ impl Default for Config {
             listen: "127.0.0.1:7450".into(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
-            order: Order { tick_ms: 50, election_ticks: 10, attest_ms: 10_000 },
+            order: Order { tick_ms: 50, election_ticks: 10, attest_ms: 10_000, awake_us: 2000 },
             ca: Ca {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
                 secret_days: CertificateAuthority::SECRET_DAYS,
@@ -234,6 +236,7 @@ impl Config {
             s.integer("tick_ms", 1..=10_000, &mut order.tick_ms);
             s.integer("election_ticks", 2..=1000, &mut order.election_ticks);
             s.integer("attest_ms", 100..=3_600_000, &mut order.attest_ms);
+            s.integer("awake_us", 0..=1_000_000, &mut order.awake_us);
         });
         root.section("ca", |s| {
             s.integer("certificate_days", 1..=3650, &mut ca.certificate_days);

@@ -5,6 +5,7 @@ mod submit;
 mod subscribe;
 mod transfer;
 
+use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::clock::{Clock, wall};
 use crate::config::Limits;
@@ -72,6 +73,8 @@ pub(crate) struct NodeView {
     pub disk_full: Arc<AtomicBool>,
     /// Compares what others attest.
     pub witness: Arc<Witness>,
+    /// Keeps the processors awake.
+    pub awake: Arc<Awake>,
     /// The node's clock.
     pub clock: Clock,
     /// When the node started.

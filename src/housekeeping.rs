@@ -96,7 +96,8 @@ impl Keeper {
             // The blocks have it; what the log still has to write goes first.
             return;
         }
-        match self.node.ledger.flush(Some(&self.pruner.snapshots)) {
+        let durable = self.pruner.store.durable_index();
+        match self.node.ledger.flush_up_to(durable, Some(&self.pruner.snapshots)) {
             Ok(()) => {}
             Err(fault) if fault.code == Code::DiskFull => set_full(&self.node, true),
             // Nothing is lost: the blocks have it, and the next start rebuilds what is missing.

@@ -35,6 +35,7 @@
 //! | `housekeeping` | what is done beside the work |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
+mod awake;
 mod blocks;
 mod bridge;
 pub mod ca;

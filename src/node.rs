@@ -1,5 +1,6 @@
 //! A node: opens its stores, starts its roles, and ends them in order.
 
+use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::bridge::NodeBridge;
 use crate::ca::CertificateAuthority;
@@ -156,6 +157,9 @@ impl Node {
         let peers = Peers::new(dialer.clone());
         let (reads, executed) = (Arc::new(Reads::default()), Arc::new(Executed::default()));
         let (witness, seen) = Witness::new();
+        let awake = Awake::start(Duration::from_micros(config.order.awake_us))
+            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
+        let awake = Arc::new(awake);
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
@@ -175,6 +179,7 @@ impl Node {
             disk_full: Arc::clone(&disk_full),
             executed: Arc::clone(&executed),
             witness: Arc::clone(&witness),
+            awake: Arc::clone(&awake),
         });
         peers.follow(&directory);
         let seat = Arc::new(Seat::empty());
@@ -206,6 +211,7 @@ impl Node {
             subscribers: Arc::new(AtomicU64::new(0)),
             disk_full,
             witness,
+            awake: Arc::clone(&awake),
             clock,
             started,
         });
@@ -222,6 +228,9 @@ impl Node {
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let inbox = Arc::clone(&seat);
         let peer_service = PeerService::new(peers, source, directory.subscribe(), move |from, message| {
+            if message.brings_entries() {
+                awake.keep();
+            }
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
             // repeats what matters.
             !matches!(inbox.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)

@@ -24,6 +24,7 @@ pub(crate) use execute::Executed;
 pub(crate) use reads::Reads;
 pub(crate) use seat::Seat;
 
+use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::catch_up::Behind;
 use crate::clock::Clock;
@@ -79,6 +80,8 @@ pub(crate) struct Shared {
     pub executed: Arc<Executed>,
     /// Compares what others attest.
     pub witness: Arc<Witness>,
+    /// Keeps the processors awake.
+    pub awake: Arc<Awake>,
 }
 
 /// The running threads.

@@ -60,6 +60,11 @@ impl Waiters {
         waiting.waiters.push((Instant::now(), waiter));
     }
 
+    /// Does nobody wait?
+    pub(crate) fn is_empty(&self) -> bool {
+        self.lock().waiting.is_empty()
+    }
+
     /// Everything that waits, in the order in which it came. Once another node leads, nobody knows what became of it;
     /// ordered a second time it gets the first verdict.
     pub(crate) fn all(&self) -> Vec<(Lane, Bytes)> {

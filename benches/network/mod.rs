@@ -10,7 +10,6 @@ use std::collections::HashMap;
 use std::fs::{File, write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -116,7 +115,7 @@ impl Network {
     pub(crate) async fn intruder(&self) -> Operator {
         let client = self.connect(&self.founding.farhad).await;
         let service = Bytes::from_static(b"Turtlebot4/cmd_vel");
-        Operator { client, service, epoch: Bytes::from_static(b"1"), next_seq: AtomicU64::new(1), message: twist() }
+        Operator { client, service, epoch: Bytes::from_static(b"1"), next_seq: Mutex::new(1), message: twist() }
     }
 
     /// Salma with the grant of a robot. Her calls go to the first node.
@@ -129,7 +128,7 @@ impl Network {
             client,
             service: grant.service.into(),
             epoch: grant.epoch.to_string().into(),
-            next_seq: AtomicU64::new(grant.next_seq),
+            next_seq: Mutex::new(grant.next_seq),
             message: twist(),
         }
     }
@@ -164,7 +163,8 @@ pub(crate) struct Operator {
     client: Client,
     service: Bytes,
     epoch: Bytes,
-    next_seq: AtomicU64,
+    /// Held until a command is handed over: one that overtakes another makes it stale.
+    next_seq: Mutex<u64>,
     message: Bytes,
 }
 
@@ -189,17 +189,18 @@ impl Arrivals {
 impl Operator {
     /// Sequence number of the next command.
     pub(crate) fn next_seq(&self) -> u64 {
-        self.next_seq.load(Ordering::Relaxed)
+        *self.next_seq.lock().unwrap()
     }
 
     /// Bytes of a command as it is signed and sent.
     pub(crate) fn command_bytes(&self) -> usize {
-        self.sign(1).encoded().len()
+        self.sign(&mut self.next_seq.lock().unwrap(), 1).encoded().len()
     }
 
     /// Signs the next command with so many messages and sends it.
     pub(crate) fn commands(&self, messages: usize) -> Pending {
-        self.client.submit_nowait(&self.sign(messages))
+        let mut next_seq = self.next_seq.lock().unwrap();
+        self.client.submit_nowait(&self.sign(&mut next_seq, messages))
     }
 
     /// Signs the next command and sends it.
@@ -207,9 +208,10 @@ impl Operator {
         self.commands(1)
     }
 
-    fn sign(&self, messages: usize) -> Transaction {
-        let seq = self.next_seq.fetch_add(messages as u64, Ordering::Relaxed).to_string();
-        let mut args = vec![self.service.clone(), self.epoch.clone(), seq.into()];
+    fn sign(&self, next_seq: &mut u64, messages: usize) -> Transaction {
+        let seq = next_seq.to_string().into();
+        *next_seq += messages as u64;
+        let mut args = vec![self.service.clone(), self.epoch.clone(), seq];
         args.extend(std::iter::repeat_n(self.message.clone(), messages));
         let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: COMMAND_TTL };
         self.client.prepare(call).unwrap()

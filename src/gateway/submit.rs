@@ -44,6 +44,7 @@ pub(super) fn stream(
 impl NodeView {
     /// Admits a transaction and hands it to the orderer. The waiter is answered now or when the verdict is known.
     pub(super) async fn submit(&self, request: SubmitRequest, waiter: Waiter) {
+        self.awake.keep();
         if request.min_height > self.ledger.tip().height
             && let Err(reason) = self.reach(request.min_height).await
         {

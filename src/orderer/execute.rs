@@ -30,6 +30,9 @@ impl Execute {
                     return;
                 }
             }
+            if self.shared.waiters.is_empty() {
+                self.shared.awake.rest();
+            }
             if self.applied.send(Input::Applied { height }).is_err() {
                 return;
             }

@@ -15,6 +15,8 @@ use tokio::sync::watch;
 
 /// Inputs taken before the log is written, so that a flood cannot put off the write.
 const INPUTS_PER_WRITE_MAX: usize = 4096;
+/// How long a learner, for whose disk nobody waits, gathers before it writes.
+const LEARNER_WRITE_DELAY: Duration = Duration::from_millis(2);
 /// Pause before a write is tried again that found no space.
 const FULL_DISK_PAUSE: Duration = Duration::from_millis(100);
 
@@ -28,6 +30,8 @@ pub(super) struct Order {
     outputs: Vec<Output>,
     /// Number of the newest flush that the engine waits for.
     flush: Option<u64>,
+    /// When that flush is due.
+    flush_due: Instant,
     status: Arc<Mutex<Status>>,
     role: watch::Sender<RoleChange>,
     deadline: Arc<AtomicU64>,
@@ -49,7 +53,7 @@ impl Order {
         role: watch::Sender<RoleChange>,
         deadline: Arc<AtomicU64>,
     ) -> Self {
-        let (leading, outputs, flush, asked_for) = (false, Vec::new(), None, (0, 0));
+        let (leading, outputs, asked_for) = (false, Vec::new(), (0, 0));
         let (submit_again, reconcile) = (false, false);
         Self {
             engine,
@@ -58,7 +62,8 @@ impl Order {
             shared,
             committed,
             outputs,
-            flush,
+            flush: None,
+            flush_due: Instant::now(),
             status,
             role,
             deadline,
@@ -83,7 +88,7 @@ impl Order {
             self.reconcile();
             let wait = match self.flush {
                 Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
-                Some(_) => Duration::ZERO,
+                Some(_) => self.flush_due.saturating_duration_since(Instant::now()),
                 None => self.idle_time(next_tick),
             };
             match inputs.recv_timeout(wait) {
@@ -101,6 +106,8 @@ impl Order {
                 return;
             }
         }
+        self.flush_due = Instant::now();
+        self.write();
     }
 
     /// Until the next tick, or the next deadline of a chaincode if that is earlier.
@@ -161,7 +168,7 @@ impl Order {
 
     /// Makes the log durable if the engine waits for it. False if the node cannot go on.
     fn write(&mut self) -> bool {
-        let Some(ready) = self.flush.take() else { return true };
+        let Some(ready) = self.flush.take_if(|_| self.flush_due <= Instant::now()) else { return true };
         match self.shared.store.flush() {
             Ok(_) => {
                 self.step(Input::Persisted { ready });
@@ -198,7 +205,13 @@ impl Order {
                     self.not_forwarded(to, lost);
                 }
             }
-            Output::Flush { ready } => self.flush = Some(ready),
+            Output::Flush { ready } => {
+                if self.flush.is_none() {
+                    let delay = if self.engine.is_voter() { Duration::ZERO } else { LEARNER_WRITE_DELAY };
+                    self.flush_due = Instant::now() + delay;
+                }
+                self.flush = Some(ready);
+            }
             Output::Commit(entries) => {
                 // The other end is only gone when the node has failed already.
                 let _stopping = self.committed.send(entries);

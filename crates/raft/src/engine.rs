@@ -66,6 +66,8 @@ pub struct Engine {
     pending: VecDeque<PendingReady>,
     /// Bytes of entries in `pending`.
     unpersisted_bytes: usize,
+    /// Appends that wait for the commit of what they bring, by learner.
+    held: BTreeMap<u64, VecDeque<raft::eraftpb::Message>>,
     /// Own blocks under way, in order of index.
     own: VecDeque<OwnBlock>,
     /// Members as of `emitted`.
@@ -152,6 +154,7 @@ impl Engine {
             queues: Queues::new(),
             pending: VecDeque::new(),
             unpersisted_bytes: 0,
+            held: BTreeMap::new(),
             own: VecDeque::new(),
             membership,
             emitted: applied,

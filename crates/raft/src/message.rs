@@ -56,6 +56,13 @@ pub enum PeerMessage {
     Behind(Behind),
 }
 
+impl PeerMessage {
+    /// Does it bring entries to append?
+    pub fn brings_entries(&self) -> bool {
+        matches!(self, Self::Raft(message) if !message.entries.is_empty())
+    }
+}
+
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
     #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4")]

@@ -64,7 +64,8 @@ impl State {
         let start = range.start.max(self.index.base().index + 1);
         let end = range.end.min(self.index.last().saturating_add(1));
         let split = self.recent.first().unwrap_or(end).clamp(start, end.max(start));
-        let stretches = self.stretches(start..split, bytes_max);
+        // The newest are asked for all the time, and no file is opened for them.
+        let stretches = if start < split { self.stretches(start..split, bytes_max) } else { Vec::new() };
         let (mut memory, mut bytes) = (Vec::new(), 0_usize);
         for index in split..end {
             let Some(entry) = self.recent.get(index) else { break };

@@ -19,6 +19,15 @@ impl Ledger {
     /// # Errors
     /// [`Code::DiskFull`], [`Code::DiskFailed`]: nothing is lost, the blocks have it.
     pub fn flush(&self, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
+        self.flush_up_to(u64::MAX, snapshots)
+    }
+
+    /// As [`flush`](Self::flush), but nothing that was executed above the height `durable`: what is stored must never be
+    /// ahead of the log on the disk.
+    ///
+    /// # Errors
+    /// As [`flush`](Self::flush).
+    pub fn flush_up_to(&self, durable: u64, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
         let _one = self.flushing.lock().unwrap_or_else(PoisonError::into_inner);
         let wanted = self.tip().height;
         loop {
@@ -29,7 +38,9 @@ impl Ledger {
             if stored.is_some_and(|stored| stored.height >= wanted) {
                 return Ok(());
             }
-            let Some(layer) = self.state.next_layer() else { return Ok(()) };
+            let Some(layer) = self.state.next_layer().filter(|layer| layer.tip.height <= durable) else {
+                return Ok(());
+            };
             self.results.flush(layer.tip.height)?;
             self.state.store(&layer)?;
         }

@@ -16,6 +16,8 @@ const CACHE_BYTES: u64 = 16 * 1024 * 1024;
 
 /// How often, and after which pause, a store is tried again whose lock is held.
 const LOCK_ATTEMPTS_MAX: u32 = 100;
+/// How sled 0.34 says that another has the lock: it gives no kind of error of its own (`Config::try_lock`).
+const LOCKED: &str = "could not acquire lock";
 const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
 /// A sorted store with atomic batches.
@@ -80,7 +82,7 @@ fn open(directory: &Path) -> Result<sled::Db, Rejection> {
         sled::Config::new().path(directory).flush_every_ms(None).cache_capacity(CACHE_BYTES).mode(sled::Mode::LowSpace);
     let mut opened = catch_unwind(AssertUnwindSafe(|| config.open()));
     for _ in 0..LOCK_ATTEMPTS_MAX {
-        if !matches!(&opened, Ok(Err(sled::Error::Io(error))) if error.kind() == ErrorKind::WouldBlock) {
+        if !matches!(&opened, Ok(Err(sled::Error::Io(error))) if error.to_string().starts_with(LOCKED)) {
             break;
         }
         // A store that was closed just now lets go of its lock only when its threads have ended.
@@ -149,5 +151,30 @@ impl Store for SledStore {
             self.reopen();
         }
         written
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use std::sync::mpsc;
+
+    #[test]
+    fn a_store_that_is_just_being_closed_is_waited_for() {
+        let place = tempfile::tempdir().unwrap();
+        let first = SledStore::open(place.path()).unwrap();
+        // While another has the lock, sled says what we wait for.
+        let refused = sled::open(place.path()).unwrap_err();
+        assert!(matches!(&refused, sled::Error::Io(error) if error.to_string().starts_with(LOCKED)), "{refused}");
+        let (opening, opens) = mpsc::channel();
+        std::thread::scope(|scope| {
+            scope.spawn(move || {
+                opens.recv().unwrap();
+                drop(first);
+            });
+            opening.send(()).unwrap();
+            SledStore::open(place.path()).unwrap();
+        });
     }
 }

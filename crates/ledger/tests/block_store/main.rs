@@ -101,6 +101,19 @@ fn a_flush_is_one_write_and_one_sync() {
 }
 
 #[test]
+fn the_newest_entries_are_read_from_memory() {
+    let disk = SimDisk::new(1);
+    let with_cache = Options { cache_bytes: 1 << 16, ..options(1 << 16) };
+    let (store, _) = BlockStore::open(Arc::new(disk.clone()), with_cache).unwrap();
+    let entries: Vec<_> = (1..=3).map(|index| plain(index, 1)).collect();
+    store.append(&entries, None).unwrap();
+    store.flush().unwrap();
+    disk.fail_read(1);
+    assert_eq!(store.entries(1..4, usize::MAX).unwrap(), entries);
+    assert_eq!(store.entries(2..4, usize::MAX).unwrap(), entries[1..]);
+}
+
+#[test]
 fn a_lower_index_supersedes_what_follows_it_on_disk_and_in_memory() {
     for flushed in [false, true] {
         let disk = SimDisk::new(1);

@@ -74,6 +74,23 @@ fn check(ledger: &Ledger, straight: &Ledger, ids: &[Hash]) {
 }
 
 #[test]
+fn nothing_is_stored_that_the_log_on_the_disk_does_not_have() {
+    let (writer, results) = (Writer::new(), SimDisk::new(6));
+    let directory = tempfile::tempdir().unwrap();
+    {
+        let ledger = writer.world.ledger_on(directory.path(), &results);
+        writer.write(&ledger, 20);
+        ledger.flush_up_to(20, None).unwrap();
+        writer.write(&ledger, 30);
+        ledger.flush_up_to(29, None).unwrap();
+        assert_eq!((ledger.tip().height, ledger.results().next()), (30, 31));
+    }
+    results.crash();
+    let ledger = writer.world.ledger_on(directory.path(), &results);
+    assert_eq!((ledger.tip().height, ledger.results().next()), (20, 21));
+}
+
+#[test]
 fn results_that_reach_beyond_the_savepoint_are_cut_off_and_made_again() {
     let (writer, results) = (Writer::new(), SimDisk::new(2));
     let directory = tempfile::tempdir().unwrap();

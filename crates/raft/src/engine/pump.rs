@@ -2,7 +2,8 @@
 //!
 //! Order matters here. A leader's messages go out before its own disk has the entries (the majority may be others).
 //! Everybody else's messages promise something (a vote, an acknowledgement), so they wait until what they promise is
-//! on the disk: [`PendingReady`].
+//! on the disk: [`PendingReady`]. Learners have no part in that: a leader sends them what is committed, and they hand it
+//! out before their own disk has it, as a majority of the voters has.
 
 use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
 use crate::interface::{Output, Role, RoleChange};
@@ -57,6 +58,7 @@ impl Engine {
         }
         if leads || role != Role::Leader {
             self.own.clear();
+            self.held.clear();
             self.wants_empty = false;
         }
         self.told = change;
@@ -111,7 +113,7 @@ impl Engine {
         }
     }
 
-    /// Hands out what is committed and on the own disk, as far as the executor keeps up.
+    /// Hands out what is committed and, on a voter, on the own disk, as far as the executor keeps up.
     fn commit(&mut self, out: &mut Vec<Output>) -> Result<(), StoreError> {
         loop {
             if active(Mutation::AcknowledgeBeforeMajority) && self.is_leader() {
@@ -119,7 +121,7 @@ impl Engine {
                 self.raw.raft.raft_log.commit_to(persisted);
             }
             let log = &self.raw.raft.raft_log;
-            let until = log.committed.min(log.persisted);
+            let until = if self.is_voter() { log.committed.min(log.persisted) } else { log.committed };
             if self.emitted >= until || self.unapplied_bytes >= self.config.unapplied_bytes {
                 return Ok(());
             }
@@ -185,7 +187,16 @@ impl Engine {
             self.unapplied.pop_front();
             self.unapplied_bytes -= bytes;
         }
-        let last = self.raw.raft.raft_log.last_index();
+        self.advance_applied();
+    }
+
+    /// The crate may know of what is executed as far as it is on the own disk.
+    fn advance_applied(&mut self) {
+        let log = &self.raw.raft.raft_log;
+        let (last, height) = (log.last_index(), self.applied.min(log.persisted));
+        if height <= log.applied {
+            return;
+        }
         self.raw.advance_apply_to(height);
         if self.raw.raft.raft_log.last_index() > last {
             // The crate has appended the end of a joint change; without this it would wait for a heartbeat.
@@ -207,7 +218,8 @@ impl Engine {
             self.store.append(&entries, hard_state.as_ref())?;
         }
         self.store.set_committed(self.raw.raft.raft_log.committed);
-        self.send(ready.take_messages(), out);
+        let messages = self.hold_back(ready.take_messages());
+        self.send(messages, out);
         let (number, needs_flush) = (ready.number(), ready.must_sync());
         let messages = ready.take_persisted_messages();
         let bytes = entries.iter().map(|entry| entry.data.len()).sum();
@@ -236,7 +248,40 @@ impl Engine {
         }
         if let Some(number) = done {
             self.raw.on_persist_ready(number);
+            self.advance_applied();
         }
+    }
+
+    /// Has this node a vote, as far as it has handed out what is committed?
+    pub fn is_voter(&self) -> bool {
+        self.membership.is_voter(self.config.id)
+    }
+
+    /// Of a leader's messages those that may go now: what is appended at learners waits for its commit and goes in one
+    /// message with it. Earlier it would only be in the way of those whose acknowledgement counts.
+    fn hold_back(&mut self, messages: Vec<Message>) -> Vec<Message> {
+        let committed = self.raw.raft.raft_log.committed;
+        let end = |message: &Message| message.index + message.entries.len() as u64;
+        let mut now = Vec::with_capacity(messages.len());
+        for (node, held) in &mut self.held {
+            let learns = !self.membership.is_voter(*node);
+            while let Some(message) = held.pop_front_if(|message| !learns || end(message) <= committed) {
+                now.push(message);
+            }
+        }
+        self.held.retain(|_, held| !held.is_empty());
+        for message in messages {
+            let appends = message.get_msg_type() == MessageType::MsgAppend && !self.membership.is_voter(message.to);
+            match self.held.get_mut(&message.to) {
+                // What follows one that waits must not overtake it.
+                Some(held) if appends => held.push_back(message),
+                None if appends && end(&message) > committed => {
+                    self.held.entry(message.to).or_default().push_back(message)
+                }
+                _ => now.push(message),
+            }
+        }
+        now
     }
 
     /// Puts messages out. Appends to one peer that follow each other become one message, within the limits.

@@ -181,10 +181,11 @@ impl Cluster {
     /// Power fails at one node: what is not flushed is lost, what is being written is torn.
     pub fn crash(&mut self, id: u64) {
         let node = self.nodes.get_mut(&id).unwrap();
-        node.up = None;
+        let durable = node.up.take().map_or(0, |(_, store)| store.durable_index() as usize);
         node.held = None;
         node.disk.crash();
-        let unsaved = (node.state.len() - node.saved) as u64;
+        // A driver saves nothing that the log on the disk does not have.
+        let unsaved = node.state.len().min(durable).saturating_sub(node.saved) as u64;
         node.saved += self.random.below(unsaved + 1) as usize;
         node.state.truncate(node.saved);
     }

@@ -252,7 +252,7 @@ impl World {
         self.schedule_timer(id, self.plan.state_flush, Timer::Housekeeping);
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         // A full disk keeps it in memory; the blocks have it.
-        let kept = running.ledger.flush(Some(&running.snapshots));
+        let kept = running.ledger.flush_up_to(running.store.durable_index(), Some(&running.snapshots));
         let reached = running.state.stored().map_or(0, |tip| tip.height);
         if let Some(snapshot) = running.snapshots.newest() {
             let (height, content) = (snapshot.manifest().height, snapshot.content());

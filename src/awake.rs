@@ -1,0 +1,104 @@
+//! Keeps the processors awake while a transaction is in flight.
+//!
+//! A command at 50 Hz meets a machine that has gone to sleep since the last one: each wait on its way, for the disk and
+//! for the next thread, ends with a processor that must wake up first. That takes longer than all the work (see
+//! docs/benchmarks.md). So from the moment a transaction arrives until its block is executed, threads of the class
+//! `SCHED_IDLE` (sched(7)) spin: the kernel runs them only where nothing else wants to run, and puts them aside at once
+//! when something does. While nothing is in flight they are parked and cost nothing.
+
+use std::hint::spin_loop;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread::{JoinHandle, available_parallelism, park};
+use std::time::{Duration, Instant};
+use thread_priority::{
+    NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+};
+
+/// Processors that are kept awake at most: about as many threads work on one transaction at a time.
+const THREADS_MAX: usize = 2;
+/// How long they stay awake after the last verdict, for those who read it.
+const LINGER: Duration = Duration::from_micros(100);
+/// Looks at the flag between two looks at the clock.
+const SPINS_PER_LOOK: u32 = 32;
+
+/// The threads. They end with it.
+pub(crate) struct Awake {
+    until: Arc<Until>,
+    limit: Duration,
+    threads: Vec<JoinHandle<()>>,
+}
+
+struct Until {
+    base: Instant,
+    /// Nanoseconds after `base`.
+    moment: AtomicU64,
+    stop: AtomicBool,
+}
+
+impl Awake {
+    /// Starts the threads. They spin for no longer than `limit` after each transaction; zero means never.
+    ///
+    /// # Errors
+    /// If the operating system gives no thread.
+    pub(crate) fn start(limit: Duration) -> io::Result<Self> {
+        let until = Arc::new(Until { base: Instant::now(), moment: AtomicU64::new(0), stop: AtomicBool::new(false) });
+        let count = if limit.is_zero() { 0 } else { available_parallelism().map_or(1, usize::from).min(THREADS_MAX) };
+        let thread = |_| {
+            let until = Arc::clone(&until);
+            std::thread::Builder::new().name("awake".into()).spawn(move || until.run())
+        };
+        let threads = (0..count).map(thread).collect::<io::Result<_>>()?;
+        Ok(Self { until, limit, threads })
+    }
+
+    /// A transaction is in flight.
+    pub(crate) fn keep(&self) {
+        let now = self.until.now();
+        if self.until.moment.swap(now + nanoseconds(self.limit), Ordering::Relaxed) <= now {
+            self.threads.iter().for_each(|thread| thread.thread().unpark());
+        }
+    }
+
+    /// Nothing is in flight any more.
+    pub(crate) fn rest(&self) {
+        let soon = self.until.now() + nanoseconds(LINGER);
+        self.until.moment.fetch_min(soon, Ordering::Relaxed);
+    }
+}
+
+impl Drop for Awake {
+    fn drop(&mut self) {
+        self.until.stop.store(true, Ordering::Relaxed);
+        for thread in self.threads.drain(..) {
+            thread.thread().unpark();
+            let _ended = thread.join();
+        }
+    }
+}
+
+impl Until {
+    fn now(&self) -> u64 {
+        nanoseconds(self.base.elapsed())
+    }
+
+    fn run(&self) {
+        let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
+        if let Err(error) = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, idle) {
+            // Without it they would be in the way of those that they are to help.
+            tracing::info!(?error, "processors may sleep: no thread may have the class SCHED_IDLE here");
+            return;
+        }
+        while !self.stop.load(Ordering::Relaxed) {
+            while self.now() < self.moment.load(Ordering::Relaxed) {
+                (0..SPINS_PER_LOOK).for_each(|_| spin_loop());
+            }
+            park();
+        }
+    }
+}
+
+fn nanoseconds(duration: Duration) -> u64 {
+    u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
+}
