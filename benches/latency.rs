@@ -140,11 +140,19 @@ fn curves(shape: Shape, lines: &[Line]) -> Vec<Curve> {
 fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
     let paper = runtime.block_on(Network::start(PAPER));
     let three = runtime.block_on(Network::start(THREE_VOTERS));
-    let operators = [&paper, &three].map(|network| runtime.block_on(network.operator("Turtlebot4")));
-    let mut floor = Floor::new(operators[0].command_bytes());
-    let etcd = Etcd::version()
+    // One in flight is driven by one thread, as the floor is: no wake-up but by the network.
+    let alone = Builder::new_current_thread().enable_all().build().unwrap();
+    let operators = [&paper, &three]
+        .map(|network| [runtime.block_on(network.operator("Turtlebot4")), alone.block_on(network.operator("Husky"))]);
+    let mut floor = Floor::new(operators[0][0].command_bytes());
+    let etcd: Vec<_> = Etcd::version()
         .filter(|_| !smoke)
-        .map(|_| [1, 3].map(|nodes| runtime.block_on(Etcd::start(nodes, ETCD_VALUE_BYTES))));
+        .map(|_| [1, 3].map(|nodes| runtime.block_on(Etcd::start(nodes, ETCD_VALUE_BYTES))))
+        .into_iter()
+        .flatten()
+        .collect();
+    let puts: Vec<_> =
+        etcd.iter().map(|etcd| [runtime.block_on(etcd.client()), alone.block_on(etcd.client())]).collect();
     let turn = duration / TURNS;
     let mut sides: Vec<Side> = Vec::new();
     for _ in 0..TURNS {
@@ -156,15 +164,15 @@ fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
             None => sides.push(Side { name: name.to_owned(), one_in_flight, at_50_hz }),
         };
         note("floor", closed(turn, || floor.once()), floor.measure(PAPER_HZ, turn));
-        for (name, operator) in
+        for (name, [many, one]) in
             ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
         {
-            let once = || drop(runtime.block_on(operator.command()).unwrap());
-            note(name, closed(turn, once), commands(runtime, operator, PAPER_HZ, turn).latency);
+            let once = || drop(alone.block_on(one.command()).unwrap());
+            note(name, closed(turn, once), commands(runtime, many, PAPER_HZ, turn).latency);
         }
-        for (name, etcd) in ["etcd, one node", "etcd, three nodes"].iter().zip(etcd.iter().flatten()) {
-            let once = || runtime.block_on(etcd.put());
-            note(name, closed(turn, once), open_loop(runtime, PAPER_HZ, turn, || etcd.put()).latency);
+        for (name, [many, one]) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {
+            let once = || alone.block_on(one.put());
+            note(name, closed(turn, once), open_loop(runtime, PAPER_HZ, turn, || many.put()).latency);
         }
     }
     report::print_sides(&sides);

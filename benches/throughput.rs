@@ -83,10 +83,11 @@ fn ledgerd(runtime: &Runtime, duration: Duration) -> Vec<Value> {
 }
 
 fn etcd(runtime: &Runtime, duration: Duration) -> Vec<Value> {
-    let etcd = Arc::new(runtime.block_on(Etcd::start(1, 100)));
+    let etcd = runtime.block_on(Etcd::start(1, 100));
+    let puts = Arc::new(runtime.block_on(etcd.client()));
     let mut results = Vec::new();
     for in_flight in IN_FLIGHT.into_iter().filter(|in_flight| *in_flight <= 1024) {
-        let (beside, processes) = (Arc::clone(&etcd), etcd.processes());
+        let (beside, processes) = (Arc::clone(&puts), etcd.processes());
         let before = usage::cpu(&processes);
         let run = closed_loop(runtime, in_flight, duration, move || beside.put());
         let cpu_us = (usage::cpu(&processes) - before).as_secs_f64() * 1e6 / run.done as f64;

@@ -38,13 +38,36 @@ struct PutRequest {
 #[derive(Clone, PartialEq, prost::Message)]
 struct PutResponse {}
 
+/// `etcdserverpb.StatusResponse`, as far as it is used here.
+#[derive(Clone, PartialEq, prost::Message)]
+struct StatusResponse {
+    #[prost(message, optional, tag = "1")]
+    header: Option<Header>,
+    #[prost(uint64, tag = "4")]
+    leader: u64,
+}
+
+#[derive(Clone, Copy, PartialEq, prost::Message)]
+struct Header {
+    #[prost(uint64, tag = "2")]
+    member_id: u64,
+}
+
 /// A running cluster; its processes and directory end with it.
 pub(crate) struct Etcd {
     processes: Vec<Child>,
+    /// Where its leader is.
+    leader: String,
+    tls: Arc<ClientConfig>,
+    value_bytes: usize,
+    _directory: TempDir,
+}
+
+/// A client of its leader.
+pub(crate) struct Puts {
     channel: Channel,
     value: Bytes,
     next: AtomicU64,
-    _directory: TempDir,
 }
 
 impl Etcd {
@@ -57,7 +80,7 @@ impl Etcd {
     /// Starts a cluster and waits until it has a leader. Puts will have `value_bytes` bytes.
     pub(crate) async fn start(nodes: usize, value_bytes: usize) -> Self {
         let directory = tempfile::Builder::new().prefix("etcd").tempdir_in(bench_directory()).unwrap();
-        let client_tls = certificates(directory.path());
+        let tls = certificates(directory.path());
         // All ports are held until all are known, so that they differ.
         let held: Vec<_> = (0..2 * nodes).map(|_| TcpListener::bind("127.0.0.1:0").unwrap()).collect();
         let urls: Vec<_> =
@@ -85,40 +108,66 @@ impl Etcd {
             command.stdin(Stdio::null()).stdout(log.try_clone().unwrap()).stderr(log).spawn().unwrap()
         });
         let processes: Vec<_> = processes.collect();
-        let address = urls[0].trim_start_matches("https://").to_owned();
-        let channel = connect(address, client_tls).await;
-        let value = vec![7; value_bytes].into();
-        let etcd = Self { processes, channel, value, next: AtomicU64::new(0), _directory: directory };
+        let address = |node: usize| urls[2 * node].trim_start_matches("https://").to_owned();
         let deadline = Instant::now() + START_TIME_MAX;
-        while let Err(status) = etcd.try_put().await {
-            assert!(Instant::now() < deadline, "etcd does not answer: {status}");
+        let leader = loop {
+            let mut asked = None;
+            for node in 0..nodes {
+                if leads(&connect(address(node), Arc::clone(&tls)).await).await {
+                    asked = Some(node);
+                }
+            }
+            match asked {
+                Some(node) => break address(node),
+                None => assert!(Instant::now() < deadline, "etcd has no leader"),
+            }
             tokio::time::sleep(Duration::from_millis(50)).await;
-        }
-        etcd
+        };
+        Self { processes, leader, tls, value_bytes, _directory: directory }
     }
 
-    /// One put; keys repeat after a thousand, as robots do.
-    pub(crate) fn put(&self) -> impl Future<Output = ()> + Send + 'static + use<> {
-        let put = self.try_put();
-        async move { put.await.unwrap() }
-    }
-
-    fn try_put(&self) -> impl Future<Output = Result<(), tonic::Status>> + Send + 'static + use<> {
-        let key = format!("robot/{}", self.next.fetch_add(1, Ordering::Relaxed) % 1000);
-        let request = PutRequest { key: key.into(), value: self.value.clone() };
-        let mut client = Grpc::new(self.channel.clone());
-        async move {
-            client.ready().await.map_err(|error| tonic::Status::unavailable(error.to_string()))?;
-            let path = PathAndQuery::from_static("/etcdserverpb.KV/Put");
-            let codec = ProstCodec::<PutRequest, PutResponse>::default();
-            client.unary(tonic::Request::new(request), path, codec).await.map(drop)
-        }
+    /// A client of the leader, on the runtime of the caller.
+    pub(crate) async fn client(&self) -> Puts {
+        let channel = connect(self.leader.clone(), Arc::clone(&self.tls)).await;
+        Puts { channel, value: vec![7; self.value_bytes].into(), next: AtomicU64::new(0) }
     }
 
     /// The processes' ids.
     pub(crate) fn processes(&self) -> Vec<u32> {
         self.processes.iter().map(Child::id).collect()
     }
+}
+
+impl Puts {
+    /// One put; keys repeat after a thousand, as robots do.
+    pub(crate) fn put(&self) -> impl Future<Output = ()> + Send + 'static + use<> {
+        let key = format!("robot/{}", self.next.fetch_add(1, Ordering::Relaxed) % 1000);
+        let request = PutRequest { key: key.into(), value: self.value.clone() };
+        let channel = self.channel.clone();
+        async move {
+            let PutResponse {} = call(&channel, "/etcdserverpb.KV/Put", request).await.unwrap();
+        }
+    }
+}
+
+/// Does the node at the other end lead?
+async fn leads(channel: &Channel) -> bool {
+    let status: Result<StatusResponse, _> = call(channel, "/etcdserverpb.Maintenance/Status", ()).await;
+    status.is_ok_and(|status| status.leader != 0 && status.header.is_some_and(|of| of.member_id == status.leader))
+}
+
+async fn call<Q, A>(channel: &Channel, path: &'static str, request: Q) -> Result<A, tonic::Status>
+where
+    Q: prost::Message + Send + Sync + 'static,
+    A: prost::Message + Default + Send + Sync + 'static,
+{
+    let mut client = Grpc::new(channel.clone());
+    client.ready().await.map_err(|error| tonic::Status::unavailable(error.to_string()))?;
+    let codec = ProstCodec::<Q, A>::default();
+    client
+        .unary(tonic::Request::new(request), PathAndQuery::from_static(path), codec)
+        .await
+        .map(tonic::Response::into_inner)
 }
 
 impl Drop for Etcd {

@@ -40,6 +40,8 @@ impl Network {
         }
         let owner = network.connect(&network.founding.owner).await;
         owner.invoke("abac", "setup", robots()).await.unwrap();
+        // Clients are connected to the first node: it leads, so that each run measures the same way.
+        owner.transfer_leadership(1).await.unwrap();
         network
     }
 

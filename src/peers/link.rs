@@ -9,14 +9,16 @@ use ledger_api::v1::peer_client::PeerClient;
 use ledger_raft::PEER_MESSAGE_BYTES_MAX;
 use rustls_pki_types::ServerName;
 use std::error::Error;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 use tokio::net::TcpStream;
-use tokio::sync::{Notify, mpsc};
+use tokio::sync::{Notify, mpsc, oneshot};
 use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::ClientConfig;
-use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::Stream;
 use tonic::transport::{Channel, Endpoint, Uri};
 
 /// Time for a connection to be made.
@@ -113,25 +115,40 @@ async fn open(address: &str, config: Result<ClientConfig, TlsError>) -> Result<C
 
 /// Sends until the connection breaks; answers with what is left to send from, and why it broke.
 async fn stream(channel: Channel, messages: mpsc::Receiver<Bytes>) -> (mpsc::Receiver<Bytes>, String) {
-    let (frames, outgoing) = mpsc::channel(1);
+    let (back, returned) = oneshot::channel();
+    let frames = Frames { messages: Some(messages), back: Some(back) };
     let mut client = PeerClient::new(channel).max_encoding_message_size(PEER_MESSAGE_BYTES_MAX + 64);
-    let call = client.messages(ReceiverStream::new(outgoing));
-    tokio::pin!(call);
-    let mut messages = messages;
-    let ended = |ended: Result<_, tonic::Status>| match ended {
+    let reason = match client.messages(frames).await {
         Ok(_) => "the peer closed the stream".to_owned(),
         Err(status) if status.message().is_empty() => status.code().to_string(),
         Err(status) => status.message().to_owned(),
     };
-    loop {
-        let message = tokio::select! {
-            end = &mut call => return (messages, ended(end)),
-            message = messages.recv() => message,
-        };
-        let Some(message) = message else { return (messages, String::new()) };
-        tokio::select! {
-            end = &mut call => return (messages, ended(end)),
-            sent = frames.send(PeerFrame { message }) => if sent.is_err() { return (messages, String::new()) },
+    // With the connection goes what still sends on it.
+    drop(client);
+    (returned.await.unwrap_or_else(|_| mpsc::channel(1).1), reason)
+}
+
+/// The messages as a connection takes them, without a task in between. When the connection drops it, the rest goes back.
+struct Frames {
+    messages: Option<mpsc::Receiver<Bytes>>,
+    back: Option<oneshot::Sender<mpsc::Receiver<Bytes>>>,
+}
+
+impl Stream for Frames {
+    type Item = PeerFrame;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<PeerFrame>> {
+        match &mut self.messages {
+            Some(messages) => messages.poll_recv(context).map(|message| message.map(|message| PeerFrame { message })),
+            None => Poll::Ready(None),
+        }
+    }
+}
+
+impl Drop for Frames {
+    fn drop(&mut self) {
+        if let (Some(messages), Some(back)) = (self.messages.take(), self.back.take()) {
+            let _ended = back.send(messages);
         }
     }
 }
