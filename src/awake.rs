@@ -102,3 +102,35 @@ impl Until {
 fn nanoseconds(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(u64::MAX)
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn left(awake: &Awake) -> Duration {
+        let until = awake.until.moment.load(Ordering::Relaxed);
+        Duration::from_nanos(until.saturating_sub(awake.until.now()))
+    }
+
+    #[test]
+    fn processors_stay_awake_until_the_verdict_and_for_no_longer_than_the_limit() {
+        let limit = Duration::from_secs(3600);
+        let awake = Awake::start(limit).unwrap();
+        assert_eq!(left(&awake), Duration::ZERO, "nothing is in flight");
+        awake.keep();
+        assert!(left(&awake) > limit / 2 && left(&awake) <= limit);
+        awake.rest();
+        assert!(left(&awake) <= LINGER);
+        // The threads end with it, whatever they were told last.
+        awake.keep();
+    }
+
+    #[test]
+    fn a_limit_of_zero_starts_no_thread() {
+        let awake = Awake::start(Duration::ZERO).unwrap();
+        assert!(awake.threads.is_empty());
+        awake.keep();
+        assert_eq!(left(&awake), Duration::ZERO);
+    }
+}
