@@ -6,6 +6,7 @@ mod damage;
 mod faults;
 mod first;
 mod model;
+mod opening;
 
 use std::sync::Arc;
 
