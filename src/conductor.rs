@@ -39,7 +39,8 @@ impl Conductor {
     /// What keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self) -> Result<JoinHandle<()>, Rejection> {
         let Order { tick_ms, election_ticks, .. } = self.order;
-        let Look { offers, open } = self.catch_up.look(Duration::from_millis(tick_ms * election_ticks)).await?;
+        let Look { offers, open } =
+            self.catch_up.look(Duration::from_millis(tick_ms.saturating_mul(election_ticks))).await?;
         let far_behind = self.catch_up.is_far_behind(&offers) || !self.catch_up.is_known()?;
         if !far_behind {
             self.start_engine()?;

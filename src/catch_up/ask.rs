@@ -53,7 +53,9 @@ impl Dialer {
             };
             answers.push(answer.boxed());
         }
-        for (address, ca) in bootstrap.iter().flat_map(|known| known.addresses.iter().map(|address| (address, known.ca))) {
+        for (address, ca) in
+            bootstrap.iter().flat_map(|known| known.addresses.iter().map(|address| (address, known.ca)))
+        {
             let (dialer, address) = (self.clone(), address.clone());
             let answer = async move {
                 let answer = tokio::time::timeout(patience, dialer.ask_first(&address, ca)).await;

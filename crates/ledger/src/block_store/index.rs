@@ -130,10 +130,8 @@ impl LogIndex {
                 self.terms.push_back((first.max(self.base.index + 1), term));
             }
         }
-        let mark = |(index, offset): &(u64, u32)| Mark {
-            index: *index,
-            position: LogPosition { sequence, offset: *offset },
-        };
+        let mark =
+            |(index, offset): &(u64, u32)| Mark { index: *index, position: LogPosition { sequence, offset: *offset } };
         self.marks.extend(contents.marks.iter().map(mark));
         (self.durable, self.last, self.written) = (contents.last, contents.last, contents.last);
     }

@@ -11,9 +11,7 @@ use super::recent::Recent;
 use super::writer::Active;
 use crate::disk::{Disk, DiskFile};
 use crate::entry::HardState;
-use crate::segment::{
-    Base, Contents, Found, HEADER_BYTES, Record, Scan, ScannedSegment, Seal, Tail, read_head, scan,
-};
+use crate::segment::{Base, Contents, Found, HEADER_BYTES, Record, Scan, ScannedSegment, Seal, Tail, read_head, scan};
 
 /// What opening a store found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]

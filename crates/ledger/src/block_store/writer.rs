@@ -11,7 +11,8 @@ use crate::disk::{Disk, DiskFile};
 use crate::entry::{Entry, HardState};
 use crate::mutation::{Mutation, active};
 use crate::segment::{
-    Base, Contents, LogPosition, Record, SEAL_BYTES_MAX, Seal, SegmentHeader, encode_record, encoded_bytes, segment_name,
+    Base, Contents, LogPosition, Record, SEAL_BYTES_MAX, Seal, SegmentHeader, encode_record, encoded_bytes,
+    segment_name,
 };
 
 /// A buffer larger than this is given back after use.

@@ -124,8 +124,10 @@ impl Seal {
             .and_then(|bytes| rest.split_at_checked(bytes))
             .filter(|(_, rest)| marks.checked_mul(MARK_ITEM_BYTES) == Some(rest.len()))
             .ok_or(LENGTH)?;
-        let run = |mut bytes: &[u8]| Some((u64::from_le_bytes(take(&mut bytes)?), u64::from_le_bytes(take(&mut bytes)?)));
-        let mark = |mut bytes: &[u8]| Some((u64::from_le_bytes(take(&mut bytes)?), u32::from_le_bytes(take(&mut bytes)?)));
+        let run =
+            |mut bytes: &[u8]| Some((u64::from_le_bytes(take(&mut bytes)?), u64::from_le_bytes(take(&mut bytes)?)));
+        let mark =
+            |mut bytes: &[u8]| Some((u64::from_le_bytes(take(&mut bytes)?), u32::from_le_bytes(take(&mut bytes)?)));
         let terms = runs.chunks_exact(RUN_BYTES).filter_map(run).collect();
         let marks = marks.chunks_exact(MARK_ITEM_BYTES).filter_map(mark).collect();
         let contents = Contents { last, terms, marks };
@@ -163,7 +165,9 @@ mod tests {
         let many: Vec<_> = (1..=1000u64).map(|index| (index, 1, 96 + (index as u32 - 1) * 1000)).collect();
         let contents = contents(&many);
         assert_eq!((contents.terms.len(), contents.marks.len()), (1, 8));
-        assert!(contents.marks.windows(2).all(|pair| matches!(pair, [one, other] if other.1 - one.1 < MARK_BYTES + 1000)));
+        assert!(
+            contents.marks.windows(2).all(|pair| matches!(pair, [one, other] if other.1 - one.1 < MARK_BYTES + 1000))
+        );
     }
 
     #[test]

@@ -32,9 +32,10 @@ fn told(store: &BlockStore) -> Told {
 fn a_store_that_was_opened_by_its_seals_tells_what_it_told_before() {
     let disk = SimDisk::new(1);
     let before = history(&disk);
-    let seals = scan(&disk, None).unwrap().map(Result::unwrap).filter(|found| {
-        matches!(found, Found::Record { record: Record::Seal(_), .. })
-    });
+    let seals = scan(&disk, None)
+        .unwrap()
+        .map(Result::unwrap)
+        .filter(|found| matches!(found, Found::Record { record: Record::Seal(_), .. }));
     let segments = segments(&disk).len();
     assert!(segments > 6);
     assert_eq!(seals.count(), segments - 1);
@@ -165,8 +166,7 @@ fn a_store_of_the_format_before_seals_is_opened_and_goes_on() {
     let mut previous = crc;
     for found in scan(&disk, None).unwrap().map(Result::unwrap) {
         let Found::Record { position, durable_upto, record, .. } = found else { continue };
-        previous =
-            encode_record(&record, header.salt, position.offset, previous, durable_upto, &mut old);
+        previous = encode_record(&record, header.salt, position.offset, previous, durable_upto, &mut old);
     }
     disk.set_contents(&name, &old);
     let (store, recovery) = open_with(&disk, SEGMENT_BYTES).unwrap();
