@@ -33,7 +33,7 @@ pub use record::{
     encoded_bytes,
 };
 pub use scan::{Found, Scan, scan};
-pub(crate) use scan::{ScannedSegment, Tail, check_sealed, read_header};
+pub(crate) use scan::{ScannedSegment, Tail, check_sealed, read_head, read_header};
 pub(crate) use seal::MARK_BYTES;
 pub use seal::{Contents, SEAL_BYTES_MAX, Seal};
 pub(crate) use window::Window;
