@@ -145,8 +145,11 @@ impl Chain {
         let Grant { epoch, next_seq, .. } = serde_json::from_slice(&granted.results[0].response).unwrap();
         for seq in next_seq..next_seq + blocks {
             let service = Bytes::from_static(b"Turtlebot4/cmd_vel");
-            let command =
-                chain.sign(&founding.salma, "set", vec![service, epoch.to_string().into(), seq.to_string().into(), twist()]);
+            let command = chain.sign(
+                &founding.salma,
+                "set",
+                vec![service, epoch.to_string().into(), seq.to_string().into(), twist()],
+            );
             chain.append(command);
         }
         chain.flush();

@@ -182,7 +182,7 @@ mod tests {
             assert!(Seal::from_bytes(bytes.get(..cut).unwrap()).is_err(), "cut at {cut}");
         }
         assert!(Seal::from_bytes(&[bytes.clone(), vec![0]].concat()).is_err());
-        assert!(Seal::from_bytes(&vec![0xff; 64]).is_err(), "counts beyond any memory");
+        assert!(Seal::from_bytes(&[0xff; 64]).is_err(), "counts beyond any memory");
         let mut turned = seal;
         turned.contents.marks.reverse();
         assert!(Seal::from_bytes(&turned.to_bytes()).is_err());
