@@ -203,7 +203,7 @@ impl Chain {
         self.store.append(std::slice::from_ref(&entry), Some(&hard_state)).unwrap();
         let outcome = self.ledger.apply(&entry).unwrap();
         assert_eq!(outcome.results[0].code(), Code::Ok, "{:?}", outcome.results[0]);
-        if index % FLUSH_BLOCKS == 0 {
+        if index.is_multiple_of(FLUSH_BLOCKS) {
             self.store.flush().unwrap();
         }
         if self.ledger.pending_bytes() > PENDING_BYTES_MAX {
