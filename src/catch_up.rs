@@ -3,6 +3,7 @@
 //! ```text
 //! catch_up     what to do, and whom to believe
 //!   ask        what the other nodes have
+//!   look       the question with which a node starts, and what must wait for the answers
 //!   blocks     pulling blocks: verified, stored, executed
 //!   snapshot   taking the world state, where the blocks are gone
 //!   trust      whether a snapshot is believed
@@ -20,15 +21,17 @@
 
 mod ask;
 mod blocks;
+mod look;
 mod serve;
 mod snapshot;
 mod trust;
 
+pub(crate) use look::{Ballot, Look};
 pub(crate) use serve::Source;
 
 use crate::orderer::{Seat, Shared};
-use crate::peers::Dialer;
-use ask::Offer;
+use crate::peers::{Dialer, Member};
+use ask::{Answers, Offer};
 use ledger::{Code, Hash, Rejection};
 use std::sync::Arc;
 use std::time::Duration;
@@ -36,7 +39,7 @@ use tokio::sync::watch;
 
 /// A node that lacks no more blocks than this leaves it to replication.
 const LAG_MIN: u64 = 1000;
-/// Time that the others have to say what they have, when the node starts.
+/// Time that the others have to say what they have.
 const ASK_TIME_MAX: Duration = Duration::from_secs(1);
 
 /// What the engine said when it could not go on.
@@ -78,37 +81,13 @@ pub(crate) struct CatchUp {
     pub seat: Arc<Seat>,
     /// How to call the others.
     pub dialer: Dialer,
+    /// Whether the node may vote.
+    pub ballot: Ballot,
     /// Set when the node stops.
     pub stopping: watch::Receiver<bool>,
 }
 
 impl CatchUp {
-    /// Asks the other nodes what they have, before the first engine starts.
-    ///
-    /// # Errors
-    /// [`Code::DiskFailed`] if this node votes and has lost what it promised to keep.
-    pub(crate) async fn look(&self) -> Result<Vec<Offer>, Rejection> {
-        let offers = self.offers().await;
-        let last = self.shared.store.last_index();
-        let lost = offers.iter().filter(|offer| offer.chain.you_vote).max_by_key(|offer| offer.chain.yours);
-        match lost {
-            Some(offer) if offer.chain.yours > last => {
-                Err(Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had before")
-                    .found(format!("blocks up to height {last}"))
-                    .wanted(format!(
-                        "at least height {}, which {} knows it to have had",
-                        offer.chain.yours,
-                        offer.member.full_name()
-                    ))
-                    .next(
-                        "restore the directory blocks/; or remove this node from the network, empty its data directory \
-                         and join again: it comes back as a new node, because this one must not vote any more",
-                    ))
-            }
-            _ => Ok(offers),
-        }
-    }
-
     /// Is there enough to fetch that it is worth it?
     pub(crate) fn is_far_behind(&self, offers: &[Offer]) -> bool {
         let next = self.shared.ledger.tip().height + 1;
@@ -155,10 +134,13 @@ impl CatchUp {
     }
 
     async fn offers(&self) -> Vec<Offer> {
-        let members = self.shared.directory.members();
+        ask::all(self.question(&self.shared.directory.members())).await
+    }
+
+    fn question(&self, members: &[Member]) -> Answers {
         let stranger = !members.iter().any(|member| member.id == self.dialer.me);
         let bootstrap = self.bootstrap.as_ref().filter(|_| stranger);
-        self.dialer.ask(&members, bootstrap, self.shared.ledger.network(), ASK_TIME_MAX).await
+        self.dialer.question(members, bootstrap, self.shared.ledger.network(), ASK_TIME_MAX)
     }
 
     fn is_stopping(&self) -> bool {

@@ -3,7 +3,7 @@
 //! The orderer tells here that it is behind; then its engine ends, the node catches up, and a new engine goes on from
 //! there. Clients are told meanwhile that the node is behind.
 
-use crate::catch_up::{Behind, CatchUp, Caught};
+use crate::catch_up::{Behind, CatchUp, Caught, Look};
 use crate::config::Order;
 use crate::node::count;
 use crate::orderer::Orderer;
@@ -38,16 +38,22 @@ impl Conductor {
     /// # Errors
     /// What keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self) -> Result<JoinHandle<()>, Rejection> {
-        let offers = self.catch_up.look().await?;
+        let Order { tick_ms, election_ticks, .. } = self.order;
+        let Look { offers, open } =
+            self.catch_up.look(Duration::from_millis(tick_ms.saturating_mul(election_ticks))).await?;
         let far_behind = self.catch_up.is_far_behind(&offers) || !self.catch_up.is_known()?;
         if !far_behind {
             self.start_engine()?;
         }
-        Ok(tokio::spawn(async move {
+        let hearing = self.catch_up.hear_out(open);
+        let running = async move {
             let fatal = Arc::clone(&self.catch_up.shared);
             if let Err(reason) = self.run(far_behind).await {
                 (fatal.fatal)(reason);
             }
+        };
+        Ok(tokio::spawn(async move {
+            tokio::join!(running, hearing);
         }))
     }
 

@@ -32,7 +32,7 @@
 //! | `identity` | which of the network's nodes this is |
 //! | `renewal` | the node's certificate, renewed before it runs out |
 //! | `setup`, `join` | founding a network; bringing a node into one |
-//! | `housekeeping` | what is done beside the work |
+//! | `housekeeping`, `scrub` | what is done beside the work; reading old blocks to find damage |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
 mod awake;
@@ -59,6 +59,7 @@ mod peers;
 mod random;
 mod renewal;
 mod retention;
+mod scrub;
 pub mod setup;
 mod signer;
 mod stores;

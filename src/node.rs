@@ -4,7 +4,7 @@ use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::bridge::NodeBridge;
 use crate::ca::CertificateAuthority;
-use crate::catch_up::{Bootstrap, CatchUp, Source};
+use crate::catch_up::{Ballot, Bootstrap, CatchUp, Source};
 use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
 use crate::config::Config;
@@ -18,6 +18,7 @@ use crate::orderer::{Executed, Reads, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::renewal::{self, Keeper};
 use crate::retention::Pruner;
+use crate::scrub::Scrub;
 use crate::signer::Signer;
 use crate::stores::Stores;
 use crate::waiters::Waiters;
@@ -110,6 +111,7 @@ pub struct Node {
     address: SocketAddr,
     ended: watch::Receiver<Option<Ended>>,
     housekeeping: Housekeeping,
+    scrub: Scrub,
     bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
     conductor: JoinHandle<()>,
@@ -226,8 +228,12 @@ impl Node {
         };
         let housekeeping = Housekeeping::start(Arc::clone(&view), pruner)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let inbox = Arc::clone(&seat);
+        let (inbox, ballot) = (Arc::clone(&seat), Ballot::default());
+        let votes = ballot.clone();
         let peer_service = PeerService::new(peers, source, directory.subscribe(), move |from, message| {
+            if votes.withholds(&message) {
+                return true;
+            }
             if message.brings_entries() {
                 awake.keep();
             }
@@ -277,7 +283,7 @@ impl Node {
         });
         // Only now, as others that start at the same time ask this node what it has, too.
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
-        let catch_up = CatchUp { bootstrap, shared, seat, dialer, stopping: stop.subscribe() };
+        let catch_up = CatchUp { bootstrap, shared, seat, dialer, ballot, stopping: stop.subscribe() };
         let conductor = match Conductor::new(id, config.order.clone(), catch_up).begin().await {
             Ok(conductor) => conductor,
             Err(reason) => {
@@ -286,11 +292,13 @@ impl Node {
             }
         };
         tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
+        let scrub = Scrub::start(Arc::clone(&testimony.shared))
+            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let (me, members, fatal) = (view.me.clone(), directory.subscribe(), Arc::clone(&testimony.shared));
         let belonging = async move { (fatal.fatal)(removed(me, members).await) };
         let beside = [tokio::spawn(keeper.keep()), tokio::spawn(testimony.run(seen)), tokio::spawn(belonging)];
         let bridge = NodeBridge::start(config, own_gateway)?;
-        Ok(Self { view, address, ended, housekeeping, bridge, server, conductor, beside, stop })
+        Ok(Self { view, address, ended, housekeeping, scrub, bridge, server, conductor, beside, stop })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
@@ -331,8 +339,9 @@ impl Node {
         if self.conductor.await.is_err() {
             tracing::error!("the conductor panicked");
         }
-        let (seat, housekeeping) = (Arc::clone(&self.view.seat), self.housekeeping);
+        let (seat, housekeeping, scrub) = (Arc::clone(&self.view.seat), self.housekeeping, self.scrub);
         let ended = tokio::task::spawn_blocking(move || {
+            scrub.stop();
             seat.stop();
             housekeeping.stop();
         });

@@ -2,7 +2,9 @@
 
 use super::Bootstrap;
 use crate::peers::{Dialer, Member};
-use futures::future::join_all;
+use futures::StreamExt;
+use futures::future::{BoxFuture, FutureExt};
+use futures::stream::FuturesUnordered;
 use ledger::Hash;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{ChainRequest, ChainResponse};
@@ -22,36 +24,46 @@ pub(crate) struct Offer {
     pub channel: Channel,
 }
 
+/// The answers as they come; none from who refuses, is silent, or is of another network.
+pub(super) type Answers = FuturesUnordered<BoxFuture<'static, Option<Offer>>>;
+
 impl Dialer {
-    /// Asks all other members at the same time; those that answer in time, longest chain first.
+    /// Asks all other members at the same time; each has so long to answer.
     /// A node that its own ledger does not know yet asks those that let it in as well.
-    pub(super) async fn ask(
+    pub(super) fn question(
         &self,
         members: &[Member],
         bootstrap: Option<&Bootstrap>,
         network: Hash,
         patience: Duration,
-    ) -> Vec<Offer> {
-        let others = members.iter().filter(|member| member.id != self.me);
-        let asked = others.map(|member| async move {
-            match tokio::time::timeout(patience, self.ask_one(member)).await {
-                Ok(Ok(offer)) => Some(offer),
-                Ok(Err(reason)) => {
-                    tracing::debug!(peer = %member.full_name(), reason, "does not say what it has");
-                    None
+    ) -> Answers {
+        let answers = Answers::new();
+        let ours = move |offer: &Offer| offer.chain.network == network.as_ref();
+        for member in members.iter().filter(|member| member.id != self.me) {
+            let (dialer, member) = (self.clone(), member.clone());
+            let answer = async move {
+                match tokio::time::timeout(patience, dialer.ask_one(&member)).await {
+                    Ok(Ok(offer)) => Some(offer).filter(ours),
+                    Ok(Err(reason)) => {
+                        tracing::debug!(peer = %member.full_name(), reason, "does not say what it has");
+                        None
+                    }
+                    Err(_) => None,
                 }
-                Err(_) => None,
-            }
-        });
-        let first_contacts = bootstrap.iter().flat_map(|known| &known.addresses).map(|address| async move {
-            let ca = bootstrap.map(|known| known.ca)?;
-            tokio::time::timeout(patience, self.ask_first(address, ca)).await.ok()?.ok()
-        });
-        let (members, first) = tokio::join!(join_all(asked), join_all(first_contacts));
-        let mut offers: Vec<_> = members.into_iter().chain(first).flatten().collect();
-        offers.retain(|offer| offer.chain.network == network.as_ref());
-        offers.sort_by_key(|offer| std::cmp::Reverse(offer.chain.height));
-        offers
+            };
+            answers.push(answer.boxed());
+        }
+        for (address, ca) in
+            bootstrap.iter().flat_map(|known| known.addresses.iter().map(|address| (address, known.ca)))
+        {
+            let (dialer, address) = (self.clone(), address.clone());
+            let answer = async move {
+                let answer = tokio::time::timeout(patience, dialer.ask_first(&address, ca)).await;
+                answer.ok()?.ok().filter(ours)
+            };
+            answers.push(answer.boxed());
+        }
+        answers
     }
 
     async fn ask_one(&self, member: &Member) -> Result<Offer, String> {
@@ -74,6 +86,17 @@ impl Dialer {
         };
         Ok(Offer { vouched: true, member, chain, channel })
     }
+}
+
+/// All answers, longest chain first.
+pub(super) async fn all(answers: Answers) -> Vec<Offer> {
+    let mut offers: Vec<Offer> = answers.filter_map(|answer| async move { answer }).collect().await;
+    longest_first(&mut offers);
+    offers
+}
+
+pub(super) fn longest_first(offers: &mut [Offer]) {
+    offers.sort_by_key(|offer| std::cmp::Reverse(offer.chain.height));
 }
 
 async fn chain(channel: Channel) -> Result<ChainResponse, String> {

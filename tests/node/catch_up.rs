@@ -15,6 +15,7 @@ use ledger::state::Tip;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Context};
 use rustix::process::Signal;
+use std::net::TcpListener;
 use std::sync::Arc;
 
 /// More blocks than a node leaves to replication.
@@ -116,6 +117,22 @@ fn forge(place: &NodePlace) -> u64 {
     let store = log(place);
     store.append(&entries, Some(&hard_state)).unwrap();
     store.flush().unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_voter_that_hears_a_majority_does_not_wait_for_a_silent_node() {
+    let (fleet, owner, users) = found();
+    // The system takes connections to the learner, and nobody answers.
+    let _silent = TcpListener::bind(&fleet.nodes[2].address).unwrap();
+    let (mut one, _other) = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    register_robots(&at(&fleet, &owner, 0).await, "open").await;
+    one.interrupt();
+    one = fleet.nodes[0].start();
+    eventually("it orders before the learner has said anything", || {
+        (said(&one, "begins without the answer of silent nodes") > 0).then_some(())
+    });
+    let height = blocks(&fleet, &users, 0, 3).await;
+    agree(&at(&fleet, &owner, 0).await, &at(&fleet, &owner, 1).await, height).await;
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

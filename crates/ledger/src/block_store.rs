@@ -15,6 +15,7 @@
 //! reports the lack of space, the store is poisoned.
 
 mod ahead;
+mod check;
 mod error;
 mod files;
 mod first;
@@ -98,6 +99,10 @@ impl BlockStore {
     /// A torn tail is zeroed and reported. Damage to what had been durable is [`StoreError::Corrupt`] with file and
     /// offset, and nothing is changed: this node then has to get its blocks from its peers again. One thing cannot be
     /// told from a torn write: damage to the very last flush, as nothing that was written later vouches for it.
+    ///
+    /// Only the newest segment is read whole, so that the time does not grow with the log. Of finished ones headers and
+    /// lengths are checked; damage to a record in them is found before it is used, by whoever reads it, and by
+    /// [`check_finished`](Self::check_finished).
     pub fn open(disk: Arc<dyn Disk>, options: Options) -> Result<(Self, Recovery), StoreError> {
         let Options { network, segment_bytes, cache_bytes, salt } = options;
         if segment_bytes <= HEADER_BYTES || segment_bytes > SEGMENT_BYTES_MAX {
@@ -124,6 +129,7 @@ impl BlockStore {
             end: found.tail.end,
             previous: found.tail.previous,
             newest: found.tail.newest,
+            contents: found.contents,
             hard_state: found.written,
             buffer: Vec::new(),
         };

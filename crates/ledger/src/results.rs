@@ -212,7 +212,7 @@ impl ResultStore {
         let mut next = None;
         for records in files {
             let Some(file) = self.open_file(records.first)? else { continue };
-            records.each(&*file, |error| failed("read", records.first, error), &mut give)?;
+            records.since(time, &file, |error| failed("read", records.first, error), &mut give)?;
             next = Some(records.next);
         }
         let pending: Vec<_> = self.read().pending.iter().cloned().collect();
@@ -287,7 +287,8 @@ fn failed(operation: &str, first: u64, error: &io::Error) -> Rejection {
     let name = ResultFile::name(first);
     let refused = Rejection::new(code, format!("cannot {operation} {RESULTS_DIRECTORY}/{name}: {error}"));
     match code {
-        Code::Corrupt => refused.next("restart the node: it makes results and world state again from the blocks"),
+        Code::Corrupt => refused
+            .next("stop the node and delete its directories state/ and results/; it makes them again from the blocks"),
         _ => refused,
     }
 }

@@ -14,19 +14,26 @@
 //!   record's offset, so neither recycled bytes nor bytes that a hostile client placed in a payload parse as a record;
 //! - every record names its predecessor's CRC, so what a failed attempt left behind never continues the log;
 //! - every record says up to where the log was durable when it was written: a bad record before that point is rot.
+//!
+//! A segment that continues another begins with the hard state and a [`Seal`], which says what that other one holds: so
+//! opening a store reads whole only the newest segment, and the others when they are used.
 
 mod header;
 mod record;
 mod scan;
+mod seal;
 mod window;
 
 pub use header::{
-    Base, HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, parse_name, segment_name,
+    Base, HEADER_BYTES, LogPosition, SEGMENT_BYTES_MAX, SegmentHeader, VERSION, VERSION_OLDEST, parse_name,
+    segment_name,
 };
 pub use record::{
     ENTRY_BYTES_MAX, RECORD_BYTES_MAX, RECORD_HEADER_BYTES, Record, RecordHeader, decode_record, encode_record,
     encoded_bytes,
 };
 pub use scan::{Found, Scan, scan};
-pub(crate) use scan::{ScannedSegment, Tail, check_sealed};
+pub(crate) use scan::{ScannedSegment, Tail, check_sealed, read_head, read_header};
+pub(crate) use seal::MARK_BYTES;
+pub use seal::{Contents, SEAL_BYTES_MAX, Seal};
 pub(crate) use window::Window;

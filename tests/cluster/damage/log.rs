@@ -86,6 +86,8 @@ impl Log {
             match &placed.record {
                 Record::Entry(entry) => store.append(std::slice::from_ref(entry), None).unwrap(),
                 Record::HardState(state) => store.append(&[], Some(state)).unwrap(),
+                // The store writes its own.
+                Record::Seal(_) => continue,
             }
             store.flush().unwrap();
             while store.prepare().unwrap() {}
@@ -109,12 +111,14 @@ impl Log {
         entries
     }
 
-    /// Opens the log with one file changed; what the store then has, entry by entry.
+    /// Opens the log with one file changed; what the store then has, entry by entry. What opening does not read is found
+    /// by who reads it, or by the check that follows a start.
     fn open(&self, file: usize, content: Vec<u8>) -> Result<Vec<Entry>, StoreError> {
         let mut files = self.files.clone();
         files[file].1 = content;
         let (store, recovery) = BlockStore::open(Arc::new(disk(&files)), options(self.network))?;
-        store.entries(recovery.first_index..recovery.last_index + 1, usize::MAX)
+        let entries = store.entries(recovery.first_index..recovery.last_index + 1, usize::MAX)?;
+        store.check_finished(|_| true).map(|()| entries)
     }
 
     /// Opens the log, damaged from one byte of a file on to another; it must be what it has to be.

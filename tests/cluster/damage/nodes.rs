@@ -95,13 +95,15 @@ async fn a_damaged_voter_catches_up_to_the_same_digest_or_ends_and_names_file_an
             let place = &cluster.fleet.nodes[victim];
             let kept = cluster.fleet.path().join("kept");
             copy(&place.data, &kept);
-            let file = damage.strike(place, &mut dice);
-            let file = file.file_name().unwrap().to_string_lossy().into_owned();
+            let path = damage.strike(place, &mut dice);
+            let file = path.file_name().unwrap().to_string_lossy().into_owned();
             strikes += 1;
             cluster.start(victim);
             let target = cluster.observer(leader).status().await.unwrap().height;
             let what = format!("{damage:?} in {file}: the node catches up or ends");
-            let came_back = cluster.reaches_or_ends(&what, victim, target).await;
+            // A start does not read what is finished: it may come back, and ends as soon as it has found the damage.
+            let came_back =
+                cluster.reaches_or_ends(&what, victim, target).await && !matches!(damage, Damage::BitInTheLog);
             if came_back {
                 caught_up += 1;
             } else {
@@ -113,10 +115,15 @@ async fn a_damaged_voter_catches_up_to_the_same_digest_or_ends_and_names_file_an
                 assert!(log.contains("LGR-50") && named, "{damage:?} in {file}: {log}");
                 process.no_panic();
                 refused += 1;
-                // As the operator is told: the directory from a copy.
+                // As the operator is told: from a copy.
                 let place = &cluster.fleet.nodes[victim];
-                fs::remove_dir_all(&place.data).unwrap();
-                copy(&kept, &place.data);
+                if matches!(damage, Damage::BitInTheLog) {
+                    // Only this file: the node may have acknowledged more since.
+                    fs::copy(kept.join(path.strip_prefix(&place.data).unwrap()), &path).unwrap();
+                } else {
+                    fs::remove_dir_all(&place.data).unwrap();
+                    copy(&kept, &place.data);
+                }
                 cluster.start(victim);
             }
             fs::remove_dir_all(&kept).unwrap();

@@ -15,6 +15,8 @@ const OPEN_MAX: usize = 64;
 pub(super) struct StoredSegment {
     pub(super) name: String,
     pub(super) sequence: u32,
+    /// Of its header.
+    pub(super) crc: u32,
     /// Seeds the CRCs of its records.
     pub(super) salt: u64,
     /// The index that follows the newest entry before it.

@@ -5,10 +5,7 @@
 
 use std::collections::VecDeque;
 
-use crate::segment::{Base, LogPosition};
-
-/// How many bytes of records may lie between two entries whose places are kept: what reading one entry costs at most.
-const MARK_BYTES: u32 = 128 << 10;
+use crate::segment::{Base, Contents, LogPosition, MARK_BYTES};
 
 /// The place of an entry from which those after it, up to the next mark, follow in the same file and in order.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -119,6 +116,26 @@ impl LogIndex {
         true
     }
 
+    /// Takes over what a whole segment holds, as if each of its entries was appended and placed. The first of them is at
+    /// most one above the last so far.
+    pub(super) fn adopt(&mut self, sequence: u32, contents: &Contents) {
+        let Some((first, term)) = contents.first() else { return };
+        self.append(first, term);
+        let ends = contents.terms.iter().skip(1).map(|(next, _)| *next).chain([contents.last.saturating_add(1)]);
+        for ((first, term), end) in contents.terms.iter().copied().zip(ends) {
+            if first <= self.base.index && self.base.index < end {
+                self.base.term = term;
+            }
+            if end > self.base.index + 1 && self.terms.back().is_none_or(|(_, before)| *before != term) {
+                self.terms.push_back((first.max(self.base.index + 1), term));
+            }
+        }
+        let mark =
+            |(index, offset): &(u64, u32)| Mark { index: *index, position: LogPosition { sequence, offset: *offset } };
+        self.marks.extend(contents.marks.iter().map(mark));
+        (self.durable, self.last, self.written) = (contents.last, contents.last, contents.last);
+    }
+
     /// Forgets what is before entry `first` (in the log, or one above its end) and in segments before `oldest`, which are
     /// none of its or later entries.
     pub(super) fn drop_before(&mut self, first: u64, oldest: u32) {
@@ -165,6 +182,40 @@ mod tests {
         assert_eq!(index.marks(2).count(), 0);
         assert!(index.place(2, at(300)));
         assert_eq!(index.marks(2).collect::<Vec<_>>(), [Mark { index: 2, position: at(300) }]);
+    }
+
+    #[test]
+    fn taking_over_a_segment_is_the_same_as_appending_its_entries() {
+        let segments: [&[(u64, u64)]; 4] = [
+            &[(1, 1), (2, 1), (3, 2), (4, 2), (5, 2)],
+            &[(6, 2), (7, 2), (8, 3), (9, 3)],
+            &[(7, 4), (8, 4), (9, 4), (8, 5), (9, 5), (10, 6), (11, 6)],
+            &[(12, 6), (13, 7)],
+        ];
+        for base in 0..12 {
+            let new = || LogIndex::new(Base { index: base, term: u64::from(base > 0) });
+            let (mut one, mut other) = (new(), new());
+            for (sequence, entries) in (1..).zip(segments) {
+                if sequence < 3 && entries.iter().all(|(index, _)| *index <= base) {
+                    // Dropped with all that it had.
+                    continue;
+                }
+                let mut contents = Contents::default();
+                for (place, (index, term)) in (0..).zip(entries) {
+                    let position = LogPosition { sequence, offset: 96 + place * 50_000 };
+                    one.append(*index, *term);
+                    assert!(one.place(*index, position));
+                    contents.add(*index, *term, position.offset);
+                }
+                other.adopt(sequence, &contents);
+                assert_eq!((one.base, one.last, one.durable), (other.base, other.last, other.durable), "base {base}");
+                assert_eq!(one.terms, other.terms, "base {base}");
+                assert!(base > 0 || one.marks == other.marks);
+                for index in base + 1..=one.last {
+                    assert!(other.marks(index).next().is_some_and(|mark| mark.index <= index), "base {base}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -1,4 +1,4 @@
-//! Opening a store: read everything, believe what is proven, repair a torn tail, refuse rot.
+//! Opening a store: read what a crash may have damaged, believe what is proven, repair a torn tail, refuse rot.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -10,8 +10,8 @@ use super::index::LogIndex;
 use super::recent::Recent;
 use super::writer::Active;
 use crate::disk::{Disk, DiskFile};
-use crate::entry::{Entry, HardState};
-use crate::segment::{Found, HEADER_BYTES, Record, Scan, ScannedSegment, Tail, scan};
+use crate::entry::HardState;
+use crate::segment::{Base, Contents, Found, HEADER_BYTES, Record, Scan, ScannedSegment, Seal, Tail, read_head, scan};
 
 /// What opening a store found.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -51,45 +51,52 @@ pub(super) struct Recovered {
     pub(super) length: u64,
     /// End of the log in it.
     pub(super) tail: Tail,
+    /// What the newest segment holds.
+    pub(super) contents: Contents,
     /// The newest hard state as written.
     pub(super) written: HardState,
     pub(super) report: Recovery,
 }
 
+/// What is known after some of the segments.
+struct Reading {
+    index: LogIndex,
+    recent: Recent,
+    hard_state: HardState,
+    torn: Option<TornTail>,
+}
+
+/// Reads the newest segment whole. Those before it were durable as a whole when it was begun, and it, or the one after
+/// each of them, says what they hold: their records are read, and checked, when somebody wants them
+/// ([`BlockStore::entries`](super::BlockStore::entries), [`BlockStore::check_finished`](super::BlockStore::check_finished)).
 pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -> Result<Recovered, StoreError> {
-    let mut scan = scan(disk, Some(network))?;
+    let scan = scan(disk, Some(network))?;
     let base = scan.base();
     let mut report = Recovery { segments: scan.segments().len(), first_index: base.index + 1, ..Recovery::default() };
-    let mut index = LogIndex::new(base);
-    let mut recent = Recent::new(cache_bytes);
-    for found in scan.by_ref() {
-        match found? {
-            Found::Record { file, position, record, .. } => {
-                let refuse = |what: String, at| StoreError::corrupt(&file, position.offset.into(), what, at);
-                match record {
-                    Record::Entry(entry) => {
-                        let at = entry.index;
-                        check_entry(&index, &entry, report.hard_state.commit).map_err(|what| refuse(what, at))?;
-                        index.append(at, entry.term);
-                        index.place(at, position);
-                        recent.append(entry);
-                        recent.trim(at);
-                    }
-                    Record::HardState(state) => {
-                        check_hard_state(&report.hard_state, &state, index.last())
-                            .map_err(|what| refuse(what, index.last()))?;
-                        report.hard_state = state;
-                    }
-                }
-            }
-            Found::Torn { file, offset, bytes, .. } => {
-                report.torn = Some(TornTail { file: file.to_string(), offset, bytes });
-            }
+    let mut reading = Reading {
+        index: LogIndex::new(base),
+        recent: Recent::new(cache_bytes),
+        hard_state: HardState::default(),
+        torn: None,
+    };
+    let pairs = scan.segments().iter().zip(scan.segments().iter().skip(1));
+    for (number, (segment, next)) in pairs.enumerate() {
+        let head = read_head(disk, next)?;
+        match head.seal.filter(|seal| is_about(seal, segment, next)) {
+            Some(seal) => reading.adopt(disk, segment, next, &seal.contents)?,
+            None => scan.only(number).try_for_each(|found| reading.take(found?))?,
+        }
+        if let Some(hard_state) = head.hard_state {
+            reading.hard_state(&next.name, HEADER_BYTES, hard_state)?;
         }
     }
+    let mut newest = scan.only(scan.segments().len().saturating_sub(1));
+    newest.by_ref().try_for_each(|found| reading.take(found?))?;
+    let (tail, contents) = (newest.tail(), newest.into_contents());
+    let Reading { index, mut recent, hard_state, torn } = reading;
+    (report.hard_state, report.torn) = (hard_state, torn);
     recent.drop_before(report.first_index);
     report.last_index = index.last();
-    let tail = scan.tail();
     let mut length = 0;
     let mut active = None;
     if let Some(newest) = scan.segments().last() {
@@ -106,7 +113,77 @@ pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -
     // What was dropped had been committed, even if nobody got to write that down.
     report.hard_state.commit = report.hard_state.commit.max(base.index);
     let segments = scan.segments().iter().map(stored).collect();
-    Ok(Recovered { index, recent, segments, active, length, tail, written, report })
+    Ok(Recovered { index, recent, segments, active, length, tail, contents, written, report })
+}
+
+/// Does the seal in `next` speak of this segment, and fit what the header beside it says?
+fn is_about(seal: &Seal, segment: &ScannedSegment, next: &ScannedSegment) -> bool {
+    let Seal { segment_crc, contents } = seal;
+    let newest = match contents.last_term() {
+        Some(term) => Base { index: contents.last, term },
+        None => segment.header.base(),
+    };
+    let end = next.header.durable_upto.offset;
+    *segment_crc == segment.crc
+        && next.header.base() == newest
+        && contents.marks.last().is_none_or(|(_, offset)| *offset < end)
+}
+
+impl Reading {
+    /// Takes over a finished segment without reading its records.
+    fn adopt(
+        &mut self,
+        disk: &dyn Disk,
+        segment: &ScannedSegment,
+        next: &ScannedSegment,
+        contents: &Contents,
+    ) -> Result<(), StoreError> {
+        let name = &segment.name;
+        let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
+        let length = file.len().map_err(|error| StoreError::io("measure", name, error))?;
+        let end = u64::from(next.header.durable_upto.offset);
+        if length < end {
+            let what = format!("the file ends here, and a later segment proves that {end} bytes of it were durable");
+            return Err(StoreError::corrupt(name, length, what, segment.header.first_index));
+        }
+        if let Some((first, term)) = contents.first() {
+            check_entry(&self.index, first, term, self.hard_state.commit)
+                .map_err(|what| StoreError::corrupt(name, HEADER_BYTES, what, first))?;
+        }
+        // It holds what is newest, without a gap.
+        self.recent.clear();
+        self.index.adopt(segment.header.sequence, contents);
+        Ok(())
+    }
+
+    fn take(&mut self, found: Found) -> Result<(), StoreError> {
+        match found {
+            Found::Record { file, position, record, .. } => match record {
+                Record::Entry(entry) => {
+                    let at = entry.index;
+                    check_entry(&self.index, at, entry.term, self.hard_state.commit)
+                        .map_err(|what| StoreError::corrupt(&file, position.offset.into(), what, at))?;
+                    self.index.append(at, entry.term);
+                    self.index.place(at, position);
+                    self.recent.append(entry);
+                    self.recent.trim(at);
+                }
+                Record::HardState(state) => self.hard_state(&file, position.offset.into(), state)?,
+                Record::Seal(_) => {}
+            },
+            Found::Torn { file, offset, bytes, .. } => {
+                self.torn = Some(TornTail { file: file.to_string(), offset, bytes });
+            }
+        }
+        Ok(())
+    }
+
+    fn hard_state(&mut self, file: &str, offset: u64, state: HardState) -> Result<(), StoreError> {
+        check_hard_state(&self.hard_state, &state, self.index.last())
+            .map_err(|what| StoreError::corrupt(file, offset, what, self.index.last()))?;
+        self.hard_state = state;
+        Ok(())
+    }
 }
 
 /// Removes what an interrupted change of files has left behind, and names what is not ours.
@@ -156,15 +233,15 @@ fn stored(segment: &ScannedSegment) -> Arc<StoredSegment> {
     Arc::new(StoredSegment {
         name: segment.name.to_string(),
         sequence: segment.header.sequence,
+        crc: segment.crc,
         salt: segment.header.salt,
         first_index: segment.header.first_index,
         bytes_before: segment.header.durable_upto.offset,
     })
 }
 
-/// Whether `entry` may follow: no gap, no falling term, nothing committed superseded.
-pub(super) fn check_entry(index: &LogIndex, entry: &Entry, committed: u64) -> Result<(), String> {
-    let Entry { index: at, term, .. } = *entry;
+/// Whether entry `at` may follow: no gap, no falling term, nothing committed superseded.
+pub(super) fn check_entry(index: &LogIndex, at: u64, term: u64, committed: u64) -> Result<(), String> {
     if at == 0 || at > index.last() + 1 {
         return Err(format!("entry {at} follows entry {}", index.last()));
     }

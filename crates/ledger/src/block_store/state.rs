@@ -7,7 +7,7 @@ use super::files::StoredSegment;
 use super::index::LogIndex;
 use super::recent::{Recent, weight};
 use super::recovery::{check_entry, check_hard_state};
-use super::writer::Written;
+use super::writer::{Placed, Written};
 use super::{STAGED_BYTES_MAX, StoreError};
 use crate::entry::{Entry, HardState};
 use crate::segment::ENTRY_BYTES_MAX;
@@ -70,7 +70,7 @@ impl State {
     /// What only a broken orderer does.
     pub(super) fn check_rules(&self, entries: &[Entry], hard_state: Option<&HardState>) -> Result<(), String> {
         if let Some(first) = entries.first() {
-            check_entry(&self.index, first, self.committed)?;
+            check_entry(&self.index, first.index, first.term, self.committed)?;
         }
         for pair in entries.windows(2) {
             if let [before, after] = pair
@@ -94,7 +94,7 @@ impl State {
     /// Notes where entries are that became durable.
     pub(super) fn complete(&mut self, written: Written) -> Result<(), String> {
         self.segments.extend(written.segments);
-        for (index, position) in written.entries {
+        for Placed { index, position, .. } in written.entries {
             if index >= self.superseded_from {
                 self.index.pass(index);
             } else if !self.index.place(index, position) {

@@ -10,7 +10,10 @@ use super::files::StoredSegment;
 use crate::disk::{Disk, DiskFile};
 use crate::entry::{Entry, HardState};
 use crate::mutation::{Mutation, active};
-use crate::segment::{Base, LogPosition, Record, SegmentHeader, encode_record, encoded_bytes, segment_name};
+use crate::segment::{
+    Base, Contents, LogPosition, Record, SEAL_BYTES_MAX, Seal, SegmentHeader, encode_record, encoded_bytes,
+    segment_name,
+};
 
 /// A buffer larger than this is given back after use.
 const BUFFER_KEPT_BYTES: usize = 1 << 20;
@@ -29,6 +32,8 @@ pub(super) struct Writer {
     pub(super) previous: u32,
     /// Index and term of the newest entry written.
     pub(super) newest: Base,
+    /// What the newest segment holds: the next one says so.
+    pub(super) contents: Contents,
     /// The newest hard state written: every segment begins with one, so that older segments can be dropped.
     pub(super) hard_state: HardState,
     /// Reused for encoding.
@@ -45,8 +50,16 @@ pub(super) struct Active {
 /// What became durable.
 #[derive(Default)]
 pub(super) struct Written {
-    pub(super) entries: Vec<(u64, LogPosition)>,
+    pub(super) entries: Vec<Placed>,
     pub(super) segments: Vec<Arc<StoredSegment>>,
+}
+
+/// An entry, and where its record starts.
+#[derive(Clone, Copy)]
+pub(super) struct Placed {
+    pub(super) index: u64,
+    pub(super) term: u64,
+    pub(super) position: LogPosition,
 }
 
 /// Why a flush failed.
@@ -66,7 +79,7 @@ struct Run {
     previous: u32,
     /// What is on disk before anything of the run is.
     durable_upto: LogPosition,
-    entries: Vec<(u64, LogPosition)>,
+    entries: Vec<Placed>,
     newest: Base,
     hard_state: HardState,
 }
@@ -151,10 +164,12 @@ impl Writer {
         run.previous = encode_record(record, segment.salt, offset, run.previous, durable_upto, &mut self.buffer);
         match record {
             Record::Entry(Entry { index, term, .. }) => {
-                run.entries.push((*index, LogPosition { sequence: segment.sequence, offset }));
+                let position = LogPosition { sequence: segment.sequence, offset };
+                run.entries.push(Placed { index: *index, term: *term, position });
                 run.newest = Base { index: *index, term: *term };
             }
             Record::HardState(hard_state) => run.hard_state = *hard_state,
+            Record::Seal(_) => {}
         }
         Ok(())
     }
@@ -208,6 +223,7 @@ impl Writer {
         let segment = Arc::new(StoredSegment {
             name: segment_name(sequence, header.first_index),
             sequence,
+            crc,
             salt: header.salt,
             first_index: header.first_index,
             bytes_before: durable_upto.offset,
@@ -216,7 +232,17 @@ impl Writer {
         if self.hard_state != HardState::default() {
             self.encode(&mut run, &Record::HardState(self.hard_state))?;
         }
+        if let Some(seal) = self.seal().filter(|_| !header.begins_log()) {
+            self.encode(&mut run, &Record::Seal(seal))?;
+        }
         Ok(run)
+    }
+
+    /// What the next segment says about the newest one; none if that would be too long.
+    fn seal(&self) -> Option<Seal> {
+        let segment_crc = self.active.as_ref()?.segment.crc;
+        let seal = Seal { segment_crc, contents: self.contents.clone() };
+        (seal.bytes() <= SEAL_BYTES_MAX).then_some(seal)
     }
 
     /// Puts the buffer on disk.
@@ -231,11 +257,15 @@ impl Writer {
                 self.commit_fresh(&fresh, end, ahead, marks)?;
                 written.segments.push(Arc::clone(&fresh.segment));
                 self.active = Some(Active { segment: fresh.segment, file: fresh.spare.file });
+                self.contents = Contents::default();
             }
         }
         self.end = end;
         self.previous = run.previous;
         (self.newest, self.hard_state) = (run.newest, run.hard_state);
+        for Placed { index, term, position } in &run.entries {
+            self.contents.add(*index, *term, position.offset);
+        }
         written.entries.extend(run.entries);
         self.buffer.clear();
         Ok(())

@@ -3,6 +3,7 @@
 use super::index::{self, Item, PAGE_BYTES};
 use crate::disk::DiskFile;
 use crate::result::BlockResult;
+use crate::segment::Window;
 use bytes::Bytes;
 use std::collections::BTreeSet;
 use std::io::{self, ErrorKind};
@@ -67,6 +68,8 @@ pub(super) struct Records {
     end: u64,
     /// Block time of the last, microseconds.
     pub(super) newest: u64,
+    /// Offset of every sixteenth.
+    marks: Vec<u32>,
 }
 
 /// A record of a file, as it is read.
@@ -136,7 +139,8 @@ impl ResultFile {
 
     /// All its records.
     pub(super) fn records(&self) -> Records {
-        Records { first: self.first, next: self.next(), end: self.end, newest: self.times.1 }
+        let (first, next, marks) = (self.first, self.next(), self.marks.clone());
+        Records { first, next, end: self.end, newest: self.times.1, marks }
     }
 
     /// The places of transactions whose id begins so. Answers at once for the file that is being written.
@@ -171,17 +175,17 @@ impl ResultFile {
     }
 
     /// Opens a finished file by its end; none if it is not finished, or damaged.
-    pub(super) fn finished(file: &dyn DiskFile, first: u64, network: &[u8; 32]) -> io::Result<Option<Self>> {
+    pub(super) fn finished(mut file: &dyn DiskFile, first: u64, network: &[u8; 32]) -> io::Result<Option<Self>> {
         if !Self::has_head(file, first, network)? {
             return Ok(None);
         }
         let length = file.len()?;
         let Some(at) = length.checked_sub(TAIL_BYTES as u64) else { return Ok(None) };
-        let tail = read(file, at, TAIL_BYTES)?;
+        let tail = read(&mut file, at, TAIL_BYTES)?;
         Ok(Self::read_tail(file, &tail, at, first)?.filter(|found| found.first == first))
     }
 
-    fn read_tail(file: &dyn DiskFile, tail: &[u8], at: u64, first: u64) -> io::Result<Option<Self>> {
+    fn read_tail(mut file: &dyn DiskFile, tail: &[u8], at: u64, first: u64) -> io::Result<Option<Self>> {
         let number = |at: usize| {
             let bytes = tail.get(at..).and_then(|rest| rest.first_chunk());
             bytes.map_or(0, |bytes| u64::from_le_bytes(*bytes))
@@ -194,7 +198,7 @@ impl ResultFile {
             return Ok(None);
         }
         // It fits, so that this is no more than the file has.
-        let marks = read(file, at - marks * 4, (marks * 4) as usize)?;
+        let marks = read(&mut file, at - marks * 4, (marks * 4) as usize)?;
         let covered = crc32c::crc32c_append(crc32c::crc32c(&marks), tail.get(..TAIL_BYTES - 4).unwrap_or_default());
         if tail.last_chunk().map(|crc| u32::from_le_bytes(*crc)) != Some(covered) {
             return Ok(None);
@@ -206,14 +210,20 @@ impl ResultFile {
     }
 
     /// Opens a file by its records, up to a height or to the first that is not right.
-    pub(super) fn scan(file: &dyn DiskFile, first: u64, last: u64, network: &[u8; 32]) -> io::Result<Option<Self>> {
-        if !Self::has_head(file, first, network)? {
+    pub(super) fn scan(
+        file: &Arc<dyn DiskFile>,
+        first: u64,
+        last: u64,
+        network: &[u8; 32],
+    ) -> io::Result<Option<Self>> {
+        if !Self::has_head(&**file, first, network)? {
             return Ok(None);
         }
         let mut found = Self::new(first);
         let length = file.len()?;
+        let mut window = Window::new(Arc::clone(file))?;
         while found.next() <= last {
-            let stored = match read_record(file, found.next(), found.end, length) {
+            let stored = match read_record(&mut window, found.next(), found.end, length) {
                 Err(error) if error.kind() == ErrorKind::InvalidData => break,
                 stored => stored?,
             };
@@ -233,30 +243,76 @@ impl ResultFile {
 impl Spot {
     /// Reads the record.
     pub(super) fn read(self, file: &dyn DiskFile) -> io::Result<Bytes> {
-        let mut offset = self.offset;
+        let (mut file, mut offset) = (file, self.offset);
         for _ in 0..self.skip {
-            let (length, _) = record_head(file, offset)?;
+            let (length, _) = record_head(&mut file, offset)?;
             offset += RECORD_HEAD_BYTES + u64::from(length);
         }
-        Ok(read_record(file, self.height, offset, self.end)?.bytes)
+        Ok(read_record(&mut file, self.height, offset, self.end)?.bytes)
     }
 }
 
 impl Records {
-    /// Calls `each` with every record, in order.
-    pub(super) fn each<E>(
+    /// Calls `each` with the records of blocks whose time is `time` or later, in order, and perhaps with a few before
+    /// them. Block time never goes back, so those that are older need not be read.
+    pub(super) fn since<E>(
         &self,
-        file: &dyn DiskFile,
+        time: u64,
+        file: &Arc<dyn DiskFile>,
         fault: impl Fn(&io::Error) -> E,
         mut each: impl FnMut(u64, Bytes) -> Result<(), E>,
     ) -> Result<(), E> {
-        let mut offset = HEAD_BYTES;
-        for height in self.first..self.next {
-            let stored = read_record(file, height, offset, self.end).map_err(|error| fault(&error))?;
+        let from = self.mark_before(time, &**file).map_err(|error| fault(&error))?;
+        let (mut height, mut offset) = (self.first + from * MARK_EVERY, self.offset(from));
+        let mut window = Window::new(Arc::clone(file)).map_err(|error| fault(&error))?;
+        while height < self.next {
+            let stored = read_record(&mut window, height, offset, self.end).map_err(|error| fault(&error))?;
             offset = stored.next;
             each(height, stored.bytes)?;
+            height += 1;
         }
         Ok(())
+    }
+
+    /// The last mark whose block is older; the first if none is.
+    fn mark_before(&self, time: u64, mut file: &dyn DiskFile) -> io::Result<u64> {
+        let (mut low, mut high) = (0, self.marks.len() as u64);
+        while low < high {
+            let middle = low + (high - low) / 2;
+            let height = self.first + middle * MARK_EVERY;
+            let stored = read_record(&mut file, height, self.offset(middle), self.end)?;
+            let result = BlockResult::from_bytes(stored.bytes);
+            let older = result.map_err(|fault| io::Error::new(ErrorKind::InvalidData, fault.message))?.time < time;
+            (low, high) = if older { (middle + 1, high) } else { (low, middle) };
+        }
+        Ok(low.saturating_sub(1))
+    }
+
+    fn offset(&self, mark: u64) -> u64 {
+        let mark = usize::try_from(mark).ok().and_then(|mark| self.marks.get(mark));
+        mark.map_or(HEAD_BYTES, |offset| u64::from(*offset))
+    }
+}
+
+/// Where records are read from: a file, or a view of it for who reads on.
+trait Source {
+    fn fill(&mut self, offset: u64, buffer: &mut [u8]) -> io::Result<bool>;
+}
+
+impl Source for &dyn DiskFile {
+    fn fill(&mut self, offset: u64, buffer: &mut [u8]) -> io::Result<bool> {
+        Ok(self.read_at(buffer, offset)? == buffer.len())
+    }
+}
+
+impl Source for Window {
+    fn fill(&mut self, offset: u64, buffer: &mut [u8]) -> io::Result<bool> {
+        let bytes = self.get(offset, buffer.len())?;
+        let whole = bytes.len() == buffer.len();
+        if whole {
+            buffer.copy_from_slice(bytes);
+        }
+        Ok(whole)
     }
 }
 
@@ -276,16 +332,16 @@ fn record_crc(height: u64, result: &[u8]) -> u32 {
     crc32c::crc32c_append(crc32c::crc32c(&height.to_le_bytes()), result)
 }
 
-fn record_head(file: &dyn DiskFile, offset: u64) -> io::Result<(u32, u32)> {
+fn record_head(file: &mut impl Source, offset: u64) -> io::Result<(u32, u32)> {
     let mut head = [0; RECORD_HEAD_BYTES as usize];
-    if file.read_at(&mut head, offset)? != head.len() {
+    if !file.fill(offset, &mut head)? {
         return Err(damaged(offset));
     }
     let number = u64::from_le_bytes(head);
     Ok((number as u32, (number >> 32) as u32))
 }
 
-fn read_record(file: &dyn DiskFile, height: u64, offset: u64, end: u64) -> io::Result<Stored> {
+fn read_record(file: &mut impl Source, height: u64, offset: u64, end: u64) -> io::Result<Stored> {
     let (length, crc) = record_head(file, offset)?;
     let next = offset + RECORD_HEAD_BYTES + u64::from(length);
     if next > end {
@@ -298,12 +354,9 @@ fn read_record(file: &dyn DiskFile, height: u64, offset: u64, end: u64) -> io::R
     Ok(Stored { bytes: bytes.into(), next })
 }
 
-fn read(file: &dyn DiskFile, offset: u64, bytes: usize) -> io::Result<Vec<u8>> {
+fn read(file: &mut impl Source, offset: u64, bytes: usize) -> io::Result<Vec<u8>> {
     let mut buffer = vec![0; bytes];
-    match file.read_at(&mut buffer, offset)? {
-        read if read == bytes => Ok(buffer),
-        _ => Err(damaged(offset)),
-    }
+    if file.fill(offset, &mut buffer)? { Ok(buffer) } else { Err(damaged(offset)) }
 }
 
 fn damaged(offset: u64) -> io::Error {

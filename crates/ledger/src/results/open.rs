@@ -31,7 +31,7 @@ impl ResultStore {
                 files.push_back(Arc::new(content));
                 continue;
             }
-            let found = ResultFile::scan(&*file, first, u64::MAX, &network.0);
+            let found = ResultFile::scan(&file, first, u64::MAX, &network.0);
             open = found.map_err(|error| failed("read", first, &error))?.map(|content| Open { content, file });
             break;
         }
@@ -96,7 +96,7 @@ impl ResultStore {
                 None => inner.files.pop_back().map_or(0, |file| file.first),
             };
             let reopened = disk.open(&ResultFile::name(first)).and_then(|file| {
-                let content = ResultFile::scan(&*file, first, last, &self.network.0)?;
+                let content = ResultFile::scan(&file, first, last, &self.network.0)?;
                 Ok(content.map(|content| Open { content, file }))
             });
             inner.open = reopened.map_err(|error| failed("read", first, &error))?;

@@ -3,6 +3,7 @@
 use bytes::Bytes;
 
 use super::header::{HEADER_BYTES, LogPosition, take};
+use super::seal::Seal;
 use crate::entry::{Entry, EntryKind, HardState};
 use crate::mutation::{Mutation, active};
 
@@ -24,6 +25,7 @@ pub const RECORD_BYTES_MAX: usize = RECORD_HEADER_BYTES + ENTRY_FIELDS_BYTES + E
 
 const TYPE_ENTRY: u8 = 1;
 const TYPE_HARD_STATE: u8 = 2;
+const TYPE_SEAL: u8 = 3;
 
 /// What a record holds.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -32,6 +34,8 @@ pub enum Record {
     Entry(Entry),
     /// Type 2. Payload: term, vote, commit, `u64` each.
     HardState(HardState),
+    /// Type 3. What the segment before this one holds: see [`Seal`].
+    Seal(Seal),
 }
 
 /// The head of a record; the payload follows at once.
@@ -43,7 +47,7 @@ pub enum Record {
 /// | 8 | 4 | payload CRC | CRC-32C of the payload: which of header and payload is damaged can be told |
 /// | 12 | 4 | previous | header CRC of the record before (of the segment header, for the first): what an undone write left behind never continues the log |
 /// | 16 | 8 | durable_upto | [`LogPosition`] up to which the log was on disk when this was written: damage before it is rot, not a torn write |
-/// | 24 | 1 | type | 1 entry, 2 hard state; never 0, so zeros are no record |
+/// | 24 | 1 | type | 1 entry, 2 hard state, 3 seal; never 0, so zeros are no record |
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RecordHeader {
     /// CRC of the header; the next record names it.
@@ -78,7 +82,7 @@ impl RecordHeader {
             durable_upto: take(&mut rest).map(u64::from_le_bytes).map(LogPosition::from_u64).ok_or(SHORT)?,
             kind: take::<1>(&mut rest).map(u8::from_le_bytes).ok_or(SHORT)?,
         };
-        if !matches!(header.kind, TYPE_ENTRY | TYPE_HARD_STATE) {
+        if !matches!(header.kind, TYPE_ENTRY | TYPE_HARD_STATE | TYPE_SEAL) {
             return Err("no record type is known by this number");
         }
         if header.record_bytes() > RECORD_BYTES_MAX {
@@ -110,6 +114,7 @@ pub fn encoded_bytes(record: &Record) -> usize {
         + match record {
             Record::Entry(entry) => ENTRY_FIELDS_BYTES + entry.data.len(),
             Record::HardState(_) => HARD_STATE_BYTES,
+            Record::Seal(seal) => seal.bytes(),
         }
 }
 
@@ -135,6 +140,7 @@ pub fn encode_record(
             let numbers = [state.term, state.vote, state.commit];
             (TYPE_HARD_STATE, numbers.iter().flat_map(|number| number.to_le_bytes()).collect(), &[])
         }
+        Record::Seal(seal) => (TYPE_SEAL, seal.to_bytes(), &[]),
     };
     let payload_crc = crc32c::crc32c_append(crc32c::crc32c(&fields), data);
     let length = (fields.len() + data.len()) as u32;
@@ -162,6 +168,9 @@ pub fn decode_record(header: &RecordHeader, payload: &[u8]) -> Result<Record, &'
         return Err("the CRC of the record's payload is wrong");
     }
     let mut rest = payload;
+    if header.kind == TYPE_SEAL {
+        return Seal::from_bytes(payload).map(Record::Seal);
+    }
     if header.kind == TYPE_HARD_STATE {
         let mut number = || take(&mut rest).map(u64::from_le_bytes).ok_or(SHORT);
         return Ok(Record::HardState(HardState { term: number()?, vote: number()?, commit: number()? }));

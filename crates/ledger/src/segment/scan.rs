@@ -4,9 +4,11 @@ use std::sync::Arc;
 
 use super::header::{Base, HEADER_BYTES, LogPosition, SegmentHeader, parse_name};
 use super::record::{RECORD_HEADER_BYTES, Record, RecordHeader, decode_record};
+use super::seal::{Contents, Seal};
 use super::window::Window;
 use crate::block_store::StoreError;
 use crate::disk::Disk;
+use crate::entry::HardState;
 
 /// What a scan came upon.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -59,6 +61,10 @@ pub struct Scan<'a> {
     next_index: u64,
     /// Its term.
     last_term: u64,
+    /// What the segment that is being read holds, as far as it is read.
+    contents: Contents,
+    /// What its own seal must say, if the segment before it was read too.
+    sealed: Option<Seal>,
     window: Option<Window>,
     done: bool,
 }
@@ -128,6 +134,37 @@ pub fn scan<'a>(disk: &'a dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan<'
     Ok(Scan { void, ignored, ..Scan::over(disk, segments, until) })
 }
 
+/// What a segment begins with, where that is in order.
+#[derive(Debug, Default)]
+pub(crate) struct Head {
+    pub(crate) hard_state: Option<HardState>,
+    /// About the segment before.
+    pub(crate) seal: Option<Seal>,
+}
+
+/// Reads the hard state and the seal at the beginning of a segment. Whatever is not as it should be is left out: reading
+/// the segments whole then tells what is wrong.
+pub(crate) fn read_head(disk: &dyn Disk, segment: &ScannedSegment) -> Result<Head, StoreError> {
+    let name = &segment.name;
+    let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
+    let mut window = Window::small(file).map_err(|error| StoreError::io("read", name, error))?;
+    let (mut head, mut offset, mut previous) = (Head::default(), HEADER_BYTES, segment.crc);
+    while head.seal.is_none() {
+        let position = LogPosition { sequence: segment.header.sequence, offset: narrow(offset) };
+        let decoded = decode_at(&mut window, segment, position, previous);
+        match decoded.map_err(|error| StoreError::io("read", name, error))? {
+            Ok((header, Record::HardState(hard_state))) if head.hard_state.is_none() => {
+                head.hard_state = Some(hard_state);
+                offset += header.record_bytes() as u64;
+                previous = header.crc;
+            }
+            Ok((_, Record::Seal(seal))) => head.seal = Some(seal),
+            _ => break,
+        }
+    }
+    Ok(head)
+}
+
 /// Reads every record of the segment in file `name`, and checks that it ends where `next`, the one after it, says.
 pub(crate) fn check_sealed(
     disk: &dyn Disk,
@@ -139,7 +176,8 @@ pub(crate) fn check_sealed(
     Scan::over(disk, vec![segment, next.clone()], 1).try_for_each(|found| found.map(drop))
 }
 
-fn read_header(disk: &dyn Disk, name: &str, first_index: u64) -> Result<(SegmentHeader, u32), StoreError> {
+/// Reads the header of a segment, and its CRC.
+pub(crate) fn read_header(disk: &dyn Disk, name: &str, first_index: u64) -> Result<(SegmentHeader, u32), StoreError> {
     let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
     let mut bytes = [0; HEADER_BYTES as usize];
     let count = file.read_at(&mut bytes, 0).map_err(|error| StoreError::io("read", name, error))?;
@@ -163,9 +201,17 @@ impl<'a> Scan<'a> {
             proven: 0,
             next_index: base.index + 1,
             last_term: base.term,
+            contents: Contents::default(),
+            sealed: None,
             window: None,
             done: false,
         }
+    }
+
+    /// Reads all of these segments but the last, which is only compared with where the one before it ends.
+    pub(crate) fn finished(disk: &'a dyn Disk, segments: Vec<ScannedSegment>) -> Self {
+        let until = segments.len().saturating_sub(1);
+        Self::over(disk, segments, until)
     }
 
     /// Names of files in the directory that are no segments.
@@ -185,6 +231,18 @@ impl<'a> Scan<'a> {
 
     pub(crate) fn segments(&self) -> &[ScannedSegment] {
         &self.segments
+    }
+
+    /// Reads only the segment with this number, counted from 0, and, if it is finished, checks that it ends where the one
+    /// after it says.
+    pub(crate) fn only(&self, number: usize) -> Scan<'a> {
+        let segments = self.segments.iter().skip(number).take(2).cloned().collect();
+        Scan::over(self.disk, segments, 1)
+    }
+
+    /// What the segment that was read last holds.
+    pub(crate) fn into_contents(self) -> Contents {
+        self.contents
     }
 
     /// Where the log ends; meaningful when the iterator has ended without an error.
@@ -232,9 +290,16 @@ impl<'a> Scan<'a> {
                     if header.durable_upto.sequence == position.sequence {
                         self.proven = self.proven.max(u64::from(header.durable_upto.offset));
                     }
-                    if let Record::Entry(entry) = &record {
-                        self.next_index = entry.index.saturating_add(1);
-                        self.last_term = entry.term;
+                    match &record {
+                        Record::Entry(entry) => {
+                            self.next_index = entry.index.saturating_add(1);
+                            self.last_term = entry.term;
+                            self.contents.add(entry.index, entry.term, position.offset);
+                        }
+                        Record::Seal(seal) if self.sealed.as_ref().is_some_and(|wanted| wanted != seal) => {
+                            return Err(corrupt(offset, "the seal does not say what the segment before holds"));
+                        }
+                        Record::Seal(_) | Record::HardState(_) => {}
                     }
                     let bytes = narrow(header.record_bytes() as u64);
                     let durable_upto = header.durable_upto;
@@ -274,6 +339,9 @@ impl<'a> Scan<'a> {
             );
             return Err(StoreError::corrupt(&segment.name, 76, what, self.next_index));
         }
+        let contents = std::mem::take(&mut self.contents);
+        let before = self.at.checked_sub(1).and_then(|before| self.segments.get(before));
+        self.sealed = before.map(|before| Seal { segment_crc: before.crc, contents });
         self.offset = HEADER_BYTES;
         self.proven = HEADER_BYTES;
         self.previous = segment.crc;

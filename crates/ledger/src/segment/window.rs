@@ -8,6 +8,9 @@ use crate::disk::DiskFile;
 /// How much is read at once.
 const WINDOW_BYTES: usize = 256 << 10;
 
+/// How much is read at once of a file of which only the beginning is wanted.
+const SMALL_BYTES: usize = 8 << 10;
+
 pub(crate) struct Window {
     file: Arc<dyn DiskFile>,
     /// Length of the file when the view was made.
@@ -15,12 +18,19 @@ pub(crate) struct Window {
     /// Offset of the first byte held.
     start: u64,
     bytes: Vec<u8>,
+    /// How much is read at once.
+    piece: usize,
 }
 
 impl Window {
     pub(crate) fn new(file: Arc<dyn DiskFile>) -> io::Result<Self> {
         let length = file.len()?;
-        Ok(Self { file, length, start: 0, bytes: Vec::new() })
+        Ok(Self { file, length, start: 0, bytes: Vec::new(), piece: WINDOW_BYTES })
+    }
+
+    /// A view for who wants a little only.
+    pub(crate) fn small(file: Arc<dyn DiskFile>) -> io::Result<Self> {
+        Ok(Self { piece: SMALL_BYTES, ..Self::new(file)? })
     }
 
     /// The bytes from `offset` on: `count`, or fewer where the file ends.
@@ -31,7 +41,7 @@ impl Window {
         let at = match held {
             Some(at) if at.saturating_add(count) <= self.bytes.len() => at,
             _ => {
-                self.bytes.resize(count.max(WINDOW_BYTES.min(rest)), 0);
+                self.bytes.resize(count.max(self.piece.min(rest)), 0);
                 self.start = offset;
                 let read = self.file.read_at(&mut self.bytes, offset)?;
                 self.bytes.truncate(read);

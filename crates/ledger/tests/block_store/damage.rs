@@ -34,6 +34,22 @@ fn records(disk: &SimDisk) -> Vec<(String, u64, u64, LogPosition)> {
         .collect()
 }
 
+/// What is damaged in a finished segment is not always refused when the store is opened; then it is found by whoever reads
+/// it, who never gets anything wrong, and by the check.
+fn found_in_use(disk: &SimDisk, expected: &[Entry], context: &str) -> StoreError {
+    let (store, _) = match open_with(disk, 500) {
+        Err(error) => return error,
+        Ok(opened) => opened,
+    };
+    for entry in expected {
+        match store.entry(entry.index) {
+            Ok(read) => assert_eq!(read.as_ref(), Some(entry), "{context}"),
+            Err(error) => assert!(matches!(error, StoreError::Corrupt { .. }), "{context}: {error}"),
+        }
+    }
+    store.check_finished(|_| true).err().unwrap_or_else(|| panic!("{context}: not found"))
+}
+
 /// The opened store holds a prefix of `expected` that has at least `durable` entries, and goes on working.
 fn check_prefix(disk: &SimDisk, expected: &[Entry], durable: usize, context: &str) -> Recovery {
     let (store, recovery) = open_with(disk, 500).unwrap_or_else(|error| panic!("{context}: {error}"));
@@ -71,7 +87,9 @@ fn a_cut_at_any_byte_leaves_the_exact_prefix_or_is_refused() {
                 continue;
             }
             let whole = |(file, _, end, _): &&(String, u64, u64, LogPosition)| *file != name || *end <= cut as u64;
-            let kept = records.iter().filter(whole).count().min(expected.len());
+            // The second segment begins with a seal.
+            let seal = usize::from(records.iter().filter(whole).any(|record| record.0 == name));
+            let kept = (records.iter().filter(whole).count() - seal).min(expected.len());
             let recovery = check_prefix(&damaged, &expected, kept, &context);
             assert_eq!(recovery.last_index, kept as u64, "{context}");
         }
@@ -103,7 +121,8 @@ fn a_flipped_bit_is_refused_with_its_place_or_was_in_the_last_flush() {
     let acknowledged = records
         .iter()
         .filter(|record| LogPosition { offset: record.1 as u32, ..durable } < durable || record.0 == segments(&disk)[0])
-        .count();
+        .count()
+        - 1;
     for name in segments(&disk) {
         let bytes = disk.contents(&name).unwrap();
         for at in 0..bytes.len() {
@@ -121,7 +140,7 @@ fn a_flipped_bit_is_refused_with_its_place_or_was_in_the_last_flush() {
                     assert_eq!(recovery.torn.map(|torn| torn.offset), record.map(|record| record.1), "{context}");
                     continue;
                 }
-                let error = open_with(&damaged, 500).err().unwrap_or_else(|| panic!("{context}: opened"));
+                let error = found_in_use(&damaged, &expected, &context);
                 let StoreError::Corrupt { file, offset, .. } = &error else { panic!("{context}: {error}") };
                 assert_eq!(*file, name, "{context}");
                 assert!(*offset <= at as u64, "{context}: {error}");

@@ -6,6 +6,7 @@ mod damage;
 mod faults;
 mod first;
 mod model;
+mod opening;
 
 use std::sync::Arc;
 
@@ -300,7 +301,8 @@ fn a_real_directory_keeps_the_log_and_can_be_scanned_offline() {
     assert!(RealDisk::open(&path).is_err(), "locked");
     drop(store);
     let disk = RealDisk::open_read_only(&path).unwrap();
-    let records: Vec<Found> = scan(&disk, None).unwrap().collect::<Result<_, _>>().unwrap();
+    let mut records: Vec<Found> = scan(&disk, None).unwrap().collect::<Result<_, _>>().unwrap();
+    records.retain(|found| matches!(found, Found::Record { record: Record::Entry(_), .. }));
     drop(disk);
     assert_eq!(records.len(), 50);
     assert!(matches!(&records[49], Found::Record { record: Record::Entry(entry), .. } if entry.index == 50));

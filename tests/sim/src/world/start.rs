@@ -28,11 +28,16 @@ impl World {
             Ok(store) => Arc::new(store),
             Err(fault) => return self.refused(id, &fault),
         };
-        if let Some(file) = node.damaged.take()
+        if let Some(file) = node.damaged.clone()
             && node.disk.contents(&file).is_some()
         {
-            return self.undetected(id, &file);
+            // A start does not read what is finished; the check that follows it does.
+            return match store.check_finished(|_| true) {
+                Err(fault) => self.refused(id, &fault),
+                Ok(()) => self.undetected(id, &file),
+            };
         }
+        node.damaged = None;
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;
         let opened = open(node, &store, (&self.genesis, self.network), &abac);
