@@ -17,7 +17,7 @@ const VERSION: u32 = 2;
 /// Bytes before the result in a record: its length `u32` LE, then CRC-32C of (height `u64` LE, the result).
 pub(super) const RECORD_HEAD_BYTES: u64 = 8;
 /// A record is not smaller: head, hash and digest.
-pub(super) const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 68;
+pub(super) const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 66;
 
 /// Bytes of the end of a finished file: `LEDGREND`, then, LE, first height `u64`, blocks `u64`, end of the records `u64`,
 /// pages of the index `u32`, marks `u32`, times of the first and of the last block `u64`, CRC-32C of the marks and of these.
