@@ -45,8 +45,9 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Inputs that wait for the order thread. Clients are bounded before it; this bounds peers.
-const INBOX_MAX: usize = 65_536;
+/// Inputs that wait for the order thread, which takes them all at once whenever the disk has answered. The channel has a
+/// place ready for each of them, some 160 bytes.
+const INBOX_MAX: usize = 8192;
 
 /// What the two threads share with the rest of the node.
 pub(crate) struct Shared {

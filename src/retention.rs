@@ -29,7 +29,7 @@ impl Pruner {
         if self.retention == Retention::Forever {
             return Ok(());
         }
-        let time_of = |height| self.ledger.result(height).ok().flatten().map(|result| result.time);
+        let time_of = |height| self.ledger.seal(height).ok().flatten().map(|seal| seal.time);
         let keep_from = self.retention.keep_from(&Kept {
             finished: &self.store.finished(),
             oldest_snapshot: self.snapshots.oldest().map(|snapshot| snapshot.manifest().height),

@@ -17,6 +17,8 @@ use std::sync::Arc;
 
 /// Entries read at once while blocks are executed again.
 const REPLAY_BYTES: usize = 4 * 1024 * 1024;
+/// Blocks of the log that stay in memory for followers that lack a few; more are in the cache of the operating system.
+const LOG_CACHE_BYTES: usize = 2 * 1024 * 1024;
 /// World state in memory that is moved to the store while blocks are executed again.
 const DIRTY_BYTES_MAX: usize = 16 * 1024 * 1024;
 
@@ -86,6 +88,7 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
         salt.iter().take(8).fold(0, |number, byte| number << 8 | u64::from(*byte))
     });
     options.segment_bytes = config.storage.segment_mib << 20;
+    options.cache_bytes = LOG_CACHE_BYTES;
     let (store, recovery) = BlockStore::open(Arc::new(disk), options)?;
     if let Some(torn) = &recovery.torn {
         tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a write that was cut off and never acknowledged");
@@ -100,12 +103,13 @@ fn open_ledger(
     data: &Path,
     genesis: &[u8],
     registry: &Registry,
-    store: &BlockStore,
+    store: &Arc<BlockStore>,
     snapshots: &Snapshots,
 ) -> Result<Ledger, Rejection> {
     let (_, network) = Genesis::from_bytes(genesis)?;
     let kept = SledStore::open(&data.join(STATE_DIRECTORY))?;
     let results = ResultStore::open(Arc::new(open_directory(&data.join(RESULTS_DIRECTORY))?), network)?;
+    let results = results.beside(Arc::clone(store));
     if store.first_index() > 1 && kept.range(b"", None, 1)?.is_empty() {
         fill(&kept, &results, store, snapshots)?;
     }

@@ -156,11 +156,10 @@ impl Testimony {
         let Some(snapshot) = self.shared.snapshots.newest() else { return Ok(()) };
         let (height, content) = (snapshot.manifest().height, snapshot.content());
         self.shared.witness.snapshot.store(height, Ordering::Relaxed);
-        let Some(result) = self.shared.ledger.result(height)?.filter(|_| height > memory.snapshot) else {
+        let Some(seal) = self.shared.ledger.seal(height)?.filter(|_| height > memory.snapshot) else {
             return Ok(());
         };
-        let hash = result.hash();
-        self.attest(&Attest { height, hash, digest: result.digest(), content: Some(content) })
+        self.attest(&Attest { height, hash: seal.hash, digest: seal.digest, content: Some(content) })
     }
 
     fn attest(&self, attest: &Attest) -> Result<(), Rejection> {
@@ -182,8 +181,8 @@ impl Testimony {
             return;
         }
         // What is not kept any more, or not yet executed, is not judged.
-        let Ok(Some(own)) = self.shared.ledger.result(attest.height) else { return };
-        let agrees = own.digest() == attest.digest && own.hash() == attest.hash;
+        let Ok(Some(own)) = self.shared.ledger.seal(attest.height) else { return };
+        let agrees = own.digest == attest.digest && own.hash == attest.hash;
         let finding = memory.judge.judge(&by, attest.height, agrees, self.shared.directory.members().len());
         *self.shared.witness.differing.lock().unwrap_or_else(PoisonError::into_inner) = memory.judge.describe();
         match finding {
@@ -191,7 +190,7 @@ impl Testimony {
             Finding::Differs => tracing::error!(
                 node = by,
                 height = attest.height,
-                own = %own.digest(),
+                own = %own.digest,
                 attested = %attest.digest,
                 "this node and another differ; nobody knows yet which is right"
             ),

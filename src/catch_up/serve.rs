@@ -138,8 +138,8 @@ impl Source {
         let (digest, hash) = if height == tip.height {
             (tip.digest, tip.hash)
         } else {
-            match self.shared.ledger.result(height).map_err(|fault| to_status(&fault))? {
-                Some(result) => (result.digest(), result.hash()),
+            match self.shared.ledger.seal(height).map_err(|fault| to_status(&fault))? {
+                Some(seal) => (seal.digest, seal.hash),
                 None => return Ok(DigestResponse::default()),
             }
         };

@@ -19,6 +19,7 @@ mod catch_up;
 mod config;
 mod crash;
 mod disk_full;
+mod footprint;
 mod hostile;
 mod join;
 mod leadership;

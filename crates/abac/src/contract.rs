@@ -4,7 +4,7 @@ use crate::arguments::Arguments;
 use crate::authorize::{self, Decider};
 use crate::nearest::did_you_mean;
 use crate::{grant, policies, publish, revoke, robot, service, store};
-use ledger::{Bytes, Chaincode, Context, Event, Rejection, Revocation};
+use ledger::{Bytes, Chaincode, Context, Event, Foretold, Rejection, Revocation};
 
 /// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
 /// JSON.
@@ -33,6 +33,9 @@ use ledger::{Bytes, Chaincode, Context, Event, Rejection, Revocation};
 pub struct AccessControl {
     decider: Decider,
 }
+
+/// Name of the chaincode.
+pub(crate) const NAME: &str = "abac";
 
 /// Every function, for whoever mistypes one.
 const FUNCTIONS: [&str; 14] = [
@@ -64,7 +67,7 @@ impl AccessControl {
 
 impl Chaincode for AccessControl {
     fn name(&self) -> &'static str {
-        "abac"
+        NAME
     }
 
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
@@ -90,6 +93,10 @@ impl Chaincode for AccessControl {
             _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
                 .next(did_you_mean(function, FUNCTIONS, ""))),
         }
+    }
+
+    fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {
+        if function == "set" { publish::foretell(args) } else { None }
     }
 
     /// Everything but messages: what ends or hands over control never waits behind data.

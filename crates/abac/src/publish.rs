@@ -5,10 +5,11 @@
 
 use crate::arguments::Arguments;
 use crate::authorize::{self, Decider};
+use crate::contract::NAME;
 use crate::grant::{self, Principal};
 use crate::service::{self, Target};
 use crate::store;
-use ledger::{Bytes, Code, Context, Rejection};
+use ledger::{Bytes, Code, Context, Event, Foretold, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most messages of one `set`.
@@ -51,10 +52,11 @@ pub struct MessageEvent {
     pub count: u64,
 }
 
+const USAGE: &str = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
+
 /// `set SERVICE EPOCH FIRST_SEQ PAYLOAD...`
 pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let usage = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
-    let args = Arguments::new(usage, args, 4, 3 + MESSAGES_PER_CALL_MAX)?;
+    let args = Arguments::new(USAGE, args, 4, 3 + MESSAGES_PER_CALL_MAX)?;
     let (epoch, first_seq) = (args.number(1, "EPOCH")?, args.number(2, "FIRST_SEQ")?);
     let count = check_payloads(args)?;
     let last_seq = first_seq
@@ -81,6 +83,21 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     store::write(ctx, &key, &last)?;
     ctx.emit("message", &target.id, store::json(&MessageEvent { epoch, first_seq, count })?);
     store::json(&Published { epoch, next_seq: last_seq + 1 })
+}
+
+/// What a `set` that succeeds answers and emits, if it names the service in full. For good: nodes keep results without it.
+pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
+    let args = Arguments::new(USAGE, args, 4, 3 + MESSAGES_PER_CALL_MAX).ok()?;
+    let (epoch, first_seq) = (args.number(1, "EPOCH").ok()?, args.number(2, "FIRST_SEQ").ok()?);
+    let count = args.rest(3).len() as u64;
+    let message = Event {
+        chaincode: NAME.into(),
+        name: "message".into(),
+        subject: args.text(0, "SERVICE").ok()?.into(),
+        payload: store::json(&MessageEvent { epoch, first_seq, count }).ok()?,
+    };
+    let response = store::json(&Published { epoch, next_seq: first_seq.checked_add(count)? }).ok()?;
+    Some(Foretold { response, events: vec![message] })
 }
 
 /// The smallest sequence number that `set` accepts. An exclusive service counts within an epoch, since every epoch
@@ -111,8 +128,28 @@ fn check_payloads(args: Arguments<'_>) -> Result<u64, Rejection> {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use super::{Arguments, Bytes, check_payloads};
+    use super::{Arguments, Bytes, Event, Foretold, check_payloads, foretell};
+
+    #[test]
+    fn what_is_foretold_of_a_call_never_changes() {
+        let args = ["Turtlebot4/cmd_vel", "7", "1795228838000000", "a", "b"].map(Bytes::from);
+        let message = Event {
+            chaincode: "abac".into(),
+            name: "message".into(),
+            subject: "Turtlebot4/cmd_vel".into(),
+            payload: r#"{"epoch":7,"first_seq":1795228838000000,"count":2}"#.into(),
+        };
+        let response = r#"{"epoch":7,"next_seq":1795228838000002}"#.into();
+        assert_eq!(foretell(&args).unwrap(), Foretold { response, events: vec![message] });
+        for (index, bad) in [(0, "\0"), (1, "-1"), (2, "18446744073709551615"), (2, "x")] {
+            let mut args = args.clone();
+            *args.get_mut(index).unwrap() = Bytes::from(bad);
+            assert_eq!(foretell(&args), None, "{bad}");
+        }
+        assert_eq!(foretell(&[]), None);
+    }
 
     #[test]
     fn only_known_encapsulations_pass() {

@@ -71,6 +71,17 @@ pub struct Outcome {
     pub events: Vec<EmittedEvent>,
 }
 
+/// What binds a block to those before it, and to what they did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Seal {
+    /// Block time, microseconds since the UNIX epoch.
+    pub time: u64,
+    /// Hash of the header.
+    pub hash: Hash,
+    /// State digest after the block.
+    pub digest: Hash,
+}
+
 /// Where a transaction is and what became of it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TransactionRecord {
@@ -119,8 +130,8 @@ impl Ledger {
         })?;
         results.align(&tip)?;
         let mut window = Window::default();
-        results.since(tip.time.saturating_sub(NOT_AFTER_AHEAD_MAX), tip.height, |height, result| {
-            remember(&mut window, height, &result);
+        results.since(tip.time.saturating_sub(NOT_AFTER_AHEAD_MAX), tip.height, |height, stored| {
+            remember(&mut window, height, stored.taken());
             Ok(())
         })?;
         window.forget_before(tip.time);
@@ -192,17 +203,18 @@ impl Ledger {
             verified: &|leaf| self.verified.lock().unwrap_or_else(PoisonError::into_inner).take(leaf),
             window: &self.window,
         };
-        let Execution { tip, header, result, transactions, ids, writes } = executor.execute(&previous, entry)?;
+        let Execution { tip, header, result, foretold, transactions, ids, writes } =
+            executor.execute(&previous, entry)?;
         let changed_organisations = writes
             .range::<[u8], _>((Bound::Included(ORGANISATION_KEYS), Bound::Unbounded))
             .next()
             .is_some_and(|(key, _)| key.starts_with(ORGANISATION_KEYS));
         let (hash, digest, kind) = (tip.hash, tip.digest, result.kind());
         // Who sees the block as executed finds all of it.
-        self.results.push(tip.height, &result)?;
+        self.results.push(tip.height, &result, &foretold)?;
         {
             let mut window = self.window.write().unwrap_or_else(PoisonError::into_inner);
-            remember(&mut window, tip.height, &result);
+            remember(&mut window, tip.height, result.taken());
             window.forget_before(tip.time);
         }
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).push(tip.height, &writes);
@@ -337,10 +349,10 @@ impl Ledger {
         }
     }
 
-    fn record(&self, Place { height, position }: Place) -> Result<Option<TransactionRecord>, Rejection> {
-        let Some(block) = self.results.get(height)? else { return Ok(None) };
-        let result = block.results.get(position as usize).cloned();
-        Ok(result.map(|result| TransactionRecord { height, index: position, time: block.time, result }))
+    fn record(&self, place: Place) -> Result<Option<TransactionRecord>, Rejection> {
+        let found = self.results.transaction(place, &self.registry)?;
+        let Place { height, position: index } = place;
+        Ok(found.map(|(time, result)| TransactionRecord { height, index, time, result }))
     }
 
     /// What executing the block at a height gave; none if it was not executed yet, or was dropped.
@@ -348,7 +360,29 @@ impl Ledger {
     /// # Errors
     /// A fault of the store.
     pub fn result(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
-        if height == 0 { Ok(Some(self.genesis.clone())) } else { self.results.get(height) }
+        if height == 0 { Ok(Some(self.genesis.clone())) } else { self.results.whole(height, &self.registry) }
+    }
+
+    /// The same for who has read the block.
+    ///
+    /// # Errors
+    /// As [`Ledger::result`]; [`Code::Corrupt`] if the two do not belong together.
+    pub fn result_of(&self, block: &Entry) -> Result<Option<BlockResult>, Rejection> {
+        let stored = self.results.get(block.index)?;
+        stored.map(|stored| stored.complete(block, &self.registry)).transpose()
+    }
+
+    /// Time, hash and digest of the block at a height; none as for [`Ledger::result`]. Reads less than that.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn seal(&self, height: u64) -> Result<Option<Seal>, Rejection> {
+        if height == 0 {
+            let (hash, digest) = (self.genesis.hash(), self.genesis.digest());
+            return Ok(Some(Seal { time: self.genesis.time, hash, digest }));
+        }
+        let stored = self.results.get(height)?;
+        Ok(stored.map(|stored| Seal { time: stored.time(), hash: stored.hash(), digest: stored.digest() }))
     }
 
     /// The results of executed blocks.
@@ -405,8 +439,8 @@ impl Ledger {
 }
 
 /// Remembers the transactions of a block until block time has passed them.
-fn remember(window: &mut Window, height: u64, result: &BlockResult) {
-    for (position, id, not_after) in result.taken() {
+fn remember(window: &mut Window, height: u64, taken: impl Iterator<Item = (u32, Hash, u64)>) {
+    for (position, id, not_after) in taken {
         window.insert(&id, not_after, Place { height, position });
     }
 }

@@ -52,6 +52,14 @@ pub trait Chaincode: Send + Sync {
     /// [`Code::ChaincodePanic`].
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
 
+    /// What a successful call answers and emits, where the call alone tells. A node then keeps neither: it has the call in
+    /// its block. What differs from what [`Chaincode::invoke`] gave is kept as it was given.
+    ///
+    /// What is said of a call must never change: results that were kept without it are read with it.
+    fn foretell(&self, _function: &str, _args: &[Bytes]) -> Option<Foretold> {
+        None
+    }
+
     /// Must calls of this function overtake data that waits to be ordered? For what ends or hands over control:
     /// release, revoke, stop.
     fn urgent(&self, _function: &str) -> bool {
@@ -82,6 +90,15 @@ pub trait Chaincode: Send + Sync {
     fn may_read(&self, _ctx: &Context<'_>, _event: &Event) -> Result<(), Rejection> {
         Ok(())
     }
+}
+
+/// What [`Chaincode::foretell`] says.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Foretold {
+    /// What the call answers.
+    pub response: Bytes,
+    /// What it emits, in order.
+    pub events: Vec<Event>,
 }
 
 /// What names a revoked certificate: never its fingerprint, because a signature can be rewritten.

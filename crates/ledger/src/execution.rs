@@ -37,6 +37,8 @@ pub(crate) struct Execution {
     pub(crate) tip: Tip,
     pub(crate) header: Header,
     pub(crate) result: BlockResult,
+    /// Which transactions had the response and the events that their calls foretell.
+    pub(crate) foretold: Vec<bool>,
     pub(crate) transactions: Vec<Bytes>,
     /// Id of each transaction; zero where the bytes are no transaction.
     pub(crate) ids: Vec<Hash>,
@@ -64,9 +66,10 @@ impl Executor<'_> {
         let mut taken: HashSet<Hash> = HashSet::new();
         let mut results = Vec::with_capacity(transactions.len());
         let mut ids = Vec::with_capacity(transactions.len());
+        let mut foretold = Vec::with_capacity(transactions.len());
         for (position, (encoded, leaf)) in (0u32..).zip(transactions.iter().zip(leaves.iter().flatten())) {
             let mut emitted = Vec::new();
-            let (mut id, mut not_after) = (Hash::ZERO, None);
+            let (mut id, mut not_after, mut as_foretold) = (Hash::ZERO, None, false);
             let outcome = Transaction::decode(encoded.clone()).and_then(|transaction| {
                 id = transaction.id();
                 self.check_first(&transaction, &taken, time)?;
@@ -80,13 +83,21 @@ impl Executor<'_> {
                 let body = transaction.body();
                 let environment =
                     Environment { submitter: Some(&identity), transaction: id, ..self.environment(&header) };
-                Registry::invoke(environment, &mut overlay, &mut emitted, &body.chaincode, &body.function, &body.args)
+                let (chaincode, function, args) = (&body.chaincode, &body.function, &body.args);
+                let response = Registry::invoke(environment, &mut overlay, &mut emitted, chaincode, function, args)?;
+                let told = self.registry.foretell(chaincode, function, args);
+                as_foretold = told.is_some_and(|told| told.response == response && told.events == emitted);
+                Ok(response)
             });
             ids.push(id);
+            foretold.push(as_foretold);
             let id_bytes = if id == Hash::ZERO { Bytes::new() } else { Bytes::copy_from_slice(&id.0) };
             results.push(TransactionResult { id: id_bytes, not_after, ..outcome.into() });
             events.extend(emitted.into_iter().map(|event| EmittedEvent { index: Some(position), event }));
         }
+
+        // Many blocks are kept in memory for their readers.
+        events.shrink_to_fit();
 
         if kind == BlockKind::Membership
             && let Some(members) = governance::members(&*self.state)?.after(entry)
@@ -107,7 +118,7 @@ impl Executor<'_> {
             events,
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
-        Ok(Execution { tip, header, result, transactions, ids, writes })
+        Ok(Execution { tip, header, result, foretold, transactions, ids, writes })
     }
 
     fn environment(&self, header: &Header) -> Environment<'_> {

@@ -35,8 +35,10 @@ pub mod verify;
 pub mod writes;
 
 pub use bytes::Bytes;
-pub use chain::{Admission, Ledger, Outcome, Refusal, TransactionRecord};
-pub use chaincode::{Chaincode, Context, Environment, Event, Overlay, Registry, Revocation, StateRead, WriteSet};
+pub use chain::{Admission, Ledger, Outcome, Refusal, Seal, TransactionRecord};
+pub use chaincode::{
+    Chaincode, Context, Environment, Event, Foretold, Overlay, Registry, Revocation, StateRead, WriteSet,
+};
 pub use code::{Class, Code};
 pub use hash::Hash;
 pub use rejection::Rejection;

@@ -4,22 +4,31 @@
 //! executed again. What was not flushed yet is in memory. [`ResultStore::flush`] makes results durable before the world
 //! state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut off.
 //!
-//! A file holds some 16 MiB and is named by its first height. While it is written, its index of ids is in memory; when it
+//! A node that has the blocks keeps only what they do not tell: a call's arguments are in its block, and what it answers
+//! and emits often says the same again ([`Chaincode::foretell`](crate::Chaincode::foretell)).
+//!
+//! A file holds some 4 MiB and is named by its first height. While it is written, its index of ids is in memory; when it
 //! is finished, a sorted table at its end. Old files are dropped as a whole.
 
+mod beside;
 mod file;
 mod index;
 mod open;
+mod stored;
 mod window;
 mod write;
 
+pub use beside::Blocks;
+pub(crate) use stored::StoredResult;
 pub(crate) use window::{Place, Window};
 
 use crate::Hash;
+use crate::chaincode::Registry;
 use crate::code::Code;
 use crate::disk::{Disk, DiskFile};
 use crate::rejection::Rejection;
-use crate::result::BlockResult;
+use crate::result::{BlockResult, TransactionResult};
+use beside::Completing;
 use bytes::Bytes;
 use file::{Records, ResultFile, Spot, beginnings};
 use std::collections::VecDeque;
@@ -27,7 +36,7 @@ use std::io::{self, ErrorKind};
 use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 /// A file of this size is finished and the next one begun.
-pub const RESULTS_FILE_BYTES_MAX: u64 = 16 * 1024 * 1024;
+pub const RESULTS_FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
 /// Name of the directory of results in a node's data directory.
 pub const RESULTS_DIRECTORY: &str = "results";
 
@@ -35,6 +44,8 @@ pub const RESULTS_DIRECTORY: &str = "results";
 pub struct ResultStore {
     /// None keeps results in memory until they are flushed, and then forgets them.
     disk: Option<Arc<dyn Disk>>,
+    /// What results are kept beside; without it they are kept whole.
+    blocks: Option<Arc<dyn Blocks>>,
     network: Hash,
     inner: RwLock<Inner>,
     /// Held while files are written.
@@ -87,7 +98,14 @@ impl ResultStore {
         let last = open.as_ref().map(|open| &open.content).or_else(|| files.back().map(|file| &**file));
         let next = last.map_or(1, ResultFile::next);
         let inner = Inner { files, open, pending: VecDeque::new(), bytes: 0, next };
-        Self { disk, network, inner: RwLock::new(inner), writing: Mutex::default() }
+        Self { disk, blocks: None, network, inner: RwLock::new(inner), writing: Mutex::default() }
+    }
+
+    /// From now on keeps of a result only what these blocks do not tell. They must have every block whose result is taken,
+    /// and keep it as long as the result.
+    #[must_use]
+    pub fn beside(self, blocks: Arc<impl Blocks + 'static>) -> Self {
+        Self { blocks: Some(blocks), ..self }
     }
 
     /// Does it keep what is flushed?
@@ -112,10 +130,23 @@ impl ResultStore {
         self.read().bytes
     }
 
-    /// Takes the result of the next block.
-    pub(crate) fn push(&self, height: u64, result: &BlockResult) -> Result<(), Rejection> {
+    /// Takes the result of the next block, which these [blocks](Self::beside) have. `foretold` says which transactions came
+    /// out as their calls foretell.
+    pub(crate) fn push(&self, height: u64, result: &BlockResult, foretold: &[bool]) -> Result<(), Rejection> {
+        match self.blocks {
+            Some(_) if !foretold.is_empty() => self.take(height, &StoredResult::short(result, foretold)),
+            _ => self.take(height, &StoredResult::whole(result.clone())),
+        }
+    }
+
+    /// Takes the result of the next block, which nobody here has.
+    pub(crate) fn push_whole(&self, height: u64, result: BlockResult) -> Result<(), Rejection> {
+        self.take(height, &StoredResult::whole(result))
+    }
+
+    fn take(&self, height: u64, stored: &StoredResult) -> Result<(), Rejection> {
         let pending =
-            Pending { height, time: result.time, bytes: result.to_bytes(), taken: beginnings(result).collect() };
+            Pending { height, time: stored.time(), bytes: stored.to_bytes(), taken: beginnings(stored).collect() };
         let mut inner = self.write();
         if height != inner.next {
             return Err(Rejection::new(Code::Internal, "a result does not follow the last one")
@@ -128,11 +159,42 @@ impl ResultStore {
         Ok(())
     }
 
-    /// The result of the block at a height; none if there is none or it was dropped.
+    /// The whole result of the block at a height; none if there is none or it was dropped.
+    ///
+    /// # Errors
+    /// As [`ResultStore::get`].
+    pub(crate) fn whole(&self, height: u64, registry: &Registry) -> Result<Option<BlockResult>, Rejection> {
+        match self.get(height)? {
+            Some(stored) => self.completing(registry, height).complete(height, stored),
+            None => Ok(None),
+        }
+    }
+
+    /// What became of a transaction, and the time of its block; none if that was dropped.
+    ///
+    /// # Errors
+    /// As [`ResultStore::get`].
+    pub(crate) fn transaction(
+        &self,
+        place: Place,
+        registry: &Registry,
+    ) -> Result<Option<(u64, TransactionResult)>, Rejection> {
+        let Some(stored) = self.get(place.height)? else { return Ok(None) };
+        let time = stored.time();
+        let result = self.completing(registry, place.height).transaction(place, stored)?;
+        Ok(result.map(|result| (time, result)))
+    }
+
+    /// Completes results up to a height.
+    pub(crate) fn completing<'a>(&'a self, registry: &'a Registry, last: u64) -> Completing<'a> {
+        Completing::new(self.blocks.as_deref(), registry, last)
+    }
+
+    /// What is kept of the result of the block at a height; none if there is none or it was dropped.
     ///
     /// # Errors
     /// [`Code::DiskFailed`]; [`Code::Corrupt`] if it is damaged: the results are to be made again from the blocks.
-    pub fn get(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
+    pub(crate) fn get(&self, height: u64) -> Result<Option<StoredResult>, Rejection> {
         let located = self.read().locate(height);
         // Files are read without a lock.
         let bytes = match located {
@@ -144,7 +206,7 @@ impl ResultStore {
                 spot.read(&*file).map_err(|error| failed("read", first, &error))?
             }
         };
-        BlockResult::from_bytes(bytes).map(Some)
+        StoredResult::from_bytes(bytes).map(Some)
     }
 
     /// Where the transaction was executed. Takes milliseconds in a long history; the window answers for the last seconds.
@@ -184,8 +246,7 @@ impl ResultStore {
     /// The place among these that is really of this id.
     fn first_of(&self, id: &Hash, places: &[Place]) -> Result<Option<Place>, Rejection> {
         for place in places {
-            let Some(block) = self.get(place.height)? else { continue };
-            if block.results.get(place.position as usize).is_some_and(|result| result.id() == *id) {
+            if self.get(place.height)?.is_some_and(|stored| stored.has(place.position, id)) {
                 return Ok(Some(*place));
             }
         }
@@ -197,7 +258,7 @@ impl ResultStore {
         &self,
         time: u64,
         last: u64,
-        mut each: impl FnMut(u64, BlockResult) -> Result<(), Rejection>,
+        mut each: impl FnMut(u64, StoredResult) -> Result<(), Rejection>,
     ) -> Result<(), Rejection> {
         let files: Vec<Records> = {
             let inner = self.read();
@@ -206,8 +267,8 @@ impl ResultStore {
             all.filter(|records| records.next > records.first && records.newest >= time).collect()
         };
         let mut give = |height: u64, bytes: Bytes| {
-            let result = BlockResult::from_bytes(bytes)?;
-            if result.time >= time && height <= last { each(height, result) } else { Ok(()) }
+            let stored = StoredResult::from_bytes(bytes)?;
+            if stored.time() >= time && height <= last { each(height, stored) } else { Ok(()) }
         };
         let mut next = None;
         for records in files {

@@ -30,6 +30,7 @@ pub use items::Item;
 pub use manifest::{CHUNK_BYTES_MAX, CHUNKS_MAX, Chunk, MANIFEST_BYTES_MAX, Manifest};
 
 use crate::Hash;
+use crate::chaincode::Registry;
 use crate::code::Code;
 use crate::disk::Disk;
 use crate::rejection::Rejection;
@@ -104,13 +105,18 @@ impl Snapshots {
     }
 
     /// Makes the snapshot of what a state has stored; does nothing if it is there.
-    pub(crate) fn make(&self, network: Hash, tip: &Tip, state: &State, results: &ResultStore) -> Result<(), Rejection> {
+    pub(crate) fn make(
+        &self,
+        tip: &Tip,
+        state: &State,
+        (results, registry): (&ResultStore, &Registry),
+    ) -> Result<(), Rejection> {
         let _one = self.making.lock().unwrap_or_else(PoisonError::into_inner);
         if self.get(tip.height).is_some() {
             return Ok(());
         }
         let part = format!("{}.new", file::name(tip.height));
-        build::build(&*self.disk, &part, network, tip, state, results)?;
+        build::build((&*self.disk, &part), self.network, tip, state, (results, registry))?;
         self.keep(&part, tip.height).map(drop)
     }
 

@@ -8,7 +8,7 @@ use std::collections::VecDeque;
 /// Most blocks whose writes are kept.
 pub const WRITES_BLOCKS_MAX: usize = 4096;
 /// Most bytes of keys and values that are kept.
-pub const WRITES_BYTES_MAX: usize = 8 * 1024 * 1024;
+pub const WRITES_BYTES_MAX: usize = 4 * 1024 * 1024;
 
 /// One write of a block.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -111,7 +111,7 @@ mod tests {
         (1..=WRITES_BLOCKS_MAX as u64 + 10).for_each(|height| recent.push(height, &WriteSet::new()));
         assert!(recent.get(10).is_none() && recent.get(11).is_some());
         (1..=20).for_each(|height| recent.push(WRITES_BLOCKS_MAX as u64 + 10 + height, &writes(1024 * 1024)));
-        assert!(recent.bytes <= WRITES_BYTES_MAX && recent.blocks.len() == 7);
+        assert!(recent.bytes <= WRITES_BYTES_MAX && recent.blocks.len() == 3);
         recent.push(WRITES_BLOCKS_MAX as u64 + 31, &writes(WRITES_BYTES_MAX));
         assert!(recent.blocks.is_empty());
     }

@@ -51,7 +51,7 @@ impl Ledger {
         if stored.height == 0 || !stored.height.is_multiple_of(self.snapshot_every) {
             return;
         }
-        if let Err(fault) = snapshots.make(self.network, stored, &self.state, &self.results) {
+        if let Err(fault) = snapshots.make(stored, &self.state, (&self.results, &self.registry)) {
             // The next one may succeed; blocks are kept until one does.
             tracing::error!(height = stored.height, %fault, "cannot make a snapshot");
         }

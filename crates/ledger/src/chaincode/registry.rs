@@ -2,11 +2,12 @@
 
 use super::context::{Context, Environment, run};
 use super::overlay::Overlay;
-use super::{Chaincode, Event};
+use super::{Chaincode, Event, Foretold};
 use crate::code::Code;
 use crate::rejection::Rejection;
 use bytes::Bytes;
 use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 /// The chaincodes that a node has installed, by name. Every node of a network needs the same ones.
@@ -79,6 +80,12 @@ impl Registry {
     ) -> Result<Bytes, Rejection> {
         let callee = environment.registry.find(chaincode)?;
         run(environment, callee.name(), 0, overlay, events, |ctx| callee.invoke(ctx, function, args))
+    }
+
+    /// What a successful call answers and emits, if the call alone tells ([`Chaincode::foretell`]).
+    pub(crate) fn foretell(&self, chaincode: &str, function: &str, args: &[Bytes]) -> Option<Foretold> {
+        let callee = self.chaincodes.get(chaincode)?;
+        catch_unwind(AssertUnwindSafe(|| callee.foretell(function, args))).ok().flatten()
     }
 
     /// Runs a hook of one chaincode; a hook that panics leaves nothing behind.

@@ -1,8 +1,8 @@
 //! One file of results: its bytes, and reading them.
 
 use super::index::{self, Item, PAGE_BYTES};
+use super::stored::StoredResult;
 use crate::disk::DiskFile;
-use crate::result::BlockResult;
 use crate::segment::Window;
 use bytes::Bytes;
 use std::collections::BTreeSet;
@@ -13,10 +13,12 @@ use std::sync::Arc;
 /// CRC-32C of these, zero `u32`.
 pub(super) const HEAD_BYTES: u64 = 64;
 const MAGIC: &[u8; 8] = b"LEDGRRES";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// Bytes before the result in a record: its length `u32` LE, then CRC-32C of (height `u64` LE, the result).
 pub(super) const RECORD_HEAD_BYTES: u64 = 8;
+/// A record is not smaller: head, hash and digest.
+pub(super) const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 66;
 
 /// Bytes of the end of a finished file: `LEDGREND`, then, LE, first height `u64`, blocks `u64`, end of the records `u64`,
 /// pages of the index `u32`, marks `u32`, times of the first and of the last block `u64`, CRC-32C of the marks and of these.
@@ -227,8 +229,9 @@ impl ResultFile {
                 Err(error) if error.kind() == ErrorKind::InvalidData => break,
                 stored => stored?,
             };
-            let Ok(result) = BlockResult::from_bytes(stored.bytes.clone()) else { break };
-            found.add(stored.bytes.len(), result.time, beginnings(&result));
+            let bytes = stored.bytes.len();
+            let Ok(result) = StoredResult::from_bytes(stored.bytes) else { break };
+            found.add(bytes, result.time(), beginnings(&result));
         }
         Ok(Some(found))
     }
@@ -281,8 +284,8 @@ impl Records {
             let middle = low + (high - low) / 2;
             let height = self.first + middle * MARK_EVERY;
             let stored = read_record(&mut file, height, self.offset(middle), self.end)?;
-            let result = BlockResult::from_bytes(stored.bytes);
-            let older = result.map_err(|fault| io::Error::new(ErrorKind::InvalidData, fault.message))?.time < time;
+            let result = StoredResult::from_bytes(stored.bytes);
+            let older = result.map_err(|fault| io::Error::new(ErrorKind::InvalidData, fault.message))?.time() < time;
             (low, high) = if older { (middle + 1, high) } else { (low, middle) };
         }
         Ok(low.saturating_sub(1))
@@ -317,7 +320,7 @@ impl Source for Window {
 }
 
 /// Position and beginning of the ids that a block has taken.
-pub(super) fn beginnings(result: &BlockResult) -> impl Iterator<Item = (u32, u64)> + '_ {
+pub(super) fn beginnings(result: &StoredResult) -> impl Iterator<Item = (u32, u64)> + '_ {
     result.taken().map(|(position, id, _)| (position, index::beginning(&id)))
 }
 

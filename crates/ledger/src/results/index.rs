@@ -1,7 +1,10 @@
 //! Finding a transaction by its id: a set while its file is written, a sorted table at its end afterwards.
 
+use super::RESULTS_FILE_BYTES_MAX;
+use super::file::RECORD_BYTES_MIN;
 use super::window::Place;
 use crate::Hash;
+use crate::block::TRANSACTIONS_MAX;
 use crate::disk::DiskFile;
 use std::collections::BTreeSet;
 use std::io;
@@ -9,9 +12,13 @@ use std::io;
 /// Bytes of a page of the table.
 pub(super) const PAGE_BYTES: usize = 4096;
 /// Bytes of one item.
-const ITEM_BYTES: usize = 16;
+const ITEM_BYTES: usize = 12;
 /// Items of a page.
-const PAGE_ITEMS: usize = 255;
+const PAGE_ITEMS: usize = 340;
+/// An item holds block and position in one number, the position in so many of its bits.
+const POSITION_BITS: u32 = 12;
+const _: () = assert!(TRANSACTIONS_MAX <= 1 << POSITION_BITS);
+const _: () = assert!(RESULTS_FILE_BYTES_MAX / RECORD_BYTES_MIN < 1 << (u32::BITS - POSITION_BITS));
 /// Where a page says how many items it has; its CRC follows after zeros.
 const COUNT_AT: usize = PAGE_ITEMS * ITEM_BYTES;
 const CRC_AT: usize = PAGE_BYTES - 4;
@@ -39,8 +46,8 @@ pub(super) fn beginning(Hash(id): &Hash) -> u64 {
     id.iter().take(8).fold(0, |number, byte| number << 8 | u64::from(*byte))
 }
 
-/// The pages of a table: of items in order, at most 255 each 16 bytes (id `u64`, block `u32`, position `u32`, all LE),
-/// then their number `u32`, zeros, and CRC-32C of all before it.
+/// The pages of a table: of items in order, at most 340 each 12 bytes (id `u64`; block and position, `u32`: the position in
+/// the lower 12 bits; all LE), then their number `u32`, zeros, and CRC-32C of all before it.
 pub(super) fn pages(items: &BTreeSet<Item>) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(items.len().div_ceil(PAGE_ITEMS) * PAGE_BYTES);
     let mut items = items.iter().peekable();
@@ -49,8 +56,7 @@ pub(super) fn pages(items: &BTreeSet<Item>) -> Vec<u8> {
         let mut count = 0u32;
         for item in items.by_ref().take(PAGE_ITEMS) {
             page.extend(item.id.to_le_bytes());
-            page.extend(item.block.to_le_bytes());
-            page.extend(item.position.to_le_bytes());
+            page.extend((item.block << POSITION_BITS | item.position).to_le_bytes());
             count += 1;
         }
         page.resize(COUNT_AT, 0);
@@ -93,13 +99,10 @@ fn page(file: &dyn DiskFile, start: u64, number: u32) -> io::Result<Vec<Item>> {
     let (items, rest) = content.split_at_checked(COUNT_AT).ok_or_else(damaged)?;
     let count = rest.first_chunk().map_or(0, |count| u32::from_le_bytes(*count));
     let read = items.chunks_exact(ITEM_BYTES).take(count as usize).filter_map(|item| {
-        let (id, rest) = item.split_first_chunk()?;
-        let (block, position) = rest.split_first_chunk()?;
-        Some(Item {
-            id: u64::from_le_bytes(*id),
-            block: u32::from_le_bytes(*block),
-            position: u32::from_le_bytes(*position.first_chunk()?),
-        })
+        let (id, place) = item.split_first_chunk()?;
+        let place = u32::from_le_bytes(*place.first_chunk()?);
+        let (block, position) = (place >> POSITION_BITS, place & ((1 << POSITION_BITS) - 1));
+        Some(Item { id: u64::from_le_bytes(*id), block, position })
     });
     Ok(read.collect())
 }

@@ -25,7 +25,7 @@ impl ResultStore {
             let piece = self.piece(height);
             let Some(first) = piece.first() else { break };
             let (file, end) = self.file_for(&**disk, first.height)?;
-            let mut bytes = Vec::with_capacity(PIECE_BYTES);
+            let mut bytes = Vec::with_capacity(piece.iter().map(|pending| pending.weight()).sum());
             for pending in &piece {
                 encode_record(pending.height, &pending.bytes, &mut bytes);
             }

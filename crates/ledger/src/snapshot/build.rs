@@ -3,6 +3,7 @@
 use super::manifest::{CHUNK_BYTES_MAX, CHUNKS_MAX, Chunk, Manifest};
 use super::{damaged, failed, file, items};
 use crate::Hash;
+use crate::chaincode::Registry;
 use crate::code::Code;
 use crate::disk::{Disk, DiskFile};
 use crate::rejection::Rejection;
@@ -16,12 +17,11 @@ const PAIRS_AT_ONCE: usize = 64;
 
 /// Writes the snapshot of the stored state to a file. Nobody may store meanwhile.
 pub(super) fn build(
-    disk: &dyn Disk,
-    name: &str,
+    (disk, name): (&dyn Disk, &str),
     network: Hash,
     tip: &Tip,
     state: &State,
-    results: &ResultStore,
+    (results, registry): (&ResultStore, &Registry),
 ) -> Result<(), Rejection> {
     let file = disk.create(name).map_err(|error| failed("create", name, &error))?;
     let mut chunks = Chunks::begin(&file, name)?;
@@ -35,7 +35,11 @@ pub(super) fn build(
             chunks.cut()?;
         }
     }
-    results.since(tip.time.saturating_sub(NOT_AFTER_AHEAD_MAX), tip.height, |height, result| {
+    let mut completing = results.completing(registry, tip.height);
+    results.since(tip.time.saturating_sub(NOT_AFTER_AHEAD_MAX), tip.height, |height, stored| {
+        let result = completing.complete(height, stored)?;
+        let result = result
+            .ok_or_else(|| Rejection::new(Code::Corrupt, format!("block {height}, of the last 120 s, is not there")))?;
         items::put_result(height, &result.determined().to_bytes(), &mut chunks.stream);
         chunks.cut()
     })?;

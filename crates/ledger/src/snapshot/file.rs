@@ -158,10 +158,10 @@ impl Snapshot {
         let filled = State::fill(store, pairs)?;
         let (height, result) = first.ok_or_else(|| damaged(&self.name, "it has no results"))?;
         results.begin(height)?;
-        results.push(height, &result)?;
+        results.push_whole(height, result)?;
         for item in items {
             if let Item::Result(height, result) = item? {
-                results.push(height, &result)?;
+                results.push_whole(height, result)?;
                 if results.is_durable() && results.pending_bytes() >= CHUNK_BYTES_MAX {
                     results.flush(height)?;
                 }

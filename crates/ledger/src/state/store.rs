@@ -12,7 +12,11 @@ use std::sync::{PoisonError, RwLock};
 use std::time::Duration;
 
 /// Bytes of sled's page cache: small, for a node on a robot; hot keys live in [`super::State`]'s memory anyway.
-const CACHE_BYTES: u64 = 16 * 1024 * 1024;
+const CACHE_BYTES: u64 = 4 * 1024 * 1024;
+
+/// Bytes of sled's segments: its files grow, and its buffers are made, by so much. Pages hold at most 16 keys; those that are
+/// larger than a quarter of this go into files of their own.
+const SEGMENT_BYTES: usize = 128 * 1024;
 
 /// How often, and after which pause, a store is tried again whose lock is held.
 const LOCK_ATTEMPTS_MAX: u32 = 100;
@@ -78,8 +82,12 @@ impl SledStore {
 }
 
 fn open(directory: &Path) -> Result<sled::Db, Rejection> {
-    let config =
-        sled::Config::new().path(directory).flush_every_ms(None).cache_capacity(CACHE_BYTES).mode(sled::Mode::LowSpace);
+    let config = sled::Config::new()
+        .path(directory)
+        .flush_every_ms(None)
+        .cache_capacity(CACHE_BYTES)
+        .segment_size(SEGMENT_BYTES)
+        .mode(sled::Mode::LowSpace);
     let mut opened = catch_unwind(AssertUnwindSafe(|| config.open()));
     for _ in 0..LOCK_ATTEMPTS_MAX {
         if !matches!(&opened, Ok(Err(sled::Error::Io(error))) if error.to_string().starts_with(LOCKED)) {

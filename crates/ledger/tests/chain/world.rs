@@ -8,7 +8,9 @@ use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION
 use ledger::results::ResultStore;
 use ledger::state::{MemoryState, SledStore, State};
 use ledger::transaction::{Body, Transaction};
-use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Outcome, Registry, Rejection, Revocation};
+use ledger::{
+    Bytes, Chaincode, Code, Context, Event, Foretold, Hash, Ledger, Outcome, Registry, Rejection, Revocation,
+};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use ring::rand::SystemRandom;
 use std::path::Path;
@@ -94,6 +96,13 @@ impl Chaincode for Notes {
                 ctx.emit("noted", std::str::from_utf8(key).unwrap(), value.clone());
                 Ok(ctx.submitter()?.id().into())
             }
+            // Comes out as it is foretold, with one exception.
+            ("foretold", [key, value]) => {
+                let subject = if key == "otherwise" { "not as foretold" } else { std::str::from_utf8(key).unwrap() };
+                ctx.put(key, value.clone());
+                ctx.emit("noted", subject, value.clone());
+                Ok(value.clone())
+            }
             ("get", [key]) => Ok(ctx.get(key).unwrap_or_default()),
             ("put-then-panic", [key]) => {
                 ctx.put(key, "never");
@@ -117,6 +126,13 @@ impl Chaincode for Notes {
             }
             _ => Err(Rejection::unknown_function("notes", function, &["put", "get"])),
         }
+    }
+
+    fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {
+        let ("foretold", [key, value]) = (function, args) else { return None };
+        let subject = String::from_utf8(key.to_vec()).ok()?;
+        let noted = Event { chaincode: "notes".into(), name: "noted".into(), subject, payload: value.clone() };
+        Some(Foretold { response: value.clone(), events: vec![noted] })
     }
 
     fn begin_block(&self, ctx: &mut Context<'_>) {

@@ -31,7 +31,7 @@ pub struct Opened {
 /// What the node would say, and end.
 pub fn open(
     node: &mut Node,
-    store: &BlockStore,
+    store: &Arc<BlockStore>,
     (genesis, network): (&[u8], Hash),
     abac: &Arc<dyn Chaincode>,
 ) -> Result<Opened, Rejection> {
@@ -73,10 +73,10 @@ fn open_ledger(
     node: &Node,
     (genesis, network): (&[u8], Hash),
     abac: &Arc<dyn Chaincode>,
-    store: &BlockStore,
+    store: &Arc<BlockStore>,
     snapshots: &Snapshots,
 ) -> Result<(Arc<State>, Ledger), Rejection> {
-    let results = ResultStore::open(Arc::new(node.results.clone()), network)?;
+    let results = ResultStore::open(Arc::new(node.results.clone()), network)?.beside(Arc::clone(store));
     if store.first_index() > 1 && Store::range(&node.shelf, b"", None, 1)?.is_empty() {
         let usable = snapshots.newest().filter(|snapshot| snapshot.manifest().height + 1 >= store.first_index());
         let missing =
