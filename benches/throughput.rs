@@ -61,7 +61,8 @@ fn main() {
 }
 
 fn ledgerd(runtime: &Runtime, duration: Duration) -> Vec<Value> {
-    let network = runtime.block_on(Network::start(PAPER));
+    // So many in flight wait longer than commands should: here they may.
+    let network = runtime.block_on(Network::start_with(PAPER, "[order]\nwait_ms = 60000\n"));
     let operator = Arc::new(runtime.block_on(network.operator("Turtlebot4")));
     println!(
         "\nvoter and learner; per transaction: CPU of the nodes and of the client, bytes on both disks and the wire"

@@ -123,6 +123,7 @@ impl Conductor {
         let mut settings = EngineConfig::new(self.id, ledger.members()?, crate::random::number()?);
         settings.applied = ledger.tip().height;
         settings.election_tick = count(self.order.election_ticks);
+        settings.data_wait_us = self.order.wait_ms.saturating_mul(1000);
         settings.heartbeat_tick = (settings.election_tick / 5).max(1);
         let engine = Engine::new(settings, Arc::clone(store))
             .map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;

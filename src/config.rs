@@ -55,7 +55,7 @@ pub struct Config {
 pub struct Limits {
     /// Bytes of one transaction.
     pub payload_bytes_max: u64,
-    /// Transactions that are accepted and not answered yet.
+    /// Transactions that have come and are not answered yet.
     pub in_flight_max: u64,
     /// Subscriptions that are open at a time.
     pub subscribers_max: u64,
@@ -79,6 +79,8 @@ pub struct Order {
     pub tick_ms: u64,
     /// Ticks without a leader after which a new one is elected.
     pub election_ticks: u64,
+    /// How long data waits at most to be looked at, and again for its block, in milliseconds; then it is refused.
+    pub wait_ms: u64,
     /// Between two attestations, in milliseconds.
     pub attest_ms: u64,
     /// How long processors are kept awake for a transaction in flight, at most, in microseconds; 0 = they may sleep.
@@ -119,7 +121,7 @@ impl Default for Config {
             listen: "127.0.0.1:7450".into(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
-            order: Order { tick_ms: 50, election_ticks: 10, attest_ms: 10_000, awake_us: 2000 },
+            order: Order { tick_ms: 50, election_ticks: 10, wait_ms: 200, attest_ms: 10_000, awake_us: 2000 },
             ca: Ca {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
                 secret_days: CertificateAuthority::SECRET_DAYS,
@@ -235,6 +237,7 @@ impl Config {
         root.section("order", |s| {
             s.integer("tick_ms", 1..=10_000, &mut order.tick_ms);
             s.integer("election_ticks", 2..=1000, &mut order.election_ticks);
+            s.integer("wait_ms", 10..=60_000, &mut order.wait_ms);
             s.integer("attest_ms", 100..=3_600_000, &mut order.attest_ms);
             s.integer("awake_us", 0..=1_000_000, &mut order.awake_us);
         });

@@ -1,6 +1,8 @@
 //! The gateway: the gRPC API of the node for clients and bridges (crates/api/proto/ledgerd/v1/gateway.proto).
 
+mod line;
 mod reads;
+mod share;
 mod submit;
 mod subscribe;
 mod transfer;
@@ -13,7 +15,7 @@ use crate::denials::Denials;
 use crate::listen::Caller;
 use crate::orderer::{Executed, Reads, Seat};
 use crate::peers::{Directory, Member, Peers};
-use crate::waiters::{Waiter, Waiters};
+use crate::waiters::Waiters;
 use crate::witness::Witness;
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
@@ -24,13 +26,15 @@ use ledger_api::v1::{
     QueryResponse, StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
     TransferLeadershipRequest, TransferLeadershipResponse,
 };
+pub(crate) use share::{Place, Shares};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
-use std::time::Instant;
-use tokio::sync::{Semaphore, mpsc};
+use std::time::{Duration, Instant};
+use submit::Verdicts;
+use tokio::sync::mpsc;
 use tokio_stream::Stream;
-use tokio_stream::wrappers::{ReceiverStream, UnboundedReceiverStream};
+use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
 /// The gateway of a node; cheap to clone.
@@ -52,7 +56,7 @@ pub(crate) struct NodeView {
     /// Clients that wait.
     pub waiters: Arc<Waiters>,
     /// What was refused.
-    pub denials: Denials,
+    pub denials: Arc<Denials>,
     /// Where ordering is, when it is.
     pub seat: Arc<Seat>,
     /// Linearizable reads that wait.
@@ -65,8 +69,10 @@ pub(crate) struct NodeView {
     pub peers: Arc<Peers>,
     /// Limits of the configuration.
     pub limits: Limits,
-    /// Transactions that may be in flight.
-    pub in_flight: Arc<Semaphore>,
+    /// What each identity has in flight.
+    pub shares: Shares,
+    /// Longest time that data waits until it is looked at.
+    pub wait_max: Duration,
     /// Open subscriptions.
     pub subscribers: Arc<AtomicU64>,
     /// Is there too little space to promise anything?
@@ -107,21 +113,21 @@ impl NodeView {
 #[tonic::async_trait]
 impl Gateway for GatewayService {
     async fn submit(&self, request: Request<SubmitRequest>) -> Result<Response<SubmitResponse>, Status> {
-        self.caller(&request)?;
+        let share = self.node.shares.of(self.caller(&request)?.id());
         let (answers, mut answer) = mpsc::unbounded_channel();
-        let permit = self.permit().await?;
-        self.node.submit(request.into_inner(), Waiter { answers, _permit: permit }).await;
+        self.node.submit_one(request.into_inner(), &share, &answers).await;
+        drop(answers);
         answer.recv().await.ok_or_else(|| Status::unavailable("the node is stopping"))?.map(Response::new)
     }
 
-    type SubmitStreamStream = UnboundedReceiverStream<Result<SubmitResponse, Status>>;
+    type SubmitStreamStream = Verdicts;
 
     async fn submit_stream(
         &self,
         request: Request<Streaming<SubmitRequest>>,
     ) -> Result<Response<Self::SubmitStreamStream>, Status> {
-        self.caller(&request)?;
-        Ok(Response::new(submit::stream(self.clone(), request.into_inner())))
+        let share = self.node.shares.of(self.caller(&request)?.id());
+        Ok(Response::new(submit::stream(self.clone(), share, request.into_inner())))
     }
 
     async fn query(&self, request: Request<QueryRequest>) -> Result<Response<QueryResponse>, Status> {

@@ -10,7 +10,7 @@ use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::{self, EnrolmentService};
-use crate::gateway::{GatewayService, NodeView};
+use crate::gateway::{GatewayService, NodeView, Shares};
 use crate::housekeeping::Housekeeping;
 use crate::identity::{Joined, own_membership, removed};
 use crate::listen::accept;
@@ -40,7 +40,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 use tonic::transport::Server;
@@ -158,6 +158,8 @@ impl Node {
         };
         let peers = Peers::new(dialer.clone());
         let (reads, executed) = (Arc::new(Reads::default()), Arc::new(Executed::default()));
+        let denials = Arc::new(Denials::default());
+        let workers = tokio::runtime::Handle::current().metrics().num_workers();
         let (witness, seen) = Witness::new();
         let awake = Awake::start(Duration::from_micros(config.order.awake_us))
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
@@ -180,6 +182,7 @@ impl Node {
             start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
             disk_full: Arc::clone(&disk_full),
             executed: Arc::clone(&executed),
+            denials: Arc::clone(&denials),
             witness: Arc::clone(&witness),
             awake: Arc::clone(&awake),
         });
@@ -202,14 +205,15 @@ impl Node {
             ledger: Arc::clone(&ledger),
             blocks,
             waiters,
-            denials: Denials::default(),
+            denials,
             seat: Arc::clone(&seat),
             reads,
             executed,
             directory: Arc::clone(&directory),
             peers: Arc::clone(&peers),
             limits: config.limits.clone(),
-            in_flight: Arc::new(Semaphore::new(count(config.limits.in_flight_max).min(Semaphore::MAX_PERMITS))),
+            shares: Shares::new(count(config.limits.in_flight_max), workers),
+            wait_max: Duration::from_millis(config.order.wait_ms),
             subscribers: Arc::new(AtomicU64::new(0)),
             disk_full,
             witness,
@@ -329,7 +333,7 @@ impl Node {
         }
         self.view.hand_over().await;
         self.beside.iter().for_each(JoinHandle::abort);
-        self.view.in_flight.close();
+        self.view.shares.close();
         self.stop.send_replace(true);
         let mut server = self.server;
         if tokio::time::timeout(STOP_TIME_MAX, &mut server).await.is_err() {

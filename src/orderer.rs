@@ -28,6 +28,7 @@ use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::catch_up::Behind;
 use crate::clock::Clock;
+use crate::denials::Denials;
 use crate::peers::{Directory, Peers};
 use crate::waiters::Waiters;
 use crate::witness::Witness;
@@ -79,6 +80,8 @@ pub(crate) struct Shared {
     pub disk_full: Arc<AtomicBool>,
     /// What was executed, by number of the verdict's code.
     pub executed: Arc<Executed>,
+    /// What was refused, here also by ordering.
+    pub denials: Arc<Denials>,
     /// Compares what others attest.
     pub witness: Arc<Witness>,
     /// Keeps the processors awake.

@@ -1,5 +1,6 @@
 //! Clients that wait for the verdict on a transaction.
 
+use crate::gateway::Place;
 use ledger::result::TransactionResult;
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code, Hash, Ledger, Outcome, Rejection, TransactionRecord};
@@ -8,18 +9,18 @@ use ledger_raft::Lane;
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
+use tokio::sync::mpsc;
 use tonic::Status;
 
 /// After this long without a verdict a client is told that the outcome is unknown; it retries with the same id.
 const WAIT_MAX: Duration = Duration::from_secs(10);
 
-/// Where an answer goes. The permit counts the transaction as in flight until it is answered.
+/// Where an answer goes. The place counts the transaction as in flight until it is answered.
 pub(crate) struct Waiter {
     /// The client's stream, or the call that waits for one answer.
     pub answers: mpsc::UnboundedSender<Result<SubmitResponse, Status>>,
     /// Bounds how many can wait.
-    pub _permit: OwnedSemaphorePermit,
+    pub place: Place,
 }
 
 /// Who waits for which transaction.
@@ -107,9 +108,12 @@ impl Waiters {
         }
     }
 
-    /// Tells everybody who waits for a transaction that it was not ordered.
-    pub(crate) fn refuse(&self, id: &Hash, reason: &Rejection) {
-        answer(self.take(id).unwrap_or_default(), &refused(Some(id), reason));
+    /// Tells everybody who waits for a transaction that it was not ordered; answers with the first of them.
+    pub(crate) fn refuse(&self, id: &Hash, reason: &Rejection) -> Option<String> {
+        let waiting = self.take(id).unwrap_or_default();
+        let who = waiting.first().map(|(_, waiter)| waiter.place.name().to_owned());
+        answer(waiting, &refused(Some(id), reason));
+        who
     }
 
     /// Answers those who have waited too long, and forgets clients that are gone.

@@ -31,6 +31,9 @@ pub(crate) const PAPER: Shape = Shape { name: "voter_and_learner", voters: 1, le
 /// A cluster that survives the loss of a node.
 pub(crate) const THREE_VOTERS: Shape = Shape { name: "three_voters_and_learner", voters: 3, learners: 1 };
 
+/// Members beside Salma and Farhad.
+const DRIVERS: usize = 8;
+
 const OPERATORS: &str = "Org1";
 const OWNERS: &str = "Org2";
 
@@ -42,6 +45,8 @@ pub(crate) struct Founding {
     pub(crate) salma: Context,
     /// Farhad, of her organisation, whom no policy lets acquire a robot; connects to the first node.
     pub(crate) farhad: Context,
+    /// Members of her organisation whom policies let acquire robots that require `Fleet`; connect to the first node.
+    pub(crate) drivers: Vec<Context>,
     /// Data directory and address of each node, the voters first.
     pub(crate) nodes: Vec<(PathBuf, String)>,
     /// Where all of it lies.
@@ -90,7 +95,7 @@ impl Founding {
         };
         let founded = found(&plan, clock()).unwrap();
         let entry = nodes[0].1.as_str();
-        let identity = |organisation: &str, who, attributes| {
+        let identity = |organisation: &str, who: (&str, Role), attributes| {
             let of = |authority: &&ledgerd::setup::FoundedAuthority| authority.organisation == organisation;
             let ca = &founded.authorities.iter().find(of).unwrap().directory;
             let data = ca.ancestors().nth(2).unwrap();
@@ -100,6 +105,12 @@ impl Founding {
         Self {
             owner: identity(OWNERS, ("Admin", Role::Admin), BTreeMap::new()),
             salma: identity(OPERATORS, ("Salma", Role::Member), BTreeMap::from(drives)),
+            drivers: (0..DRIVERS)
+                .map(|number| {
+                    let fleet = BTreeMap::from([("Fleet".to_owned(), "true".to_owned())]);
+                    identity(OPERATORS, (&format!("Driver{number}"), Role::Member), fleet)
+                })
+                .collect(),
             farhad: identity(OPERATORS, ("Farhad", Role::Member), BTreeMap::new()),
             nodes,
             _directory: directory,
@@ -109,12 +120,13 @@ impl Founding {
 
 /// Arguments of `abac setup`: robots with one exclusive `/cmd_vel` each.
 pub(crate) fn robots() -> Vec<Bytes> {
-    let robot = |name| {
-        format!(
-            r#"{{"name":"{name}","attribute_required":"{name}","services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}}]}}"#
-        )
-    };
-    ["Turtlebot4", "Husky"].map(|name| Bytes::from(robot(name))).into()
+    ["Turtlebot4", "Husky"].map(|name| robot(name, name)).into()
+}
+
+/// A robot that who has the attribute may drive, with one exclusive `/cmd_vel`.
+pub(crate) fn robot(name: &str, attribute: &str) -> Bytes {
+    let service = r#"{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist","mode":"exclusive"}"#;
+    format!(r#"{{"name":"{name}","attribute_required":"{attribute}","services":[{service}]}}"#).into()
 }
 
 /// A `geometry_msgs/msg/Twist` in CDR: header and six doubles, 52 bytes.

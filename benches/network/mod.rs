@@ -1,11 +1,11 @@
 //! A network of real processes: the `ledgerd` of this build, each node with its data on disk, TLS between all.
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
-use crate::founding::{Founding, Shape, robots, twist};
+use crate::founding::{Founding, Shape, robot, robots, twist};
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code};
+use ledger::{Bytes, Code, Rejection};
 use ledger_abac::{Grant, MessageEvent};
-use ledger_api::{Call, Client, Context, Pending, Subscription};
+use ledger_api::{Call, Client, Context, Pending, Subscription, v1};
 use std::collections::HashMap;
 use std::fs::{File, write};
 use std::path::Path;
@@ -122,7 +122,23 @@ impl Network {
 
     /// Salma with the grant of a robot. Her calls go to the first node.
     pub(crate) async fn operator(&self, robot: &str) -> Operator {
-        let client = self.connect(&self.founding.salma).await;
+        self.granted(&self.founding.salma, robot).await
+    }
+
+    /// A driver with the grant of a robot. The calls go to the first node.
+    pub(crate) async fn driver(&self, number: usize, robot: &str) -> Operator {
+        self.granted(&self.founding.drivers[number], robot).await
+    }
+
+    /// Registers robots for the drivers.
+    pub(crate) async fn register(&self, names: &[&str]) {
+        let owner = self.connect(&self.founding.owner).await;
+        let robots = names.iter().map(|name| robot(name, "Fleet")).collect();
+        owner.invoke("abac", "setup", robots).await.unwrap();
+    }
+
+    async fn granted(&self, who: &Context, robot: &str) -> Operator {
+        let client = self.connect(who).await;
         let lease = [robot, LEASE_MS].map(|arg| Bytes::copy_from_slice(arg.as_bytes()));
         let granted = client.invoke("abac", "acquire", lease.into()).await.unwrap();
         let grant: Grant = serde_json::from_slice(&granted.response).unwrap();
@@ -210,12 +226,52 @@ impl Operator {
         self.commands(1)
     }
 
+    /// The next command, signed to be sent within this time.
+    pub(crate) fn signed(&self, ttl: Duration) -> Transaction {
+        self.sign_for(&mut self.next_seq.lock().unwrap(), 1, ttl)
+    }
+
+    /// Sends a command that was signed before.
+    pub(crate) fn send(&self, signed: &Transaction) -> Pending {
+        self.client.submit_nowait(signed)
+    }
+
+    /// Gives the robot back.
+    pub(crate) async fn release(&self) -> Result<(), Rejection> {
+        self.control("release", &[]).await
+    }
+
+    /// Takes the robot again. Its commands go on under the old grant, so this is for who sends none.
+    pub(crate) async fn acquire(&self) -> Result<(), Rejection> {
+        self.control("acquire", &[LEASE_MS]).await
+    }
+
+    /// Renews the grant.
+    pub(crate) async fn renew(&self) -> Result<(), Rejection> {
+        self.control("renew", &[]).await
+    }
+
+    /// How the node is.
+    pub(crate) async fn status(&self) -> v1::StatusResponse {
+        self.client.status().await.unwrap()
+    }
+
+    async fn control(&self, function: &str, more: &[&'static str]) -> Result<(), Rejection> {
+        let more = more.iter().map(|arg| Bytes::from_static(arg.as_bytes()));
+        let args = std::iter::once(self.service.clone()).chain(more).collect();
+        self.client.invoke("abac", function, args).await.map(drop)
+    }
+
     fn sign(&self, next_seq: &mut u64, messages: usize) -> Transaction {
+        self.sign_for(next_seq, messages, COMMAND_TTL)
+    }
+
+    fn sign_for(&self, next_seq: &mut u64, messages: usize, ttl: Duration) -> Transaction {
         let seq = next_seq.to_string().into();
         *next_seq += messages as u64;
         let mut args = vec![self.service.clone(), self.epoch.clone(), seq];
         args.extend(std::iter::repeat_n(self.message.clone(), messages));
-        let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: COMMAND_TTL };
+        let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl };
         self.client.prepare(call).unwrap()
     }
 }

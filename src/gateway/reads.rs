@@ -117,6 +117,10 @@ impl NodeView {
             snapshot_height: self.witness.snapshot_height(),
             catching_up_to: self.seat.catching_up_to().unwrap_or_default(),
             divergence: self.witness.divergence(),
+            in_flight: self.shares.in_flight() as u64,
+            in_flight_max: self.limits.in_flight_max,
+            waiting_control: ordering.as_ref().map_or(0, |ordering| ordering.control.transactions as u64),
+            waiting_data: ordering.as_ref().map_or(0, |ordering| ordering.data.transactions as u64),
         })
     }
 

@@ -1,105 +1,279 @@
-//! Submission: admission, then the queue of the orderer, then an answer when the verdict is known.
+//! Submission: a place in the line, admission, then the queue of the orderer, then an answer when the verdict is known.
 
+use super::line::{Arrived, Line, overloaded};
+use super::share::{Share, Turn};
 use super::{GatewayService, NodeView};
 use crate::waiters::{Waiter, known, refused};
+use futures::FutureExt;
 use ledger::transaction::Transaction;
 use ledger::{Admission, Code, Refusal, Rejection};
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::{Input, Lane};
+use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
-use tokio::sync::{OwnedSemaphorePermit, mpsc};
-use tokio_stream::StreamExt;
-use tokio_stream::wrappers::UnboundedReceiverStream;
+use std::task::{Context, Poll};
+use std::time::{Duration, Instant};
+use tokio::sync::{Semaphore, mpsc};
+use tokio_stream::{Stream, StreamExt};
 use tonic::{Status, Streaming};
 
-impl GatewayService {
-    /// A place among the transactions in flight; waits for one, which is how a fast client feels that it is too fast.
-    pub(super) async fn permit(&self) -> Result<OwnedSemaphorePermit, Status> {
-        Arc::clone(&self.node.in_flight).acquire_owned().await.map_err(|_| Status::unavailable("the node is stopping"))
+/// Longest time that one stream looks at transactions while others wait for their turn.
+const SLICE: Duration = Duration::from_micros(200);
+/// Requests taken in between two looks at what waits. Taking in costs a fiftieth of looking: enough that a flood is
+/// refused while it comes, and not so much that nothing else is done.
+const READS_MAX: usize = 64;
+/// Requests of a stream that were taken in and whose answers the client has not read. A client that reads no answers is
+/// not read from any more.
+const UNREAD_MAX: usize = 16_384;
+
+type Answers = mpsc::UnboundedSender<Result<SubmitResponse, Status>>;
+
+/// Submits what comes in until the client closes its side; answers until everything is answered.
+pub(super) fn stream(gateway: GatewayService, share: Arc<Share>, requests: Streaming<SubmitRequest>) -> Verdicts {
+    // Unbounded in form only: each answer belongs to a request that was counted when it was read.
+    let (answers, verdicts) = mpsc::unbounded_channel();
+    let unread = Arc::new(Semaphore::new(UNREAD_MAX));
+    let requests = Requests { requests, unread: Arc::clone(&unread), open: true };
+    let desk = Desk { node: gateway.node, share, answers, line: Line::default() };
+    tokio::spawn(desk.serve(requests));
+    Verdicts { verdicts, unread }
+}
+
+/// The answers of a stream.
+pub(crate) struct Verdicts {
+    verdicts: mpsc::UnboundedReceiver<Result<SubmitResponse, Status>>,
+    unread: Arc<Semaphore>,
+}
+
+impl Stream for Verdicts {
+    type Item = Result<SubmitResponse, Status>;
+
+    fn poll_next(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let verdict = self.verdicts.poll_recv(cx);
+        if let Poll::Ready(Some(_)) = verdict {
+            self.unread.add_permits(1);
+        }
+        verdict
     }
 }
 
-/// Submits what comes in until the client closes its side; answers until everything is answered.
-pub(super) fn stream(
-    gateway: GatewayService,
-    mut requests: Streaming<SubmitRequest>,
-) -> UnboundedReceiverStream<Result<SubmitResponse, Status>> {
-    // Unbounded in form only: each answer belongs to a permit, of which there are limited many.
-    let (answers, verdicts) = mpsc::unbounded_channel();
-    tokio::spawn(async move {
+/// The requests of a stream.
+struct Requests {
+    requests: Streaming<SubmitRequest>,
+    unread: Arc<Semaphore>,
+    /// The client may send more.
+    open: bool,
+}
+
+impl Requests {
+    /// The next one; none once the client has closed its side, or the connection broke. Cancelling it loses nothing.
+    async fn next(&mut self) -> Option<SubmitRequest> {
+        let counted = self.unread.acquire().await.ok()?;
+        match self.requests.next().await {
+            Some(Ok(request)) => {
+                counted.forget();
+                Some(request)
+            }
+            _ => {
+                self.open = false;
+                None
+            }
+        }
+    }
+}
+
+/// Serves one stream.
+struct Desk {
+    node: Arc<NodeView>,
+    share: Arc<Share>,
+    answers: Answers,
+    line: Line,
+}
+
+impl Desk {
+    async fn serve(mut self, mut requests: Requests) {
+        while requests.open || self.line.next().is_some() {
+            if self.line.next().is_none() {
+                let request = tokio::select! {
+                    request = requests.next() => request,
+                    () = self.answers.closed() => return,
+                };
+                self.take_in(request);
+            }
+            if self.answers.is_closed() {
+                return;
+            }
+            // What else has come: what is urgent among it goes first.
+            for _ in 0..READS_MAX {
+                match requests.next().now_or_never() {
+                    Some(request) if requests.open => self.take_in(request),
+                    _ => break,
+                }
+            }
+            self.look(&mut requests).await;
+        }
+    }
+
+    fn take_in(&mut self, request: Option<SubmitRequest>) {
+        let Some(request) = request else { return };
+        match self.node.arrived(request, &self.share) {
+            Ok(arrived) => self.line.push(arrived),
+            Err(answer) => drop(self.answers.send(Ok(*answer))),
+        }
+    }
+
+    /// Looks at what waits, for as long as others allow.
+    async fn look(&mut self, requests: &mut Requests) {
+        let Some(lane) = self.line.next() else { return };
+        // Not with a turn, as nobody else could have it meanwhile.
+        if let Some(height) = self.line.min_height(lane)
+            && let Err(reason) = self.node.at_height(height).await
+        {
+            if let Some(arrived) = self.line.take(lane) {
+                self.node.refuse_unordered(&arrived, &reason, &self.answers);
+            }
+            return;
+        }
+        let Some(turn) = self.turn(lane, requests).await else { return };
+        let (start, height) = (Instant::now(), self.node.ledger.tip().height);
+        if lane == Lane::Data {
+            for (arrived, reason) in self.line.take_late(start, self.node.wait_max) {
+                self.node.refuse_overloaded(&arrived, reason, &self.share, &self.answers);
+            }
+        }
+        while self.line.min_height(lane).is_some_and(|wanted| wanted <= height)
+            && let Some(arrived) = self.line.take(lane)
+        {
+            self.node.submit(arrived, &self.answers);
+            if start.elapsed() >= SLICE {
+                break;
+            }
+        }
+        drop(turn);
+        if self.line.next().is_some() {
+            tokio::task::yield_now().await;
+        }
+    }
+
+    /// Waits for a turn, and takes in what comes meanwhile. None if something urgent came, which goes first.
+    async fn turn(&mut self, lane: Lane, requests: &mut Requests) -> Option<Turn> {
+        if let Some(turn) = self.share.try_turn(lane) {
+            return Some(turn);
+        }
+        let share = Arc::clone(&self.share);
+        let mut turn = pin!(share.turn(lane));
+        let mut reads = 0;
         loop {
             let request = tokio::select! {
-                request = requests.next() => request,
-                () = answers.closed() => return,
+                biased;
+                turn = &mut turn => return turn,
+                request = requests.next(), if requests.open => request,
             };
-            let Some(Ok(request)) = request else { return };
-            let Ok(permit) = gateway.permit().await else { return };
-            gateway.node.submit(request, Waiter { answers: answers.clone(), _permit: permit }).await;
+            self.take_in(request);
+            if self.line.next() != Some(lane) {
+                return None;
+            }
+            reads += 1;
+            if reads % READS_MAX == 0 {
+                tokio::task::yield_now().await;
+            }
         }
-    });
-    UnboundedReceiverStream::new(verdicts)
+    }
 }
 
 impl NodeView {
-    /// Admits a transaction and hands it to the orderer. The waiter is answered now or when the verdict is known.
-    pub(super) async fn submit(&self, request: SubmitRequest, waiter: Waiter) {
-        self.awake.keep();
-        if request.min_height > self.ledger.tip().height
-            && let Err(reason) = self.reach(request.min_height).await
-        {
-            let id = Transaction::decode(request.transaction).ok().map(|transaction| transaction.id());
-            let _gone = waiter.answers.send(Ok(refused(id.as_ref(), &reason)));
-            return;
-        }
-        let transaction = match self.admit(request) {
-            Ok(transaction) => transaction,
-            Err(answer) => {
-                let _gone = waiter.answers.send(Ok(*answer));
-                return;
-            }
+    /// One transaction that does not come over a stream. It is answered now or when the verdict is known.
+    pub(super) async fn submit_one(&self, request: SubmitRequest, share: &Arc<Share>, answers: &Answers) {
+        let arrived = match self.arrived(request, share) {
+            Ok(arrived) => arrived,
+            Err(answer) => return drop(answers.send(Ok(*answer))),
         };
-        let id = transaction.id();
-        let body = transaction.body();
-        let urgent =
-            self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
-        let lane = if urgent { Lane::Control } else { Lane::Data };
-        self.waiters.add(&transaction, lane, waiter);
-        let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
-        if let Err(reason) = self.seat.input(input) {
-            self.waiters.refuse(&id, &reason);
+        if let Err(reason) = self.at_height(arrived.min_height).await {
+            return self.refuse_unordered(&arrived, &reason, answers);
         }
+        let Some(_turn) = share.turn(arrived.lane).await else { return };
+        let waited = arrived.since.elapsed();
+        if arrived.lane == Lane::Data && waited > self.wait_max {
+            let reason = overloaded(true, waited, (1, waited), self.wait_max);
+            return self.refuse_overloaded(&arrived, reason, share, answers);
+        }
+        self.submit(arrived, answers);
     }
 
-    /// Everything that can be refused before ordering is refused here. The answer may also be an earlier verdict.
-    fn admit(&self, request: SubmitRequest) -> Result<Transaction, Box<SubmitResponse>> {
-        let refuse = |refusal: Refusal| {
-            self.denials.record(self.clock.now(), &refusal);
-            Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection))
-        };
+    /// Takes a request in: what can be refused without looking closer is refused here.
+    fn arrived(&self, request: SubmitRequest, share: &Arc<Share>) -> Result<Arrived, Box<SubmitResponse>> {
+        self.awake.keep();
+        let SubmitRequest { transaction: encoded, min_height } = request;
         // Not even looked at, but named: by the id a client on a stream knows which of its transactions is meant.
-        let refuse_unread = |rejection| {
-            let transaction = Transaction::decode(request.transaction.clone()).ok();
-            refuse(Refusal { who: None, transaction, rejection })
+        let unread = |rejection| {
+            let transaction = Transaction::decode(encoded.clone()).ok();
+            self.refuse(&Refusal { who: None, transaction, rejection })
         };
         let limit = self.limits.payload_bytes_max;
-        if request.transaction.len() as u64 > limit {
+        if encoded.len() as u64 > limit {
             let rejection = Rejection::new(Code::TooLarge, "transaction is larger than this node accepts")
-                .found(format!("{} bytes", request.transaction.len()))
+                .found(format!("{} bytes", encoded.len()))
                 .wanted(format!("at most {limit} bytes (limits.payload_bytes_max)"))
                 .next("send less at once, or raise the limit in the node's configuration");
-            return Err(refuse_unread(rejection));
+            return Err(unread(rejection));
         }
         if self.disk_full.load(Ordering::Relaxed) {
             let rejection =
                 Rejection::new(Code::DiskFull, "the node's disk is almost full, so it accepts nothing more")
                     .next("free space on the node's disk; it goes on by itself");
-            return Err(refuse_unread(rejection));
+            return Err(unread(rejection));
         }
-        match self.ledger.admit(request.transaction, self.clock.now()) {
-            Ok(Admission::New(transaction)) => Ok(transaction),
-            Ok(Admission::Known(id, record)) => Err(Box::new(known(&id, &record))),
-            Err(refusal) => Err(refuse(*refusal)),
+        let transaction = Transaction::decode(encoded)
+            .map_err(|rejection| self.refuse(&Refusal { who: None, transaction: None, rejection }))?;
+        let body = transaction.body();
+        let urgent =
+            self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
+        let lane = if urgent { Lane::Control } else { Lane::Data };
+        match share.place(lane, transaction.encoded().len()) {
+            Ok(place) => Ok(Arrived { transaction, min_height, lane, since: Instant::now(), place }),
+            Err(rejection) => {
+                let who = Some(share.name().to_owned());
+                Err(self.refuse(&Refusal { who, transaction: Some(transaction), rejection }))
+            }
         }
+    }
+
+    /// Waits until this node has executed the block at a height.
+    async fn at_height(&self, height: u64) -> Result<(), Rejection> {
+        if height > self.ledger.tip().height { self.reach(height).await } else { Ok(()) }
+    }
+
+    /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused here;
+    /// the answer may also be an earlier verdict.
+    fn submit(&self, arrived: Arrived, answers: &Answers) {
+        let Arrived { transaction, lane, place, .. } = arrived;
+        let transaction = match self.ledger.admit_decoded(transaction, self.clock.now()) {
+            Ok(Admission::New(transaction)) => transaction,
+            Ok(Admission::Known(id, record)) => return drop(answers.send(Ok(known(&id, &record)))),
+            Err(refusal) => return drop(answers.send(Ok(*self.refuse(&refusal)))),
+        };
+        self.waiters.add(&transaction, lane, Waiter { answers: answers.clone(), place });
+        let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
+        if let Err(rejection) = self.seat.input(input) {
+            let who = self.waiters.refuse(&transaction.id(), &rejection);
+            self.denials.record(self.clock.now(), &Refusal { who, transaction: Some(transaction), rejection });
+        }
+    }
+
+    /// Answers for a transaction that this node cannot look at.
+    fn refuse_unordered(&self, arrived: &Arrived, reason: &Rejection, answers: &Answers) {
+        let _gone = answers.send(Ok(refused(Some(&arrived.transaction.id()), reason)));
+    }
+
+    fn refuse_overloaded(&self, arrived: &Arrived, rejection: Rejection, share: &Share, answers: &Answers) {
+        let (who, transaction) = (Some(share.name().to_owned()), Some(arrived.transaction.clone()));
+        let _gone = answers.send(Ok(*self.refuse(&Refusal { who, transaction, rejection })));
+    }
+
+    /// Counts a refusal; the answer to it.
+    fn refuse(&self, refusal: &Refusal) -> Box<SubmitResponse> {
+        self.denials.record(self.clock.now(), refusal);
+        Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection))
     }
 }

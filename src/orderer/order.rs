@@ -5,7 +5,7 @@ use crate::catch_up::Behind;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
-use ledger::{Code, Rejection};
+use ledger::{Code, Refusal, Rejection};
 use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
@@ -232,7 +232,7 @@ impl Order {
             }
             Output::Dropped { transaction, reason } => {
                 if let Ok(transaction) = Transaction::decode(transaction) {
-                    self.shared.waiters.refuse(&transaction.id(), &reason);
+                    self.refuse(transaction, reason);
                 }
             }
             Output::ReadReady { context, index } => self.shared.reads.answer(context, Ok(index)),
@@ -253,9 +253,16 @@ impl Order {
             .next("submit the same transaction again, through this or another node");
         for transaction in lost.control.into_iter().chain(lost.data) {
             if let Ok(transaction) = Transaction::decode(transaction) {
-                self.shared.waiters.refuse(&transaction.id(), &reason);
+                self.refuse(transaction, reason.clone());
             }
         }
+    }
+
+    /// Tells whoever submitted it, and counts it.
+    fn refuse(&self, transaction: Transaction, rejection: Rejection) {
+        let who = self.shared.waiters.refuse(&transaction.id(), &rejection);
+        let refusal = Refusal { who, transaction: Some(transaction), rejection };
+        self.shared.denials.record(self.shared.clock.now(), &refusal);
     }
 
     fn report(&self) {

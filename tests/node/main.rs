@@ -25,6 +25,7 @@ mod join;
 mod leadership;
 mod members;
 mod network;
+mod overload;
 mod rebuild;
 mod renewal;
 mod story;

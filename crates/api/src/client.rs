@@ -25,6 +25,7 @@ pub use reads::{Answer, Registered};
 use crate::connect::Credentials;
 use crate::context::Context;
 use crate::tls::TlsIdentity;
+use in_flight::Patience;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger::{Bytes, Code, Hash, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
@@ -173,14 +174,15 @@ impl Client {
     /// As [`Client::invoke`].
     pub async fn submit(&self, transaction: Transaction) -> Result<Committed, Rejection> {
         let room = self.session.in_flight.room(&transaction).await?;
-        self.session.send(&transaction, room).await
+        self.session.send(&transaction, room, Patience::Call).await
     }
 
     /// Submits a transaction at once and answers with its future verdict, which need not be awaited. If too much is
-    /// in flight, the verdict is [`Code::Overloaded`] and nothing was sent.
+    /// in flight, the verdict is [`Code::Overloaded`] and nothing was sent. A node that says so is not asked again either,
+    /// other than by [`Client::submit`]: this is for commands, and by then there is a newer one.
     pub fn submit_nowait(&self, transaction: &Transaction) -> Pending {
         match self.session.in_flight.room_now(transaction) {
-            Ok(room) => self.session.send(transaction, room),
+            Ok(room) => self.session.send(transaction, room, Patience::Command),
             Err(refused) => Pending::refused(refused),
         }
     }

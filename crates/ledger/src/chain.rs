@@ -233,7 +233,14 @@ impl Ledger {
     /// # Errors
     /// The refusal, with the creator's name if it is known (see [`Refusal`]).
     pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Box<Refusal>> {
-        let transaction = Transaction::decode(encoded).map_err(Refusal::anonymous)?;
+        self.admit_decoded(Transaction::decode(encoded).map_err(Refusal::anonymous)?, now)
+    }
+
+    /// As [`Ledger::admit`], for who has read the transaction already.
+    ///
+    /// # Errors
+    /// As [`Ledger::admit`].
+    pub fn admit_decoded(&self, transaction: Transaction, now: u64) -> Result<Admission, Box<Refusal>> {
         let refuse = |who: Option<&Identity>, rejection| {
             Box::new(Refusal { who: who.map(Identity::id), transaction: Some(transaction.clone()), rejection })
         };

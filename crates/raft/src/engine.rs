@@ -55,6 +55,12 @@ struct OwnBlock {
     bytes: usize,
 }
 
+/// A block this leader proposed, until it is executed.
+struct Ahead {
+    index: u64,
+    cost: usize,
+}
+
 /// The orderer of one node. See the crate's documentation for the duties of its driver.
 pub struct Engine {
     config: EngineConfig,
@@ -70,6 +76,8 @@ pub struct Engine {
     held: BTreeMap<u64, VecDeque<raft::eraftpb::Message>>,
     /// Own blocks under way, in order of index.
     own: VecDeque<OwnBlock>,
+    /// Own blocks that are not executed, in order of index.
+    ahead: VecDeque<Ahead>,
     /// Members as of `emitted`.
     membership: Membership,
     /// Last height handed out as committed.
@@ -100,6 +108,8 @@ pub struct Engine {
     heard: BTreeMap<u64, u64>,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
     reads: u64,
+    /// Wall-clock time of this step, microseconds.
+    now: u64,
     /// Set once the store has failed.
     failed: bool,
 }
@@ -142,7 +152,8 @@ impl Engine {
         if config.id == 0 {
             return Err(EngineError::Config("found node id 0, wanted 1 or more".to_owned()));
         }
-        if config.blocks_unpersisted == 0 || config.blocks_uncommitted == 0 || config.unapplied_bytes == 0 {
+        let limits = [config.blocks_unpersisted, config.blocks_uncommitted, config.unapplied_bytes, config.ahead_bytes];
+        if limits.contains(&0) {
             return Err(EngineError::Config("limits of blocks under way must be 1 or more".to_owned()));
         }
         let raw = RawNode::new(&settings, log, &logger::to_tracing())
@@ -156,6 +167,8 @@ impl Engine {
             unpersisted_bytes: 0,
             held: BTreeMap::new(),
             own: VecDeque::new(),
+            ahead: VecDeque::new(),
+            now: 0,
             membership,
             emitted: applied,
             unapplied: VecDeque::new(),
@@ -185,6 +198,7 @@ impl Engine {
         if self.failed {
             return;
         }
+        self.now = now;
         match input {
             Input::Tick => self.tick(out),
             Input::Message { from, message } => self.receive(from, message, out),
@@ -204,7 +218,7 @@ impl Engine {
             // Nobody else can lead, so there is nothing to wait for.
             self.campaign();
         }
-        if let Err(error) = self.pump(now, out) {
+        if let Err(error) = self.pump(out) {
             let reason = Rejection::new(Code::DiskFailed, format!("block store failed: {error}"))
                 .next("see the log; restart the node when the disk is in order");
             self.fail(reason, out);

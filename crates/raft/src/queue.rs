@@ -1,16 +1,18 @@
-//! What waits to become a block: two lanes, each bounded in count and bytes.
+//! What waits to become a block: two lanes, each bounded in count and bytes, and the data lane in time.
+
+mod fair;
 
 use crate::interface::Lane;
-use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
+use fair::Queue;
+use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::{Bytes, Code, Rejection};
-use std::collections::VecDeque;
 
 /// Most control transactions that wait. They are few and small; a longer queue means that nothing is ordered.
 pub const CONTROL_QUEUE_TRANSACTIONS_MAX: usize = 4096;
 /// Most bytes of control transactions that wait.
 pub const CONTROL_QUEUE_BYTES_MAX: usize = 8 * 1024 * 1024;
-/// Most data transactions that wait: about a second of the load a leader carries, so that a client learns of an
-/// overload within its patience instead of waiting in a queue without end.
+/// Most data transactions that wait: about a second of the load a leader carries. Usually time is the limit: see
+/// `EngineConfig::data_wait_us`.
 pub const DATA_QUEUE_TRANSACTIONS_MAX: usize = 16_384;
 /// Most bytes of data transactions that wait.
 pub const DATA_QUEUE_BYTES_MAX: usize = 32 * 1024 * 1024;
@@ -33,18 +35,8 @@ pub(crate) struct Waiting {
     pub(crate) transaction: Bytes,
     /// The peer that forwarded it, who is told if it is dropped; `None` if it was submitted here.
     pub(crate) origin: Option<u64>,
-}
-
-/// A transaction that could not be taken in, and why.
-pub(crate) type Refused = Box<(Waiting, Rejection)>;
-
-/// One lane.
-#[derive(Debug)]
-pub(crate) struct Queue {
-    items: VecDeque<Waiting>,
-    bytes: usize,
-    transactions_max: usize,
-    bytes_max: usize,
+    /// When it came, microseconds.
+    pub(crate) since: u64,
 }
 
 /// Both lanes.
@@ -56,69 +48,17 @@ pub(crate) struct Queues {
     pub(crate) data: Queue,
 }
 
-/// How many transactions of each lane the next block takes, and their bytes.
+/// How many transactions of each lane the next block takes, and what they cost to execute (bytes that cost as much).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Cut {
     pub(crate) control: usize,
     pub(crate) data: usize,
-    pub(crate) bytes: usize,
+    pub(crate) cost: usize,
 }
 
-impl Queue {
-    fn new(transactions_max: usize, bytes_max: usize) -> Self {
-        Self { items: VecDeque::new(), bytes: 0, transactions_max, bytes_max }
-    }
-
-    fn push(&mut self, waiting: Waiting) -> Result<(), Refused> {
-        let bytes = waiting.transaction.len();
-        if bytes > PAYLOAD_BYTES_MAX {
-            let reason = Rejection::new(Code::TooLarge, "transaction does not fit a block")
-                .found(format!("{bytes} bytes"))
-                .wanted(format!("at most {PAYLOAD_BYTES_MAX} bytes"))
-                .next("split it");
-            return Err(Box::new((waiting, reason)));
-        }
-        if self.items.len() >= self.transactions_max || self.bytes.saturating_add(bytes) > self.bytes_max {
-            let reason = Rejection::new(Code::Overloaded, "too many transactions wait to be ordered")
-                .found(format!("{} transactions, {} bytes", self.items.len(), self.bytes))
-                .wanted(format!("at most {} transactions, {} bytes", self.transactions_max, self.bytes_max))
-                .next("submit it again later, unchanged");
-            return Err(Box::new((waiting, reason)));
-        }
-        self.bytes += bytes;
-        self.items.push_back(waiting);
-        Ok(())
-    }
-
-    /// Takes the first `count`.
-    pub(crate) fn take(&mut self, count: usize) -> impl Iterator<Item = Waiting> + '_ {
-        let count = count.min(self.items.len());
-        self.bytes -= self.items.iter().take(count).map(|waiting| waiting.transaction.len()).sum::<usize>();
-        self.items.drain(..count)
-    }
-
-    /// How full it is.
-    pub(crate) fn status(&self) -> QueueStatus {
-        QueueStatus { transactions: self.items.len(), bytes: self.bytes }
-    }
-
-    fn peek(&self, count: usize) -> impl Iterator<Item = Bytes> + '_ {
-        self.items.iter().take(count).map(|waiting| waiting.transaction.clone())
-    }
-
-    fn cut(&self, cut: &mut Cut, bytes_target: usize) -> usize {
-        let before = cut.control + cut.data;
-        let mut taken = 0;
-        for waiting in &self.items {
-            let (count, bytes) = (before + taken, waiting.transaction.len());
-            let full = cut.bytes >= bytes_target || cut.bytes + bytes > bytes_target.max(bytes);
-            if count >= TRANSACTIONS_MAX || (count > 0 && (full || cut.bytes + bytes > PAYLOAD_BYTES_MAX)) {
-                break;
-            }
-            cut.bytes += bytes;
-            taken += 1;
-        }
-        taken
+impl Cut {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.control == 0 && self.data == 0
     }
 }
 
@@ -130,8 +70,8 @@ impl Queues {
         }
     }
 
-    /// Appends to a lane, or says why not and gives the transaction back.
-    pub(crate) fn push(&mut self, lane: Lane, waiting: Waiting) -> Result<(), Refused> {
+    /// Takes a transaction into a lane. Answers with what is refused for it: itself, or others of the lane.
+    pub(crate) fn push(&mut self, lane: Lane, waiting: Waiting) -> Vec<(Waiting, Rejection)> {
         match lane {
             Lane::Control => self.control.push(waiting),
             Lane::Data => self.data.push(waiting),
@@ -139,18 +79,33 @@ impl Queues {
     }
 
     pub(crate) fn is_empty(&self) -> bool {
-        self.control.items.is_empty() && self.data.items.is_empty()
+        self.control.is_empty() && self.data.is_empty()
     }
 
-    /// What the next block holds: control first, then data, up to about `bytes_target`, at least one transaction.
-    pub(crate) fn cut(&self, bytes_target: usize) -> Cut {
-        let mut cut = Cut::default();
-        cut.control = self.control.cut(&mut cut, bytes_target);
+    /// What the next block holds: control first, then data until it costs `data_cost_max`, together up to about
+    /// `bytes_target`; at least one transaction, unless only data waits and may cost nothing.
+    pub(crate) fn cut(&self, bytes_target: usize, data_cost_max: usize) -> Cut {
+        let control = self.control.cut(0, 0, bytes_target, usize::MAX);
+        let mut cut = Cut { control: control.transactions, data: 0, cost: control.cost };
         // A lane that was cut short has filled the block.
-        if cut.control == self.control.items.len() {
-            cut.data = self.data.cut(&mut cut, bytes_target);
+        if control.transactions == self.control.status().transactions {
+            let data = self.data.cut(control.transactions, control.bytes, bytes_target, data_cost_max);
+            (cut.data, cut.cost) = (data.transactions, cut.cost + data.cost);
         }
         cut
+    }
+
+    /// Takes out data that waited too long to be worth ordering, as far as `data_cost_max` would order it now.
+    pub(crate) fn take_late(&mut self, now: u64, wait_us_max: u64, data_cost_max: usize) -> Vec<(Waiting, Rejection)> {
+        let waited = |waiting: &Waiting| now.saturating_sub(waiting.since) / 1000;
+        let refuse = |waiting: Waiting| {
+            let reason = Rejection::new(Code::Overloaded, "more comes than can be ordered in time")
+                .found(format!("it waited {} ms to be ordered", waited(&waiting)))
+                .wanted(format!("at most {} ms", wait_us_max / 1000))
+                .next("send less often; send what is current instead of this, or this again after 100 ms");
+            (waiting, reason)
+        };
+        self.data.take_late(now, wait_us_max, data_cost_max).into_iter().map(refuse).collect()
     }
 
     /// The transactions of a cut, left in place.
@@ -159,67 +114,78 @@ impl Queues {
     }
 
     /// Takes the transactions of a cut out.
-    pub(crate) fn take(&mut self, cut: Cut) -> impl Iterator<Item = Waiting> + '_ {
-        self.control.take(cut.control).chain(self.data.take(cut.data))
-    }
-
-    /// Takes everything out.
-    pub(crate) fn take_all(&mut self) -> impl Iterator<Item = Waiting> + '_ {
-        self.take(Cut { control: usize::MAX, data: usize::MAX, bytes: 0 })
+    pub(crate) fn take(&mut self, cut: Cut) -> Vec<Waiting> {
+        let mut taken = self.control.take(cut.control);
+        taken.append(&mut self.data.take(cut.data));
+        taken
     }
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use ledger::block::TRANSACTIONS_MAX;
 
-    fn waiting(bytes: usize) -> Waiting {
-        Waiting { transaction: vec![7; bytes].into(), origin: None }
+    const FREE: usize = usize::MAX;
+
+    fn push(queues: &mut Queues, lane: Lane, bytes: usize) -> Vec<Code> {
+        let waiting = Waiting { transaction: vec![7; bytes].into(), origin: None, since: 0 };
+        queues.push(lane, waiting).into_iter().map(|(_, reason)| reason.code).collect()
     }
 
     #[test]
     fn control_comes_before_data_that_was_there_first() {
         let mut queues = Queues::new();
-        queues.push(Lane::Data, waiting(10)).unwrap();
-        queues.push(Lane::Control, waiting(3)).unwrap();
-        let cut = queues.cut(1000);
+        push(&mut queues, Lane::Data, 10);
+        push(&mut queues, Lane::Control, 3);
+        let cut = queues.cut(1000, FREE);
         assert_eq!(queues.peek(cut).iter().map(Bytes::len).collect::<Vec<_>>(), [3, 10]);
+    }
+
+    #[test]
+    fn control_goes_on_while_data_has_to_wait() {
+        let mut queues = Queues::new();
+        push(&mut queues, Lane::Data, 10);
+        assert!(queues.cut(1000, 0).is_empty());
+        push(&mut queues, Lane::Control, 3);
+        let cut = queues.cut(1000, 0);
+        assert_eq!((cut.control, cut.data), (1, 0));
+        assert_eq!(queues.cut(1000, 1).data, 1, "one at least, when there is room at all");
     }
 
     #[test]
     fn a_block_holds_at_least_one_transaction_and_about_the_target() {
         let mut queues = Queues::new();
         for _ in 0..4 {
-            queues.push(Lane::Data, waiting(40)).unwrap();
+            push(&mut queues, Lane::Data, 40);
         }
-        assert_eq!(queues.cut(1), Cut { control: 0, data: 1, bytes: 40 });
-        assert_eq!(queues.cut(100), Cut { control: 0, data: 2, bytes: 80 });
-        assert_eq!(queues.cut(1000), Cut { control: 0, data: 4, bytes: 160 });
+        assert_eq!(queues.cut(1, FREE).data, 1);
+        assert_eq!(queues.cut(100, FREE).data, 2);
+        assert_eq!(queues.cut(1000, FREE).data, 4);
     }
 
     #[test]
     fn a_block_never_exceeds_the_limits_of_a_payload() {
         let mut queues = Queues::new();
         for _ in 0..=TRANSACTIONS_MAX {
-            queues.push(Lane::Data, waiting(0)).unwrap();
+            push(&mut queues, Lane::Data, 0);
         }
-        assert_eq!(queues.cut(1000).data, TRANSACTIONS_MAX);
+        assert_eq!(queues.cut(1000, FREE).data, TRANSACTIONS_MAX);
         let mut queues = Queues::new();
-        queues.push(Lane::Data, waiting(PAYLOAD_BYTES_MAX)).unwrap();
-        queues.push(Lane::Data, waiting(1)).unwrap();
-        assert_eq!(queues.cut(usize::MAX).data, 1);
+        push(&mut queues, Lane::Data, PAYLOAD_BYTES_MAX);
+        push(&mut queues, Lane::Data, 1);
+        assert_eq!(queues.cut(usize::MAX, FREE).data, 1);
     }
 
     #[test]
     fn a_full_lane_refuses_and_the_other_does_not() {
         let mut queues = Queues::new();
         for _ in 0..DATA_QUEUE_TRANSACTIONS_MAX {
-            queues.push(Lane::Data, waiting(1)).unwrap();
+            assert_eq!(push(&mut queues, Lane::Data, 1), []);
         }
-        assert_eq!(queues.push(Lane::Data, waiting(1)).unwrap_err().1.code, Code::Overloaded);
-        queues.push(Lane::Control, waiting(1)).unwrap();
-        assert_eq!(queues.take_all().count(), DATA_QUEUE_TRANSACTIONS_MAX + 1);
+        assert_eq!(push(&mut queues, Lane::Data, 1), [Code::Overloaded]);
+        assert_eq!(push(&mut queues, Lane::Control, 1), []);
+        assert_eq!(queues.data.take(FREE).len() + queues.control.take(FREE).len(), DATA_QUEUE_TRANSACTIONS_MAX + 1);
         assert!(queues.is_empty());
         assert_eq!(queues.data.status(), QueueStatus::default());
     }
@@ -228,9 +194,23 @@ mod tests {
     fn a_lane_is_bounded_in_bytes() {
         let mut queues = Queues::new();
         for _ in 0..DATA_QUEUE_BYTES_MAX / PAYLOAD_BYTES_MAX {
-            queues.push(Lane::Data, waiting(PAYLOAD_BYTES_MAX)).unwrap();
+            assert_eq!(push(&mut queues, Lane::Data, PAYLOAD_BYTES_MAX), []);
         }
-        assert_eq!(queues.push(Lane::Data, waiting(1)).unwrap_err().1.code, Code::Overloaded);
-        assert_eq!(queues.push(Lane::Data, waiting(PAYLOAD_BYTES_MAX + 1)).unwrap_err().1.code, Code::TooLarge);
+        assert_eq!(push(&mut queues, Lane::Data, 1), [Code::Overloaded]);
+        assert_eq!(push(&mut queues, Lane::Data, PAYLOAD_BYTES_MAX + 1), [Code::TooLarge]);
+    }
+
+    #[test]
+    fn data_that_waited_too_long_says_so() {
+        let mut queues = Queues::new();
+        for _ in 0..200 {
+            push(&mut queues, Lane::Data, 1);
+        }
+        let late = queues.take_late(300_001, 200_000, FREE);
+        assert!(!late.is_empty());
+        for (_, reason) in late {
+            assert_eq!(reason.code, Code::Overloaded);
+            assert!(reason.found.contains("300 ms") && reason.wanted.contains("200 ms"), "{reason}");
+        }
     }
 }

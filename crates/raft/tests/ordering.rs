@@ -7,7 +7,7 @@ use cluster::{Cluster, transactions};
 use ledger::block::Payload;
 use ledger::entry::EntryKind;
 use ledger::{Bytes, Code};
-use ledger_raft::{Change, Input, Lane, MembershipChange, PeerMessage, Role, Transactions};
+use ledger_raft::{Change, EngineConfig, Input, Lane, MembershipChange, PeerMessage, Role, Transactions};
 
 fn change(changes: impl IntoIterator<Item = Change>) -> Input {
     Input::ChangeMembership(MembershipChange::new(changes))
@@ -126,6 +126,49 @@ fn a_learner_that_was_away_catches_up() {
     cluster.start(4);
     cluster.until("the learner has all", 100, Cluster::converged);
     assert_eq!(cluster.executed_by(4).len(), 3000);
+}
+
+/// One voter, set up otherwise than usual.
+fn alone(seed: u64, configure: fn(&mut EngineConfig)) -> Cluster {
+    let mut cluster = Cluster::new(seed, &[1], &[]);
+    cluster.crash(1);
+    cluster.configure = configure;
+    cluster.start(1);
+    cluster.elect();
+    cluster
+}
+
+#[test]
+fn little_data_is_ahead_of_control_however_much_waits() {
+    // Room for ten that cost 256 bytes and a few; as many may be on their way to the disk.
+    let mut cluster = alone(21, |config| config.ahead_bytes = 10 * 256);
+    for nth in 0..2000 {
+        cluster.submit(1, Lane::Data, &format!("data{nth}"));
+    }
+    cluster.run_units(5);
+    let before = cluster.executed_by(1).len();
+    cluster.submit(1, Lane::Control, "stop");
+    cluster.until("the stop is executed", 100, |cluster| cluster.has_executed(1, "stop"));
+    let at = cluster.executed_by(1).iter().position(|transaction| transaction == "stop").unwrap();
+    assert!(at - before <= 22, "{} were ahead", at - before);
+    cluster.until("the rest follows", 2000, |cluster| cluster.executed_by(1).len() == 2001);
+}
+
+#[test]
+fn data_that_waits_too_long_is_refused_and_control_is_not() {
+    let mut cluster = alone(22, |config| (config.ahead_bytes, config.data_wait_us) = (1, 50));
+    for nth in 0..1000 {
+        cluster.submit(1, Lane::Data, &format!("data{nth}"));
+        cluster.submit(1, Lane::Control, &format!("stop{nth}"));
+    }
+    cluster.until("everything has its answer", 2000, |cluster| {
+        cluster.executed_by(1).len() + cluster.nodes[&1].dropped.len() == 2000
+    });
+    let dropped = &cluster.nodes[&1].dropped;
+    assert!(dropped.len() > 500 && dropped.iter().all(|(_, code)| *code == Code::Overloaded), "{}", dropped.len());
+    let executed = cluster.executed_by(1);
+    assert_eq!(executed.iter().filter(|transaction| transaction.starts_with("stop")).count(), 1000);
+    assert!(executed.contains(&"data999".to_owned()), "the oldest go, the newest stay");
 }
 
 #[test]

@@ -47,6 +47,15 @@ pub(super) enum Effect {
     DoubtClock,
 }
 
+/// What a full queue of the node means for a transaction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Patience {
+    /// It is sent again until its time is over.
+    Call,
+    /// It is refused: a newer command is worth more than this one later, and would be overtaken by it.
+    Command,
+}
+
 /// Waiting transactions of one client.
 pub(super) struct InFlight {
     table: Mutex<Table>,
@@ -86,6 +95,7 @@ struct Entry {
     state: State,
     /// How often it was sent.
     attempts: u32,
+    patience: Patience,
     /// Was it sent without any answer? Then it may have been executed, whatever a later attempt says.
     uncertain: bool,
     /// What a node said when it could not take it.
@@ -143,7 +153,12 @@ impl InFlight {
     }
 
     /// Takes a transaction in and sends it, now or with the next connection.
-    pub(super) fn add(&self, transaction: &Transaction, room: OwnedSemaphorePermit) -> oneshot::Receiver<Verdict> {
+    pub(super) fn add(
+        &self,
+        transaction: &Transaction,
+        room: OwnedSemaphorePermit,
+        patience: Patience,
+    ) -> oneshot::Receiver<Verdict> {
         let (waiter, verdict) = oneshot::channel();
         let mut table = self.lock();
         let table = &mut *table;
@@ -159,6 +174,7 @@ impl InFlight {
                     deadline: now + self.patience,
                     state: State::Waiting,
                     attempts: 0,
+                    patience,
                     uncertain: false,
                     refused: None,
                     _room: room,
@@ -208,7 +224,9 @@ impl InFlight {
         {
             // A full disk, or a long way behind the others, is one node's trouble.
             let own = self.several && matches!(refused.code, Code::DiskFull | Code::Behind);
-            if own || refused.code.class() == Class::Unreachable {
+            // What may have been executed already is asked for until that is known.
+            let stale = refused.code == Code::Overloaded && entry.patience == Patience::Command && !entry.uncertain;
+            if (own || refused.code.class() == Class::Unreachable) && !stale {
                 entry.rest(refused.clone());
                 // A queue that is full of data may still take what is urgent.
                 if refused.code != Code::Overloaded {
@@ -427,7 +445,7 @@ mod tests {
         let [first, second, third] = [1, 2, 3].map(|nonce| transaction(&key, nonce));
         let mut verdicts = Vec::new();
         for one in [&first, &second] {
-            verdicts.push(table.add(one, table.room(one).await.unwrap()));
+            verdicts.push(table.add(one, table.room(one).await.unwrap(), Patience::Call));
             assert_eq!(sent.try_recv().unwrap(), *one.encoded());
         }
         // The second is refused before the first, then comes a third.
@@ -437,7 +455,7 @@ mod tests {
             let answer = SubmitResponse { id, verdict: Some(verdict), ..SubmitResponse::default() };
             assert_eq!(table.answer(answer), Effect::Leave);
         }
-        verdicts.push(table.add(&third, table.room(&third).await.unwrap()));
+        verdicts.push(table.add(&third, table.room(&third).await.unwrap(), Patience::Call));
         assert!(sent.try_recv().is_err(), "it rests with the others");
         table.sweep(Instant::now() + RETRY_AFTER, None);
         for one in [&first, &second, &third] {

@@ -5,7 +5,7 @@
 
 use super::Options;
 use super::clock::{Clock, middle};
-use super::in_flight::{Effect, InFlight, Pending};
+use super::in_flight::{Effect, InFlight, Patience, Pending};
 use crate::connect::{Connection, Credentials};
 use crate::tls::TlsIdentity;
 use crate::v1::enrolment_client::EnrolmentClient;
@@ -111,8 +111,13 @@ impl Session {
     }
 
     /// Sends a transaction for which there is room.
-    pub(super) fn send(self: &Arc<Self>, transaction: &Transaction, room: OwnedSemaphorePermit) -> Pending {
-        Pending::sent(self.in_flight.add(transaction, room), Arc::clone(self), transaction.id())
+    pub(super) fn send(
+        self: &Arc<Self>,
+        transaction: &Transaction,
+        room: OwnedSemaphorePermit,
+        patience: Patience,
+    ) -> Pending {
+        Pending::sent(self.in_flight.add(transaction, room, patience), Arc::clone(self), transaction.id())
     }
 
     /// The connection, as soon as there is one.

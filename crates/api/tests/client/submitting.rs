@@ -151,6 +151,17 @@ async fn a_full_queue_is_tried_again_over_the_same_connection() {
 }
 
 #[tokio::test]
+async fn a_command_for_which_a_queue_is_full_is_refused_and_not_sent_behind_newer_ones() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.script(|_, _| Reaction::Refuse(Rejection::new(Code::Overloaded, "the queue is full").found("full")));
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    let refused = client.submit_nowait(&client.prepare(call("a")).unwrap()).await.unwrap_err();
+    assert_eq!((refused.code, refused.found.as_str()), (Code::Overloaded, "full"), "what the node says");
+    assert_eq!(node.received().len(), 1);
+}
+
+#[tokio::test]
 async fn what_is_final_is_not_repeated() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;

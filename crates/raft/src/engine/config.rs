@@ -30,6 +30,13 @@ pub struct EngineConfig {
     pub uncommitted_bytes: usize,
     /// Bytes of committed blocks handed out and not yet executed.
     pub unapplied_bytes: usize,
+    /// Longest time that data waits for its block, microseconds: what waited longer is refused, so that the latency of the
+    /// rest stays bounded. Control waits as long as it takes.
+    pub data_wait_us: u64,
+    /// Committed data of a leader that may wait for its execution, in bytes (each transaction counting some hundred more,
+    /// for what its execution costs beside them); a block takes at most half of it. What is ordered cannot be overtaken:
+    /// this is how long control waits behind data. Two blocks keep disk and executor busy; more would only wait.
+    pub ahead_bytes: usize,
     /// Randomness: election timeouts and the names of reads. Different on every node and at every start.
     pub seed: u64,
 }
@@ -50,6 +57,8 @@ impl EngineConfig {
             blocks_uncommitted: 256,
             uncommitted_bytes: 64 * 1024 * 1024,
             unapplied_bytes: 32 * 1024 * 1024,
+            data_wait_us: 200_000,
+            ahead_bytes: 64 * 1024,
             seed,
         }
     }

@@ -5,7 +5,7 @@
 //! on the disk: [`PendingReady`]. Learners have no part in that: a leader sends them what is committed, and they hand it
 //! out before their own disk has it, as a majority of the voters has.
 
-use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
+use super::{Ahead, Engine, OwnBlock, PendingReady, READ_BYTES};
 use crate::interface::{Output, Role, RoleChange};
 use crate::log::membership;
 use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
@@ -20,10 +20,10 @@ use raft::{INVALID_ID, StateRole};
 
 impl Engine {
     /// Runs until nothing is left to do.
-    pub(super) fn pump(&mut self, now: u64, out: &mut Vec<Output>) -> Result<(), StoreError> {
+    pub(super) fn pump(&mut self, out: &mut Vec<Output>) -> Result<(), StoreError> {
         loop {
             self.tell_role(out);
-            self.propose(now);
+            self.propose(out);
             self.commit(out)?;
             if !self.raw.has_ready() {
                 break;
@@ -59,6 +59,7 @@ impl Engine {
         if leads || role != Role::Leader {
             self.own.clear();
             self.held.clear();
+            self.ahead.clear();
             self.wants_empty = false;
         }
         self.told = change;
@@ -78,10 +79,11 @@ impl Engine {
     }
 
     /// What waits becomes one block, as soon as the previous write is under way.
-    fn propose(&mut self, now: u64) {
+    fn propose(&mut self, out: &mut Vec<Output>) {
         if !self.may_propose() {
             return;
         }
+        self.drop_late(out);
         loop {
             let log = &self.raw.raft.raft_log;
             let (committed, persisted) = (log.committed, log.persisted);
@@ -97,8 +99,11 @@ impl Engine {
             if full || (self.queues.is_empty() && !self.wants_empty) {
                 return;
             }
-            let cut = self.queues.cut(self.config.block_bytes);
-            let time = now.max(self.last_time);
+            let cut = self.queues.cut(self.config.block_bytes, self.room_ahead());
+            if cut.is_empty() && !self.queues.is_empty() {
+                return;
+            }
+            let time = self.now.max(self.last_time);
             let data = Payload { time, transactions: self.queues.peek(cut) }.to_bytes();
             let bytes = data.len();
             if let Err(error) = self.raw.step(proposal(self.config.id, EntryKind::Normal, data)) {
@@ -107,10 +112,21 @@ impl Engine {
                 return;
             }
             drop(self.queues.take(cut));
-            self.own.push_back(OwnBlock { index: self.raw.raft.raft_log.last_index(), bytes });
+            let index = self.raw.raft.raft_log.last_index();
+            self.own.push_back(OwnBlock { index, bytes });
+            self.ahead.push_back(Ahead { index, cost: cut.cost });
             self.last_time = time;
             self.wants_empty = false;
         }
+    }
+
+    /// What the data of the next block may cost: nothing while enough is committed that is not executed. What waits for
+    /// a majority does not count, or a distant one would be the limit.
+    pub(super) fn room_ahead(&self) -> usize {
+        let log = &self.raw.raft.raft_log;
+        let until = log.committed.min(log.persisted);
+        let waiting: usize = self.ahead.iter().take_while(|block| block.index <= until).map(|block| block.cost).sum();
+        self.config.ahead_bytes.saturating_sub(waiting).min(self.config.ahead_bytes.div_ceil(2))
     }
 
     /// Hands out what is committed and, on a voter, on the own disk, as far as the executor keeps up.
@@ -186,6 +202,9 @@ impl Engine {
         {
             self.unapplied.pop_front();
             self.unapplied_bytes -= bytes;
+        }
+        while self.ahead.front().is_some_and(|block| block.index <= height) {
+            self.ahead.pop_front();
         }
         self.advance_applied();
     }

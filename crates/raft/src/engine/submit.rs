@@ -3,22 +3,26 @@
 use super::Engine;
 use crate::interface::{Lane, Output, Role};
 use crate::message::{PeerMessage, Transactions};
-use crate::queue::{Cut, Waiting};
+use crate::queue::Waiting;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
 use ledger::{Bytes, Code, Rejection};
 
 impl Engine {
     /// A client of this node wants a transaction ordered.
     pub(super) fn submit(&mut self, lane: Lane, transaction: Bytes, out: &mut Vec<Output>) {
-        let waiting = Waiting { transaction, origin: None };
+        let waiting = Waiting { transaction, origin: None, since: self.now };
         let refused = match self.leader() {
-            None => Err(Box::new((waiting, no_leader()))),
+            None => vec![(waiting, no_leader())],
             Some(_) => self.queues.push(lane, waiting),
         };
-        if let Err(refused) = refused {
-            let (waiting, reason) = *refused;
-            out.push(Output::Dropped { transaction: waiting.transaction, reason });
-        }
+        give_back(refused.into_iter().map(|(waiting, reason)| (lane, waiting, reason)), out);
+    }
+
+    /// Gives back data that has waited too long to be worth ordering.
+    pub(super) fn drop_late(&mut self, out: &mut Vec<Output>) {
+        // The first is looked at in any case: control may leave no room for long.
+        let late = self.queues.take_late(self.now, self.config.data_wait_us, self.room_ahead().max(1));
+        give_back(late.into_iter().map(|(waiting, reason)| (Lane::Data, waiting, reason)), out);
     }
 
     /// Another node takes this one for the leader.
@@ -27,16 +31,13 @@ impl Engine {
         let lanes = [(Lane::Control, transactions.control), (Lane::Data, transactions.data)];
         for (lane, transactions) in lanes {
             for transaction in transactions {
-                let waiting = Waiting { transaction, origin: Some(from) };
+                let waiting = Waiting { transaction, origin: Some(from), since: self.now };
                 // Never forwarded again: two nodes that take each other for the leader would play ping-pong.
-                let result = match self.raw.raft.state {
+                let more = match self.raw.raft.state {
                     raft::StateRole::Leader => self.queues.push(lane, waiting),
-                    _ => Err(Box::new((waiting, no_leader()))),
+                    _ => vec![(waiting, no_leader())],
                 };
-                if let Err(error) = result {
-                    let (waiting, reason) = *error;
-                    refused.push((lane, waiting, reason));
-                }
+                refused.extend(more.into_iter().map(|(waiting, reason)| (lane, waiting, reason)));
             }
         }
         give_back(refused, out);
@@ -59,9 +60,10 @@ impl Engine {
             return;
         }
         while !self.queues.is_empty() {
-            let cut = self.queues.cut(self.config.message_bytes.min(PAYLOAD_BYTES_MAX));
-            let control = self.queues.control.take(cut.control).map(|waiting| waiting.transaction).collect();
-            let data = self.queues.data.take(cut.data).map(|waiting| waiting.transaction).collect();
+            let cut = self.queues.cut(self.config.message_bytes.min(PAYLOAD_BYTES_MAX), usize::MAX);
+            let transactions = |taken: Vec<Waiting>| taken.into_iter().map(|waiting| waiting.transaction).collect();
+            let control = transactions(self.queues.control.take(cut.control));
+            let data = transactions(self.queues.data.take(cut.data));
             let message = PeerMessage::Forward(Transactions { control, data, code: 0 });
             out.push(Output::Send { to: leader, message });
         }
@@ -69,11 +71,9 @@ impl Engine {
 
     /// No leader for too long: whoever waits should look for another node.
     pub(super) fn drop_waiting(&mut self, out: &mut Vec<Output>) {
-        let all = Cut { control: usize::MAX, data: 0, bytes: 0 };
-        let control: Vec<_> = self.queues.take(all).map(|waiting| (Lane::Control, waiting, no_leader())).collect();
-        let data = self.queues.take_all().map(|waiting| (Lane::Data, waiting, no_leader()));
-        let refused = control.into_iter().chain(data).collect();
-        give_back(refused, out);
+        let control = self.queues.control.take(usize::MAX).into_iter().map(|waiting| (Lane::Control, waiting));
+        let data = self.queues.data.take(usize::MAX).into_iter().map(|waiting| (Lane::Data, waiting));
+        give_back(control.chain(data).map(|(lane, waiting)| (lane, waiting, no_leader())), out);
     }
 }
 
@@ -83,7 +83,7 @@ fn no_leader() -> Rejection {
 }
 
 /// Tells whoever submitted: a client of this node, or the node that forwarded.
-fn give_back(refused: Vec<(Lane, Waiting, Rejection)>, out: &mut Vec<Output>) {
+fn give_back(refused: impl IntoIterator<Item = (Lane, Waiting, Rejection)>, out: &mut Vec<Output>) {
     for (lane, waiting, reason) in refused {
         let Some(to) = waiting.origin else {
             out.push(Output::Dropped { transaction: waiting.transaction, reason });

@@ -104,6 +104,7 @@ pub(crate) struct ToLedger {
     /// Where the subscription begins.
     from_height: u64,
     complaint: Complaint,
+    replaced: Complaint,
     no_news: Complaint,
     refreshed: Option<Instant>,
     /// Bytes without a verdict.
@@ -141,6 +142,7 @@ impl ToLedger {
             publishing,
             from_height: height.saturating_add(1),
             complaint: Complaint::default(),
+            replaced: Complaint::default(),
             no_news: Complaint::default(),
             refreshed: None,
             under_way_bytes: 0,
@@ -212,8 +214,13 @@ impl ToLedger {
         let mut counts = self.counters.lock();
         counts.summary.samples_in += received.len() as u64;
         counts.summary.submitted += received.len() as u64;
-        counts.summary.replaced = self.inlet.dropped();
+        let replaced = self.inlet.dropped();
+        let more = replaced.saturating_sub(std::mem::replace(&mut counts.summary.replaced, replaced));
         drop(counts);
+        if more > 0 && self.replaced.worth("replaced", Instant::now()).is_some() {
+            let service = &self.publishing.service;
+            tracing::warn!(service, replaced, "the ledger is slower than the topic; newer samples replace older ones");
+        }
         self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
         verdict.map(move |verdict| Outcome { received, bytes, verdict }).boxed()
     }

@@ -50,6 +50,10 @@ struct Node {
     subscribers: u64,
     payload_bytes_max: u64,
     resident_bytes: u64,
+    in_flight: u64,
+    in_flight_max: u64,
+    waiting_control: u64,
+    waiting_data: u64,
 }
 
 #[derive(Serialize)]
@@ -94,6 +98,10 @@ impl From<v1::StatusResponse> for Node {
             subscribers: status.subscribers,
             payload_bytes_max: status.payload_bytes_max,
             resident_bytes: status.resident_bytes,
+            in_flight: status.in_flight,
+            in_flight_max: status.in_flight_max,
+            waiting_control: status.waiting_control,
+            waiting_data: status.waiting_data,
         }
     }
 }
@@ -131,6 +139,8 @@ impl Facts for Node {
         table.pair("chaincodes", self.chaincodes.join(", "));
         table.pair("executed", count_list(&self.executed));
         table.pair("refused", count_list(&self.refused));
+        table.pair("in flight", format!("{} of {}", self.in_flight, self.in_flight_max));
+        table.pair("waiting", format!("{} urgent, {} messages", self.waiting_control, self.waiting_data));
         table.pair("subscribers", self.subscribers);
         table.pair("largest payload", format!("{} bytes", self.payload_bytes_max));
         table.pair("memory", format!("{} MiB", self.resident_bytes / (1024 * 1024)));

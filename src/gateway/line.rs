@@ -1,0 +1,250 @@
+//! What has come over one stream and was not looked at yet.
+//!
+//! Control goes first. Data waits only so long: beyond it the node gets more than it can look at, and then only the newest
+//! about each subject goes on, because a newer command is worth more than an older one; the last one of a burst may be
+//! the one that stops the robot. It, too, is refused after twice as long. Whatever is refused is told so, and counted.
+
+use super::share::Place;
+use ledger::transaction::Transaction;
+use ledger::{Bytes, Code, Rejection};
+use ledger_raft::Lane;
+use std::collections::{HashSet, VecDeque};
+use std::time::{Duration, Instant};
+
+/// A transaction that has come and was not looked at yet.
+pub(super) struct Arrived {
+    /// It has the form of one.
+    pub(super) transaction: Transaction,
+    /// Height at which it is to be looked at.
+    pub(super) min_height: u64,
+    /// How urgent it says it is.
+    pub(super) lane: Lane,
+    /// When it came.
+    pub(super) since: Instant,
+    /// It is in flight.
+    pub(super) place: Place,
+}
+
+/// Those of one stream, in the order in which they came.
+#[derive(Default)]
+pub(super) struct Line {
+    control: VecDeque<Arrived>,
+    data: VecDeque<Arrived>,
+}
+
+impl Line {
+    pub(super) fn push(&mut self, arrived: Arrived) {
+        self.lane(arrived.lane).push_back(arrived);
+    }
+
+    /// The lane that is to be looked at next.
+    pub(super) fn next(&self) -> Option<Lane> {
+        match (self.control.is_empty(), self.data.is_empty()) {
+            (false, _) => Some(Lane::Control),
+            (true, false) => Some(Lane::Data),
+            (true, true) => None,
+        }
+    }
+
+    /// The height that the first of a lane waits for.
+    pub(super) fn min_height(&mut self, lane: Lane) -> Option<u64> {
+        self.lane(lane).front().map(|arrived| arrived.min_height)
+    }
+
+    /// Takes the first of a lane.
+    pub(super) fn take(&mut self, lane: Lane) -> Option<Arrived> {
+        self.lane(lane).pop_front()
+    }
+
+    /// When the first data has waited too long: takes out all but the newest about each subject, and that too if it has
+    /// waited twice as long.
+    pub(super) fn take_late(&mut self, now: Instant, wait_max: Duration) -> Vec<(Arrived, Rejection)> {
+        let waited = |arrived: &Arrived| now.saturating_duration_since(arrived.since);
+        if self.data.front().is_none_or(|first| waited(first) <= wait_max) {
+            return Vec::new();
+        }
+        let mut seen = HashSet::new();
+        let mut newest: Vec<_> = self.data.iter().rev().map(|arrived| seen.insert(subject(arrived))).collect();
+        drop(seen);
+        let (mut refused, line) = (Vec::new(), (self.data.len(), self.data.front().map_or(Duration::ZERO, waited)));
+        for arrived in std::mem::take(&mut self.data) {
+            let newest = newest.pop().unwrap_or(true);
+            let waited = waited(&arrived);
+            if newest && waited <= wait_max * 2 {
+                self.data.push_back(arrived);
+            } else {
+                refused.push((arrived, overloaded(newest, waited, line, wait_max)));
+            }
+        }
+        refused
+    }
+
+    fn lane(&mut self, lane: Lane) -> &mut VecDeque<Arrived> {
+        match lane {
+            Lane::Control => &mut self.control,
+            Lane::Data => &mut self.data,
+        }
+    }
+}
+
+/// Why data is not looked at that has waited so long, where so much waits of which the oldest has waited so long.
+pub(super) fn overloaded(
+    newest: bool,
+    waited: Duration,
+    (waiting, oldest): (usize, Duration),
+    wait_max: Duration,
+) -> Rejection {
+    let message = match newest {
+        true => "more comes than this node can look at in time",
+        false => "more comes than this node can look at in time: a newer call about the same took this one's place",
+    };
+    Rejection::new(Code::Overloaded, message)
+        .found(format!(
+            "it waited {} ms, the oldest of {waiting} on this connection {} ms",
+            waited.as_millis(),
+            oldest.as_millis()
+        ))
+        .wanted(format!("at most {} ms (order.wait_ms)", wait_max.as_millis()))
+        .next("send less often; send what is current instead of this, or this again after 100 ms")
+}
+
+/// What a call is about: usually a service.
+fn subject(arrived: &Arrived) -> (&str, &str, Option<&Bytes>) {
+    let body = arrived.transaction.body();
+    (&body.chaincode, &body.function, body.args.first())
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::gateway::share::Shares;
+    use ledger::key::{KeyKind, SigningKey};
+    use ledger::transaction::Body;
+    use ring::rand::SystemRandom;
+
+    const WAIT_MAX: Duration = Duration::from_millis(100);
+
+    struct Stream {
+        line: Line,
+        shares: Shares,
+        key: SigningKey,
+        start: Instant,
+    }
+
+    impl Stream {
+        fn new() -> Self {
+            let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+            Self { line: Line::default(), shares: Shares::new(1000, 2), key, start: Instant::now() }
+        }
+
+        /// Something about a service comes so many milliseconds after the start.
+        fn comes(&mut self, lane: Lane, service: &'static str, at_ms: u64) {
+            let body = Body {
+                network: vec![1; 32].into(),
+                creator: vec![2; 32].into(),
+                nonce: vec![3; 16].into(),
+                not_after: at_ms,
+                chaincode: "abac".into(),
+                function: "set".into(),
+                args: vec![service.into()],
+            };
+            let transaction = Transaction::sign(&body, &self.key).unwrap();
+            let place = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();
+            let since = self.start + Duration::from_millis(at_ms);
+            self.line.push(Arrived { transaction, min_height: 0, lane, since, place });
+        }
+
+        /// When those came that are refused after so many milliseconds, and what they are told.
+        fn refused(&mut self, after_ms: u64) -> Vec<(u64, Rejection)> {
+            let late = self.line.take_late(self.start + Duration::from_millis(after_ms), WAIT_MAX);
+            late.into_iter().map(|(arrived, reason)| (arrived.transaction.body().not_after, reason)).collect()
+        }
+
+        fn left(&mut self) -> Vec<u64> {
+            let taken = std::iter::from_fn(|| self.line.take(Lane::Data));
+            taken.map(|arrived| arrived.transaction.body().not_after).collect()
+        }
+    }
+
+    #[test]
+    fn control_is_looked_at_before_data_that_was_there_first() {
+        let mut stream = Stream::new();
+        assert_eq!(stream.line.next(), None);
+        stream.comes(Lane::Data, "Husky", 0);
+        assert_eq!(stream.line.next(), Some(Lane::Data));
+        stream.comes(Lane::Control, "Husky", 1);
+        assert_eq!(stream.line.next(), Some(Lane::Control));
+        stream.line.take(Lane::Control).unwrap();
+        assert_eq!(stream.line.next(), Some(Lane::Data));
+    }
+
+    #[test]
+    fn nothing_is_refused_while_the_first_has_not_waited_too_long() {
+        let mut stream = Stream::new();
+        for at in 0..50 {
+            stream.comes(Lane::Data, "Husky", at);
+        }
+        assert!(stream.refused(100).is_empty());
+        assert_eq!(stream.left(), (0..50).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn beyond_it_the_newest_command_of_each_service_replaces_the_older_ones() {
+        let mut stream = Stream::new();
+        for (service, at) in [("Husky", 0), ("Turtlebot4", 5), ("Husky", 60), ("Turtlebot4", 70), ("Husky", 80)] {
+            stream.comes(Lane::Data, service, at);
+        }
+        let refused = stream.refused(110);
+        assert_eq!(refused.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [0, 5, 60]);
+        for (at, reason) in refused {
+            assert_eq!(reason.code, Code::Overloaded);
+            assert!(reason.message.contains("newer"), "{reason}");
+            assert!(
+                reason.found.contains(&format!("waited {} ms", 110 - at)) && reason.wanted.contains("100 ms"),
+                "{reason}"
+            );
+        }
+        assert_eq!(stream.left(), [70, 80], "in their order");
+    }
+
+    #[test]
+    fn the_last_command_of_a_burst_goes_on() {
+        let mut stream = Stream::new();
+        for _ in 0..10 {
+            stream.comes(Lane::Data, "Husky", 0);
+        }
+        assert_eq!(stream.refused(150).len(), 9);
+        assert_eq!(stream.left(), [0]);
+    }
+
+    #[test]
+    fn the_newest_is_refused_too_after_twice_as_long() {
+        let mut stream = Stream::new();
+        stream.comes(Lane::Data, "Husky", 0);
+        stream.comes(Lane::Data, "Turtlebot4", 90);
+        assert!(stream.refused(200).is_empty());
+        let refused = stream.refused(201);
+        assert_eq!(refused.iter().map(|(at, _)| *at).collect::<Vec<_>>(), [0]);
+        assert!(refused.iter().all(|(_, reason)| !reason.message.contains("newer")));
+        assert_eq!(stream.left(), [90]);
+    }
+
+    #[test]
+    fn control_waits_as_long_as_it_takes() {
+        let mut stream = Stream::new();
+        stream.comes(Lane::Control, "Husky", 0);
+        stream.comes(Lane::Data, "Husky", 0);
+        assert_eq!(stream.refused(1000).len(), 1);
+        assert_eq!(stream.line.next(), Some(Lane::Control));
+    }
+
+    #[test]
+    fn what_is_refused_gives_its_place_back() {
+        let mut stream = Stream::new();
+        stream.comes(Lane::Data, "Husky", 0);
+        assert_eq!(stream.shares.in_flight(), 1);
+        drop(stream.refused(1000));
+        assert_eq!(stream.shares.in_flight(), 0);
+    }
+}
