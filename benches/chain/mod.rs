@@ -67,7 +67,8 @@ impl Chain {
         // The first two are executed here, to learn the grant.
         let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
         let ledger =
-            Ledger::open(&genesis, Node::builder().registry().unwrap(), state, Arc::new(ResultStore::in_memory())).unwrap();
+            Ledger::open(&genesis, Node::builder().registry().unwrap(), state, Arc::new(ResultStore::in_memory()))
+                .unwrap();
         let mut height = 0;
         let mut append = |transactions: Vec<Bytes>, time: u64| {
             height += 1;

@@ -74,7 +74,8 @@ impl Drivers {
                 let granted = client.submit(call).await.unwrap();
                 serde_json::from_slice::<Grant>(&granted.response).unwrap()
             });
-            for (Grant { service, epoch, .. }, (who, _)) in join_all(granted).await.into_iter().zip(people) {
+            for (Grant { service, epoch, next_seq, .. }, (who, _)) in join_all(granted).await.into_iter().zip(people) {
+                self.next_seq.fetch_max(next_seq, Ordering::Relaxed);
                 let driver = Driver { who: who.clone(), service: service.into(), epoch: epoch.to_string().into() };
                 self.drivers.push(driver);
             }

@@ -41,10 +41,7 @@ fn of_length(bench: &Bench, blocks: usize) -> Vec<Point> {
     let drivers = bench.runtime.block_on(salma(&network));
     let arrivals = bench.runtime.block_on(network.listen("Turtlebot4"));
     let more = json!({ "start_s": started, "execute_s": executed, "disk_bytes": disk });
-    let measure = |hz| Point {
-        more: more.clone(),
-        ..Point::measure(bench, &network, &drivers, &arrivals, blocks, Load::hz(hz))
-    };
+    let measure = |hz| Point::measure(bench, &network, &drivers, &arrivals, blocks, Load::hz(hz)).with(more.clone());
     bench.rates().into_iter().map(measure).collect()
 }
 

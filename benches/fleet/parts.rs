@@ -57,8 +57,7 @@ pub(crate) fn robots(bench: &Bench) -> Vec<Point> {
     let counts = bench.counts(&[1, 10, 100, 1000]);
     let founding = Founding::new(PAPER);
     let people = founding.members(*counts.last().unwrap(), "Fleet");
-    let people: Vec<_> =
-        people.into_iter().enumerate().map(|(number, who)| (who, format!("Robot{number}"))).collect();
+    let people: Vec<_> = people.into_iter().enumerate().map(|(number, who)| (who, format!("Robot{number}"))).collect();
     let network = bench.runtime.block_on(Network::start_founded(founding, ""));
     let arrivals = bench.runtime.block_on(network.listen_to(Vec::new()));
     let mut drivers = Drivers::new(vec![bench.runtime.block_on(network.connect(&people[0].0))]);

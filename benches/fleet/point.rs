@@ -8,10 +8,13 @@ use crate::report::percentiles;
 use crate::usage;
 use hdrhistogram::Histogram;
 use serde_json::{Value, json};
+use std::thread::sleep;
 use std::time::Duration;
 
 /// Rate and length of what runs before each measurement, so that caches are warm and queues empty.
 const WARM_UP: (f64, Duration) = (200.0, Duration::from_millis(300));
+/// Time in which a node has stored results and world state.
+const STORED_WITHIN: Duration = Duration::from_millis(700);
 
 /// What drives a point.
 pub(crate) struct Load {
@@ -68,8 +71,14 @@ impl Point {
         };
         commands(WARM_UP.0, load.messages, WARM_UP.1.min(bench.duration));
         let processes = network.processes();
-        let disk = || network.directories().next().map_or(0, usage::filled);
-        let (first_seq, disk_before, cpu_before) = (drivers.next_seq(), disk(), usage::cpu_exact(&processes));
+        let disk = || {
+            if !bench.smoke {
+                sleep(STORED_WITHIN);
+            }
+            network.directories().next().map_or(0, usage::filled)
+        };
+        let (first_seq, disk_before) = (drivers.next_seq(), disk());
+        let cpu_before = usage::cpu_exact(&processes);
         let run = commands(load.hz, load.messages, bench.duration);
         let cpu = usage::cpu_exact(&processes).saturating_sub(cpu_before);
         let count = run.latency.len();
@@ -89,6 +98,11 @@ impl Point {
         };
         point.print();
         point
+    }
+
+    /// The same with what else there is to say.
+    pub(crate) fn with(self, more: Value) -> Self {
+        Self { more, ..self }
     }
 
     /// Median commit latency, microseconds.

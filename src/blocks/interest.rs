@@ -47,8 +47,7 @@ impl Interests {
 
     /// Enters somebody who has everything up to `height` still to look at. No subjects mean all.
     pub(super) fn enter(self: &Arc<Self>, table: &mut Table, subjects: Vec<String>, height: u64) -> Interest {
-        let mark =
-            Arc::new(Mark { unseen: Mutex::new(Unseen { first: 0, last: height }), wake: Notify::new() });
+        let mark = Arc::new(Mark { unseen: Mutex::new(Unseen { first: 0, last: height }), wake: Notify::new() });
         if subjects.is_empty() {
             table.all.push(Arc::clone(&mark));
         }
