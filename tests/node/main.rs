@@ -27,6 +27,7 @@ mod network;
 mod rebuild;
 mod renewal;
 mod story;
+mod subscribing;
 mod two_nodes;
 mod verify;
 mod witness;
