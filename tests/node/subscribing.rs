@@ -10,8 +10,8 @@ use ledger_api::{Client, Subscription};
 use std::time::Instant;
 
 const QUIET: &str = "Husky/cmd_vel";
-/// The shortest heartbeat that a node keeps, in milliseconds.
-const HEARTBEAT_MS: u32 = 50;
+/// Far longer than the time between two commands, in milliseconds.
+const HEARTBEAT_MS: u32 = 400;
 
 fn of_the_quiet_one() -> Subscription {
     Subscription {
