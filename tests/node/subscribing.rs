@@ -2,10 +2,12 @@
 
 use crate::support::network::{message, register_robots};
 use crate::support::wait::PATIENCE;
-use crate::support::{Fleet, connect};
+use crate::support::{Fleet, connect, wire};
 use ledger::Bytes;
 use ledger::identity::Role;
 use ledger_abac::MessageEvent;
+use ledger_api::v1::SubscribeRequest;
+use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Client, Subscription};
 use std::time::Instant;
 
@@ -50,12 +52,20 @@ async fn a_subscriber_of_a_quiet_robot_gets_heartbeats_that_say_how_far_the_node
     register_robots(&owner, "exclusive").await;
     acquire(&driver, "Turtlebot4").await;
 
-    let mut heard = owner.subscribe(of_the_quiet_one());
+    // Without the client, which would come back through another connection when it hears nothing.
+    let request = SubscribeRequest {
+        subjects: vec![QUIET.into()],
+        heartbeat_ms: HEARTBEAT_MS,
+        ..SubscribeRequest::default()
+    };
+    let channel = wire::channel(&fleet.owner(), true).await;
+    let mut heard = GatewayClient::new(channel).subscribe(request).await.unwrap().into_inner();
     let deadline = Instant::now() + PATIENCE;
     let heartbeats = async {
         let mut heights = Vec::new();
         while heights.len() < 3 {
-            let delivery = tokio::time::timeout_at(deadline.into(), heard.next()).await.expect("no heartbeat").unwrap();
+            let delivery = tokio::time::timeout_at(deadline.into(), heard.message()).await.expect("no heartbeat");
+            let delivery = delivery.unwrap().expect("the stream ended");
             assert!(delivery.events.is_empty(), "nothing was published on {QUIET}");
             heights.push(delivery.height);
         }
