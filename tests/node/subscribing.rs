@@ -46,9 +46,9 @@ async fn while_busy<T>(driver: &Client, first_seq: u64, what: impl Future<Output
 async fn a_subscriber_of_a_quiet_robot_gets_heartbeats_that_say_how_far_the_node_is() {
     let fleet = Fleet::found(1);
     let salma = fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]);
-    let owner = fleet.owner();
+    let admin = fleet.owner();
     let mut node = fleet.nodes[0].start();
-    let (owner, driver) = (connect(&owner).await, connect(&salma).await);
+    let (owner, driver) = (connect(&admin).await, connect(&salma).await);
     register_robots(&owner, "exclusive").await;
     acquire(&driver, "Turtlebot4").await;
 
@@ -58,7 +58,7 @@ async fn a_subscriber_of_a_quiet_robot_gets_heartbeats_that_say_how_far_the_node
         heartbeat_ms: HEARTBEAT_MS,
         ..SubscribeRequest::default()
     };
-    let channel = wire::channel(&fleet.owner(), true).await;
+    let channel = wire::channel(&admin, true).await;
     let mut heard = GatewayClient::new(channel).subscribe(request).await.unwrap().into_inner();
     let deadline = Instant::now() + PATIENCE;
     let heartbeats = async {
