@@ -53,11 +53,8 @@ async fn a_subscriber_of_a_quiet_robot_gets_heartbeats_that_say_how_far_the_node
     acquire(&driver, "Turtlebot4").await;
 
     // Without the client, which would come back through another connection when it hears nothing.
-    let request = SubscribeRequest {
-        subjects: vec![QUIET.into()],
-        heartbeat_ms: HEARTBEAT_MS,
-        ..SubscribeRequest::default()
-    };
+    let request =
+        SubscribeRequest { subjects: vec![QUIET.into()], heartbeat_ms: HEARTBEAT_MS, ..SubscribeRequest::default() };
     let channel = wire::channel(&admin, true).await;
     let mut heard = GatewayClient::new(channel).subscribe(request).await.unwrap().into_inner();
     let deadline = Instant::now() + PATIENCE;
