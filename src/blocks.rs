@@ -1,6 +1,11 @@
 //! Executed blocks for those who read them: recent ones from memory, older ones from the block store and the results
 //! kept beside it.
 
+mod interest;
+
+pub(crate) use interest::Interest;
+
+use interest::Interests;
 use ledger::block::{Header, content};
 use ledger::block_store::BlockStore;
 use ledger::result::TransactionResult;
@@ -20,6 +25,7 @@ pub(crate) struct Blocks {
     store: Arc<BlockStore>,
     recent: RwLock<Recent>,
     head: watch::Sender<u64>,
+    interests: Arc<Interests>,
 }
 
 #[derive(Default)]
@@ -32,12 +38,13 @@ impl Blocks {
     /// The blocks of a ledger, of which none is in memory yet.
     pub(crate) fn new(ledger: Arc<Ledger>, store: Arc<BlockStore>) -> Self {
         let head = watch::Sender::new(ledger.tip().height);
-        Self { ledger, store, recent: RwLock::default(), head }
+        Self { ledger, store, recent: RwLock::default(), head, interests: Arc::default() }
     }
 
-    /// Takes the block that was executed last and wakes everybody who waits for it.
+    /// Takes the block that was executed last and wakes everybody who waits for it, or for one of its events.
     pub(crate) fn publish(&self, outcome: Arc<Outcome>) {
         let height = outcome.header.height;
+        let events = Arc::clone(&outcome);
         {
             let mut recent = self.recent.write().unwrap_or_else(PoisonError::into_inner);
             recent.bytes += bytes_of(&outcome);
@@ -47,7 +54,27 @@ impl Blocks {
                 recent.bytes -= bytes_of(&oldest);
             }
         }
-        self.head.send_replace(height);
+        let concerned = {
+            let table = self.interests.lock();
+            let concerned = table.mark(height, events.events.iter().map(|emitted| emitted.event.subject.as_str()));
+            self.head.send_replace(height);
+            concerned
+        };
+        for mark in concerned {
+            mark.wake();
+        }
+    }
+
+    /// Enters somebody who waits for events about these subjects, or about everything if there are none.
+    pub(crate) fn interest(&self, subjects: Vec<String>) -> Interest {
+        let mut table = self.interests.lock();
+        let height = self.height();
+        self.interests.enter(&mut table, subjects, height)
+    }
+
+    /// Height of the last block that readers find here.
+    pub(crate) fn height(&self) -> u64 {
+        *self.head.borrow()
     }
 
     /// Follows the height of the last executed block.

@@ -5,10 +5,13 @@ use ledger::Bytes;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger_api::Context;
+use ledgerd::ca::CertificateAuthority;
 use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use rustls_pki_types::CertificateDer;
 use std::collections::BTreeMap;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 use tempfile::TempDir;
 
@@ -49,6 +52,8 @@ pub(crate) struct Founding {
     pub(crate) drivers: Vec<Context>,
     /// Data directory and address of each node, the voters first.
     pub(crate) nodes: Vec<(PathBuf, String)>,
+    /// The CA of her organisation.
+    authority: PathBuf,
     /// Where all of it lies.
     _directory: TempDir,
 }
@@ -67,6 +72,11 @@ pub(crate) fn clock() -> u64 {
 
 impl Founding {
     pub(crate) fn new(shape: Shape) -> Self {
+        Self::with(shape, 0)
+    }
+
+    /// As [`Founding::new`], with so many more organisations, which have no nodes.
+    pub(crate) fn with(shape: Shape, more_organisations: usize) -> Self {
         let directory = tempfile::Builder::new().prefix(shape.name).tempdir_in(bench_directory()).unwrap();
         // All ports are held until all are known, so that they differ.
         let ports: Vec<_> =
@@ -85,12 +95,16 @@ impl Founding {
             address: address.clone(),
             voter: index < shape.voters,
         });
-        let organisations =
-            [OPERATORS, OWNERS].map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 });
+        let more = (3..3 + more_organisations).map(|number| format!("Org{number}"));
+        let organisations = [OPERATORS, OWNERS]
+            .map(str::to_owned)
+            .into_iter()
+            .chain(more)
+            .map(|name| PlannedOrganisation { name, key: KeyKind::Ed25519 });
         let plan = NetworkPlan {
             snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
             label: "bench".into(),
-            organisations: organisations.into(),
+            organisations: organisations.collect(),
             nodes: planned.collect(),
         };
         let founded = found(&plan, clock()).unwrap();
@@ -112,9 +126,24 @@ impl Founding {
                 })
                 .collect(),
             farhad: identity(OPERATORS, ("Farhad", Role::Member), BTreeMap::new()),
+            authority: founded.authorities[0].directory.clone(),
             nodes,
             _directory: directory,
         }
+    }
+
+    /// So many members of Salma's organisation who carry this attribute; they connect to the first node. Before it is
+    /// started: it owns the CA then.
+    pub(crate) fn members(&self, count: usize, attribute: &str) -> Vec<Context> {
+        let mut authority = CertificateAuthority::open(&self.authority).unwrap();
+        let mut issue = |number| {
+            let name = format!("Member{number}");
+            let attributes = BTreeMap::from([(attribute.to_owned(), "true".to_owned())]);
+            let issued = authority.issue(&name, Role::Member, attributes, KeyKind::Ed25519, clock()).unwrap();
+            let chain = std::iter::once(issued.certificate).chain(issued.chain).map(CertificateDer::from);
+            Context { name, chain: chain.collect(), key: Arc::new(issued.key), ..self.salma.clone() }
+        };
+        (0..count).map(&mut issue).collect()
     }
 }
 

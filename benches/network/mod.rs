@@ -6,6 +6,7 @@ use ledger::transaction::Transaction;
 use ledger::{Bytes, Code, Rejection};
 use ledger_abac::{Grant, MessageEvent};
 use ledger_api::{Call, Client, Context, Pending, Subscription, v1};
+use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
 use std::fs::{File, write};
 use std::path::Path;
@@ -34,7 +35,12 @@ impl Network {
 
     /// As [`Network::start`], with more settings: sections of TOML.
     pub(crate) async fn start_with(shape: Shape, settings: &str) -> Self {
-        let mut network = Self::of(Founding::new(shape));
+        Self::start_founded(Founding::new(shape), settings).await
+    }
+
+    /// As [`Network::start_with`], where it is founded already.
+    pub(crate) async fn start_founded(founding: Founding, settings: &str) -> Self {
+        let mut network = Self::of(founding);
         for node in 0..network.founding.nodes.len() {
             network.start_node(node, settings);
         }
@@ -77,6 +83,24 @@ impl Network {
         self.processes.push(child);
     }
 
+    /// Ends the process that was started last in an orderly way, and waits for it.
+    pub(crate) fn stop_last(&mut self) {
+        let mut process = self.processes.pop().unwrap();
+        kill_process(Pid::from_child(&process), Signal::TERM).unwrap();
+        assert!(process.wait().unwrap().success());
+    }
+
+    /// Who belongs to the network, and where its nodes are.
+    pub(crate) fn founding(&self) -> &Founding {
+        &self.founding
+    }
+
+    /// The owner's admin, at a node.
+    pub(crate) async fn owner_at(&self, node: usize) -> Client {
+        let nodes = vec![self.founding.nodes[node].1.clone()];
+        self.connect(&Context { nodes, ..self.founding.owner.clone() }).await
+    }
+
     /// The processes' ids.
     pub(crate) fn processes(&self) -> Vec<u32> {
         self.processes.iter().map(Child::id).collect()
@@ -90,12 +114,15 @@ impl Network {
     /// Notes when messages about a robot arrive at a subscriber of the owner, at the last node: the other
     /// organisation's, where there is one.
     pub(crate) async fn listen(&self, robot: &str) -> Arrivals {
-        let (_, address) = self.founding.nodes.last().unwrap();
-        let context = Context { nodes: vec![address.clone()], ..self.founding.owner.clone() };
-        let client = self.connect(&context).await;
+        self.listen_to(vec![format!("{robot}/cmd_vel")]).await
+    }
+
+    /// As [`Network::listen`], to several services; to all, if none is named.
+    pub(crate) async fn listen_to(&self, services: Vec<String>) -> Arrivals {
+        let client = self.owner_at(self.founding.nodes.len() - 1).await;
         let mut events = client.subscribe(Subscription {
             chaincode: "abac".into(),
-            subjects: vec![format!("{robot}/cmd_vel")],
+            subjects: services,
             names: vec!["message".into()],
             ..Subscription::default()
         });
@@ -152,7 +179,7 @@ impl Network {
     }
 
     /// Connects as soon as the node answers.
-    async fn connect(&self, context: &Context) -> Client {
+    pub(crate) async fn connect(&self, context: &Context) -> Client {
         let deadline = Instant::now() + START_TIME_MAX;
         loop {
             match Client::connect(context).await {

@@ -110,7 +110,7 @@ pub(crate) fn write(name: &str, results: &Value) {
     println!("\nwritten to {}", path.display());
 }
 
-/// Percentiles and the maximum, in milliseconds.
+/// Percentiles and the maximum of nanoseconds, in milliseconds.
 pub(crate) fn percentiles(histogram: &Histogram<u64>) -> Value {
     let mut object: serde_json::Map<_, _> = QUANTILES
         .iter()

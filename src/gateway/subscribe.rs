@@ -1,6 +1,7 @@
 //! Subscriptions: events from a height on, decided one by one whether this caller may read them.
 
 use super::{NodeView, status};
+use crate::blocks::Interest;
 use ledger::identity::Identity;
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code, Hash, Outcome, Rejection};
@@ -9,7 +10,7 @@ use std::collections::HashSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
@@ -51,18 +52,29 @@ pub(super) fn start(
         ms => Some(Duration::from_millis(ms.into()).max(HEARTBEAT_MIN)),
     };
     let (deliveries, stream) = mpsc::channel(WAITING_MAX);
-    let head = node.blocks.head();
     let counted = Counted::new(Arc::clone(&node.subscribers));
+    let interest = node.blocks.interest(request.subjects.clone());
+    let SubscribeRequest { chaincode, subjects, names, .. } = request;
+    let wanted = Wanted { chaincode, subjects: subjects.into_iter().collect(), names: names.into_iter().collect() };
     let subscription =
-        Subscription { node, reader, request, next, deliveries, shown: HashSet::new(), _counted: counted };
-    tokio::spawn(subscription.run(head, heartbeat));
+        Subscription { node, reader, wanted, interest, next, deliveries, shown: HashSet::new(), _counted: counted };
+    tokio::spawn(subscription.run(heartbeat));
     Ok(ReceiverStream::new(stream))
+}
+
+/// Which events are delivered. What is empty admits all.
+struct Wanted {
+    chaincode: String,
+    subjects: HashSet<String>,
+    names: HashSet<String>,
 }
 
 struct Subscription {
     node: Arc<NodeView>,
     reader: Arc<Identity>,
-    request: SubscribeRequest,
+    wanted: Wanted,
+    /// Tells which blocks need not be looked at.
+    interest: Interest,
     /// The next height to look at.
     next: u64,
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
@@ -72,9 +84,14 @@ struct Subscription {
 }
 
 impl Subscription {
-    async fn run(mut self, mut head: watch::Receiver<u64>, heartbeat: Option<Duration>) {
+    async fn run(mut self, heartbeat: Option<Duration>) {
+        let mut quiet = false;
         loop {
-            match self.catch_up(&mut head).await {
+            let going_on = match self.catch_up().await {
+                Ok(true) if quiet => self.beat().await,
+                going_on => going_on,
+            };
+            match going_on {
                 Ok(true) => {}
                 Ok(false) => return,
                 Err(reason) => {
@@ -82,43 +99,33 @@ impl Subscription {
                     return;
                 }
             }
-            let waited = async {
+            let woken = async {
                 match heartbeat {
-                    Some(period) => tokio::time::timeout(period, head.changed()).await,
-                    None => Ok(head.changed().await),
+                    Some(period) => tokio::time::timeout(period, self.interest.wait()).await.is_ok(),
+                    None => {
+                        self.interest.wait().await;
+                        true
+                    }
                 }
             };
-            let waited = tokio::select! {
-                waited = waited => waited,
+            quiet = tokio::select! {
+                woken = woken => !woken,
                 () = self.deliveries.closed() => return,
             };
-            match waited {
-                Ok(Ok(())) => {}
-                Ok(Err(_stopping)) => {
-                    let _gone = self.deliveries.send(Err(Status::unavailable("the node is stopping"))).await;
-                    return;
-                }
-                Err(_nothing_happened) => {
-                    if let Err(reason) = self.node.check(&self.reader) {
-                        let _gone = self.deliveries.send(Err(reason)).await;
-                        return;
-                    }
-                    if !self.progress().await {
-                        return;
-                    }
-                }
-            }
         }
     }
 
-    /// Delivers every block that was executed by now. False if the subscriber is gone.
-    async fn catch_up(&mut self, head: &mut watch::Receiver<u64>) -> Result<bool, Status> {
+    /// Delivers what there is of concern in every block that was executed by now. False if the subscriber is gone.
+    async fn catch_up(&mut self) -> Result<bool, Status> {
         let mut silent = 0;
         loop {
-            let reached = *head.borrow_and_update();
-            if self.next > reached {
+            // First the height, then the marks up to there: a block is marked before it counts as reached.
+            let reached = self.node.blocks.height();
+            let Some(first) = self.interest.take(reached) else {
+                self.next = self.next.max(reached + 1);
                 return Ok(true);
-            }
+            };
+            self.next = self.next.max(first);
             while self.next <= reached {
                 let outcome = self.node.blocks.get(self.next).map_err(|fault| status(&fault))?;
                 let delivery = outcome.and_then(|outcome| self.delivery(&outcome));
@@ -144,6 +151,12 @@ impl Subscription {
         }
     }
 
+    /// The heartbeat: nothing was sent for a while. False if the subscriber is gone.
+    async fn beat(&self) -> Result<bool, Status> {
+        self.node.check(&self.reader)?;
+        Ok(self.progress().await)
+    }
+
     async fn progress(&self) -> bool {
         let delivery =
             Delivery { height: self.next.saturating_sub(1), time: self.node.ledger.tip().time, ..Delivery::default() };
@@ -154,9 +167,10 @@ impl Subscription {
     fn delivery(&mut self, outcome: &Outcome) -> Option<Delivery> {
         let wanted = outcome.events.iter().filter(|emitted| {
             let event = &emitted.event;
-            (self.request.chaincode.is_empty() || self.request.chaincode == event.chaincode)
-                && (self.request.subjects.is_empty() || self.request.subjects.contains(&event.subject))
-                && (self.request.names.is_empty() || self.request.names.contains(&event.name))
+            let Wanted { chaincode, subjects, names } = &self.wanted;
+            (chaincode.is_empty() || *chaincode == event.chaincode)
+                && (subjects.is_empty() || subjects.contains(&event.subject))
+                && (names.is_empty() || names.contains(&event.name))
                 && self.node.ledger.may_read(&self.reader, event).is_ok()
         });
         let wanted: Vec<_> = wanted.cloned().collect();

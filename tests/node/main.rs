@@ -29,6 +29,7 @@ mod overload;
 mod rebuild;
 mod renewal;
 mod story;
+mod subscribing;
 mod two_nodes;
 mod verify;
 mod witness;

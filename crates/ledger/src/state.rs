@@ -15,7 +15,7 @@ pub use memory::MemoryState;
 pub use store::{SledStore, Store};
 
 use crate::Hash;
-use crate::chaincode::{StateRead, WriteSet};
+use crate::chaincode::{Overlay, StateRead, WriteSet};
 use crate::code::Code;
 use crate::rejection::Rejection;
 use bytes::Bytes;
@@ -269,20 +269,8 @@ impl StateRead for State {
 
     fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
         let recent = self.read();
-        let start = match after {
-            Some(after) => std::ops::Bound::Excluded(after),
-            None => std::ops::Bound::Included(prefix),
-        };
-        let mut written: BTreeMap<&Bytes, &Option<Bytes>> = BTreeMap::new();
-        for layer in recent.layers.iter().map(|layer| &layer.writes).chain([&recent.dirty]) {
-            let range = layer.range::<[u8], _>((start, std::ops::Bound::Unbounded));
-            written.extend(range.take_while(|(key, _)| key.starts_with(prefix)));
-        }
-        let deleted = written.values().filter(|value| value.is_none()).count();
-        let stored = self.store.range(prefix, after, limit.saturating_add(deleted))?;
-        let mut merged: BTreeMap<Bytes, Option<Bytes>> = stored.into_iter().map(|(k, v)| (k, Some(v))).collect();
-        merged.extend(written.into_iter().map(|(key, value)| (key.clone(), value.clone())));
-        Ok(merged.into_iter().filter_map(|(key, value)| Some((key, value?))).take(limit).collect())
+        let layers = recent.layers.iter().map(|layer| &layer.writes).chain([&recent.dirty]);
+        Overlay::first(layers, prefix, after, limit, |after, limit| self.store.range(prefix, after, limit))
     }
 }
 
