@@ -110,7 +110,8 @@ pub(crate) fn write(name: &str, results: &Value) {
     println!("\nwritten to {}", path.display());
 }
 
-fn percentiles(histogram: &Histogram<u64>) -> Value {
+/// Percentiles of nanoseconds, in milliseconds.
+pub(crate) fn percentiles(histogram: &Histogram<u64>) -> Value {
     let mut object: serde_json::Map<_, _> = QUANTILES
         .iter()
         .map(|(name, quantile)| ((*name).to_owned(), ms(histogram.value_at_quantile(*quantile)).into()))
