@@ -1,12 +1,25 @@
 //! The parts of a commit, one by one, so that a change of the whole can be explained.
 //!
-//! `cargo bench --bench micro [-- NAME]`
+//! `cargo bench --bench micro [-- NAME]`. It runs in a network of its own, if it may: the leg over DDS needs one.
 
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "a bench ends at the first fault")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::print_stderr,
+    reason = "a bench ends at the first fault"
+)]
 
+#[path = "micro/access.rs"]
+mod access;
+#[path = "micro/chain.rs"]
+mod chain;
 mod founding;
+mod own_network;
+#[path = "micro/robot.rs"]
+mod robot;
 
-use criterion::{Bencher, BenchmarkId, Criterion, Throughput, criterion_group, criterion_main};
+use criterion::{Bencher, BenchmarkId, Criterion, Throughput, criterion_group};
 use founding::{Founding, ONE_VOTER, bench_directory, clock, robots, twist};
 use ledger::block::Payload;
 use ledger::block_store::{BlockStore, Options};
@@ -196,5 +209,23 @@ fn store(criterion: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, signature, admission, execution, store);
-criterion_main!(benches);
+criterion_group!(
+    ordering,
+    signature,
+    admission,
+    execution,
+    store,
+    chain::block_encode,
+    chain::recover,
+    chain::state_apply
+);
+criterion_group!(deciding, access::authorize, access::chaincode_call);
+criterion_group!(at_the_robot, robot::gate, robot::dds_leg, robot::iceoryx2_leg);
+
+fn main() {
+    own_network::enter();
+    ordering();
+    deciding();
+    at_the_robot();
+    Criterion::default().configure_from_args().final_summary();
+}

@@ -28,33 +28,38 @@ impl NodeBridge {
         let (stop, mut stopping) = watch::channel(false);
         let task = tokio::spawn(async move {
             let mut told = String::new();
-            let (bridge, client) = loop {
+            loop {
                 let started = tokio::select! {
                     started = start(settings.clone(), address.clone()) => started,
                     () = stopped(&mut stopping) => return,
                 };
                 match started {
-                    Ok(bridge) => break bridge,
-                    Err(reason) => {
-                        // The same reason once, not every two seconds.
-                        if told != reason.message {
-                            tracing::warn!(%reason, "the bridge cannot start yet; trying on");
-                            told = reason.message;
+                    Ok((bridge, client)) => {
+                        tracing::info!("the bridge runs");
+                        let lost = tokio::select! {
+                            () = stopped(&mut stopping) => None,
+                            () = ros_bridge::keep_renewed(&settings, &client) => None,
+                            lost = bridge.ended() => Some(lost),
+                        };
+                        let summary = serde_json::to_string(&bridge.stop().await).unwrap_or_default();
+                        tracing::info!(summary, "the bridge has stopped");
+                        match lost {
+                            Some(reason) => tracing::error!(%reason, "the bridge starts again"),
+                            None => return,
                         }
+                    }
+                    // The same reason once, not every two seconds.
+                    Err(reason) if told == reason.message => {}
+                    Err(reason) => {
+                        tracing::warn!(%reason, "the bridge cannot start yet; trying on");
+                        told = reason.message;
                     }
                 }
                 tokio::select! {
                     () = tokio::time::sleep(RETRY_PAUSE) => {}
                     () = stopped(&mut stopping) => return,
                 }
-            };
-            tracing::info!("the bridge runs");
-            tokio::select! {
-                () = stopped(&mut stopping) => {}
-                () = ros_bridge::keep_renewed(&settings, &client) => {}
             }
-            let summary = bridge.stop().await;
-            tracing::info!(summary = %serde_json::to_string(&summary).unwrap_or_default(), "the bridge has stopped");
         });
         Ok(Some(Self { stop, task }))
     }

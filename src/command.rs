@@ -107,7 +107,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Bridge(WithConfig { config }) => {
             telemetry::start(&Log::default());
-            block_on(async move { ros_bridge::run(&config, stop_signal()).await })
+            block_on_with(1, async move { ros_bridge::run(&config, stop_signal()).await })
         }
         Command::Verify { directory } => {
             let report = ledger::verify::verify_directory(&directory, &builder.registry()?)?;
@@ -183,8 +183,14 @@ fn load(path: &std::path::Path) -> Result<Config, Rejection> {
 }
 
 fn block_on(body: impl Future<Output = Result<(), Rejection>>) -> Result<(), Rejection> {
+    block_on_with(2, body)
+}
+
+/// With so many workers. A bridge has one: it does little between two waits, and each sample would wake a second one
+/// that finds nothing to do.
+fn block_on_with(workers: usize, body: impl Future<Output = Result<(), Rejection>>) -> Result<(), Rejection> {
     tokio::runtime::Builder::new_multi_thread()
-        .worker_threads(2)
+        .worker_threads(workers)
         .enable_all()
         .build()
         .map_err(|error| Rejection::new(Code::Internal, format!("cannot start the runtime: {error}")))?

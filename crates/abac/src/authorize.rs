@@ -6,13 +6,14 @@ use crate::nearest::did_you_mean;
 use crate::policies;
 use crate::policy::{Answer, Engine, Question, Resource, User, Verdict};
 use crate::publish;
-use crate::service::{self, Direction, Target};
+use crate::records::Records;
+use crate::service::{self, Direction, Offered, Target};
 use crate::store;
-use ledger::identity::Role;
+use ledger::identity::{Identity, Role};
 use ledger::{Bytes, Code, Context, Event, Hash, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Most decisions that are remembered; when they are more, all are forgotten.
 const DECISIONS_MAX: usize = 16 * 1024;
@@ -77,6 +78,8 @@ struct Key {
 pub(crate) struct Decider {
     engine: Engine,
     decisions: Mutex<BTreeMap<Key, Verdict>>,
+    robots: Records<Offered>,
+    grants: Records<Holding>,
 }
 
 impl Action {
@@ -96,12 +99,38 @@ impl Decider {
     /// # Errors
     /// As [`Engine::start`].
     pub(crate) fn new() -> Result<Self, Rejection> {
-        Ok(Self { engine: Engine::start()?, decisions: Mutex::default() })
+        let (decisions, robots, grants) = Default::default();
+        Ok(Self { engine: Engine::start()?, decisions, robots, grants })
     }
 
     /// Is this text acceptable as a policy?
     pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
         self.engine.check(text)
+    }
+
+    /// The service of an id, as [`service::resolve`] finds it.
+    pub(crate) fn target(&self, ctx: &Context<'_>, id: &str) -> Result<Arc<Target>, Rejection> {
+        let (robot, topic) = service::split(id);
+        let offered = self.robots.read(ctx, &store::robot_key(robot), Offered::parse)?;
+        match offered.as_ref().and_then(|offered| offered.find(topic)) {
+            Some(target) => Ok(Arc::clone(target)),
+            // It says what is wrong.
+            None => service::resolve(ctx, id).map(Arc::new),
+        }
+    }
+
+    /// The live grant that was acquired with this very certificate.
+    fn held(
+        &self,
+        ctx: &Context<'_>,
+        target: &Target,
+        submitter: &Identity,
+    ) -> Result<Option<Arc<Holding>>, Rejection> {
+        let held = self.grants.read(ctx, &store::grant_key(&target.id, &submitter.id()), store::parse)?;
+        let entitles = |held: &Arc<Holding>| {
+            held.is_live(ctx.block_time()) && held.principal.fingerprint.0 == submitter.fingerprint
+        };
+        Ok(held.filter(entitles))
     }
 
     /// May this principal do that, says the owner of the robot?
@@ -152,9 +181,8 @@ impl Decider {
     ) -> Result<Answer, Rejection> {
         let (robot, service) = (&target.robot, &target.service);
         let (attribute, value) = robot.required();
-        Ok(self.engine.decide(Question {
+        let question = Question {
             version,
-            texts: policies::in_force(ctx, &robot.organisation)?,
             user: User {
                 organisation: principal.organisation.clone(),
                 name: principal.name.clone(),
@@ -177,7 +205,8 @@ impl Decider {
                 trusted: robot.trusted.clone(),
             },
             time_ms: i64::try_from(ctx.block_time() / 1000).unwrap_or(i64::MAX),
-        }))
+        };
+        self.engine.decide(question, || policies::in_force(ctx, &robot.organisation))
     }
 
     fn remember(&self, key: Key, verdict: Verdict) {
@@ -203,22 +232,32 @@ pub(crate) fn may_hold(
 /// May they publish now? With an epoch, that epoch must be the one of their grant; epoch 0 asks the policies alone,
 /// where the service's mode allows it. Returns the grant that entitles them, if it is one that does.
 ///
+/// The usual case, a holder who publishes, reads two values of the state and asks no policy.
+///
 /// # Errors
 /// [`Code::StaleEpoch`], [`Code::NotHolder`], or what [`Decider::decide`] says.
 pub(crate) fn may_publish(
     ctx: &Context<'_>,
     decider: &Decider,
-    principal: &Principal,
+    submitter: &Identity,
     target: &Target,
     epoch: Option<u64>,
-) -> Result<Option<Holding>, Rejection> {
-    if !target.service.mode.rule().publishing_needs_grant() && epoch.is_none_or(|epoch| epoch == 0) {
+) -> Result<Option<Arc<Holding>>, Rejection> {
+    let by_policy = !target.service.mode.rule().publishing_needs_grant() && epoch.is_none_or(|epoch| epoch == 0);
+    if !by_policy
+        && let Some(own) = decider.held(ctx, target, submitter)?
+        && epoch.is_none_or(|epoch| epoch == own.grant.epoch)
+    {
+        return Ok(Some(own));
+    }
+    let principal = &Principal::of(submitter);
+    if by_policy {
         decider.decide(ctx, principal, target, Action::Publish)?;
         return Ok(None);
     }
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let refused = match grant::own(ctx, principal, target) {
-        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Some(own)),
+        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Some(Arc::new(own))),
         Ok(own) => stale(target, epoch, own.grant.epoch),
         // Who has lost the grant to a newer one hears that; who never had one hears what is missing.
         Err(_) if epoch.is_some_and(|epoch| epoch > 0 && epoch < newest) => stale(target, epoch, newest),
@@ -237,16 +276,17 @@ fn stale(target: &Target, epoch: Option<u64>, wanted: u64) -> Rejection {
 /// `authorize SERVICE [ACTION]`: would it be allowed now? Decided by the same code as `set` and `acquire`.
 pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("authorize SERVICE [acquire|publish|subscribe]", args, 1, 2)?;
-    let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
+    let target = decider.target(ctx, args.text(0, "SERVICE")?)?;
     let name = if args.has(1) { args.text(1, "ACTION")? } else { Action::Publish.name() };
     let action = Action::ALL.into_iter().find(|action| action.name() == name).ok_or_else(|| {
         let near = did_you_mean(name, Action::ALL.map(Action::name), "");
         args.bad(1, "ACTION", shown(name), "acquire, publish or subscribe").next(near)
     })?;
-    let principal = Principal::of(ctx.submitter()?);
+    let submitter = ctx.submitter()?;
+    let principal = Principal::of(submitter);
     let outcome = match action {
         Action::Acquire => grant::may_acquire(ctx, decider, &principal, &target).map(drop),
-        Action::Publish => may_publish(ctx, decider, &principal, &target, None).map(drop),
+        Action::Publish => may_publish(ctx, decider, submitter, &target, None).map(drop),
         Action::Subscribe => decider.decide(ctx, &principal, &target, action),
     };
     let epoch = grant::own(ctx, &principal, &target).map_or(0, |own| own.grant.epoch);
@@ -279,11 +319,12 @@ pub(crate) fn caller(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejecti
 /// May the submitter see this event? Messages need the right to subscribe; what else happens, every member of the
 /// network may know.
 pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> Result<(), Rejection> {
-    let principal = Principal::of(ctx.submitter()?);
+    let submitter = ctx.submitter()?;
     if event.name != "message" {
         return Ok(());
     }
-    let target = service::resolve(ctx, &event.subject)?;
+    let principal = Principal::of(submitter);
+    let target = decider.target(ctx, &event.subject)?;
     decider.decide(ctx, &principal, &target, Action::Subscribe)
 }
 

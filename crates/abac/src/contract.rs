@@ -63,6 +63,16 @@ impl AccessControl {
     pub fn new() -> Result<Self, Rejection> {
         Ok(Self { decider: Decider::new()? })
     }
+
+    /// May the submitter publish on a service now, under a grant with that epoch? The decision that `set` makes, by
+    /// itself: how long it takes, and what it reads, can so be measured.
+    ///
+    /// # Errors
+    /// As `set`: unknown names, [`ledger::Code::StaleEpoch`], [`ledger::Code::NotHolder`], what policies say.
+    pub fn may_publish(&self, ctx: &Context<'_>, service: &str, epoch: u64) -> Result<(), Rejection> {
+        let target = self.decider.target(ctx, service)?;
+        authorize::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)
+    }
 }
 
 impl Chaincode for AccessControl {

@@ -137,9 +137,14 @@ impl Holding {
         self.ending.unwrap_or(Reason::Expired)
     }
 
-    /// Extends the lease from `now`; never beyond the holder's certificate.
+    /// When the lease ends if it is renewed `now`; never after the holder's certificate.
+    fn extended(&self, now: u64) -> u64 {
+        now.saturating_add(self.grant.lease_ms.saturating_mul(1000)).min(self.principal.not_after)
+    }
+
+    /// Extends the lease from `now`.
     fn extend(&mut self, now: u64) {
-        self.grant.expires = now.saturating_add(self.grant.lease_ms.saturating_mul(1000)).min(self.principal.not_after);
+        self.grant.expires = self.extended(now);
     }
 }
 
@@ -308,14 +313,15 @@ pub(crate) fn used(
     target: &Target,
     before: &Holding,
 ) -> Result<(), Rejection> {
-    let mut after = before.clone();
-    after.extend(ctx.block_time());
-    let quarter = after.grant.lease_ms.saturating_mul(250);
-    if after.grant.expires.saturating_sub(before.grant.expires) <= quarter
+    let now = ctx.block_time();
+    let quarter = before.grant.lease_ms.saturating_mul(250);
+    if before.extended(now).saturating_sub(before.grant.expires) <= quarter
         || authorize::may_hold(ctx, decider, &before.principal, target).is_err()
     {
         return Ok(());
     }
+    let mut after = before.clone();
+    after.extend(now);
     replace(ctx, before, &after)
 }
 

@@ -31,7 +31,8 @@
 //! | `authorize`, `publish` | who may, and `set` |
 //! | `policy`, `policies` | Cedar: limits, parsing, evaluation; the policies on the ledger |
 //! | `revoke` | how rights end: expiry, revocation, change of policy |
-//! | `store`, `arguments`, `nearest`, `timestamp` | keys and JSON, argument parsing, "did you mean", RFC 3339 |
+//! | `store`, `records` | keys and JSON; values that were parsed before |
+//! | `arguments`, `nearest`, `timestamp` | argument parsing, "did you mean", RFC 3339 |
 
 mod arguments;
 mod authorize;
@@ -42,6 +43,7 @@ mod nearest;
 mod policies;
 mod policy;
 mod publish;
+mod records;
 mod revoke;
 mod robot;
 mod service;

@@ -5,6 +5,11 @@
 //! one thread with a stack of fixed size: on a small stack deep recursion aborts the process, and because Cedar
 //! looks at the stack that is left, stacks of different sizes would decide differently on different nodes.
 
+mod index;
+#[cfg(test)]
+mod tests;
+
+use self::index::Index;
 use crate::arguments::shown;
 use cedar_policy::{
     Authorizer, Context, Decision, Entities, Entity, EntityId, EntityTypeName, EntityUid, PolicyId, PolicySet, Request,
@@ -31,8 +36,9 @@ const CHAIN_MAX: usize = 1024;
 /// would depend on the build and the processor.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 const _: () = assert!((CHAIN_MAX + 2 * NESTING_MAX) * 16 * 1024 * 2 < STACK_BYTES);
-/// Most parsed policy sets that are kept.
+/// Most parsed policy sets that are kept, and most bytes of their texts; when they are more, all are parsed anew.
 const PARSED_SETS_MAX: usize = 64;
+const PARSED_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Most questions that wait for the thread; more wait for their turn to wait.
 const QUEUE_MAX: usize = 64;
 /// Most faults of a policy that are reported at once.
@@ -43,11 +49,9 @@ pub(crate) type Texts = Vec<(String, String)>;
 
 /// A question to a set of policies.
 pub(crate) struct Question {
-    /// Names the set: a hash over `texts`, never a counter. Calls are also simulated and thrown away, and a counter
+    /// Names the set: a hash over its texts, never a counter. Calls are also simulated and thrown away, and a counter
     /// would then name another set than the one that is executed later.
     pub(crate) version: Hash,
-    /// The policies.
-    pub(crate) texts: Texts,
     /// `User`: id, attributes, tags, organisation.
     pub(crate) user: User,
     /// `acquire`, `publish` or `subscribe`.
@@ -98,8 +102,12 @@ pub(crate) struct Answer {
 
 enum Job {
     Check(String, SyncSender<Result<(), Vec<String>>>),
-    Decide(Box<Question>, SyncSender<Answer>),
+    /// With the texts of the set, if they were asked for.
+    Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
 }
+
+/// An answer, or the question back, because the texts of the set are needed first.
+type Decided = Result<Answer, Box<Question>>;
 
 /// The thread that runs Cedar. It ends with its last handle.
 pub(crate) struct Engine {
@@ -145,11 +153,27 @@ impl Engine {
         Err(invalid("policy is not acceptable", faults.join("; "), "Cedar policies that validate against the schema"))
     }
 
-    /// What do these policies decide? A fault of the machinery denies.
-    pub(crate) fn decide(&self, question: Question) -> Answer {
+    /// What do these policies decide? A fault of the machinery denies. `texts` gives the policies, and is asked only if
+    /// the set is not known: reading many takes longer than the decision.
+    ///
+    /// # Errors
+    /// What `texts` says.
+    pub(crate) fn decide(
+        &self,
+        question: Question,
+        texts: impl FnOnce() -> Result<Texts, Rejection>,
+    ) -> Result<Answer, Rejection> {
+        let decided = match self.ask(Box::new(question), None) {
+            Some(Err(question)) => self.ask(question, Some(texts()?)),
+            decided => decided,
+        };
+        Ok(decided.and_then(Result::ok).unwrap_or_else(|| fault("the policy thread is gone".to_owned())))
+    }
+
+    fn ask(&self, question: Box<Question>, texts: Option<Texts>) -> Option<Decided> {
         let (reply, answer) = sync_channel(1);
-        let answer = self.jobs.send(Job::Decide(Box::new(question), reply)).ok().and_then(|()| answer.recv().ok());
-        answer.unwrap_or_else(|| fault("the policy thread is gone".to_owned()))
+        self.jobs.send(Job::Decide(question, texts, reply)).ok()?;
+        answer.recv().ok()
     }
 }
 
@@ -231,8 +255,10 @@ fn string_bytes(text: &str) -> usize {
 
 /// A parsed set. It never leaves the thread: dropping it recurses as well.
 struct Parsed {
-    policies: Result<PolicySet, String>,
+    policies: Result<Index, String>,
     timeless: bool,
+    /// Length of the texts.
+    bytes: usize,
 }
 
 fn serve(queue: &Receiver<Job>, validator: &Validator) {
@@ -244,21 +270,30 @@ fn serve(queue: &Receiver<Job>, validator: &Validator) {
                 let outcome = catch_unwind(|| validate(validator, &text));
                 let _ = reply.send(outcome.unwrap_or_else(|_| Err(vec!["Cedar panicked on it".to_owned()])));
             }
-            Job::Decide(question, reply) => {
+            Job::Decide(question, texts, reply) => {
                 let outcome = catch_unwind(AssertUnwindSafe(|| {
-                    if !parsed.contains_key(&question.version) {
-                        if parsed.len() >= PARSED_SETS_MAX {
-                            parsed.clear();
-                        }
-                        parsed.insert(question.version, parse_all(&question.texts));
+                    if let Some(texts) = texts {
+                        keep(&mut parsed, question.version, parse_all(&texts));
                     }
                     parsed.get(&question.version).map(|set| decide(set, &question))
                 }));
-                let answer = outcome.ok().flatten();
-                let _ = reply.send(answer.unwrap_or_else(|| fault("Cedar panicked on the policies".to_owned())));
+                let decided = match outcome {
+                    Ok(Some(answer)) => Ok(answer),
+                    Ok(None) => Err(question),
+                    Err(_) => Ok(fault("Cedar panicked on the policies".to_owned())),
+                };
+                let _ = reply.send(decided);
             }
         }
     }
+}
+
+fn keep(parsed: &mut BTreeMap<Hash, Parsed>, version: Hash, set: Parsed) {
+    let bytes: usize = parsed.values().map(|set| set.bytes).sum();
+    if parsed.len() >= PARSED_SETS_MAX || bytes + set.bytes > PARSED_BYTES_MAX {
+        parsed.clear();
+    }
+    parsed.insert(version, set);
 }
 
 fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
@@ -280,21 +315,21 @@ fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
 
 fn parse_all(texts: &[(String, String)]) -> Parsed {
     let timeless = !texts.iter().any(|(_, text)| text.contains("context"));
-    let mut all = PolicySet::new();
+    let bytes = texts.iter().map(|(_, text)| text.len()).sum();
+    Parsed { policies: index_all(texts), timeless, bytes }
+}
+
+fn index_all(texts: &[(String, String)]) -> Result<Index, String> {
+    let mut all = Index::default();
     for (id, text) in texts {
-        let set: PolicySet = match text.parse() {
-            Ok(set) => set,
-            Err(fault) => return Parsed { policies: Err(format!("policy {id}: {fault}")), timeless },
-        };
+        let set: PolicySet = text.parse().map_err(|fault| format!("policy {id}: {fault}"))?;
         let only = set.num_of_policies() == 1;
         for policy in set.policies() {
             let name = if only { id.clone() } else { format!("{id}.{}", policy.id()) };
-            if let Err(fault) = all.add(policy.new_id(PolicyId::new(name))) {
-                return Parsed { policies: Err(format!("policy {id}: {fault}")), timeless };
-            }
+            all.add(policy.new_id(PolicyId::new(name))).map_err(|fault| format!("policy {id}: {fault}"))?;
         }
     }
-    Parsed { policies: Ok(all), timeless }
+    Ok(all)
 }
 
 fn decide(set: &Parsed, question: &Question) -> Answer {
@@ -306,7 +341,7 @@ fn decide(set: &Parsed, question: &Question) -> Answer {
     Answer { verdict, timeless }
 }
 
-fn evaluate(policies: &PolicySet, question: &Question) -> Result<Verdict, String> {
+fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     let (user, service) = (&question.user, &question.service);
     let principal = uid("User", &format!("{}/{}", user.organisation, user.name))?;
     let resource = uid("Service", &service.id)?;
@@ -328,30 +363,39 @@ fn evaluate(policies: &PolicySet, question: &Question) -> Result<Verdict, String
     let mut entities = vec![
         Entity::new_with_tags(principal.clone(), user_attributes, [home.clone()], tags).map_err(display)?,
         Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], []).map_err(display)?,
-        Entity::new_with_tags(resource.clone(), service_attributes, [robot], []).map_err(display)?,
+        Entity::new_with_tags(resource.clone(), service_attributes, [robot.clone()], []).map_err(display)?,
         Entity::new_no_attrs(home.clone(), HashSet::new()),
     ];
     if owner != home {
-        entities.push(Entity::new_no_attrs(owner, HashSet::new()));
+        entities.push(Entity::new_no_attrs(owner.clone(), HashSet::new()));
     }
     let entities = Entities::from_entities(entities, None).map_err(display)?;
     let context = Context::from_pairs([("time".to_owned(), RestrictedExpression::new_long(question.time_ms))])
         .map_err(display)?;
-    let request = Request::new(principal, uid("Action", question.action)?, resource, context, None).map_err(display)?;
+    let action = uid("Action", question.action)?;
+    let request = Request::new(principal.clone(), action, resource.clone(), context, None).map_err(display)?;
 
-    let response = Authorizer::new().is_authorized(&request, policies, &entities);
-    let mut faults: Vec<String> = response.diagnostics().errors().map(ToString::to_string).collect();
+    // Each set by itself, put together as Cedar would: what one forbids no other permits.
+    let (principals, resources) = ([&principal, &home], [&resource, &robot, &owner]);
+    let (mut faults, mut forbidding, mut permitted) = (Vec::new(), Vec::new(), false);
+    for set in policies.candidates(&principals, &resources) {
+        let response = Authorizer::new().is_authorized(&request, set, &entities);
+        faults.extend(response.diagnostics().errors().map(ToString::to_string));
+        match response.decision() {
+            Decision::Allow => permitted = true,
+            Decision::Deny => forbidding.extend(response.diagnostics().reason().map(ToString::to_string)),
+        }
+    }
     if !faults.is_empty() && !active(Mutation::AcceptAnErringForbid) {
         faults.sort();
         faults.truncate(FAULTS_SHOWN_MAX);
         return Ok(Verdict::Fault(faults.join("; ")));
     }
-    let mut reasons: Vec<String> = response.diagnostics().reason().map(ToString::to_string).collect();
-    reasons.sort();
-    Ok(match response.decision() {
-        Decision::Allow => Verdict::Permit,
-        Decision::Deny if reasons.is_empty() => Verdict::NotPermitted,
-        Decision::Deny => Verdict::Forbidden(reasons),
+    forbidding.sort();
+    Ok(match permitted {
+        _ if !forbidding.is_empty() => Verdict::Forbidden(forbidding),
+        true => Verdict::Permit,
+        false => Verdict::NotPermitted,
     })
 }
 

@@ -6,8 +6,8 @@
 use crate::arguments::Arguments;
 use crate::authorize::{self, Decider};
 use crate::contract::NAME;
-use crate::grant::{self, Principal};
-use crate::service::{self, Target};
+use crate::grant;
+use crate::service::Target;
 use crate::store;
 use ledger::{Bytes, Code, Context, Event, Foretold, Rejection};
 use serde::{Deserialize, Serialize};
@@ -63,11 +63,11 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
         .checked_add(count - 1)
         .filter(|last| *last < u64::MAX)
         .ok_or_else(|| args.bad(2, "FIRST_SEQ", first_seq.to_string(), "room for all messages below 2^64 - 1"))?;
-    let principal = Principal::of(ctx.submitter()?);
-    let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
-    let own = authorize::may_publish(ctx, decider, &principal, &target, Some(epoch))?;
+    let submitter = ctx.submitter()?;
+    let target = decider.target(ctx, args.text(0, "SERVICE")?)?;
+    let own = authorize::may_publish(ctx, decider, submitter, &target, Some(epoch))?;
 
-    let publisher = principal.id();
+    let publisher = submitter.id();
     let next_seq = next_sequence(ctx, &target, epoch, &publisher)?;
     if first_seq < next_seq {
         return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))

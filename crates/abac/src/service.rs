@@ -4,8 +4,10 @@ use crate::arguments::shown;
 use crate::grant::{self, Grant};
 use crate::nearest::did_you_mean;
 use crate::robot::{self, Robot};
+use crate::store;
 use ledger::{Code, Context, Rejection};
 use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Longest topic or type name, in bytes: what DDS allows.
 const NAME_BYTES_MAX: usize = 255;
@@ -175,7 +177,7 @@ impl ServiceSpec {
 /// A service with the robot that offers it.
 #[derive(Clone, Debug)]
 pub(crate) struct Target {
-    pub(crate) robot: Robot,
+    pub(crate) robot: Arc<Robot>,
     pub(crate) service: Service,
     /// `<robot><topic>`.
     pub(crate) id: String,
@@ -184,7 +186,7 @@ pub(crate) struct Target {
 impl Target {
     /// One of the robot's services.
     pub(crate) fn of(robot: &Robot, service: &Service) -> Self {
-        Self { id: robot.service_id(service), robot: robot.clone(), service: service.clone() }
+        Self { id: robot.service_id(service), robot: Arc::new(robot.clone()), service: service.clone() }
     }
 
     /// The service with who holds it now.
@@ -211,12 +213,39 @@ impl Target {
     }
 }
 
+/// All services of a robot.
+pub(crate) struct Offered(Vec<Arc<Target>>);
+
+impl Offered {
+    /// Reads the record of a robot.
+    pub(crate) fn parse(key: &[u8], value: &[u8]) -> Result<Self, Rejection> {
+        let robot: Arc<Robot> = Arc::new(store::parse(key, value)?);
+        let target = |service: &Service| {
+            Arc::new(Target { id: robot.service_id(service), robot: Arc::clone(&robot), service: service.clone() })
+        };
+        Ok(Self(robot.services.iter().map(target).collect()))
+    }
+
+    /// The service on a topic; without a topic the only one.
+    pub(crate) fn find(&self, topic: &str) -> Option<&Arc<Target>> {
+        match (topic, self.0.as_slice()) {
+            ("", [only]) => Some(only),
+            (topic, services) => services.iter().find(|target| target.service.topic == topic),
+        }
+    }
+}
+
+/// Robot and topic of a service's id; an empty topic if it names a robot only.
+pub(crate) fn split(id: &str) -> (&str, &str) {
+    id.find('/').map_or((id, ""), |slash| id.split_at(slash))
+}
+
 /// The service of an id such as `Turtlebot4/cmd_vel`, or of just `Turtlebot4` if that robot has exactly one.
 ///
 /// # Errors
 /// [`Code::UnknownRobot`] or [`Code::UnknownService`], with the nearest name or the names that exist.
 pub(crate) fn resolve(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
-    let (name, topic) = id.find('/').map_or((id, ""), |slash| id.split_at(slash));
+    let (name, topic) = split(id);
     let robot = robot::find(ctx, name)?;
     let found = match (topic, robot.services.as_slice()) {
         ("", [only]) => Some(only),

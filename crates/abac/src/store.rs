@@ -20,7 +20,7 @@ use serde::de::DeserializeOwned;
 
 /// The key of a robot.
 pub(crate) fn robot_key(name: &str) -> Vec<u8> {
-    format!("robot/{name}").into_bytes()
+    ["robot/", name].concat().into_bytes()
 }
 
 /// The key of the newest epoch of a service.
@@ -35,7 +35,7 @@ pub(crate) fn grants_prefix(service: &str) -> Vec<u8> {
 
 /// The key of one grant.
 pub(crate) fn grant_key(service: &str, holder: &str) -> Vec<u8> {
-    format!("grant/{service}\0{holder}").into_bytes()
+    ["grant/", service, "\0", holder].concat().into_bytes()
 }
 
 /// The key that orders a grant by its expiry (microseconds).

@@ -88,7 +88,7 @@ pub struct Identity {
 impl Identity {
     /// The name that people see: `Org1/Salma`.
     pub fn id(&self) -> String {
-        format!("{}/{}", self.organisation, self.name)
+        [&self.organisation, "/", &self.name].concat()
     }
 
     /// What a revocation names: the issuer (32 bytes), then the serial number.

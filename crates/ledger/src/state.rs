@@ -3,17 +3,20 @@
 //! Blocks are the truth; everything here can be computed from them again. So a block is committed in memory and
 //! written to the store later, many blocks in one batch together with the [`Tip`] that they lead to: a hot key that
 //! changes a hundred times a second is written once. After a crash the blocks behind the stored tip are executed
-//! again; on any doubt about the store it is thrown away and everything is.
+//! again; on any doubt about the store it is thrown away and everything is. What the store says is remembered for a
+//! while, as long as it is true: some keys, such as a robot's, are read by every block and hardly ever written.
 //!
 //! At heights where a snapshot is due the writes are cut into layers, which are stored one after the other: when the last
 //! layer before the cut is stored, the store holds exactly the state at that height, while blocks go on above it.
 
+mod cache;
 mod memory;
 mod store;
 
 pub use memory::MemoryState;
 pub use store::{SledStore, Store};
 
+use self::cache::Cache;
 use crate::Hash;
 use crate::chaincode::{Overlay, StateRead, WriteSet};
 use crate::code::Code;
@@ -74,6 +77,8 @@ const LAYERS_MAX: usize = 8;
 /// The world state of a node: recent writes in memory over a [`Store`].
 pub struct State {
     store: Box<dyn Store>,
+    /// What the store holds of some keys. Changed only under a lock of `recent`.
+    cache: Cache,
     recent: RwLock<Recent>,
 }
 
@@ -118,7 +123,7 @@ impl State {
                 .next("delete the directories state/ and results/; the node fills them again"));
         }
         let recent = Recent { dirty: BTreeMap::new(), bytes: 0, layers: VecDeque::new(), stored: tip.clone(), tip };
-        Ok(Self { store, recent: RwLock::new(recent) })
+        Ok(Self { store, cache: Cache::default(), recent: RwLock::new(recent) })
     }
 
     /// Fills an empty store with the pairs of a snapshot. Until that is [finished](Filled::finish) it cannot be opened.
@@ -190,6 +195,8 @@ impl State {
     pub(crate) fn store(&self, layer: &Arc<Layer>) -> Result<(), Rejection> {
         self.store.write(&layer.writes, (TIP_KEY, &layer.tip.to_bytes()))?;
         let mut recent = self.write();
+        // Nobody reads the store meanwhile, so nothing of before comes in behind us.
+        self.cache.forget(&layer.writes);
         recent.layers.pop_front_if(|oldest| Arc::ptr_eq(oldest, layer));
         recent.stored = Some(layer.tip.clone());
         Ok(())
@@ -261,10 +268,15 @@ impl StateRead for State {
     fn get(&self, key: &[u8]) -> Result<Option<Bytes>, Rejection> {
         // The lock is held over the store's read: between the two a flush must not complete.
         let recent = self.read();
-        match recent.get(key) {
-            Some(written) => Ok(written.clone()),
-            None => self.store.get(key),
+        if let Some(written) = recent.get(key) {
+            return Ok(written.clone());
         }
+        if let Some(known) = self.cache.get(key) {
+            return Ok(known);
+        }
+        let value = self.store.get(key)?;
+        self.cache.keep(key, &value);
+        Ok(value)
     }
 
     fn range(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Result<Vec<(Bytes, Bytes)>, Rejection> {
@@ -319,6 +331,23 @@ mod tests {
         let state = State::open(Box::new(SledStore::open(dir.path()).unwrap())).unwrap();
         assert_eq!(state.tip(), Some(tip(2)), "tip and writes are stored in one batch");
         check(&state);
+    }
+
+    #[test]
+    fn what_was_read_before_it_was_stored_anew_is_not_read_again() {
+        let state = State::open(Box::<MemoryState>::default()).unwrap();
+        for (height, value) in (1..).zip([&b"1"[..], b"2", b"3"]) {
+            state.commit(write(&[(b"a", Some(value)), (b"b", None)]), tip(height), false);
+            flush(&state);
+            // From the store, then from the cache.
+            for _ in 0..2 {
+                assert_eq!(state.get(b"a").unwrap().unwrap(), value);
+                assert_eq!(state.get(b"b").unwrap(), None);
+            }
+        }
+        state.commit(write(&[(b"a", None), (b"b", Some(b"4"))]), tip(4), false);
+        flush(&state);
+        assert_eq!((state.get(b"a").unwrap(), state.get(b"b").unwrap()), (None, Some(Bytes::from("4"))));
     }
 
     #[test]

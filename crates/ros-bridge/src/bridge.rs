@@ -36,6 +36,8 @@ pub struct Summary {
 #[derive(Debug)]
 pub struct Bridge {
     stop: watch::Sender<bool>,
+    /// Has a route ended?
+    ended: watch::Receiver<bool>,
     tasks: Vec<JoinHandle<()>>,
     counters: Vec<Counters>,
 }
@@ -44,16 +46,18 @@ pub struct Bridge {
 /// [`Summary`].
 ///
 /// # Errors
-/// As [`Config::load`], [`Client::connect`] and [`Bridge::start`].
+/// As [`Config::load`], [`Client::connect`] and [`Bridge::start`]; [`Code::MiddlewareFailed`] if the local graph is lost.
 pub async fn run(config: &Path, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
     let config = Config::load(config).map_err(all_faults)?;
     let client = Client::connect(&context_of(&config)?).await?;
     let bridge = Bridge::start(config.clone(), client.clone()).await?;
-    tokio::select! {
-        () = stop => {}
-        () = keep_renewed(&config, &client) => {}
-    }
-    print(&bridge.stop().await)
+    let outcome = tokio::select! {
+        () = stop => Ok(()),
+        () = keep_renewed(&config, &client) => Ok(()),
+        lost = bridge.ended() => Err(lost),
+    };
+    print(&bridge.stop().await)?;
+    outcome
 }
 
 impl Bridge {
@@ -100,17 +104,37 @@ impl Bridge {
                         sample_bytes_max: route.sample_bytes_max,
                         max_age: route.max_age,
                     };
-                    let outlet = local.outlet(&topic, &route.message, &route.qos).await?;
-                    let counted = Counters::new(&route, outlet.matched());
-                    counters.push(counted.clone());
-                    let opened = FromLedger::open(gateway, route, settings, service, outlet, counted).await?;
+                    let outlet = async {
+                        let outlet = local.outlet(&topic, &route.message, &route.qos).await?;
+                        let counted = Counters::new(&route, outlet.matched());
+                        Ok((outlet, counted))
+                    };
+                    let opened = FromLedger::open(gateway, route.clone(), settings, service, outlet).await?;
+                    counters.push(opened.counters().clone());
                     routes.push(Box::pin(opened.run(told.clone())));
                 }
             }
         }
         routes.push(Box::pin(watch_types(local, expected, told)));
-        let tasks = routes.into_iter().map(tokio::spawn).collect();
-        Ok(Self { stop, tasks, counters })
+        let (ending, ended) = watch::channel(false);
+        let tasks = routes.into_iter().map(|route| {
+            let ending = ending.clone();
+            tokio::spawn(async move {
+                route.await;
+                ending.send_replace(true);
+            })
+        });
+        Ok(Self { tasks: tasks.collect(), stop, ended, counters })
+    }
+
+    /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then start another bridge.
+    pub async fn ended(&self) -> Rejection {
+        // An error means that every route has ended.
+        drop(self.ended.clone().wait_for(|ended| *ended).await);
+        Rejection::new(Code::MiddlewareFailed, "the local ROS 2 graph is lost")
+            .found("DDS has ended, as it does when its process was stopped and continued, or a debugger looked into it")
+            .wanted("a running DDS")
+            .next("start the bridge again, or let a service unit do it")
     }
 
     /// What the routes have done so far.

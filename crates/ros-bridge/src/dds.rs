@@ -16,6 +16,9 @@
 //!   message is the memory of a topic. What waits for us is limited in bytes by [`crate::queue`].
 //! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, RustDDS 50 s). A
 //!   reliable writer keeps what it has not acknowledged, up to [`WRITER_BYTES_MAX`], and then refuses.
+//! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) loses its DDS: the thread that waits
+//!   for the sockets is interrupted, takes that for a failure and ends, without a word. So readers and writers look
+//!   every second whether it is still there, and say so if not: [`Matched::ended`].
 //! - **Large messages to Fast DDS** (above about 200 kB) need a larger receive buffer on its side.
 //!
 //! Creating a participant takes tens of milliseconds and two threads; reading and writing never
@@ -29,7 +32,7 @@ mod mismatch;
 mod reader;
 mod writer;
 
-use std::sync::Arc;
+use std::{sync::Arc, time::Duration};
 
 use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Topic, TopicKind};
 
@@ -46,6 +49,9 @@ use crate::{
     qos::Qos,
     queue::Limits,
 };
+
+/// How often a reader or writer looks whether DDS is still there.
+const ALIVE_EVERY: Duration = Duration::from_secs(1);
 
 /// Highest DDS domain: above it the UDP ports would exceed 65535.
 pub const DOMAIN_MAX: u16 = 232;

@@ -42,7 +42,7 @@ pub(crate) struct Fleet {
     pub(crate) abac: Arc<AccessControl>,
     pub(crate) members: Arc<Members>,
     registry: Registry,
-    state: Arc<MemoryState>,
+    pub(crate) state: Arc<MemoryState>,
     pub(crate) height: u64,
     pub(crate) time: u64,
     /// Everything that was ever emitted.
@@ -253,7 +253,7 @@ impl Fleet {
         body(&Context::new(self.environment(who), "abac", &mut overlay, &mut events), &self.abac)
     }
 
-    fn environment<'a>(&'a self, submitter: Option<&'a Identity>) -> Environment<'a> {
+    pub(crate) fn environment<'a>(&'a self, submitter: Option<&'a Identity>) -> Environment<'a> {
         Environment {
             registry: &self.registry,
             submitter,

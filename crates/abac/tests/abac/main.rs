@@ -15,4 +15,5 @@ mod paper;
 mod policies;
 mod properties;
 mod publishing;
+mod reads;
 mod robots;

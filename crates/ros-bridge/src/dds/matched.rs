@@ -33,6 +33,17 @@ impl Matched {
     pub async fn at_least(&self, count: usize) -> bool {
         self.0.clone().wait_for(|matching| matching.matched >= count).await.is_ok()
     }
+
+    /// Has DDS ended? Then nothing passes any more.
+    pub fn is_ended(&self) -> bool {
+        self.0.has_changed().is_err()
+    }
+
+    /// Waits until DDS ends, or the reader or writer is dropped.
+    pub async fn ended(self) {
+        let Self(mut state) = self;
+        while state.changed().await.is_ok() {}
+    }
 }
 
 /// The side that learns of changes.

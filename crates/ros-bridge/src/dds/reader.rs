@@ -4,10 +4,10 @@ use std::{sync::Arc, time::Instant};
 
 use futures::StreamExt;
 use rustdds::{DataReaderStatus, GUID, StatusEvented, no_key::SimpleDataReader};
-use tokio::task::JoinHandle;
+use tokio::{task::JoinHandle, time::interval};
 
 use super::{
-    Matched, Participant, dds_error,
+    ALIVE_EVERY, Matched, Participant, dds_error,
     encoding::AnyRaw,
     graph::{Graph, Role},
     intake::{Intake, Verdict},
@@ -106,6 +106,7 @@ impl Pump {
         let samples = source.as_async_stream();
         let mut samples = std::pin::pin!(samples);
         let mut statuses = source.as_async_status_stream();
+        let mut alive = interval(ALIVE_EVERY);
         loop {
             tokio::select! {
                 sample = samples.next() => match sample {
@@ -120,8 +121,11 @@ impl Pump {
                     Some(status) => self.note(&status),
                     None => break,
                 },
+                // Nobody is woken when DDS ends, so it is looked at again.
+                _ = alive.tick() => {}
             }
         }
+        tracing::error!(topic = %self.topic, "DDS has ended: nothing is read any more");
         self.queue.close();
     }
 

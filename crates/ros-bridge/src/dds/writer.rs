@@ -12,9 +12,9 @@ use rustdds::{
     DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic, dds::result::WriteError,
     no_key::DataWriter,
 };
-use tokio::task::AbortHandle;
+use tokio::{task::AbortHandle, time::interval};
 
-use super::{Matched, Participant, dds_error, encoding::Raw, graph::Role, matched::Matches};
+use super::{ALIVE_EVERY, Matched, Participant, dds_error, encoding::Raw, graph::Role, matched::Matches};
 use crate::{
     error::{Error, Explained, Result},
     names::{TopicName, TypeName},
@@ -62,8 +62,12 @@ impl Writer {
     /// Publishes a sample.
     ///
     /// [`Error::Slow`] means that reliable readers are too far behind: this sample is not written, a later one may
-    /// be. [`Error::Dds`] means that the participant is broken.
+    /// be. [`Error::Dds`] means that the participant is broken, or has ended.
     pub fn write(&self, sample: &Sample) -> Result<()> {
+        if self.matched.is_ended() {
+            let what = format!("cannot publish on {}", self.topic);
+            return Err(Error::Dds(Explained::new(what, "DDS has ended", "a running DDS", "start the bridge again")));
+        }
         let mut endpoints = self.endpoints.lock().unwrap_or_else(PoisonError::into_inner);
         let id = sample.representation_id();
         let endpoint = match endpoints.entry(id) {
@@ -180,7 +184,14 @@ impl<const ID: u8> Output for DataWriter<Bytes, Raw<ID>> {
 /// Follows the status of a DDS writer until it is dropped.
 async fn watch<const ID: u8>(writer: Arc<DataWriter<Bytes, Raw<ID>>>, topic: TopicName, mut matches: Matches) {
     let mut statuses = writer.as_async_status_stream();
-    while let Some(status) = statuses.next().await {
+    let mut alive = interval(ALIVE_EVERY);
+    loop {
+        let status = tokio::select! {
+            status = statuses.next() => status,
+            // Nobody is woken when DDS ends, so it is looked at again.
+            _ = alive.tick() => continue,
+        };
+        let Some(status) = status else { break };
         match status {
             DataWriterStatus::PublicationMatched { current, reader, .. } => {
                 matches.changed(reader, current.count_change());
@@ -193,4 +204,5 @@ async fn watch<const ID: u8>(writer: Arc<DataWriter<Bytes, Raw<ID>>>, topic: Top
             _ => {}
         }
     }
+    tracing::error!(%topic, "DDS has ended: nothing is written any more");
 }

@@ -114,14 +114,14 @@ pub(crate) struct FromLedger {
 }
 
 impl FromLedger {
-    /// Learns what stands now: the service, its grants, and what was revoked.
+    /// Learns what stands now: the service, its grants, and what was revoked. The outlet comes to be when the gate is
+    /// there: whoever sees it may publish, and that shall pass.
     pub(crate) async fn open(
         gateway: Arc<dyn Gateway>,
         route: RouteConfig,
         settings: Settings,
         service: Service,
-        outlet: Outlet,
-        counters: Counters,
+        outlet: impl Future<Output = Result<(Outlet, Counters), Rejection>>,
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
@@ -135,6 +135,7 @@ impl FromLedger {
             let message = route.message.to_string();
             tracing::warn!(service = route.service, message, "no stop message is known for this type: set stop_hex");
         }
+        let (outlet, counters) = outlet.await?;
         let mut opened = Self {
             gateway,
             route,
@@ -153,6 +154,11 @@ impl FromLedger {
         Ok(opened)
     }
 
+    /// What it has done.
+    pub(crate) fn counters(&self) -> &Counters {
+        &self.counters
+    }
+
     /// Runs until it is told to end; then the robot stops, if anybody moved it.
     pub(crate) async fn run(mut self, mut stop: Stop) {
         let mut events = self.subscribe();
@@ -163,6 +169,7 @@ impl FromLedger {
             heartbeat: HEARTBEAT_MS,
             ..Subscription::default()
         });
+        let mut graph_ended = std::pin::pin!(self.outlet.matched().clone().ended());
         loop {
             let stale = sleep_until((self.heard + self.route.stale_after).into());
             let is_moving = self.gate.is_moving();
@@ -186,6 +193,10 @@ impl FromLedger {
                 () = stale, if is_moving => self.halt("stale").await,
                 () = overdue, if is_moving => self.halt("lease").await,
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
+                () = &mut graph_ended => {
+                    tracing::error!(service = self.route.service, "THE LOCAL GRAPH IS LOST: the robot cannot be reached");
+                    break;
+                }
             }
         }
         if self.gate.is_moving() {

@@ -1,0 +1,116 @@
+//! The paper's network with its two bridges: the operator's at the node of her organisation, the robot's at its owner's.
+
+use crate::founding::{Founding, PAPER, clock, robots};
+use crate::network::Network;
+use ledger::identity::Role;
+use ledger::{Bytes, Code};
+use ledger_api::{Client, Context};
+use ledgerd::setup::issue;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+
+/// Time for a node to answer after it was started.
+const START_TIME_MAX: Duration = Duration::from_secs(20);
+/// Longest lease: no bench shall measure a renewal.
+const LEASE_MS: &str = "600000";
+
+/// A running network with bridges; all of it ends with it.
+pub(crate) struct Site {
+    bridges: Vec<Bridge>,
+    pub(crate) network: Network,
+    home: TempDir,
+}
+
+struct Bridge(Child);
+
+impl Drop for Site {
+    fn drop(&mut self) {
+        // What a bridge said tells why nothing arrived.
+        for log in ["Salma.log", "Turtlebot4.log"].iter().filter(|_| std::thread::panicking()) {
+            println!("{log}: {}", std::fs::read_to_string(self.home.path().join(log)).unwrap_or_default());
+        }
+    }
+}
+
+impl Drop for Bridge {
+    fn drop(&mut self) {
+        let _gone = self.0.kill();
+        let _status = self.0.wait();
+    }
+}
+
+impl Site {
+    /// Starts everything. Salma holds the Turtlebot4, and her bridge joins that domain; the robot's bridge the other one.
+    pub(crate) async fn start(operator_domain: u16, robot_domain: u16) -> Self {
+        let home = tempfile::tempdir().unwrap();
+        let founding = Founding::new(PAPER);
+        let (owners, address) = founding.nodes.last().cloned().unwrap();
+        // By its CA, before a node owns that.
+        let robot = issue(&owners, "Org2", ("Turtlebot4", Role::Robot), BTreeMap::new(), &address, clock()).unwrap();
+        let (salma, owner) = (founding.salma.clone(), founding.owner.clone());
+        for identity in [&salma, &robot] {
+            identity.save(home.path()).unwrap();
+        }
+        let mut network = Network::of(founding);
+        for node in 0..PAPER.voters + PAPER.learners {
+            network.start_node(node, "");
+        }
+        connect(&owner).await.invoke("abac", "setup", robots()).await.unwrap();
+        let lease = ["Turtlebot4", LEASE_MS].map(|arg| Bytes::copy_from_slice(arg.as_bytes()));
+        let granted = connect(&salma).await.invoke("abac", "acquire", lease.into()).await.unwrap();
+        // The robot's node may be a moment behind.
+        connect(&robot).await.query_at(granted.height, "abac", "robots", Vec::new()).await.unwrap();
+        let sides = [(&salma, operator_domain, "to_ledger"), (&robot, robot_domain, "from_ledger")];
+        let bridges = sides.map(|(who, domain, direction)| Bridge::start(home.path(), &who.name, domain, direction));
+        Self { bridges: bridges.into(), network, home }
+    }
+
+    /// Ends the bridges in order; answers with what each has done.
+    pub(crate) fn stop(mut self) -> Vec<serde_json::Value> {
+        std::mem::take(&mut self.bridges).into_iter().map(Bridge::stop).collect()
+    }
+}
+
+impl Bridge {
+    fn start(home: &Path, name: &str, domain: u16, direction: &str) -> Self {
+        let config = home.join(format!("{name}.toml"));
+        let context = home.join("contexts").join(name);
+        // Everything else as it is by default: DDS and shared memory.
+        let text = format!(
+            "context_dir = {context:?}\ndomain_id = {domain}\n\n[[route]]\nservice = \"Turtlebot4/cmd_vel\"\n\
+             direction = \"{direction}\"\ntype = \"geometry_msgs/msg/Twist\"\n"
+        );
+        std::fs::write(&config, text).unwrap();
+        let log = File::create(home.join(format!("{name}.log"))).unwrap();
+        let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
+        command.args(["bridge", "--config"]).arg(config).stdout(Stdio::piped()).stderr(log);
+        Self(command.spawn().unwrap())
+    }
+
+    fn stop(mut self) -> serde_json::Value {
+        let process = rustix::process::Pid::from_raw(i32::try_from(self.0.id()).unwrap()).unwrap();
+        rustix::process::kill_process(process, rustix::process::Signal::TERM).unwrap();
+        let mut printed = String::new();
+        self.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+        serde_json::from_str(printed.lines().last().expect("a bridge prints its summary")).unwrap()
+    }
+}
+
+/// Connects as soon as the node answers.
+async fn connect(context: &Context) -> Client {
+    let deadline = Instant::now() + START_TIME_MAX;
+    loop {
+        match Client::connect(context).await {
+            Ok(client) => return client,
+            Err(refused) => {
+                assert!(refused.code == Code::Unreachable && Instant::now() < deadline, "{refused}");
+                tokio::time::sleep(Duration::from_millis(20)).await;
+            }
+        }
+    }
+}
