@@ -76,7 +76,9 @@ fn open_ledger(
     store: &Arc<BlockStore>,
     snapshots: &Snapshots,
 ) -> Result<(Arc<State>, Ledger), Rejection> {
-    let results = ResultStore::open(Arc::new(node.results.clone()), network)?.beside(Arc::clone(store));
+    let results = ResultStore::open(Arc::new(node.results.clone()), network)?;
+    // Who drops blocks here drops them sooner than a node may (`KEPT_MIN_US`), and asks for their results afterwards.
+    let results = if node.keep.is_none() { results.beside(Arc::clone(store)) } else { results };
     if store.first_index() > 1 && Store::range(&node.shelf, b"", None, 1)?.is_empty() {
         let usable = snapshots.newest().filter(|snapshot| snapshot.manifest().height + 1 >= store.first_index());
         let missing =
