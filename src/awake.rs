@@ -18,8 +18,8 @@ use thread_priority::{
 
 /// Processors that are kept awake at most: about as many threads work on one transaction at a time.
 const THREADS_MAX: usize = 2;
-/// How long they stay awake after the last verdict, for those who read it.
-const LINGER: Duration = Duration::from_micros(100);
+/// How long they stay awake after the last verdict: for the client that reads it and the bridge that publishes.
+const LINGER: Duration = Duration::from_micros(300);
 /// Looks at the flag between two looks at the clock.
 const SPINS_PER_LOOK: u32 = 32;
 

@@ -15,8 +15,9 @@ use std::time::{Duration, Instant};
 
 /// Between two rounds.
 const PERIOD: Duration = Duration::from_millis(50);
-/// World state is stored this often if it changed: the work that a crash leaves to be done again.
-const FLUSH_PERIOD: Duration = Duration::from_millis(500);
+/// World state is stored this often if it changed: the work that a crash leaves to be done again. Commands that meet it on
+/// the disk wait longer.
+const FLUSH_PERIOD: Duration = Duration::from_secs(2);
 /// Results and world state in memory that are stored at once.
 const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Old blocks are looked at this often.

@@ -81,13 +81,17 @@ impl SledStore {
     }
 }
 
-fn open(directory: &Path) -> Result<sled::Db, Rejection> {
-    let config = sled::Config::new()
+fn config(directory: &Path) -> sled::Config {
+    sled::Config::new()
         .path(directory)
         .flush_every_ms(None)
         .cache_capacity(CACHE_BYTES)
         .segment_size(SEGMENT_BYTES)
-        .mode(sled::Mode::LowSpace);
+        .mode(sled::Mode::LowSpace)
+}
+
+fn open(directory: &Path) -> Result<sled::Db, Rejection> {
+    let config = config(directory);
     let mut opened = catch_unwind(AssertUnwindSafe(|| config.open()));
     for _ in 0..LOCK_ATTEMPTS_MAX {
         if !matches!(&opened, Ok(Err(sled::Error::Io(error))) if error.to_string().starts_with(LOCKED)) {
@@ -173,7 +177,7 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let first = SledStore::open(place.path()).unwrap();
         // While another has the lock, sled says what we wait for.
-        let refused = sled::open(place.path()).unwrap_err();
+        let refused = config(place.path()).open().unwrap_err();
         assert!(matches!(&refused, sled::Error::Io(error) if error.to_string().starts_with(LOCKED)), "{refused}");
         let (opening, opens) = mpsc::channel();
         std::thread::scope(|scope| {
