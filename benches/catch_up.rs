@@ -35,7 +35,12 @@ fn main() {
     let wanted: u64 = if smoke { 1000 } else { wanted };
     let founding = Founding::new(PAPER);
     let begin = Instant::now();
-    let chain = Chain { blocks: wanted.div_ceil(BLOCK_TRANSACTIONS), transactions: BLOCK_TRANSACTIONS, ttl: TTL };
+    let chain = Chain {
+        blocks: wanted.div_ceil(BLOCK_TRANSACTIONS),
+        transactions: BLOCK_TRANSACTIONS,
+        ttl: TTL,
+        executed: false,
+    };
     let height = chain.write(&founding);
     println!("{wanted} transactions in {height} blocks, signed and written in {:.1} s", begin.elapsed().as_secs_f64());
     let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();

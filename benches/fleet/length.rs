@@ -27,7 +27,7 @@ pub(crate) fn chain(bench: &Bench) -> Vec<Point> {
 
 fn of_length(bench: &Bench, blocks: usize) -> Vec<Point> {
     let founding = Founding::new(ONE_VOTER);
-    let height = Chain { blocks: blocks as u64, transactions: 1, ttl: TTL }.write(&founding);
+    let height = Chain { blocks: blocks as u64, transactions: 1, ttl: TTL, executed: false }.write(&founding);
     let mut network = Network::of(founding);
     let executed = start(bench, &mut network, height);
     network.stop_last();
