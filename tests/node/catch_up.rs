@@ -182,8 +182,9 @@ async fn a_learner_that_was_away_fetches_blocks_and_goes_on_after_a_kill() {
         process.check();
         process.interrupt();
     }
-    println!("catch_up: {} blocks, fetched {} times", after, said(&learner, "caught up"));
-    assert!(said(&learner, "caught up") >= 3, "{}", learner.stderr());
+    // The first time it may have had all blocks when it was killed, without the time to say so.
+    println!("catch_up: {} blocks, fetched {} times", after, said(&learner, "fetching blocks"));
+    assert!(said(&learner, "fetching blocks") >= 3 && said(&learner, "caught up") >= 2, "{}", learner.stderr());
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
