@@ -35,10 +35,13 @@ use etcd::Etcd;
 use floor::Floor;
 use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS};
 use hdrhistogram::Histogram;
+use ledger::Code;
 use load::{Run, histogram, open_loop};
 use network::{Arrivals, Network, Operator};
 use report::{Line, Side};
 use serde_json::Value;
+use std::collections::HashSet;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
 
@@ -104,27 +107,39 @@ fn sweep(runtime: &Runtime, network: &Network, shape: Shape, duration: Duration)
         .iter()
         .map(|hz| {
             let first_seq = operator.next_seq();
-            let run = commands(runtime, &operator, *hz, duration);
-            let delivery = delivery(&run, &arrivals, first_seq..operator.next_seq());
+            let (run, refused) = commands(runtime, &operator, *hz, duration);
+            let delivery = delivery(&run, &arrivals, first_seq..operator.next_seq(), &refused);
             // Right after it, so that both meet the same mood of the disk.
-            Line { run, delivery, disk: disk.measure(hz.max(DISK_HZ_MIN), duration / 4) }
+            Line { run, refused: refused.len(), delivery, disk: disk.measure(hz.max(DISK_HZ_MIN), duration / 4) }
         })
         .collect();
     report::print_table(shape.name, &lines);
     lines
 }
 
-fn commands(runtime: &Runtime, operator: &Operator, hz: f64, duration: Duration) -> Run {
-    open_loop(runtime, hz, duration, || {
-        let verdict = operator.command();
-        async move { drop(verdict.await.unwrap()) }
-    })
+/// Commands at a rate, and the sequence numbers of those that were refused because more came than could be ordered.
+fn commands(runtime: &Runtime, operator: &Operator, hz: f64, duration: Duration) -> (Run, HashSet<u64>) {
+    let refused = Arc::new(Mutex::new(HashSet::new()));
+    let run = open_loop(runtime, hz, duration, || {
+        // Nobody else sends for this operator.
+        let (seq, verdict, refused) = (operator.next_seq(), operator.command(), Arc::clone(&refused));
+        async move {
+            match verdict.await {
+                Ok(_) => {}
+                Err(reason) if reason.code == Code::Overloaded => drop(refused.lock().unwrap().insert(seq)),
+                Err(reason) => panic!("{reason}"),
+            }
+        }
+    });
+    let refused = std::mem::take(&mut *refused.lock().unwrap());
+    (run, refused)
 }
 
-/// From when the commands with these sequence numbers were due until they arrived.
-fn delivery(run: &Run, arrivals: &Arrivals, sequence: std::ops::Range<u64>) -> Histogram<u64> {
+/// From when the commands with these sequence numbers were due until they arrived, without those that were refused.
+fn delivery(run: &Run, arrivals: &Arrivals, sequence: std::ops::Range<u64>, refused: &HashSet<u64>) -> Histogram<u64> {
     let due = |number: u32| run.start + Duration::from_secs_f64(f64::from(number) / run.hz);
-    histogram((0..).zip(sequence).map(|(number, seq)| arrivals.of(seq) - due(number)))
+    let accepted = (0..).zip(sequence).filter(|(_, seq)| !refused.contains(seq));
+    histogram(accepted.map(|(number, seq)| arrivals.of(seq) - due(number)))
 }
 
 fn curves(shape: Shape, lines: &[Line]) -> Vec<Curve> {
@@ -168,7 +183,7 @@ fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
             ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
         {
             let once = || drop(alone.block_on(one.command()).unwrap());
-            note(name, closed(turn, once), commands(runtime, many, PAPER_HZ, turn).latency);
+            note(name, closed(turn, once), commands(runtime, many, PAPER_HZ, turn).0.latency);
         }
         for (name, [many, one]) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {
             let once = || alone.block_on(one.put());

@@ -14,6 +14,8 @@ const QUANTILES: [(&str, f64); 4] = [("p50", 0.5), ("p95", 0.95), ("p99", 0.99),
 pub(crate) struct Line {
     /// Commands at that rate.
     pub(crate) run: Run,
+    /// Commands of these that were refused, because more came than could be ordered in time.
+    pub(crate) refused: usize,
     /// From when a command was due to its event at the last node's subscriber, in nanoseconds.
     pub(crate) delivery: Histogram<u64>,
     /// What a write with `fdatasync` of the same size took right after, in nanoseconds.
@@ -24,12 +26,12 @@ pub(crate) struct Line {
 pub(crate) fn print_table(title: &str, lines: &[Line]) {
     println!("\n{title}: from the time a command was due to its verdict, to its event; the disk alone; ms");
     println!(
-        "      Hz  achieved  commands     p50     p95     p99   p99.9     max  growth | event p50     p99 | disk p50     p99"
+        "      Hz  achieved  commands  refused     p50     p95     p99   p99.9     max  growth | event p50     p99 | disk p50     p99"
     );
-    for Line { run, delivery, disk } in lines {
+    for Line { run, refused, delivery, disk } in lines {
         let [p50, p95, p99, p99_9] = QUANTILES.map(|(_, quantile)| ms(run.latency.value_at_quantile(quantile)));
         println!(
-            "{:8} {:9.1} {:9} {p50:7.3} {p95:7.3} {p99:7.3} {p99_9:7.3} {:7.3} {:7.2} | {:9.3} {:7.3} | {:8.3} {:7.3}",
+            "{:8} {:9.1} {:9} {refused:8} {p50:7.3} {p95:7.3} {p99:7.3} {p99_9:7.3} {:7.3} {:7.2} | {:9.3} {:7.3} | {:8.3} {:7.3}",
             run.hz,
             run.achieved_hz,
             run.latency.len(),
@@ -45,11 +47,12 @@ pub(crate) fn print_table(title: &str, lines: &[Line]) {
 
 /// The runs on one network for [`write`].
 pub(crate) fn lines(lines: &[Line]) -> Value {
-    let line = |Line { run, delivery, disk }: &Line| {
+    let line = |Line { run, refused, delivery, disk }: &Line| {
         json!({
             "hz": run.hz,
             "achieved_hz": run.achieved_hz,
             "commands": run.latency.len(),
+            "refused": refused,
             "latency_ms": percentiles(&run.latency),
             "sending_ms": percentiles(&run.sending),
             "delivery_ms": percentiles(delivery),
