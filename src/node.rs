@@ -238,9 +238,6 @@ impl Node {
             if votes.withholds(&message) {
                 return true;
             }
-            if message.brings_entries() {
-                awake.keep();
-            }
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
             // repeats what matters.
             !matches!(inbox.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)

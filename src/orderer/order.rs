@@ -188,6 +188,13 @@ impl Order {
     }
 
     fn step(&mut self, input: Input) {
+        // A leader waits for a voter's answer; nobody waits for a learner's, which may be on a robot's battery.
+        if let Input::Message { message, .. } = &input
+            && message.brings_entries()
+            && self.engine.is_voter()
+        {
+            self.shared.awake.keep();
+        }
         let mut outputs = std::mem::take(&mut self.outputs);
         self.engine.step(self.shared.clock.now(), input, &mut outputs);
         for output in outputs.drain(..) {
