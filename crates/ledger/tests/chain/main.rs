@@ -1,6 +1,9 @@
 //! The rules of execution: each test fails if its rule is taken away.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
+#[path = "../authority/mod.rs"]
+mod authority;
+
 mod archive;
 mod beside;
 mod results;

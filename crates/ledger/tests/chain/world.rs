@@ -1,18 +1,16 @@
 //! A network of two organisations, and a node's ledger without a node.
 
+pub(crate) use crate::authority::{Ca, User};
 use ledger::block::Payload;
 use ledger::disk::SimDisk;
 use ledger::entry::{Entry, EntryKind};
-use ledger::key::{KeyKind, SigningKey};
-use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
 use ledger::results::ResultStore;
 use ledger::state::{MemoryState, SledStore, State};
 use ledger::transaction::{Body, Transaction};
 use ledger::{
     Bytes, Chaincode, Code, Context, Event, Foretold, Hash, Ledger, Outcome, Registry, Rejection, Revocation,
 };
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
-use ring::rand::SystemRandom;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -23,42 +21,6 @@ pub(crate) const SECOND: u64 = 1_000_000;
 
 /// Blocks between two snapshots.
 pub(crate) const SNAPSHOT_EVERY: u64 = 10;
-
-/// An organisation's CA.
-pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
-
-fn params(name: &str, unit: &str) -> CertificateParams {
-    let mut params = CertificateParams::default();
-    params.distinguished_name = rcgen::DistinguishedName::new();
-    params.distinguished_name.push(DnType::CommonName, name);
-    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
-    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
-    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
-    params
-}
-
-impl Ca {
-    pub(crate) fn new(name: &str) -> Self {
-        let mut params = params(name, "ca");
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
-        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
-        Self(CertifiedIssuer::self_signed(params, key).unwrap())
-    }
-
-    pub(crate) fn user(&self, name: &str, unit: &str, kind: KeyKind) -> User {
-        let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
-        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
-        let certificate = params(name, unit).signed_by(&public, &self.0).unwrap();
-        User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
-    }
-}
-
-/// Somebody with a certificate and its key.
-pub(crate) struct User {
-    pub(crate) key: SigningKey,
-    pub(crate) certificate: Bytes,
-}
 
 static NONCE: AtomicU64 = AtomicU64::new(1);
 
@@ -168,18 +130,13 @@ pub(crate) struct World {
 impl World {
     pub(crate) fn new() -> Self {
         let (org1, org2) = (Ca::new("org1-ca"), Ca::new("org2-ca"));
-        let organisation = |name: &str, ca: &Ca| FoundingOrganisation {
-            name: name.into(),
-            roots: vec![Bytes::copy_from_slice(ca.0.der())],
-            intermediates: Vec::new(),
-        };
         let genesis = Genesis {
             rules: RULES_VERSION,
             label: "test".into(),
             created: NOW - SECOND,
             salt: Hash::ZERO,
             snapshot_every: SNAPSHOT_EVERY,
-            organisations: vec![organisation("Org1", &org1), organisation("Org2", &org2)],
+            organisations: vec![org1.organisation("Org1"), org2.organisation("Org2")],
             nodes: vec![FoundingNode {
                 id: 1,
                 name: "node1".into(),

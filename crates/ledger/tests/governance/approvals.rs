@@ -1,6 +1,7 @@
 use crate::world::{DAY, Network, code, is_executed, json, waiting};
 use ledger::Code;
 use ledger::governance::{Decision, NodeRole};
+use ledger::key::KeyKind;
 
 fn promote(id: u64) -> String {
     format!(r#"{{"id":{id},"role":"voter"}}"#)
@@ -9,7 +10,7 @@ fn promote(id: u64) -> String {
 #[test]
 fn a_network_of_one_organisation_decides_at_once() {
     let mut network = Network::new(1, 1);
-    let edge = network.cas[0].user("edge", "node");
+    let edge = network.cas[0].user("edge", "node", KeyKind::Ed25519);
     network.call(&edge, "join_node", &[r#"{"address":"edge:7450"}"#]).unwrap();
     assert!(is_executed(network.admin(1, "set_node_role", &[&promote(2)])));
     assert_eq!(network.role(2), NodeRole::Voter);
@@ -36,7 +37,7 @@ fn more_than_half_is_needed_and_a_proposal_tells_who_is_missing() {
 fn only_admins_approve_and_withdraw() {
     let mut network = Network::new(3, 1);
     let id = waiting(network.admin(1, "set_node_role", &[&promote(2)]));
-    let member = network.cas[1].user("Salma", "member");
+    let member = network.cas[1].user("Salma", "member", KeyKind::Ed25519);
     for function in ["approve", "withdraw"] {
         assert_eq!(code(&network.call(&member, function, &[&id])), Code::NotAdmin);
         assert_eq!(code(&network.node(2, function, &[&id])), Code::NotAdmin);

@@ -1,5 +1,6 @@
 use crate::world::{Network, code, is_executed};
 use ledger::governance::{self, AttestationRecord};
+use ledger::key::KeyKind;
 use ledger::{Code, Hash};
 
 fn attest(height: u64, digest: u8, content: Option<u8>) -> String {
@@ -59,7 +60,7 @@ fn a_node_does_not_go_back_nor_speak_of_what_is_to_come() {
 fn only_nodes_of_the_network_attest_and_those_removed_are_forgotten() {
     let mut network = Network::new(2, 2);
     assert_eq!(code(&network.admin(1, "attest", &[&attest(0, 1, None)])), Code::WrongRole);
-    let stranger = network.cas[0].user("edge", "node");
+    let stranger = network.cas[0].user("edge", "node", KeyKind::Ed25519);
     assert_eq!(code(&network.call(&stranger, "attest", &[&attest(0, 1, None)])), Code::NotAMember);
     network.node(2, "attest", &[&attest(0, 1, None)]).unwrap();
     assert!(is_executed(network.admin(2, "set_node_role", &[r#"{"id":2,"role":"removed"}"#])));

@@ -1,6 +1,9 @@
 //! Who belongs to the network, and who decides that: each test fails if its rule is taken away.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+#[path = "../authority/mod.rs"]
+mod authority;
+
 mod approvals;
 mod attestations;
 mod nodes;

@@ -1,6 +1,7 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use ledger::Code;
 use ledger::governance::{self, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired};
+use ledger::key::KeyKind;
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;
@@ -23,7 +24,7 @@ fn founding_nodes_stand_on_the_ledger_with_what_they_are_in_fact() {
 #[test]
 fn a_node_joins_as_a_learner_under_the_name_in_its_certificate_and_a_new_id() {
     let mut network = Network::new(2, 2);
-    let fresh = network.cas[0].user("edge", "node");
+    let fresh = network.cas[0].user("edge", "node", KeyKind::Ed25519);
     let node: NodeRecord = json(network.call(&fresh, "join_node", &[r#"{"address":"edge:7450"}"#]));
     assert_eq!((node.id, node.full_name().as_str(), node.role), (3, "Org1/edge", LEARNER));
     assert_eq!(network.event_names(), ["joined"]);
@@ -37,7 +38,7 @@ fn a_node_joins_as_a_learner_under_the_name_in_its_certificate_and_a_new_id() {
 #[test]
 fn a_renewed_certificate_is_the_same_node() {
     let mut network = Network::new(1, 1);
-    let renewed = network.cas[0].user("node1", "node");
+    let renewed = network.cas[0].user("node1", "node", KeyKind::Ed25519);
     let node: NodeRecord = json(network.call(&renewed, "join_node", &[r#"{"address":"elsewhere:7450"}"#]));
     assert_eq!((node.id, node.role, node.address.as_str()), (1, VOTER, "elsewhere:7450"));
     assert_eq!(network.event_names(), ["moved"]);
@@ -47,7 +48,7 @@ fn a_renewed_certificate_is_the_same_node() {
 fn only_nodes_join_and_only_at_an_address_of_their_own() {
     let mut network = Network::new(2, 2);
     assert_eq!(code(&network.admin(1, "join_node", &[r#"{"address":"a:1"}"#])), Code::WrongRole);
-    let fresh = network.cas[1].user("edge", "node");
+    let fresh = network.cas[1].user("edge", "node", KeyKind::Ed25519);
     for (address, wanted) in [
         ("node1:7450", Code::AlreadyExists),
         ("node9", Code::BadArgument),
@@ -139,14 +140,14 @@ fn the_last_voter_stays_also_when_an_older_approval_comes_late() {
 fn one_organisation_cannot_fill_the_network_with_its_nodes() {
     let mut network = Network::new(2, 1);
     let join = |network: &mut Network, number: usize| {
-        let node = network.cas[0].user(&format!("edge{number}"), "node");
+        let node = network.cas[0].user(&format!("edge{number}"), "node", KeyKind::Ed25519);
         network.call(&node, "join_node", &[&format!(r#"{{"address":"edge{number}:7450"}}"#)])
     };
     for number in 1..NODES_PER_ORGANISATION_MAX {
         assert_eq!(code(&join(&mut network, number)), Code::Ok, "{number}");
     }
     assert_eq!(code(&join(&mut network, 99)), Code::LimitExceeded);
-    let other = network.cas[1].user("edge", "node");
+    let other = network.cas[1].user("edge", "node", KeyKind::Ed25519);
     assert_eq!(code(&network.call(&other, "join_node", &[r#"{"address":"e:7450"}"#])), Code::Ok);
 }
 

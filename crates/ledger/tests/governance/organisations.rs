@@ -1,5 +1,6 @@
 use crate::world::{Ca, DAY, Network, SECOND, code, is_executed, json, waiting};
 use ledger::governance::{self, JoinOrganisation, NodeRole, Organisation};
+use ledger::key::KeyKind;
 use ledger::key::SigningKey;
 use ledger::network::FoundingOrganisation;
 use ledger::{Bytes, Code, Hash, Rejection};
@@ -37,7 +38,7 @@ fn an_invited_organisation_joins_and_its_node_after_it() {
     let argument = invite(&network, "Beta");
     let id = waiting(network.admin(1, "invite_organisation", &[&argument]));
     let join = signed(&network, beta.organisation("Beta"));
-    let node = beta.user("node1", "node");
+    let node = beta.user("node1", "node", KeyKind::Ed25519);
     assert_eq!(code(&carry(&mut network, &join)), Code::NotInvited, "not approved yet");
     assert!(is_executed(network.admin(2, "approve", &[&id])));
     assert_eq!(network.event_names(), ["approved", "invited", "executed"]);
@@ -119,7 +120,7 @@ fn no_two_organisations_share_a_name_or_an_authority() {
     let same_root = network.cas[0].organisation("Beta");
     let same_name = Ca::new("org1-ca").organisation("Beta");
     let no_root = FoundingOrganisation { roots: Vec::new(), ..same_root.clone() };
-    let user = network.cas[0].user("Salma", "member");
+    let user = network.cas[0].user("Salma", "member", KeyKind::Ed25519);
     let no_authority = FoundingOrganisation { roots: vec![user.certificate], ..same_root.clone() };
     for bad in [same_root, same_name, no_root, no_authority] {
         let join = signed(&network, bad);
@@ -131,7 +132,7 @@ fn no_two_organisations_share_a_name_or_an_authority() {
 #[test]
 fn the_certificates_of_a_removed_organisation_count_no_longer() {
     let mut network = Network::new(3, 3);
-    let salma = network.cas[2].user("Salma", "member");
+    let salma = network.cas[2].user("Salma", "member", KeyKind::Ed25519);
     let identity = network.ledger.msps().verify(&salma.certificate, &[], network.time).unwrap();
     network.call(&salma, "proposals", &[]).unwrap();
     let id = waiting(network.admin(1, "remove_organisation", &[&remove("Org3")]));
@@ -159,9 +160,9 @@ fn what_a_removed_organisation_signed_has_no_effect_behind_the_removal_in_the_sa
     let mut network = Network::new(3, 3);
     let id = waiting(network.admin(1, "remove_organisation", &[&remove("Org3")]));
     let (admin2, admin3, node3) = (
-        network.cas[1].user("Boss", "admin"),
-        network.cas[2].user("Boss", "admin"),
-        network.cas[2].user("edge", "node"),
+        network.cas[1].user("Boss", "admin", KeyKind::Ed25519),
+        network.cas[2].user("Boss", "admin", KeyKind::Ed25519),
+        network.cas[2].user("edge", "node", KeyKind::Ed25519),
     );
     let approve = network.sign(&admin2, "approve", &[&id]);
     let invite = invite(&network, "Friends");
@@ -209,7 +210,7 @@ fn an_organisation_renews_its_own_roots_and_keeps_at_least_one() {
         let roots: Vec<_> = roots.iter().map(|ca| format!("{:?}", hex::encode(ca.root()))).collect();
         format!(r#"{{"roots":[{}]}}"#, roots.join(","))
     };
-    let new_admin = renewed.user("Admin", "admin");
+    let new_admin = renewed.user("Admin", "admin", KeyKind::Ed25519);
     assert_eq!(code(&network.call(&new_admin, "proposals", &[])), Code::Untrusted);
     let both = lists(&[&network.cas[0], &renewed]);
     let only = lists(&[&renewed]);

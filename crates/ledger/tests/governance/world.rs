@@ -1,16 +1,15 @@
 //! Organisations with their people and nodes, and a ledger that executes what they sign, a block a second.
 
+pub(crate) use crate::authority::{Ca, User};
 use ledger::block::Payload;
 use ledger::entry::{Entry, EntryKind};
 use ledger::governance::{NodeRole, Nodes};
-use ledger::key::{KeyKind, SigningKey};
-use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::key::KeyKind;
+use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
 use ledger::results::ResultStore;
 use ledger::state::{MemoryState, State};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Registry, Rejection};
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
-use ring::rand::SystemRandom;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::sync::Arc;
@@ -19,50 +18,6 @@ use std::sync::Arc;
 pub(crate) const START: u64 = 1_893_456_000_000_000;
 pub(crate) const SECOND: u64 = 1_000_000;
 pub(crate) const DAY: u64 = 24 * 3600 * SECOND;
-
-/// An organisation's CA.
-pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
-
-fn params(name: &str, unit: &str) -> CertificateParams {
-    let mut params = CertificateParams::default();
-    params.distinguished_name = rcgen::DistinguishedName::new();
-    params.distinguished_name.push(DnType::CommonName, name);
-    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
-    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
-    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
-    params
-}
-
-impl Ca {
-    pub(crate) fn new(name: &str) -> Self {
-        let mut params = params(name, "ca");
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
-        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
-        Self(CertifiedIssuer::self_signed(params, key).unwrap())
-    }
-
-    pub(crate) fn root(&self) -> Bytes {
-        Bytes::copy_from_slice(self.0.der())
-    }
-
-    pub(crate) fn user(&self, name: &str, unit: &str) -> User {
-        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
-        let certificate = params(name, unit).signed_by(&public, &self.0).unwrap();
-        User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
-    }
-
-    pub(crate) fn organisation(&self, name: &str) -> FoundingOrganisation {
-        FoundingOrganisation { name: name.into(), roots: vec![self.root()], intermediates: Vec::new() }
-    }
-}
-
-/// Somebody with a certificate and its key.
-pub(crate) struct User {
-    pub(crate) key: SigningKey,
-    pub(crate) certificate: Bytes,
-}
 
 /// Remembers which organisations it was told of.
 struct Listener;
@@ -117,8 +72,9 @@ impl Network {
         let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
         let ledger =
             Ledger::open(&genesis.to_bytes().unwrap(), registry, state, Arc::new(ResultStore::in_memory())).unwrap();
-        let admins = cas.iter().map(|ca| ca.user("Admin", "admin")).collect();
-        let nodes = (1..).zip(&cas).map(|(number, ca)| ca.user(&format!("node{number}"), "node")).collect();
+        let admins = cas.iter().map(|ca| ca.user("Admin", "admin", KeyKind::Ed25519)).collect();
+        let nodes =
+            (1..).zip(&cas).map(|(number, ca)| ca.user(&format!("node{number}"), "node", KeyKind::Ed25519)).collect();
         Self { cas, admins, nodes, ledger, time: START, nonce: 0, events: Vec::new() }
     }
 

@@ -1,0 +1,51 @@
+//! An organisation's CA and the people and nodes to whom it gives certificates, valid from 2029 to 2031.
+
+use ledger::Bytes;
+use ledger::key::{KeyKind, SigningKey};
+use ledger::network::FoundingOrganisation;
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use ring::rand::SystemRandom;
+
+/// An organisation's CA.
+pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
+
+fn params(name: &str, unit: &str) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = rcgen::DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
+    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
+    params
+}
+
+impl Ca {
+    pub(crate) fn new(name: &str) -> Self {
+        let mut params = params(name, "ca");
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+        Self(CertifiedIssuer::self_signed(params, key).unwrap())
+    }
+
+    pub(crate) fn root(&self) -> Bytes {
+        Bytes::copy_from_slice(self.0.der())
+    }
+
+    pub(crate) fn user(&self, name: &str, unit: &str, kind: KeyKind) -> User {
+        let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
+        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+        let certificate = params(name, unit).signed_by(&public, &self.0).unwrap();
+        User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
+    }
+
+    pub(crate) fn organisation(&self, name: &str) -> FoundingOrganisation {
+        FoundingOrganisation { name: name.into(), roots: vec![self.root()], intermediates: Vec::new() }
+    }
+}
+
+/// Somebody with a certificate and its key.
+pub(crate) struct User {
+    pub(crate) key: SigningKey,
+    pub(crate) certificate: Bytes,
+}
