@@ -6,9 +6,11 @@ use crate::support::{Fleet, Process, connect, until, wire};
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
 use ledger::identity::Role;
+use ledger::transaction::Transaction;
 use ledger::{Bytes, Code};
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Call, Client, Context, v1};
+use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -54,14 +56,24 @@ async fn epoch(client: &Client) -> u64 {
     held["epoch"].as_u64().unwrap()
 }
 
-/// Sends commands without a pause; how many were answered with which code, and the sequence numbers that were accepted.
-async fn flood(client: &Client, commands: u64) -> (BTreeMap<Code, u64>, Vec<u64>) {
+/// A signed call that stays good for longer than a flood takes.
+fn prepare(client: &Client, function: &str, args: Vec<Bytes>) -> Transaction {
+    let call = Call { chaincode: "abac".into(), function: function.into(), args, ttl: Duration::from_secs(100) };
+    client.prepare(call).unwrap()
+}
+
+/// A flood of commands, signed before the first is sent: nothing slows it down.
+async fn prepare_flood(client: &Client) -> Vec<Transaction> {
     let epoch = epoch(client).await;
-    let mut verdicts: FuturesUnordered<_> = (1..=commands)
-        .map(|seq| {
-            let args = message(epoch, seq, &[0; 48]);
-            let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: Duration::from_secs(60) };
-            let verdict = client.submit_nowait(&client.prepare(call).unwrap());
+    (1..=FLOOD).map(|seq| prepare(client, "set", message(epoch, seq, &[0; 48]))).collect()
+}
+
+/// Sends a flood; how many were answered with which code, and the sequence numbers that were accepted.
+async fn flood(client: &Client, commands: &[Transaction]) -> (BTreeMap<Code, u64>, Vec<u64>) {
+    let mut verdicts: FuturesUnordered<_> = (1..)
+        .zip(commands)
+        .map(|(seq, command)| {
+            let verdict = client.submit_nowait(command);
             async move { (seq, verdict.await) }
         })
         .collect();
@@ -86,7 +98,7 @@ async fn flood(client: &Client, commands: u64) -> (BTreeMap<Code, u64>, Vec<u64>
 async fn what_cannot_be_looked_at_in_time_is_refused_with_a_reason_and_counted() {
     let flooded = Flooded::start("[order]\nwait_ms = 10").await;
     let client = connect(&flooded.salma).await;
-    let (refused, accepted) = flood(&client, FLOOD).await;
+    let (refused, accepted) = flood(&client, &prepare_flood(&client).await).await;
     assert_eq!(refused.keys().collect::<Vec<_>>(), [&Code::Overloaded], "{refused:?}");
     let refused = refused[&Code::Overloaded];
     assert_eq!(refused + accepted.len() as u64, FLOOD, "everything has its answer");
@@ -113,16 +125,15 @@ async fn control_over_a_flooded_stream_overtakes_what_waits_there() {
     // Longer than the flood takes: nothing of it is refused for its time.
     let flooded = Flooded::start("[order]\nwait_ms = 60000").await;
     let client = connect(&flooded.salma).await;
-    let epoch = epoch(&client).await;
-    let mut verdicts: FuturesUnordered<_> = (1..=FLOOD)
-        .map(|seq| {
-            let args = message(epoch, seq, &[0; 48]);
-            let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: Duration::from_secs(100) };
-            client.submit_nowait(&client.prepare(call).unwrap())
-        })
-        .collect();
+    let commands = prepare_flood(&client).await;
+    let release = prepare(&client, "release", vec!["Turtlebot4".into()]);
+    // A node that stands still: all of it has come before the first is looked at.
+    flooded.node.send(Signal::STOP);
+    let mut verdicts: FuturesUnordered<_> = commands.iter().map(|command| client.submit_nowait(command)).collect();
     // Sent last, over the same stream: it ends the grant, and with it what waited.
-    let released = client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap();
+    let release = client.submit_nowait(&release);
+    flooded.node.send(Signal::CONT);
+    let released = release.await.unwrap();
     let (mut after, mut refused) = (0, 0);
     while let Some(verdict) = verdicts.next().await {
         match verdict {
@@ -143,18 +154,15 @@ async fn control_over_a_flooded_stream_overtakes_what_waits_there() {
 async fn one_identity_cannot_take_the_places_of_all() {
     let flooded = Flooded::start("[limits]\nin_flight_max = 64\n[order]\nwait_ms = 60000").await;
     let (salma, farhad) = (connect(&flooded.salma).await, connect(&flooded.farhad).await);
-    let flooding = tokio::spawn(async move { flood(&salma, FLOOD).await });
+    let (commands, epoch) = (prepare_flood(&salma).await, epoch(&farhad).await);
+    let flooding = tokio::spawn(async move { flood(&salma, &commands).await });
     let mut farhads = Vec::new();
-    let epoch = epoch(&farhad).await;
-    for seq in 1..=50 {
+    for seq in 1.. {
         // One after the other, below the client's own patience.
-        let call = Call {
-            chaincode: "abac".into(),
-            function: "set".into(),
-            args: message(epoch, seq, &[]),
-            ttl: Duration::from_secs(60),
-        };
-        farhads.push(farhad.submit_nowait(&farhad.prepare(call).unwrap()).await);
+        farhads.push(farhad.submit_nowait(&prepare(&farhad, "set", message(epoch, seq, &[]))).await);
+        if flooding.is_finished() {
+            break;
+        }
     }
     let (refused, _) = flooding.await.unwrap();
     assert!(refused.get(&Code::Overloaded).is_some_and(|count| *count > 0), "{refused:?}");
