@@ -2,7 +2,7 @@
 
 use crate::config::{Config, Log};
 use crate::node::{Ended, NodeBuilder};
-use crate::{demo, dev, join, setup, telemetry};
+use crate::{demo, dev, join, memory, setup, telemetry};
 use clap::{Parser, Subcommand};
 use ledger::{Class, Code, Rejection};
 use ledger_api::report;
@@ -57,6 +57,7 @@ struct WithConfig {
 
 /// Runs the command line with a node that has these chaincodes; the whole of `main`.
 pub fn run(builder: NodeBuilder) -> ExitCode {
+    let _known = memory::give_back();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => {

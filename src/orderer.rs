@@ -48,7 +48,7 @@ use tokio::sync::watch;
 
 /// Inputs that wait for the order thread, which takes them all at once whenever the disk has answered. The channel has a
 /// place ready for each of them, some 160 bytes.
-const INBOX_MAX: usize = 8192;
+const INBOX_MAX: usize = 4096;
 
 /// What the two threads share with the rest of the node.
 pub(crate) struct Shared {
