@@ -1,11 +1,13 @@
 //! The parts of a commit, one by one, so that a change of the whole can be explained.
 //!
 //! `cargo bench --bench micro [-- NAME]`. It runs in a network of its own, if it may: the leg over DDS needs one.
+//! `where_the_time_goes` adds the parts up and compares them with a whole commit.
 
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
     clippy::indexing_slicing,
+    clippy::print_stdout,
     clippy::print_stderr,
     reason = "a bench ends at the first fault"
 )]
@@ -15,9 +17,14 @@ mod access;
 #[path = "micro/chain.rs"]
 mod chain;
 mod founding;
+mod load;
+mod network;
 mod own_network;
+mod report;
 #[path = "micro/robot.rs"]
 mod robot;
+#[path = "micro/whole.rs"]
+mod whole;
 
 use criterion::{Bencher, BenchmarkId, Criterion, Throughput, criterion_group};
 use founding::{Founding, ONE_VOTER, bench_directory, clock, robots, twist};
@@ -228,4 +235,9 @@ fn main() {
     deciding();
     at_the_robot();
     Criterion::default().configure_from_args().final_summary();
+    // Not by criterion, because it compares.
+    let (options, names): (Vec<_>, Vec<_>) = std::env::args().skip(1).partition(|argument| argument.starts_with('-'));
+    if names.is_empty() || names.iter().any(|name| "where_the_time_goes".contains(name.as_str())) {
+        whole::where_the_time_goes(!options.iter().any(|option| option == "--bench"));
+    }
 }

@@ -1,5 +1,6 @@
 //! From ROS sample to ROS sample: an operator's node publishes `geometry_msgs/msg/Twist`, the robot's node receives it,
-//! and between them are two bridges, two nodes and a ledger, each a process of its own, as in the paper's network.
+//! and between them are her bridge, her node and the robot's node with its bridge inside, each a process of its own, as in
+//! the paper's network.
 //!
 //! Open loop, from the time a sample was due until the robot's node has it; over DDS at both ends, and over shared memory
 //! (iceoryx2) at both ends. In turns with it, so that all meet the same mood of the machine:
@@ -27,6 +28,7 @@ mod own_network;
 mod report;
 #[path = "ros/site.rs"]
 mod site;
+mod usage;
 
 use graph::{Ends, Middleware};
 use hdrhistogram::Histogram;
@@ -77,11 +79,14 @@ fn main() {
         .flat_map(|middleware| measure(&runtime, &operator, &arrivals, middleware, rates, duration))
         .collect();
     print(&lines);
-    let bridges = site.stop();
-    println!("\noperator's bridge: {}\nrobot's bridge:    {}", bridges[0], bridges[1]);
+    let resident = usage::resident(site.robots_node()) as f64 / f64::from(1 << 20);
+    let bridge = site.stop();
+    println!(
+        "\noperator's bridge: {bridge}\nrobot's node, a follower with a bridge inside: {resident:.1} MiB resident"
+    );
     if !smoke {
         let lines: Value = lines.iter().map(Line::json).collect();
-        report::write("ros", &json!({ "lines": lines, "bridges": bridges }));
+        report::write("ros", &json!({ "lines": lines, "bridge": bridge, "robots_node_mib": resident }));
     }
 }
 

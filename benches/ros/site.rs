@@ -1,4 +1,5 @@
-//! The paper's network with its two bridges: the operator's at the node of her organisation, the robot's at its owner's.
+//! The paper's network with its two bridges: the operator's, a process of its own beside the node of her organisation, and
+//! the robot's inside the node that its owner has on it.
 
 use crate::founding::{Founding, PAPER, clock, robots};
 use crate::network::Network;
@@ -16,12 +17,13 @@ use tempfile::TempDir;
 
 /// Time for a node to answer after it was started.
 const START_TIME_MAX: Duration = Duration::from_secs(20);
+const BRIDGE_LOG: &str = "bridge.log";
 /// Longest lease: no bench shall measure a renewal.
 const LEASE_MS: &str = "600000";
 
 /// A running network with bridges; all of it ends with it.
 pub(crate) struct Site {
-    bridges: Vec<Bridge>,
+    bridge: Option<Bridge>,
     pub(crate) network: Network,
     home: TempDir,
 }
@@ -31,8 +33,10 @@ struct Bridge(Child);
 impl Drop for Site {
     fn drop(&mut self) {
         // What a bridge said tells why nothing arrived.
-        for log in ["Salma.log", "Turtlebot4.log"].iter().filter(|_| std::thread::panicking()) {
-            println!("{log}: {}", std::fs::read_to_string(self.home.path().join(log)).unwrap_or_default());
+        let robots = self.network.founding().nodes.last().map(|(data, _)| data.with_extension("log"));
+        let logs = std::iter::once(self.home.path().join(BRIDGE_LOG)).chain(robots);
+        for log in logs.filter(|_| std::thread::panicking()) {
+            println!("{log:?}: {}", std::fs::read_to_string(&log).unwrap_or_default());
         }
     }
 }
@@ -56,37 +60,47 @@ impl Site {
         for identity in [&salma, &robot] {
             identity.save(home.path()).unwrap();
         }
+        let inside =
+            format!("[bridge]\n{}", bridge_settings(home.path(), "Turtlebot4", robot_domain, "from_ledger", "bridge."));
         let mut network = Network::of(founding);
-        for node in 0..PAPER.voters + PAPER.learners {
+        for node in 0..PAPER.voters {
             network.start_node(node, "");
         }
+        network.start_node(PAPER.voters, &inside);
         connect(&owner).await.invoke("abac", "setup", robots()).await.unwrap();
         let lease = ["Turtlebot4", LEASE_MS].map(|arg| Bytes::copy_from_slice(arg.as_bytes()));
         let granted = connect(&salma).await.invoke("abac", "acquire", lease.into()).await.unwrap();
         // The robot's node may be a moment behind.
         connect(&robot).await.query_at(granted.height, "abac", "robots", Vec::new()).await.unwrap();
-        let sides = [(&salma, operator_domain, "to_ledger"), (&robot, robot_domain, "from_ledger")];
-        let bridges = sides.map(|(who, domain, direction)| Bridge::start(home.path(), &who.name, domain, direction));
-        Self { bridges: bridges.into(), network, home }
+        let bridge = Bridge::start(home.path(), "Salma", operator_domain, "to_ledger");
+        Self { bridge: Some(bridge), network, home }
     }
 
-    /// Ends the bridges in order; answers with what each has done.
-    pub(crate) fn stop(mut self) -> Vec<serde_json::Value> {
-        std::mem::take(&mut self.bridges).into_iter().map(Bridge::stop).collect()
+    /// The process of the robot's node, which only follows, with the robot's bridge inside.
+    pub(crate) fn robots_node(&self) -> u32 {
+        *self.network.processes().last().unwrap()
     }
+
+    /// Ends the operator's bridge in order; answers with what it has done.
+    pub(crate) fn stop(mut self) -> serde_json::Value {
+        self.bridge.take().unwrap().stop()
+    }
+}
+
+/// What a bridge is told; everything else is as it is by default: DDS and shared memory.
+fn bridge_settings(home: &Path, name: &str, domain: u16, direction: &str, section: &str) -> String {
+    let context = home.join("contexts").join(name);
+    format!(
+        "context_dir = {context:?}\ndomain_id = {domain}\n\n[[{section}route]]\nservice = \"Turtlebot4/cmd_vel\"\n\
+         direction = \"{direction}\"\ntype = \"geometry_msgs/msg/Twist\"\n"
+    )
 }
 
 impl Bridge {
     fn start(home: &Path, name: &str, domain: u16, direction: &str) -> Self {
         let config = home.join(format!("{name}.toml"));
-        let context = home.join("contexts").join(name);
-        // Everything else as it is by default: DDS and shared memory.
-        let text = format!(
-            "context_dir = {context:?}\ndomain_id = {domain}\n\n[[route]]\nservice = \"Turtlebot4/cmd_vel\"\n\
-             direction = \"{direction}\"\ntype = \"geometry_msgs/msg/Twist\"\n"
-        );
-        std::fs::write(&config, text).unwrap();
-        let log = File::create(home.join(format!("{name}.log"))).unwrap();
+        std::fs::write(&config, bridge_settings(home, name, domain, direction, "")).unwrap();
+        let log = File::create(home.join(BRIDGE_LOG)).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
         command.args(["bridge", "--config"]).arg(config).stdout(Stdio::piped()).stderr(log);
         Self(command.spawn().unwrap())

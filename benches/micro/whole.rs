@@ -1,0 +1,230 @@
+//! Where the time goes: the parts of one command in flight beside the whole, in turns within one run.
+//!
+//! The parts run as in a node with processors that are awake, and the disk is written to as often as by the whole: one
+//! that is left alone for longer answers later, which no bench of writes one after the other shows.
+
+use crate::founding::{PAPER, bench_directory};
+use crate::network::{Network, Operator};
+use crate::report;
+use crate::{ENTRY_BYTES, World};
+use ledger::Bytes;
+use ledger::block_store::{BlockStore, Options};
+use ledger::disk::RealDisk;
+use ledger::entry::{Entry, EntryKind};
+use serde_json::json;
+use std::hint::spin_loop;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc;
+use std::thread::{JoinHandle, available_parallelism};
+use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use thread_priority::{
+    NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
+};
+use tokio::runtime::{Builder, Runtime};
+
+/// Rounds of all parts and the whole.
+const ROUNDS: usize = 10;
+/// Measurements of each in a round.
+const SAMPLES: usize = 200;
+/// From the gateway to the order thread, to the execute thread, back to the gateway.
+const HAND_OVERS: u32 = 3;
+/// How long a command may travel.
+const TTL: Duration = Duration::from_secs(60);
+
+/// One part: its name, how often a command in flight goes through it, how long it took each time.
+struct Part {
+    name: &'static str,
+    times: u32,
+    samples: Vec<Duration>,
+}
+
+/// Measures, prints the table and writes `target/bench/where_the_time_goes.json`.
+pub(crate) fn where_the_time_goes(smoke: bool) {
+    let (rounds, samples) = if smoke { (1, 2) } else { (ROUNDS, SAMPLES) };
+    let mut bench = Bench::new();
+    let mut parts = [
+        ("sign: build, sign, encode", 1),
+        ("gRPC over TLS: there and back, for a command that is known already", 1),
+        ("admit: decode, identify, verify, simulate", 1),
+        ("hand over to another thread", HAND_OVERS),
+        ("write and fdatasync, as often as the whole", 1),
+        ("execute", 1),
+    ]
+    .map(|(name, times)| Part { name, times, samples: Vec::new() });
+    let mut whole = Vec::new();
+    // What a node does between two writes of one client, once it is known.
+    let mut between = Duration::from_micros(200);
+    for _ in 0..rounds {
+        let awake = Awake::start();
+        let [sign, network, admit, hand_over, write, execute] = &mut parts;
+        for _ in 0..samples {
+            sign.samples.push(bench.sign());
+            admit.samples.push(bench.admit());
+            execute.samples.push(bench.execute());
+        }
+        let known = bench.known();
+        network.samples.extend((0..samples).map(|_| bench.ask_again(&known)));
+        hand_over.samples.extend((0..samples).map(|_| bench.hand_over()));
+        write.samples.extend((0..samples).map(|_| bench.write_after(between)));
+        // The node keeps processors awake for itself.
+        drop(awake);
+        whole.extend((0..samples).map(|_| bench.whole()));
+        between = median(&whole).saturating_sub(median(&parts[4].samples));
+    }
+    print(&parts, &whole, smoke);
+}
+
+fn print(parts: &[Part], whole: &[Duration], smoke: bool) {
+    let us = |time: Duration| time.as_secs_f64() * 1e6;
+    let cost = |part: &Part| us(median(&part.samples)) * f64::from(part.times);
+    println!("\none command in flight, voter and learner: where the time goes (medians, us)");
+    for part in parts {
+        println!("{:10.1}  {} x {}", cost(part), part.times, part.name);
+    }
+    let (sum, whole) = (parts.iter().map(cost).sum::<f64>(), us(median(whole)));
+    println!("{sum:10.1}  the parts together: {:.0} % of the whole\n{whole:10.1}  the whole", 100.0 * sum / whole);
+    if !smoke {
+        let parts = parts.iter().map(|part| json!({ "part": part.name, "times": part.times, "us": cost(part) }));
+        let parts: Vec<_> = parts.collect();
+        report::write("where_the_time_goes", &json!({ "parts": parts, "sum_us": sum, "whole_us": whole }));
+    }
+}
+
+fn median(samples: &[Duration]) -> Duration {
+    let mut sorted = samples.to_vec();
+    sorted.sort_unstable();
+    sorted[sorted.len() / 2]
+}
+
+fn time<T>(body: impl FnOnce() -> T) -> Duration {
+    let start = Instant::now();
+    std::hint::black_box(body());
+    start.elapsed()
+}
+
+/// What the parts are measured with, and the network of the whole.
+struct Bench {
+    world: World,
+    store: BlockStore,
+    echo: Echo,
+    runtime: Runtime,
+    operator: Operator,
+    _network: Network,
+    _log: TempDir,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let log = tempfile::tempdir_in(bench_directory()).unwrap();
+        let disk = Arc::new(RealDisk::open(log.path()).unwrap());
+        let (store, _) = BlockStore::open(disk, Options::new([1; 32], || 1)).unwrap();
+        // The client on one thread: no wake-up but by the network.
+        let runtime = Builder::new_current_thread().enable_all().build().unwrap();
+        let network = runtime.block_on(Network::start(PAPER));
+        let operator = runtime.block_on(network.operator("Husky"));
+        Self { world: World::new(), store, echo: Echo::start(), runtime, operator, _network: network, _log: log }
+    }
+
+    fn sign(&mut self) -> Duration {
+        time(|| self.world.command())
+    }
+
+    fn admit(&mut self) -> Duration {
+        let command = self.world.command();
+        time(|| self.world.admit(&command))
+    }
+
+    fn execute(&mut self) -> Duration {
+        let command = self.world.command();
+        self.world.admit(&command);
+        let entry = self.world.entry(&[command]);
+        time(|| self.world.ledger.apply(&entry).unwrap())
+    }
+
+    fn hand_over(&self) -> Duration {
+        time(|| self.echo.once()) / 2
+    }
+
+    /// A write after so much other work.
+    fn write_after(&self, pause: Duration) -> Duration {
+        while self.store.prepare().unwrap() {}
+        let index = self.store.last_index() + 1;
+        let entry = Entry { index, term: 1, kind: EntryKind::Normal, data: Bytes::from(vec![7; ENTRY_BYTES[0]]) };
+        let work = Instant::now();
+        while work.elapsed() < pause {
+            spin_loop();
+        }
+        time(|| {
+            self.store.append(std::slice::from_ref(&entry), None).unwrap();
+            self.store.flush().unwrap()
+        })
+    }
+
+    fn whole(&self) -> Duration {
+        time(|| self.runtime.block_on(self.operator.command()).unwrap())
+    }
+
+    /// A command that was executed: asked again, the node answers from what it knows.
+    fn known(&self) -> ledger::transaction::Transaction {
+        let command = self.operator.signed(TTL);
+        self.runtime.block_on(self.operator.send(&command)).unwrap();
+        command
+    }
+
+    fn ask_again(&self, known: &ledger::transaction::Transaction) -> Duration {
+        time(|| self.runtime.block_on(self.operator.send(known)).unwrap())
+    }
+}
+
+/// A thread that answers.
+struct Echo {
+    question: mpsc::SyncSender<()>,
+    answer: mpsc::Receiver<()>,
+}
+
+impl Echo {
+    fn start() -> Self {
+        let (question, questions) = mpsc::sync_channel(1);
+        let (answers, answer) = mpsc::sync_channel(1);
+        std::thread::spawn(move || questions.iter().try_for_each(|()| answers.send(())));
+        Self { question, answer }
+    }
+
+    fn once(&self) {
+        self.question.send(()).unwrap();
+        self.answer.recv().unwrap();
+    }
+}
+
+/// Keeps all processors awake, as a node does while something is in flight.
+struct Awake {
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Awake {
+    fn start() -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let thread = |_| {
+            let stop = Arc::clone(&stop);
+            std::thread::spawn(move || {
+                let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
+                set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, idle).unwrap();
+                while !stop.load(Ordering::Relaxed) {
+                    spin_loop();
+                }
+            })
+        };
+        let threads = (0..available_parallelism().map_or(1, usize::from)).map(thread).collect();
+        Self { stop, threads }
+    }
+}
+
+impl Drop for Awake {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.threads.drain(..).for_each(|thread| thread.join().unwrap());
+    }
+}
