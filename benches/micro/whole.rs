@@ -1,7 +1,8 @@
 //! Where the time goes: the parts of one command in flight beside the whole, in turns within one run.
 //!
-//! The parts run as in a node with processors that are awake, and the disk is written to as often as by the whole: one
-//! that is left alone for longer answers later, which no bench of writes one after the other shows.
+//! The parts take turns as they do in a commit, on processors that are awake. So each finds caches as the others left
+//! them, and the disk is written to as often as by the whole: one that is left alone for longer answers later. A bench of
+//! one part alone, over and over, shows neither.
 
 use crate::founding::{PAPER, bench_directory};
 use crate::network::{Network, Operator};
@@ -49,29 +50,26 @@ pub(crate) fn where_the_time_goes(smoke: bool) {
         ("gRPC over TLS: there and back, for a command that is known already", 1),
         ("admit: decode, identify, verify, simulate", 1),
         ("hand over to another thread", HAND_OVERS),
-        ("write and fdatasync, as often as the whole", 1),
+        ("write and fdatasync", 1),
         ("execute", 1),
     ]
     .map(|(name, times)| Part { name, times, samples: Vec::new() });
     let mut whole = Vec::new();
-    // What a node does between two writes of one client, once it is known.
-    let mut between = Duration::from_micros(200);
     for _ in 0..rounds {
         let awake = Awake::start();
+        let known = bench.known();
         let [sign, network, admit, hand_over, write, execute] = &mut parts;
         for _ in 0..samples {
             sign.samples.push(bench.sign());
+            network.samples.push(bench.ask_again(&known));
             admit.samples.push(bench.admit());
+            hand_over.samples.push(bench.hand_over());
+            write.samples.push(bench.write());
             execute.samples.push(bench.execute());
         }
-        let known = bench.known();
-        network.samples.extend((0..samples).map(|_| bench.ask_again(&known)));
-        hand_over.samples.extend((0..samples).map(|_| bench.hand_over()));
-        write.samples.extend((0..samples).map(|_| bench.write_after(between)));
         // The node keeps processors awake for itself.
         drop(awake);
         whole.extend((0..samples).map(|_| bench.whole()));
-        between = median(&whole).saturating_sub(median(&parts[4].samples));
     }
     print(&parts, &whole, smoke);
 }
@@ -147,15 +145,10 @@ impl Bench {
         time(|| self.echo.once()) / 2
     }
 
-    /// A write after so much other work.
-    fn write_after(&self, pause: Duration) -> Duration {
+    fn write(&self) -> Duration {
         while self.store.prepare().unwrap() {}
         let index = self.store.last_index() + 1;
         let entry = Entry { index, term: 1, kind: EntryKind::Normal, data: Bytes::from(vec![7; ENTRY_BYTES[0]]) };
-        let work = Instant::now();
-        while work.elapsed() < pause {
-            spin_loop();
-        }
         time(|| {
             self.store.append(std::slice::from_ref(&entry), None).unwrap();
             self.store.flush().unwrap()
