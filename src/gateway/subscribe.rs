@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::mpsc;
+use tokio::time::{Instant, timeout_at};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
@@ -56,8 +57,9 @@ pub(super) fn start(
     let interest = node.blocks.interest(request.subjects.clone());
     let SubscribeRequest { chaincode, subjects, names, .. } = request;
     let wanted = Wanted { chaincode, subjects: subjects.into_iter().collect(), names: names.into_iter().collect() };
+    let (sent, shown) = (Instant::now(), HashSet::new());
     let subscription =
-        Subscription { node, reader, wanted, interest, next, deliveries, shown: HashSet::new(), _counted: counted };
+        Subscription { node, reader, wanted, interest, next, deliveries, sent, shown, _counted: counted };
     tokio::spawn(subscription.run(heartbeat));
     Ok(ReceiverStream::new(stream))
 }
@@ -78,6 +80,8 @@ struct Subscription {
     /// The next height to look at.
     next: u64,
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
+    /// When something was sent last.
+    sent: Instant,
     /// Creators whose certificate this stream has shown.
     shown: HashSet<Hash>,
     _counted: Counted,
@@ -85,10 +89,10 @@ struct Subscription {
 
 impl Subscription {
     async fn run(mut self, heartbeat: Option<Duration>) {
-        let mut quiet = false;
         loop {
             let going_on = match self.catch_up().await {
-                Ok(true) if quiet => self.beat().await,
+                // Also while blocks come, if nothing in them is wanted.
+                Ok(true) if heartbeat.is_some_and(|period| self.sent.elapsed() >= period) => self.beat().await,
                 going_on => going_on,
             };
             match going_on {
@@ -101,17 +105,14 @@ impl Subscription {
             }
             let woken = async {
                 match heartbeat {
-                    Some(period) => tokio::time::timeout(period, self.interest.wait()).await.is_ok(),
-                    None => {
-                        self.interest.wait().await;
-                        true
-                    }
+                    Some(period) => drop(timeout_at(self.sent + period, self.interest.wait()).await),
+                    None => self.interest.wait().await,
                 }
             };
-            quiet = tokio::select! {
-                woken = woken => !woken,
+            tokio::select! {
+                () = woken => {}
                 () = self.deliveries.closed() => return,
-            };
+            }
         }
     }
 
@@ -136,7 +137,7 @@ impl Subscription {
                         // A right that was revoked ends here, before anything of the block is shown.
                         self.node.check(&self.reader)?;
                         silent = 0;
-                        self.deliveries.send(Ok(delivery)).await.is_ok()
+                        self.send(delivery).await
                     }
                     None if silent == BLOCKS_PER_PROGRESS => {
                         silent = 0;
@@ -152,15 +153,21 @@ impl Subscription {
     }
 
     /// The heartbeat: nothing was sent for a while. False if the subscriber is gone.
-    async fn beat(&self) -> Result<bool, Status> {
+    async fn beat(&mut self) -> Result<bool, Status> {
         self.node.check(&self.reader)?;
         Ok(self.progress().await)
     }
 
-    async fn progress(&self) -> bool {
+    async fn progress(&mut self) -> bool {
         let delivery =
             Delivery { height: self.next.saturating_sub(1), time: self.node.ledger.tip().time, ..Delivery::default() };
-        self.deliveries.send(Ok(delivery)).await.is_ok()
+        self.send(delivery).await
+    }
+
+    async fn send(&mut self, delivery: Delivery) -> bool {
+        let there = self.deliveries.send(Ok(delivery)).await.is_ok();
+        self.sent = Instant::now();
+        there
     }
 
     /// What of a block this subscriber wants and may read.
