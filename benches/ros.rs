@@ -42,7 +42,7 @@ use tokio::runtime::{Builder, Runtime};
 /// Frequencies of ROS 2 topics; the paper's is 50 Hz.
 const RATES_HZ: [f64; 4] = [10.0, 50.0, 200.0, 1000.0];
 /// Turns that each side takes at each rate.
-const TURNS: u32 = 3;
+const TURNS: u32 = 8;
 /// ROS domains of the operator, of the robot, and of the floor. Shared memory has no namespaces: those of tests differ.
 const OPERATOR_DOMAIN: u16 = 211;
 const ROBOT_DOMAIN: u16 = 212;
