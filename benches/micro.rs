@@ -40,9 +40,11 @@ use ledger::{Admission, Bytes, Code, Hash, Ledger};
 use ledger_abac::Grant;
 use ledger_api::Context;
 use ledgerd::Node;
-use std::hint::black_box;
+use std::hint::{black_box, spin_loop};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tempfile::TempDir;
+use whole::Awake;
 
 /// Block time from one block to the next, and how long commands may be executed: microseconds.
 const BLOCK_EVERY: u64 = 1000;
@@ -51,6 +53,9 @@ const COMMAND_TTL: u64 = 60_000_000;
 const BLOCK_TRANSACTIONS: [usize; 3] = [1, 10, 100];
 /// Bytes of an entry: about one command, one camera image.
 const ENTRY_BYTES: [usize; 2] = [320, 100_000];
+
+/// Time without a write, microseconds.
+const PAUSES_US: [u64; 5] = [0, 50, 100, 200, 1000];
 
 /// A ledger without a node, on which Salma holds a robot.
 struct World {
@@ -192,26 +197,60 @@ fn execution(criterion: &mut Criterion) {
     }
 }
 
+/// An empty log on the disk of the build.
+fn log() -> (TempDir, BlockStore) {
+    let directory = tempfile::tempdir_in(bench_directory()).unwrap();
+    let disk = Arc::new(RealDisk::open(directory.path()).unwrap());
+    let (store, _) = BlockStore::open(disk, Options::new([1; 32], || 1)).unwrap();
+    (directory, store)
+}
+
+/// The next entry of a log, with room for it.
+fn next_entry(store: &BlockStore, bytes: usize) -> Entry {
+    // A thread of the node does this beside the commits.
+    while store.prepare().unwrap() {}
+    let data = Bytes::from(vec![7; bytes]);
+    Entry { index: store.last_index() + 1, term: 1, kind: EntryKind::Normal, data }
+}
+
+fn append_and_flush(store: &BlockStore, entry: &Entry) {
+    store.append(std::slice::from_ref(entry), None).unwrap();
+    store.flush().unwrap();
+}
+
 /// One block on disk: the only wait for hardware in a commit.
 fn store(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("append_and_flush");
     for bytes in ENTRY_BYTES {
-        let directory = tempfile::tempdir_in(bench_directory()).unwrap();
-        let disk = Arc::new(RealDisk::open(directory.path()).unwrap());
-        let (store, _) = BlockStore::open(disk, Options::new([1; 32], || 1)).unwrap();
+        let (_directory, store) = log();
         group.throughput(Throughput::Bytes(bytes as u64));
         group.bench_function(BenchmarkId::from_parameter(bytes), |bencher| {
-            let prepare = || {
-                // A thread of the node does this beside the commits.
-                while store.prepare().unwrap() {}
-                let data = Bytes::from(vec![7; bytes]);
-                Entry { index: store.last_index() + 1, term: 1, kind: EntryKind::Normal, data }
-            };
-            timed(bencher, prepare, |entry| {
-                store.append(std::slice::from_ref(entry), None).unwrap();
-                store.flush().unwrap()
-            });
+            timed(bencher, || next_entry(&store, bytes), |entry| append_and_flush(&store, entry));
         });
+    }
+    group.finish();
+}
+
+/// The same when nothing was written for a while: a virtual disk that is left alone answers later, and so does a
+/// processor that has fallen asleep meanwhile.
+fn store_after_pause(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("write_after_pause");
+    for (name, awake) in [("asleep", false), ("awake", true)] {
+        let (_directory, store) = log();
+        let _awake = awake.then(Awake::start);
+        for pause in PAUSES_US {
+            group.bench_function(BenchmarkId::new(name, pause), |bencher| {
+                let prepare = || {
+                    let entry = next_entry(&store, ENTRY_BYTES[0]);
+                    let start = Instant::now();
+                    while start.elapsed() < Duration::from_micros(pause) {
+                        spin_loop();
+                    }
+                    entry
+                };
+                timed(bencher, prepare, |entry| append_and_flush(&store, entry));
+            });
+        }
     }
     group.finish();
 }
@@ -222,6 +261,7 @@ criterion_group!(
     admission,
     execution,
     store,
+    store_after_pause,
     chain::block_encode,
     chain::recover,
     chain::state_apply

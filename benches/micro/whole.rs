@@ -4,14 +4,11 @@
 //! them, and the disk is written to as often as by the whole: one that is left alone for longer answers later. A bench of
 //! one part alone, over and over, shows neither.
 
-use crate::founding::{PAPER, bench_directory};
+use crate::founding::PAPER;
 use crate::network::{Network, Operator};
 use crate::report;
-use crate::{ENTRY_BYTES, World};
-use ledger::Bytes;
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::RealDisk;
-use ledger::entry::{Entry, EntryKind};
+use crate::{ENTRY_BYTES, World, append_and_flush, log, next_entry};
+use ledger::block_store::BlockStore;
 use serde_json::json;
 use std::hint::spin_loop;
 use std::sync::Arc;
@@ -115,9 +112,7 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let log = tempfile::tempdir_in(bench_directory()).unwrap();
-        let disk = Arc::new(RealDisk::open(log.path()).unwrap());
-        let (store, _) = BlockStore::open(disk, Options::new([1; 32], || 1)).unwrap();
+        let (log, store) = log();
         // The client on one thread: no wake-up but by the network.
         let runtime = Builder::new_current_thread().enable_all().build().unwrap();
         let network = runtime.block_on(Network::start(PAPER));
@@ -146,13 +141,8 @@ impl Bench {
     }
 
     fn write(&self) -> Duration {
-        while self.store.prepare().unwrap() {}
-        let index = self.store.last_index() + 1;
-        let entry = Entry { index, term: 1, kind: EntryKind::Normal, data: Bytes::from(vec![7; ENTRY_BYTES[0]]) };
-        time(|| {
-            self.store.append(std::slice::from_ref(&entry), None).unwrap();
-            self.store.flush().unwrap()
-        })
+        let entry = next_entry(&self.store, ENTRY_BYTES[0]);
+        time(|| append_and_flush(&self.store, &entry))
     }
 
     fn whole(&self) -> Duration {
@@ -192,13 +182,13 @@ impl Echo {
 }
 
 /// Keeps all processors awake, as a node does while something is in flight.
-struct Awake {
+pub(crate) struct Awake {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Awake {
-    fn start() -> Self {
+    pub(crate) fn start() -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let thread = |_| {
             let stop = Arc::clone(&stop);
