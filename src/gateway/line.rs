@@ -51,6 +51,11 @@ impl Line {
         self.lane(lane).front().map(|arrived| arrived.min_height)
     }
 
+    /// The first few of a lane.
+    pub(super) fn first(&mut self, lane: Lane, count: usize) -> impl Iterator<Item = &Transaction> {
+        self.lane(lane).iter().take(count).map(|arrived| &arrived.transaction)
+    }
+
     /// Takes the first of a lane.
     pub(super) fn take(&mut self, lane: Lane) -> Option<Arrived> {
         self.lane(lane).pop_front()

@@ -18,7 +18,9 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Status, Streaming};
 
-/// Longest time that one stream looks at transactions while others wait for their turn.
+/// Signatures that are checked together in one turn.
+const TOGETHER_MAX: usize = 16;
+/// Longest time that one stream looks at transactions while others wait for their turn, besides checking signatures together.
 const SLICE: Duration = Duration::from_micros(200);
 /// Requests taken in between two looks at what waits. Taking in costs a fiftieth of looking: enough that a flood is
 /// refused while it comes, and not so much that nothing else is done.
@@ -142,6 +144,8 @@ impl Desk {
                 self.node.refuse_overloaded(&arrived, reason, &self.share, &self.answers);
             }
         }
+        self.node.ledger.verify_together(self.line.first(lane, TOGETHER_MAX), self.node.clock.now());
+        let start = Instant::now();
         while self.line.min_height(lane).is_some_and(|wanted| wanted <= height)
             && let Some(arrived) = self.line.take(lane)
         {

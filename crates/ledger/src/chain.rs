@@ -24,7 +24,7 @@ use crate::writes::{RecentWrites, Write};
 use bytes::Bytes;
 use std::collections::HashSet;
 use std::ops::Bound;
-use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
 
 /// Verified signatures remembered between admission and execution; twice as many at most.
 const VERIFIED_MAX: usize = 32_768;
@@ -200,7 +200,7 @@ impl Ledger {
             registry: &self.registry,
             identities: &self.identities,
             state: Arc::clone(&self.state) as Arc<dyn StateRead>,
-            verified: &|leaf| self.verified.lock().unwrap_or_else(PoisonError::into_inner).take(leaf),
+            verified: &|leaf| self.verified().take(leaf),
             window: &self.window,
         };
         let Execution { tip, header, result, foretold, transactions, ids, writes } =
@@ -249,18 +249,33 @@ impl Ledger {
             return Ok(Admission::Known(transaction.id(), record));
         }
         let time = now.max(self.tip().time);
-        let overlay = self.overlay();
+        let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
         let authenticated = transaction.check_time(time).and_then(|()| {
             let (identity, _) = self.identities.creator(&transaction, &overlay, time)?;
-            transaction.verify(&identity.public_key)?;
+            if !self.verified().contains(&leaf) {
+                transaction.verify(&identity.public_key)?;
+            }
             Ok(identity)
         });
         let identity = authenticated.map_err(|rejection| refuse(None, rejection))?;
         let body = transaction.body();
         self.call(&identity, time, transaction.id(), &body.chaincode, &body.function, &body.args)
             .map_err(|rejection| refuse(Some(&identity), rejection))?;
-        self.verified.lock().unwrap_or_else(PoisonError::into_inner).insert(leaf(transaction.encoded()));
+        self.verified().insert(leaf);
         Ok(Admission::New(transaction))
+    }
+
+    /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each costs
+    /// alone. Only admission tells what is wrong with one.
+    pub fn verify_together<'a>(&self, transactions: impl Iterator<Item = &'a Transaction>, now: u64) {
+        let transactions = transactions.map(|transaction| (transaction, transaction));
+        for transaction in self.identities.verify_together(transactions, now) {
+            self.verified().insert(leaf(transaction.encoded()));
+        }
+    }
+
+    fn verified(&self) -> MutexGuard<'_, Verified> {
+        self.verified.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Calls a function on the committed state and throws its writes away. Answers with the height of that state.
@@ -482,6 +497,10 @@ impl Verified {
             self.old = std::mem::take(&mut self.young);
         }
         self.young.insert(leaf);
+    }
+
+    fn contains(&self, leaf: &Hash) -> bool {
+        self.young.contains(leaf) || self.old.contains(leaf)
     }
 
     fn take(&mut self, leaf: &Hash) -> bool {

@@ -67,13 +67,15 @@ impl Executor<'_> {
         let mut results = Vec::with_capacity(transactions.len());
         let mut ids = Vec::with_capacity(transactions.len());
         let mut foretold = Vec::with_capacity(transactions.len());
-        for (position, (encoded, leaf)) in (0u32..).zip(transactions.iter().zip(leaves.iter().flatten())) {
+        let decoded: Vec<_> = transactions.iter().map(|encoded| Transaction::decode(encoded.clone())).collect();
+        let verified = self.verify_together(&decoded, &leaves.unwrap_or_default(), time);
+        for (position, (decoded, verified)) in (0u32..).zip(decoded.into_iter().zip(verified)) {
             let mut emitted = Vec::new();
             let (mut id, mut not_after, mut as_foretold) = (Hash::ZERO, None, false);
-            let outcome = Transaction::decode(encoded.clone()).and_then(|transaction| {
+            let outcome = decoded.and_then(|transaction| {
                 id = transaction.id();
                 self.check_first(&transaction, &taken, time)?;
-                let (identity, new) = self.authenticate(&transaction, leaf, &header, &overlay)?;
+                let (identity, new) = self.authenticate(&transaction, verified, &header, &overlay)?;
                 // From here on the id is taken: its creator signed it, and this is its one verdict.
                 taken.insert(id);
                 not_after = Some(transaction.body().not_after);
@@ -145,17 +147,28 @@ impl Executor<'_> {
         }
     }
 
+    /// Whose signatures this node has verified, now or before.
+    fn verify_together(&self, decoded: &[Result<Transaction, Rejection>], leaves: &[Hash], time: u64) -> Vec<bool> {
+        let mut verified: Vec<_> = leaves.iter().map(self.verified).collect();
+        let rest = (0..).zip(decoded).filter(|(position, _)| verified.get(*position) == Some(&false));
+        let rest = rest.filter_map(|(position, decoded)| Some((position, decoded.as_ref().ok()?)));
+        for position in self.identities.verify_together(rest, time) {
+            verified.get_mut(position).into_iter().for_each(|verified| *verified = true);
+        }
+        verified
+    }
+
     fn authenticate(
         &self,
         transaction: &Transaction,
-        leaf: &Hash,
+        verified: bool,
         header: &Header,
         overlay: &Overlay,
     ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
         check_network(transaction, &self.network)?;
         transaction.check_time(header.time)?;
         let (identity, new) = self.identities.creator(transaction, overlay, header.time)?;
-        if !(self.verified)(leaf) {
+        if !verified {
             transaction.verify(&identity.public_key)?;
         }
         Ok((identity, new))

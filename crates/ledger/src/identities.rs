@@ -5,6 +5,7 @@ use crate::chaincode::{Overlay, StateRead};
 use crate::code::Code;
 use crate::governance::{self, certificate_key, revoked_key};
 use crate::identity::Identity;
+use crate::key::KeyKind;
 use crate::msp::{Msp, Msps};
 use crate::mutation::{Mutation, active};
 use crate::rejection::Rejection;
@@ -15,6 +16,11 @@ use std::sync::{Arc, PoisonError, RwLock};
 
 /// Most identities kept in memory; beyond it the memory starts anew.
 const CACHED_MAX: usize = 10_000;
+
+/// Signatures that are checked together: more of them are hardly cheaper, and one that does not verify spoils it for all.
+const TOGETHER_MAX: usize = 64;
+/// One is cheaper alone.
+const TOGETHER_MIN: usize = 2;
 
 /// The network's organisations and the identities verified against them.
 ///
@@ -71,6 +77,28 @@ impl Identities {
         };
         check_revoked(&identity, overlay)?;
         Ok((identity, new))
+    }
+
+    /// Those of the transactions, by what they are given with, whose signatures are seen to verify when they are checked
+    /// together. Nothing is said of the others: each has to be checked by itself.
+    pub(crate) fn verify_together<'a, T>(
+        &self,
+        transactions: impl Iterator<Item = (T, &'a Transaction)>,
+        at: u64,
+    ) -> Vec<T> {
+        let mut verified = Vec::new();
+        let mut known = transactions.filter_map(|(which, transaction)| {
+            let identity = self.remembered(&transaction.creator(), at)?;
+            (identity.public_key.kind() == KeyKind::Ed25519).then_some((which, (transaction, identity)))
+        });
+        loop {
+            let (which, signed): (Vec<_>, Vec<_>) = known.by_ref().take(TOGETHER_MAX).unzip();
+            match signed.len() {
+                0 => return verified,
+                TOGETHER_MIN.. if Transaction::verify_together(&signed) => verified.extend(which),
+                _ => {}
+            }
+        }
     }
 
     fn remembered(&self, fingerprint: &Hash, at: u64) -> Option<Arc<Identity>> {

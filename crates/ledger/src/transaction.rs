@@ -7,10 +7,12 @@
 use crate::Hash;
 use crate::block::PAYLOAD_BYTES_MAX;
 use crate::code::Code;
+use crate::identity::Identity;
 use crate::key::{PublicKey, SigningKey};
 use crate::rejection::Rejection;
 use bytes::Bytes;
 use prost::Message;
+use std::sync::Arc;
 
 /// How far `not_after` may lie ahead of block time, and so how long ids must be remembered: microseconds.
 pub const NOT_AFTER_AHEAD_MAX: u64 = 120_000_000;
@@ -145,6 +147,14 @@ impl Transaction {
             Rejection::new(Code::BadSignature, format!("signature of transaction {} is not valid: {error}", self.id))
                 .wanted(format!("a signature by the key of certificate {}", self.creator()))
         })
+    }
+
+    /// Do the creators' signatures of all these verify? As [`PublicKey::verify_together`].
+    pub(crate) fn verify_together(signed: &[(&Self, Arc<Identity>)]) -> bool {
+        let messages: Vec<_> = signed.iter().map(|(transaction, _)| signed_bytes(&transaction.envelope.body)).collect();
+        PublicKey::verify_together(signed.iter().zip(&messages).map(|((transaction, identity), message)| {
+            (&identity.public_key, message.as_slice(), transaction.envelope.signature.as_ref())
+        }))
     }
 
     /// Checks the window in which it may be executed.

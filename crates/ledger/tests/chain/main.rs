@@ -8,6 +8,7 @@ mod archive;
 mod beside;
 mod results;
 mod snapshot;
+mod together;
 mod world;
 
 use ledger::block::Payload;

@@ -115,6 +115,90 @@ fn an_ed25519_signature_of_another_length_is_refused() {
     }
 }
 
+/// A key, a message and a signature on which verifiers of Ed25519 disagree: a point of order 8 is added to R. Whoever has
+/// the key can make such signatures; RFC 8032 allows to accept and to refuse them, ZIP 215 accepts them.
+fn disputed() -> (PublicKey, &'static [u8], Vec<u8>) {
+    let key = hex::decode("ea4a6c63e29c520abef5507b132ec5f9954776aebebe7b92421eea691446d22c").unwrap();
+    let signature = "c57077b154392b0b71e903bd8831bf29222550dad8280c56d2b0cc32ee16ee1f\
+                     2d062d74e83c8e006e7162646149b6e8a3dbf81e3d2131b7e62d6b296a88b203";
+    (PublicKey::from_ed25519(key.try_into().unwrap()), b"forward", hex::decode(signature).unwrap())
+}
+
+fn together(signed: &[(PublicKey, &[u8], Vec<u8>)]) -> bool {
+    PublicKey::verify_together(signed.iter().map(|(key, message, signature)| (key, *message, signature.as_slice())))
+}
+
+#[test]
+fn signatures_verify_together_exactly_if_each_verifies_alone() {
+    let signers = [key(KeyKind::Ed25519), key(KeyKind::Ed25519)];
+    let messages: [&[u8]; 3] = [b"forward", b"back", b"stop"];
+    let mut signed: Vec<_> =
+        signers.iter().flat_map(|key| messages.map(|message| (key.public_key(), message, key.sign(message)))).collect();
+    signed.push(disputed());
+    for (key, message, signature) in &signed {
+        key.verify(message, signature).unwrap();
+    }
+    assert!(together(&signed));
+    for place in 0..signed.len() {
+        for (wrong_key, wrong_message, change) in [(true, false, 0), (false, true, 0), (false, false, 1)] {
+            let mut changed = signed.clone();
+            let (key, message, signature) = &mut changed[place];
+            if wrong_key {
+                *key = self::key(KeyKind::Ed25519).public_key();
+            }
+            if wrong_message {
+                *message = b"faster";
+            }
+            signature[40] ^= change;
+            assert!(key.verify(message, signature).is_err());
+            assert!(!together(&changed), "{place} {wrong_key} {wrong_message} {change}");
+        }
+    }
+}
+
+#[test]
+fn two_wrong_signatures_do_not_make_up_for_each_other() {
+    // One s too large by as much as the other is too small: their plain sum is right.
+    let signer = key(KeyKind::Ed25519);
+    let mut signed = [b"forward", b"stop..."]
+        .map(|message: &[u8; 7]| (signer.public_key(), message.as_slice(), signer.sign(message)));
+    assert!(together(&signed));
+    // Bytes in the middle of s, far from both ends of its range.
+    signed[0].2[48] = signed[0].2[48].wrapping_add(1);
+    signed[1].2[48] = signed[1].2[48].wrapping_sub(1);
+    assert!(!together(&signed));
+}
+
+#[test]
+fn keys_of_other_kinds_are_not_checked_together() {
+    let signed = KINDS.map(key).map(|key| (key.public_key(), b"stop".as_slice(), key.sign(b"stop")));
+    assert!(!together(&signed));
+    assert!(together(&signed[..1]));
+}
+
+#[test]
+fn a_key_under_which_one_signature_fits_every_message_is_refused() {
+    // The points of order 1, 2, 4 and 8, and other encodings of the first two.
+    let weak = [
+        "0100000000000000000000000000000000000000000000000000000000000000",
+        "ecffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff7f",
+        "0000000000000000000000000000000000000000000000000000000000000000",
+        "0000000000000000000000000000000000000000000000000000000000000080",
+        "26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc05",
+        "26e8958fc2b227b045c3f489f2ef98f0d5dfac05d3c63339b13802886d53fc85",
+        "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac037a",
+        "c7176a703d4dd84fba3c0b760d10670f2a2053fa2c39ccc64ec7fd7792ac03fa",
+        "0100000000000000000000000000000000000000000000000000000000000080",
+        "eeffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff7f",
+    ];
+    for weak in weak {
+        let key = PublicKey::from_ed25519(hex::decode(weak).unwrap().try_into().unwrap());
+        assert_eq!(PublicKey::from_spki(&key.to_spki()), Err(KeyError::UnsupportedPublicKey), "{weak}");
+    }
+    let sound = disputed().0;
+    assert_eq!(PublicKey::from_spki(&sound.to_spki()), Ok(sound));
+}
+
 #[test]
 fn a_key_survives_being_written_and_read() {
     for kind in KINDS {
