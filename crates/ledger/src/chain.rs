@@ -20,14 +20,13 @@ use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
 use crate::results::{Place, ResultStore, Window};
 use crate::state::{State, Tip};
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use crate::verified::Verified;
 use crate::writes::{RecentWrites, Write};
 use bytes::Bytes;
 use std::collections::HashSet;
 use std::ops::Bound;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
-/// Verified signatures remembered between admission and execution; twice as many at most.
-const VERIFIED_MAX: usize = 32_768;
 /// How often a query is repeated when blocks are committed while it runs, before it is answered as it is.
 const QUERY_RETRIES: usize = 3;
 
@@ -42,7 +41,7 @@ pub struct Ledger {
     /// Blocks between two snapshots.
     snapshot_every: u64,
     identities: Identities,
-    verified: Mutex<Verified>,
+    verified: Verified,
     /// Ids of executed transactions that block time has not passed.
     window: RwLock<Window>,
     writes: Mutex<RecentWrites>,
@@ -143,7 +142,7 @@ impl Ledger {
             results,
             genesis,
             snapshot_every: founding.snapshot_every,
-            verified: Mutex::default(),
+            verified: Verified::default(),
             window: RwLock::new(window),
             writes: Mutex::default(),
             flushing: Mutex::default(),
@@ -200,7 +199,7 @@ impl Ledger {
             registry: &self.registry,
             identities: &self.identities,
             state: Arc::clone(&self.state) as Arc<dyn StateRead>,
-            verified: &|leaf| self.verified().take(leaf),
+            verified: &|leaf| self.verified.take(leaf),
             window: &self.window,
         };
         let Execution { tip, header, result, foretold, transactions, ids, writes } =
@@ -252,7 +251,7 @@ impl Ledger {
         let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
         let authenticated = transaction.check_time(time).and_then(|()| {
             let (identity, _) = self.identities.creator(&transaction, &overlay, time)?;
-            if !self.verified().contains(&leaf) {
+            if !self.verified.contains(&leaf) {
                 transaction.verify(&identity.public_key)?;
             }
             Ok(identity)
@@ -261,7 +260,7 @@ impl Ledger {
         let body = transaction.body();
         self.call(&identity, time, transaction.id(), &body.chaincode, &body.function, &body.args)
             .map_err(|rejection| refuse(Some(&identity), rejection))?;
-        self.verified().insert(leaf);
+        self.verified.insert(leaf);
         Ok(Admission::New(transaction))
     }
 
@@ -270,12 +269,8 @@ impl Ledger {
     pub fn verify_together<'a>(&self, transactions: impl Iterator<Item = &'a Transaction>, now: u64) {
         let transactions = transactions.map(|transaction| (transaction, transaction));
         for transaction in self.identities.verify_together(transactions, now) {
-            self.verified().insert(leaf(transaction.encoded()));
+            self.verified.insert(leaf(transaction.encoded()));
         }
-    }
-
-    fn verified(&self) -> MutexGuard<'_, Verified> {
-        self.verified.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Calls a function on the committed state and throws its writes away. Answers with the height of that state.
@@ -481,29 +476,5 @@ pub struct Refusal {
 impl Refusal {
     fn anonymous(rejection: Rejection) -> Box<Self> {
         Box::new(Self { who: None, transaction: None, rejection })
-    }
-}
-
-/// Leaves whose signature this node has verified. Two generations, so that it stays small without an order.
-#[derive(Default)]
-struct Verified {
-    young: HashSet<Hash>,
-    old: HashSet<Hash>,
-}
-
-impl Verified {
-    fn insert(&mut self, leaf: Hash) {
-        if self.young.len() >= VERIFIED_MAX {
-            self.old = std::mem::take(&mut self.young);
-        }
-        self.young.insert(leaf);
-    }
-
-    fn contains(&self, leaf: &Hash) -> bool {
-        self.young.contains(leaf) || self.old.contains(leaf)
-    }
-
-    fn take(&mut self, leaf: &Hash) -> bool {
-        self.young.remove(leaf) || self.old.remove(leaf)
     }
 }

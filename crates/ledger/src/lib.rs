@@ -31,6 +31,7 @@ pub mod segment;
 pub mod snapshot;
 pub mod state;
 pub mod transaction;
+mod verified;
 pub mod verify;
 pub mod writes;
 
