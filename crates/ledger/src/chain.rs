@@ -23,7 +23,6 @@ use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use crate::verified::Verified;
 use crate::writes::{RecentWrites, Write};
 use bytes::Bytes;
-use std::collections::HashSet;
 use std::ops::Bound;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
