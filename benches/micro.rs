@@ -32,6 +32,7 @@ use ledger::block::Payload;
 use ledger::block_store::{BlockStore, Options};
 use ledger::disk::RealDisk;
 use ledger::entry::{Entry, EntryKind};
+use ledger::key::PublicKey;
 use ledger::results::ResultStore;
 use ledger::state::{MemoryState, State};
 use ledger::transaction::{Body, Transaction};
@@ -53,7 +54,10 @@ const COMMAND_TTL: u64 = 60_000_000;
 const BLOCK_TRANSACTIONS: [usize; 3] = [1, 10, 100];
 /// Bytes of an entry: about one command, one camera image.
 const ENTRY_BYTES: [usize; 2] = [320, 100_000];
-
+/// Signatures that are checked together: what a gateway takes at a time, what execution does.
+const TOGETHER: [usize; 3] = [2, 16, 64];
+/// Bytes that are signed: those of a command.
+const SIGNED_BYTES: usize = 250;
 /// Time without a write, microseconds.
 const PAUSES_US: [u64; 5] = [0, 50, 100, 200, 1000];
 
@@ -160,6 +164,14 @@ fn signature(criterion: &mut Criterion) {
     criterion.bench_function("sign", |bencher| bencher.iter(|| Transaction::sign(black_box(&body), &key)));
     let (transaction, public) = (Transaction::sign(&body, &key).unwrap(), key.public_key());
     criterion.bench_function("verify", |bencher| bencher.iter(|| black_box(&transaction).verify(&public)));
+    for count in TOGETHER {
+        let messages: Vec<_> = (0..count).map(|number| vec![number as u8; SIGNED_BYTES]).collect();
+        let signatures: Vec<_> = messages.iter().map(|message| key.sign(message)).collect();
+        let signed = || messages.iter().zip(&signatures).map(|(message, signed)| (&public, &message[..], &signed[..]));
+        criterion.bench_function(&format!("verify_together/{count}"), |bencher| {
+            bencher.iter(|| assert!(PublicKey::verify_together(signed())));
+        });
+    }
     let encoded = transaction.encoded();
     criterion.bench_function("decode", |bencher| bencher.iter(|| Transaction::decode(black_box(encoded.clone()))));
 }

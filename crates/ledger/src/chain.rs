@@ -266,10 +266,9 @@ impl Ledger {
     /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each costs
     /// alone. Only admission tells what is wrong with one.
     pub fn verify_together<'a>(&self, transactions: impl Iterator<Item = &'a Transaction>, now: u64) {
-        let transactions = transactions.map(|transaction| (transaction, transaction));
-        for transaction in self.identities.verify_together(transactions, now) {
-            self.verified.insert(leaf(transaction.encoded()));
-        }
+        let leaves = transactions.map(|transaction| (leaf(transaction.encoded()), transaction));
+        let unverified = leaves.filter(|(leaf, _)| !self.verified.contains(leaf));
+        self.identities.verify_together(unverified, now).into_iter().for_each(|leaf| self.verified.insert(leaf));
     }
 
     /// Calls a function on the committed state and throws its writes away. Answers with the height of that state.

@@ -33,6 +33,9 @@ pub struct Dissent {
 #[derive(Default)]
 pub(super) struct Attested {
     heights: BTreeMap<u64, Height>,
+    /// The highest height at which each node agrees. It agrees with all below then: block hashes and state digests cover
+    /// those before them.
+    agreed: BTreeMap<String, u64>,
     /// The snapshot that the chain was begun from: height and content.
     snapshot: Option<(u64, Hash)>,
     /// Attestations that agree.
@@ -64,7 +67,7 @@ impl Attested {
         self.heights.insert(tip.height, Height { hash: tip.hash, digest: tip.digest, agreeing, dissenting });
         while self.heights.len() > HEIGHTS_MAX {
             let Some((height, oldest)) = self.heights.pop_first() else { break };
-            oldest.judge(height)?;
+            oldest.judge(height, self.agreeing_with(height))?;
         }
         Ok(())
     }
@@ -99,7 +102,9 @@ impl Attested {
         }
         let Some(computed) = self.heights.get_mut(height) else { return Ok(()) };
         if (computed.hash, computed.digest) == (*hash, *digest) {
-            self.agreeing += u64::from(computed.agreeing.insert(node));
+            self.agreeing += u64::from(computed.agreeing.insert(node.clone()));
+            let agreed = self.agreed.entry(node).or_default();
+            *agreed = (*agreed).max(*height);
             return Ok(());
         }
         if computed.dissenting.insert(node.clone()) && self.dissents.len() < DISSENTS_MAX {
@@ -112,27 +117,28 @@ impl Attested {
     ///
     /// # Errors
     /// [`Code::ChainInvalid`] with height and nodes if more nodes signed something else than these blocks give than signed
-    /// this.
+    /// this, or what follows from it.
     pub(super) fn finish(&self) -> Result<(), Rejection> {
-        self.heights.iter().try_for_each(|(height, found)| found.judge(*height))
+        self.heights.iter().try_for_each(|(height, found)| found.judge(*height, self.agreeing_with(*height)))
+    }
+
+    /// How many nodes agree with the chain up to a height.
+    fn agreeing_with(&self, height: u64) -> usize {
+        self.agreed.values().filter(|agreed| **agreed >= height).count()
     }
 }
 
 impl Height {
-    fn judge(&self, height: u64) -> Result<(), Rejection> {
-        if self.dissenting.len() <= self.agreeing.len() {
+    /// Are those wrong who attested something else, if so many agree?
+    fn judge(&self, height: u64, agreeing: usize) -> Result<(), Rejection> {
+        if self.dissenting.len() <= agreeing {
             return Ok(());
         }
         let names: Vec<&str> = self.dissenting.iter().map(String::as_str).collect();
         let what =
             format!("block {height}: {} attested another block or state than these blocks give", names.join(", "));
         Err(Rejection::new(Code::ChainInvalid, what)
-            .found(format!(
-                "block hash {}, state digest {}; {} nodes agree",
-                self.hash,
-                self.digest,
-                self.agreeing.len()
-            ))
+            .found(format!("block hash {}, state digest {}; {agreeing} nodes agree", self.hash, self.digest))
             .wanted("what most of those who attested this height have signed")
             .next("compare with the directory of one of these nodes"))
     }
@@ -185,6 +191,18 @@ mod tests {
         attested.finish().unwrap();
         attested.attestation("Org2/c".into(), &wrong(3)).unwrap();
         assert!(attested.finish().is_err());
+    }
+
+    #[test]
+    fn who_agrees_with_a_block_agrees_with_those_before_it_and_not_with_those_after_it() {
+        let mut attested = chain(20);
+        attested.attestation("Org1/a".into(), &wrong(3)).unwrap();
+        attested.attestation("Org2/b".into(), &right(2)).unwrap();
+        assert!(attested.finish().unwrap_err().message.contains("block 3: Org1/a"));
+        attested.attestation("Org2/b".into(), &right(4)).unwrap();
+        attested.finish().unwrap();
+        attested.attestation("Org1/a".into(), &wrong(5)).unwrap();
+        assert!(attested.finish().unwrap_err().message.contains("block 5: Org1/a"));
     }
 
     #[test]
