@@ -20,7 +20,8 @@ use tonic::{Status, Streaming};
 
 /// Signatures that are checked together in one turn.
 const TOGETHER_MAX: usize = 16;
-/// Longest time that one stream looks at transactions while others wait for their turn, besides checking signatures together.
+/// Longest time that one stream looks at transactions while others wait for their turn, after their signatures were checked
+/// together.
 const SLICE: Duration = Duration::from_micros(200);
 /// Requests taken in between two looks at what waits. Taking in costs a fiftieth of looking: enough that a flood is
 /// refused while it comes, and not so much that nothing else is done.
@@ -138,9 +139,9 @@ impl Desk {
             return;
         }
         let Some(turn) = self.turn(lane, requests).await else { return };
-        let (start, height) = (Instant::now(), self.node.ledger.tip().height);
+        let (now, height) = (Instant::now(), self.node.ledger.tip().height);
         if lane == Lane::Data {
-            for (arrived, reason) in self.line.take_late(start, self.node.wait_max) {
+            for (arrived, reason) in self.line.take_late(now, self.node.wait_max) {
                 self.node.refuse_overloaded(&arrived, reason, &self.share, &self.answers);
             }
         }

@@ -94,6 +94,12 @@ pub enum KeyError {
          try a new key of kind ed25519 or p256"
     )]
     UnsupportedPublicKey,
+    /// An Ed25519 key of small order, which says nothing about who signed.
+    #[error(
+        "found an Ed25519 public key of small order, under which one signature fits every message, wanted the key of a \
+         freshly made pair"
+    )]
+    WeakPublicKey,
     /// Larger than any private key.
     #[error("found {found} bytes, wanted a private key of at most {KEY_BYTES_MAX} bytes")]
     TooLarge {
@@ -265,8 +271,8 @@ impl PublicKey {
     /// Reads a SubjectPublicKeyInfo in DER, as certificates and signing requests hold it.
     ///
     /// # Errors
-    /// [`KeyError::UnsupportedPublicKey`] for other algorithms, compressed points, superfluous bytes, and Ed25519 keys
-    /// under which one signature fits every message.
+    /// [`KeyError::UnsupportedPublicKey`] for other algorithms, compressed points and superfluous bytes;
+    /// [`KeyError::WeakPublicKey`].
     pub fn from_spki(der: &[u8]) -> Result<Self, KeyError> {
         let (kind, bytes) = if let Some(bytes) = der.strip_prefix(ED25519_INFO) {
             (KeyKind::Ed25519, bytes)
@@ -276,7 +282,12 @@ impl PublicKey {
             return Err(KeyError::UnsupportedPublicKey);
         };
         match (kind, bytes) {
-            (KeyKind::Ed25519, [..]) if bytes.try_into().is_ok_and(|key| !ed25519::is_weak(key)) => {}
+            (KeyKind::Ed25519, _) => {
+                let key = bytes.try_into().map_err(|_| KeyError::UnsupportedPublicKey)?;
+                if ed25519::is_weak(key) {
+                    return Err(KeyError::WeakPublicKey);
+                }
+            }
             (KeyKind::P256, [0x04, ..]) if bytes.len() == 65 => {}
             _ => return Err(KeyError::UnsupportedPublicKey),
         }
