@@ -36,7 +36,7 @@ use floor::Floor;
 use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS};
 use hdrhistogram::Histogram;
 use ledger::Code;
-use load::{Run, histogram, open_loop};
+use load::{Run, histogram, open_loop, paced};
 use network::{Arrivals, Network, Operator};
 use report::{Line, Side};
 use serde_json::Value;
@@ -155,43 +155,41 @@ fn curves(shape: Shape, lines: &[Line]) -> Vec<Curve> {
 fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
     let paper = runtime.block_on(Network::start(PAPER));
     let three = runtime.block_on(Network::start(THREE_VOTERS));
-    // One in flight is driven by one thread, as the floor is: no wake-up but by the network.
+    // A client is one thread, as the floor's is: it keeps time, signs, sends and receives.
     let alone = Builder::new_current_thread().enable_all().build().unwrap();
-    let operators = [&paper, &three]
-        .map(|network| [runtime.block_on(network.operator("Turtlebot4")), alone.block_on(network.operator("Husky"))]);
-    let mut floor = Floor::new(operators[0][0].command_bytes());
+    let operators = [&paper, &three].map(|network| alone.block_on(network.operator("Turtlebot4")));
+    let mut floor = Floor::new(operators[0].command_bytes());
     let etcd: Vec<_> = Etcd::version()
         .filter(|_| !smoke)
         .map(|_| [1, 3].map(|nodes| runtime.block_on(Etcd::start(nodes, ETCD_VALUE_BYTES))))
         .into_iter()
         .flatten()
         .collect();
-    let puts: Vec<_> =
-        etcd.iter().map(|etcd| [runtime.block_on(etcd.client()), alone.block_on(etcd.client())]).collect();
+    let puts: Vec<_> = etcd.iter().map(|etcd| alone.block_on(etcd.client())).collect();
     let turn = duration / TURNS;
     let mut sides: Vec<Side> = Vec::new();
     for _ in 0..TURNS {
-        let mut note = |name: &str, one_in_flight: Histogram<u64>, at_50_hz: Histogram<u64>| match sides
-            .iter_mut()
-            .find(|side| side.name == name)
-        {
-            Some(side) => side.add(&one_in_flight, &at_50_hz),
-            None => sides.push(Side { name: name.to_owned(), one_in_flight, at_50_hz }),
-        };
-        note("floor", closed(turn, || floor.once()), floor.measure(PAPER_HZ, turn));
-        for (name, [many, one]) in
+        note(&mut sides, "floor", turn, || floor.once());
+        for (name, operator) in
             ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
         {
-            let once = || drop(alone.block_on(one.command()).unwrap());
-            note(name, closed(turn, once), commands(runtime, many, PAPER_HZ, turn).0.latency);
+            note(&mut sides, name, turn, || drop(alone.block_on(operator.command()).unwrap()));
         }
-        for (name, [many, one]) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {
-            let once = || alone.block_on(one.put());
-            note(name, closed(turn, once), open_loop(runtime, PAPER_HZ, turn, || many.put()).latency);
+        for (name, client) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {
+            note(&mut sides, name, turn, || alone.block_on(client.put()));
         }
     }
     report::print_sides(&sides);
     report::sides(&sides)
+}
+
+/// Measures one side for a turn at each rate.
+fn note(sides: &mut Vec<Side>, name: &str, turn: Duration, mut once: impl FnMut()) {
+    let (one_in_flight, at_50_hz) = (closed(turn, &mut once), paced(PAPER_HZ, turn, &mut once));
+    match sides.iter_mut().find(|side| side.name == name) {
+        Some(side) => side.add(&one_in_flight, &at_50_hz),
+        None => sides.push(Side { name: name.to_owned(), one_in_flight, at_50_hz }),
+    }
 }
 
 /// Calls one after the other.

@@ -4,8 +4,6 @@
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
-use crate::load::{histogram, wait_until};
-use hdrhistogram::Histogram;
 use rcgen::{BasicConstraints, CertificateParams, IsCa, Issuer, KeyPair};
 use ring::signature::{ED25519, Ed25519KeyPair, KeyPair as _, UnparsedPublicKey};
 use rustls::pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName};
@@ -16,7 +14,6 @@ use std::net::{TcpListener, TcpStream};
 use std::os::unix::fs::FileExt;
 use std::sync::Arc;
 use std::thread::JoinHandle;
-use std::time::{Duration, Instant};
 
 /// Bytes of the signature at the end of a message.
 const SIGNATURE_BYTES: usize = 64;
@@ -65,21 +62,6 @@ impl Floor {
         stream.write_all(&self.message).unwrap();
         stream.flush().unwrap();
         stream.read_exact(&mut [0; ANSWER_BYTES]).unwrap();
-    }
-
-    /// Nanoseconds from when a message was due, at `hz` for `duration`.
-    pub(crate) fn measure(&mut self, hz: f64, duration: Duration) -> Histogram<u64> {
-        let start = Instant::now() + Duration::from_millis(10);
-        let count = (duration.as_secs_f64() * hz).ceil() as u32;
-        let times: Vec<_> = (0..count)
-            .map(|number| {
-                let due = start + Duration::from_secs_f64(f64::from(number) / hz);
-                wait_until(due);
-                self.once();
-                due.elapsed()
-            })
-            .collect();
-        histogram(times.into_iter())
     }
 }
 

@@ -113,6 +113,20 @@ pub(crate) fn closed_loop<F: Future<Output = ()> + Send + 'static>(
     }
 }
 
+/// Calls at `hz` for `duration`, of which each ends before the next is due, or makes it late. Nanoseconds from when it
+/// was due.
+pub(crate) fn paced(hz: f64, duration: Duration, mut once: impl FnMut()) -> Histogram<u64> {
+    let start = Instant::now() + Duration::from_millis(10);
+    let count = (duration.as_secs_f64() * hz).ceil() as u32;
+    let times = (0..count).map(|number| {
+        let due = start + Duration::from_secs_f64(f64::from(number) / hz);
+        wait_until(due);
+        once();
+        due.elapsed()
+    });
+    histogram(times)
+}
+
 /// Sleeps, then spins, until that moment; returns at once if it has passed.
 pub(crate) fn wait_until(due: Instant) {
     if let Some(long) = due.saturating_duration_since(Instant::now()).checked_sub(SPIN) {
