@@ -2,14 +2,15 @@
 //!
 //! The *order* thread owns the engine. It takes what comes in, sends what goes out, and writes the log: while it waits
 //! for the disk, what arrives gathers and becomes the next block. The *execute* thread applies committed blocks to
-//! the ledger, wakes subscribers and answers clients. Nothing else happens between a transaction and its verdict, so
-//! that one command costs as few wake-ups of threads as possible.
+//! the ledger, wakes subscribers and answers clients; a block that is alone is executed by the order thread itself.
+//! Nothing else happens between a transaction and its verdict, so that one command costs as few wake-ups of threads as
+//! possible.
 //!
 //! ```text
 //! orderer      the threads and the handle to them
 //!   seat       where the rest of the node finds the orderer; empty while the node catches up
 //!   order      the order thread
-//!   execute    the execute thread
+//!   execute    execution, on either thread
 //!   reads      linearizable reads that wait for the leader's word
 //!   handover   giving the leadership to another node
 //! ```
@@ -39,7 +40,7 @@ use ledger::{Ledger, Rejection};
 use ledger_raft::{Engine, Input, RoleChange, Status};
 use order::Order;
 use std::io;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
@@ -127,12 +128,13 @@ impl Orderer {
         let first = engine.status();
         let (role, roles) = watch::channel(first.role);
         let status = Arc::new(Mutex::new(first));
-        let deadline = Arc::new(AtomicU64::new(shared.ledger.next_deadline().unwrap_or(u64::MAX)));
-        let execute = Execute::new(Arc::clone(&shared), Arc::clone(&deadline), inbox.clone());
+        let execute = Execute::new(Arc::clone(&shared));
         let stop = Arc::new(AtomicBool::new(false));
-        let order = Order::new(engine, shared, Arc::clone(&stop), committed, Arc::clone(&status), role, deadline);
+        let order =
+            Order::new(engine, shared, Arc::clone(&stop), execute.clone(), committed, Arc::clone(&status), role);
+        let applied = inbox.clone();
         let threads = vec![
-            std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks))?,
+            std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks, &applied))?,
             std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs, tick))?,
         ];
         Ok(Self { handle: Handle { inbox, status, role: roles }, stop, threads })

@@ -1,13 +1,14 @@
 //! The order thread: owns the engine, writes the log.
 
 use super::Shared;
+use super::execute::{Execute, InPlace};
 use crate::catch_up::Behind;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
 use ledger::{Code, Refusal, Rejection};
 use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -26,7 +27,12 @@ pub(super) struct Order {
     stop: Arc<AtomicBool>,
     leading: bool,
     shared: Arc<Shared>,
-    committed: Sender<Vec<Entry>>,
+    execute: Execute,
+    /// To the execute thread.
+    blocks: Sender<Vec<Entry>>,
+    /// Committed, and neither executed nor handed over.
+    committed: Vec<Entry>,
+    in_place: InPlace,
     outputs: Vec<Output>,
     /// Number of the newest flush that the engine waits for.
     flush: Option<u64>,
@@ -34,7 +40,6 @@ pub(super) struct Order {
     flush_due: Instant,
     status: Arc<Mutex<Status>>,
     role: watch::Sender<RoleChange>,
-    deadline: Arc<AtomicU64>,
     /// The deadline for which an empty block was asked for, and the height then: asked once until a block came.
     asked_for: (u64, u64),
     /// Another node leads than before: what waits is submitted again.
@@ -48,10 +53,10 @@ impl Order {
         engine: Engine,
         shared: Arc<Shared>,
         stop: Arc<AtomicBool>,
-        committed: Sender<Vec<Entry>>,
+        execute: Execute,
+        blocks: Sender<Vec<Entry>>,
         status: Arc<Mutex<Status>>,
         role: watch::Sender<RoleChange>,
-        deadline: Arc<AtomicU64>,
     ) -> Self {
         let (leading, outputs, asked_for) = (false, Vec::new(), (0, 0));
         let (submit_again, reconcile) = (false, false);
@@ -60,13 +65,15 @@ impl Order {
             stop,
             leading,
             shared,
-            committed,
+            execute,
+            blocks,
+            committed: Vec::new(),
+            in_place: InPlace::default(),
             outputs,
             flush: None,
             flush_due: Instant::now(),
             status,
             role,
-            deadline,
             asked_for,
             submit_again,
             reconcile,
@@ -87,6 +94,7 @@ impl Order {
             self.submit_again();
             self.reconcile();
             let wait = match self.flush {
+                _ if !self.committed.is_empty() => Duration::ZERO,
                 Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
                 Some(_) => self.flush_due.saturating_duration_since(Instant::now()),
                 None => self.idle_time(next_tick),
@@ -105,15 +113,37 @@ impl Order {
             if !self.write() {
                 return;
             }
+            // What waits already is to be ordered while the other thread executes.
+            let next = inputs.try_recv().ok();
+            if !self.execute(next.is_none()) {
+                return;
+            }
+            next.into_iter().for_each(|input| self.step(input));
         }
         self.flush_due = Instant::now();
-        self.write();
+        let _stopping = self.write() && self.execute(false);
+    }
+
+    /// Executes what was committed, or has it executed: a little of it in place if nothing else is to be done, as waking
+    /// the other thread takes longer. False if the node cannot go on.
+    fn execute(&mut self, nothing_waits: bool) -> bool {
+        let entries = std::mem::take(&mut self.committed);
+        let Some(height) = entries.last().map(|entry| entry.index) else { return true };
+        if !(self.in_place.allows(&entries) && nothing_waits && self.execute.is_idle()) {
+            self.execute.hand_over(&self.blocks, entries);
+            return true;
+        }
+        let start = Instant::now();
+        let goes_on = self.execute.execute(&entries);
+        self.in_place.took(start.elapsed());
+        self.step(Input::Applied { height });
+        goes_on
     }
 
     /// Until the next tick, or the next deadline of a chaincode if that is earlier.
     fn idle_time(&self, next_tick: Instant) -> Duration {
         let until_tick = next_tick.saturating_duration_since(Instant::now());
-        let deadline = self.deadline.load(Ordering::Relaxed);
+        let deadline = self.execute.deadline();
         match deadline.saturating_sub(self.shared.clock.now()) {
             // Asked for already, or not ours to meet.
             0 => until_tick,
@@ -134,7 +164,7 @@ impl Order {
 
     /// Orders an empty block when something is due and no traffic moved block time past it.
     fn meet_deadline(&mut self) {
-        let deadline = self.deadline.load(Ordering::Relaxed);
+        let deadline = self.execute.deadline();
         if !self.leading || self.shared.clock.now() < deadline {
             return;
         }
@@ -219,10 +249,7 @@ impl Order {
                 }
                 self.flush = Some(ready);
             }
-            Output::Commit(entries) => {
-                // The other end is only gone when the node has failed already.
-                let _stopping = self.committed.send(entries);
-            }
+            Output::Commit(entries) => self.committed.extend(entries),
             Output::Role(change) => {
                 self.leading = change.role == Role::Leader;
                 self.asked_for = (0, 0);
