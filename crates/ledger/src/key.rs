@@ -232,8 +232,8 @@ impl SigningKey {
     /// The public half.
     pub fn public_key(&self) -> PublicKey {
         match &self.pair {
-            Pair::Ed25519(pair) => PublicKey { kind: KeyKind::Ed25519, bytes: pair.public_key().as_ref().to_vec() },
-            Pair::P256(pair, _) => PublicKey { kind: KeyKind::P256, bytes: pair.public_key().as_ref().to_vec() },
+            Pair::Ed25519(pair) => PublicKey::new(KeyKind::Ed25519, pair.public_key().as_ref()),
+            Pair::P256(pair, _) => PublicKey::new(KeyKind::P256, pair.public_key().as_ref()),
         }
     }
 
@@ -259,20 +259,27 @@ impl fmt::Debug for SigningKey {
 }
 
 /// The public key of an identity.
-#[derive(Clone, PartialEq, Eq, Hash)]
+#[derive(Clone, PartialEq, Eq)]
 pub struct PublicKey {
     /// The algorithm.
     kind: KeyKind,
     /// 32 bytes of Ed25519, or the uncompressed point (65 bytes) of P-256.
     bytes: Vec<u8>,
+    /// What the bytes of an Ed25519 key stand for.
+    point: Option<ed25519::Point>,
 }
 
 impl PublicKey {
+    fn new(kind: KeyKind, bytes: &[u8]) -> Self {
+        let of_ed25519 = (kind == KeyKind::Ed25519).then(|| bytes.try_into().ok()).flatten();
+        Self { kind, bytes: bytes.to_vec(), point: of_ed25519.and_then(ed25519::point) }
+    }
+
     /// Reads a SubjectPublicKeyInfo in DER, as certificates and signing requests hold it.
     ///
     /// # Errors
-    /// [`KeyError::UnsupportedPublicKey`] for other algorithms, compressed points and superfluous bytes;
-    /// [`KeyError::WeakPublicKey`].
+    /// [`KeyError::UnsupportedPublicKey`] for other algorithms, bytes that stand for no point, compressed points and
+    /// superfluous bytes; [`KeyError::WeakPublicKey`].
     pub fn from_spki(der: &[u8]) -> Result<Self, KeyError> {
         let (kind, bytes) = if let Some(bytes) = der.strip_prefix(ED25519_INFO) {
             (KeyKind::Ed25519, bytes)
@@ -281,22 +288,18 @@ impl PublicKey {
         } else {
             return Err(KeyError::UnsupportedPublicKey);
         };
-        match (kind, bytes) {
-            (KeyKind::Ed25519, _) => {
-                let key = bytes.try_into().map_err(|_| KeyError::UnsupportedPublicKey)?;
-                if ed25519::is_weak(key) {
-                    return Err(KeyError::WeakPublicKey);
-                }
-            }
-            (KeyKind::P256, [0x04, ..]) if bytes.len() == 65 => {}
-            _ => return Err(KeyError::UnsupportedPublicKey),
+        let key = Self::new(kind, bytes);
+        match (&key.point, bytes) {
+            (Some(point), _) if ed25519::is_weak(point) => Err(KeyError::WeakPublicKey),
+            (Some(_), _) => Ok(key),
+            (None, [0x04, ..]) if kind == KeyKind::P256 && bytes.len() == 65 => Ok(key),
+            (None, _) => Err(KeyError::UnsupportedPublicKey),
         }
-        Ok(Self { kind, bytes: bytes.to_vec() })
     }
 
     /// An Ed25519 key from its 32 bytes.
     pub fn from_ed25519(bytes: [u8; 32]) -> Self {
-        Self { kind: KeyKind::Ed25519, bytes: bytes.to_vec() }
+        Self::new(KeyKind::Ed25519, &bytes)
     }
 
     /// The bytes of the key: 32 of Ed25519, 65 of an uncompressed P-256 point.
@@ -327,7 +330,7 @@ impl PublicKey {
         let verified = match self.kind {
             KeyKind::Ed25519 => {
                 let signature = signature.try_into().map_err(|_| SignatureError::Length { found })?;
-                self.bytes.as_slice().try_into().is_ok_and(|key| ed25519::verify(key, message, signature))
+                self.point.as_ref().is_some_and(|point| ed25519::verify(point, message, signature))
             }
             KeyKind::P256 => {
                 let (r_and_s, low) = ecdsa::decode(signature).ok_or(SignatureError::Encoding { found })?;
@@ -344,9 +347,8 @@ impl PublicKey {
     /// same answer. Only those of Ed25519 can be checked so: with another key among them the answer is no, as with a
     /// signature that does not verify. Each has to be checked by itself then.
     pub fn verify_together<'a>(signed: impl IntoIterator<Item = (&'a Self, &'a [u8], &'a [u8])>) -> bool {
-        let of_ed25519 = |(key, message, signature): (&'a Self, &'a [u8], &'a [u8])| match key.kind {
-            KeyKind::Ed25519 => Some((key.bytes.as_slice().try_into().ok()?, message, signature.try_into().ok()?)),
-            KeyKind::P256 => None,
+        let of_ed25519 = |(key, message, signature): (&'a Self, &'a [u8], &'a [u8])| {
+            Some((key.point.as_ref()?, message, signature.try_into().ok()?))
         };
         let signed: Option<Vec<_>> = signed.into_iter().map(of_ed25519).collect();
         signed.is_some_and(|signed| ed25519::verify_together(signed.into_iter()))

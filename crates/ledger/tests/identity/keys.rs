@@ -200,6 +200,16 @@ fn a_key_under_which_one_signature_fits_every_message_is_refused() {
 }
 
 #[test]
+fn bytes_that_stand_for_no_point_are_no_key() {
+    // No point of the curve has y = 2.
+    let mut no_point = [0; 32];
+    no_point[0] = 2;
+    let key = PublicKey::from_ed25519(no_point);
+    assert_eq!(PublicKey::from_spki(&key.to_spki()), Err(KeyError::UnsupportedPublicKey));
+    assert_eq!(key.verify(b"forward", &[0; 64]), Err(SignatureError::Mismatch(KeyKind::Ed25519)));
+}
+
+#[test]
 fn a_key_survives_being_written_and_read() {
     for kind in KINDS {
         let made = key(kind);
