@@ -129,7 +129,9 @@ impl Order {
     fn execute(&mut self, nothing_waits: bool) -> bool {
         let entries = std::mem::take(&mut self.committed);
         let Some(height) = entries.last().map(|entry| entry.index) else { return true };
-        if !(self.in_place.allows(&entries) && nothing_waits && self.execute.is_idle()) {
+        // The leader waits for what a voter that follows writes, not for what it executes.
+        let awaited = self.engine.is_voter() && !self.leading;
+        if awaited || !(self.in_place.allows(&entries) && nothing_waits && self.execute.is_idle()) {
             self.execute.hand_over(&self.blocks, entries);
             return true;
         }
