@@ -26,8 +26,8 @@ use tokio::runtime::{Builder, Runtime};
 const ROUNDS: usize = 10;
 /// Measurements of each in a round.
 const SAMPLES: usize = 200;
-/// From the gateway to the order thread, to the execute thread, back to the gateway.
-const HAND_OVERS: u32 = 3;
+/// From the gateway to the order thread, which executes what comes alone, and back to the gateway.
+const HAND_OVERS: u32 = 2;
 /// How long a command may travel.
 const TTL: Duration = Duration::from_secs(60);
 
