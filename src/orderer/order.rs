@@ -32,6 +32,7 @@ pub(super) struct Order {
     blocks: Sender<Vec<Entry>>,
     /// Committed, and neither executed nor handed over.
     committed: Vec<Entry>,
+    /// Whether what is committed may be executed here.
     in_place: InPlace,
     outputs: Vec<Output>,
     /// Number of the newest flush that the engine waits for.
@@ -136,10 +137,12 @@ impl Order {
             return true;
         }
         let start = Instant::now();
-        let goes_on = self.execute.execute(&entries);
+        if !self.execute.execute(&entries) {
+            return false;
+        }
         self.in_place.took(start.elapsed());
         self.step(Input::Applied { height });
-        goes_on
+        true
     }
 
     /// Until the next tick, or the next deadline of a chaincode if that is earlier.
