@@ -13,7 +13,7 @@ use std::sync::Arc;
 /// Unit in which disks rot.
 const SECTOR_BYTES: usize = 512;
 /// Records at the end of the log that are cut at every byte.
-const RECORDS_CUT: usize = 4;
+const RECORDS_CUT: usize = 16;
 /// Sectors behind the end of the log in which a bit is flipped.
 const EMPTY_SECTORS: usize = 20;
 /// Size of the segments into which the log is written again, so that it has several.
@@ -181,8 +181,8 @@ impl Log {
         for cut in first..here[here.len() - 1].end {
             let mut zeroed = content.clone();
             zeroed[cut..].fill(0);
-            // Zeros that stay zeros are no damage.
-            let from = if zeroed == *content { content.len() } else { cut };
+            // Zeros that stay zeros are no damage: a record that ends in some is whole when only they are cut.
+            let from = content[cut..].iter().position(|&byte| byte != 0).map_or(content.len(), |zeros| cut + zeros);
             self.judge(newest, (from, content.len()), zeroed, &mut outcomes);
             self.judge(newest, (cut, content.len()), content[..cut].to_vec(), &mut outcomes);
         }
