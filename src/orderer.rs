@@ -10,6 +10,7 @@
 //! orderer      the threads and the handle to them
 //!   seat       where the rest of the node finds the orderer; empty while the node catches up
 //!   order      the order thread
+//!   inbox      what waits for one of the two threads
 //!   execute    execution, on either thread
 //!   reads      linearizable reads that wait for the leader's word
 //!   handover   giving the leadership to another node
@@ -17,6 +18,7 @@
 
 mod execute;
 mod handover;
+mod inbox;
 mod order;
 mod reads;
 mod seat;
@@ -34,6 +36,7 @@ use crate::peers::{Directory, Peers};
 use crate::waiters::Waiters;
 use crate::witness::Witness;
 use execute::Execute;
+use inbox::Inbox;
 use ledger::block_store::BlockStore;
 use ledger::snapshot::Snapshots;
 use ledger::{Ledger, Rejection};
@@ -41,14 +44,12 @@ use ledger_raft::{Engine, Input, RoleChange, Status};
 use order::Order;
 use std::io;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{self, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 use tokio::sync::watch;
 
-/// Inputs that wait for the order thread, which takes them all at once whenever the disk has answered. The channel has a
-/// place ready for each of them, some 160 bytes.
+/// Inputs from outside that wait for the order thread, which takes them all at once whenever the disk has answered.
 const INBOX_MAX: usize = 4096;
 
 /// What the two threads share with the rest of the node.
@@ -100,7 +101,7 @@ pub(crate) struct Orderer {
 /// Access to a running orderer; cheap to clone.
 #[derive(Clone)]
 pub(crate) struct Handle {
-    inbox: SyncSender<Input>,
+    inbox: Arc<Inbox<Input>>,
     status: Arc<Mutex<Status>>,
     role: watch::Receiver<RoleChange>,
 }
@@ -108,7 +109,7 @@ pub(crate) struct Handle {
 impl Handle {
     /// Hands in an input; false if the node stops or is flooded. Never blocks.
     pub(crate) fn input(&self, input: Input) -> bool {
-        self.inbox.try_send(input).is_ok()
+        self.inbox.try_put(input, INBOX_MAX)
     }
 
     /// How ordering stands.
@@ -123,16 +124,14 @@ impl Orderer {
     /// # Errors
     /// If the operating system gives no thread.
     pub(crate) fn start(engine: Engine, shared: Arc<Shared>, tick: Duration) -> io::Result<Self> {
-        let (inbox, inputs) = mpsc::sync_channel(INBOX_MAX);
-        let (committed, blocks) = mpsc::channel();
+        let (inbox, blocks) = (Arc::new(Inbox::new()), Arc::new(Inbox::new()));
         let first = engine.status();
         let (role, roles) = watch::channel(first.role);
         let status = Arc::new(Mutex::new(first));
         let execute = Execute::new(Arc::clone(&shared));
         let stop = Arc::new(AtomicBool::new(false));
-        let order =
-            Order::new(engine, shared, Arc::clone(&stop), execute.clone(), committed, Arc::clone(&status), role);
-        let applied = inbox.clone();
+        let order = Order::new(engine, shared, Arc::clone(&stop), execute.clone(), &blocks, Arc::clone(&status), role);
+        let (inputs, applied) = (Arc::clone(&inbox), Arc::clone(&inbox));
         let threads = vec![
             std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks, &applied))?,
             std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs, tick))?,

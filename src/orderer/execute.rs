@@ -1,12 +1,12 @@
 //! Execution: applies committed blocks, wakes subscribers, answers clients.
 
 use super::Shared;
+use super::inbox::Inbox;
 use ledger::entry::Entry;
 use ledger::{Outcome, Rejection};
 use ledger_raft::Input;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, Sender, SyncSender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -16,6 +16,10 @@ const IN_PLACE_BYTES_MAX: usize = 4096;
 const IN_PLACE_TIME_MAX: Duration = Duration::from_millis(1);
 /// Times that nothing is executed in place after it took longer.
 const HANDED_OVER_AFTERWARDS: u32 = 1000;
+
+/// Bytes of blocks that are verified together at least, if so many wait: about as many signatures as it takes until more
+/// cost no less.
+const TURN_BYTES: usize = 16 * 1024;
 
 /// Executes committed blocks, on one thread at a time.
 #[derive(Clone)]
@@ -34,24 +38,27 @@ impl Execute {
     }
 
     /// The execute thread.
-    pub(super) fn run(self, blocks: &Receiver<Vec<Entry>>, applied: &SyncSender<Input>) {
-        while let Ok(entries) = blocks.recv() {
-            let Some(height) = entries.last().map(|entry| entry.index) else { continue };
-            if !self.execute(&entries) {
+    pub(super) fn run(self, blocks: &Inbox<Entry>, applied: &Inbox<Input>) {
+        loop {
+            let entries = blocks.next();
+            if entries.is_empty() {
                 return;
             }
-            self.waiting.fetch_sub(entries.len(), Ordering::Release);
-            if applied.send(Input::Applied { height }).is_err() {
-                return;
+            for entries in in_turns(&entries) {
+                self.shared.ledger.verify_blocks(entries);
+                if !self.execute(entries) {
+                    return;
+                }
+                self.waiting.fetch_sub(entries.len(), Ordering::Release);
+                applied.put(entries.last().map(|entry| Input::Applied { height: entry.index }));
             }
         }
     }
 
     /// Gives blocks to the execute thread.
-    pub(super) fn hand_over(&self, blocks: &Sender<Vec<Entry>>, entries: Vec<Entry>) {
+    pub(super) fn hand_over(&self, blocks: &Inbox<Entry>, entries: Vec<Entry>) {
         self.waiting.fetch_add(entries.len(), Ordering::Relaxed);
-        // The other end is only gone when the node has failed already.
-        let _stopping = blocks.send(entries);
+        blocks.put(entries);
     }
 
     /// The block time at which a chaincode has something to do next, [`u64::MAX`] if never.
@@ -78,6 +85,19 @@ impl Execute {
         }
         true
     }
+}
+
+/// Blocks in groups that are verified together, and told to be executed together.
+fn in_turns(entries: &[Entry]) -> impl Iterator<Item = &[Entry]> {
+    let mut bytes = 0;
+    entries.chunk_by(move |entry, _| {
+        bytes += entry.data.len();
+        let another = bytes < TURN_BYTES;
+        if !another {
+            bytes = 0;
+        }
+        another
+    })
 }
 
 /// What the order thread may execute itself.
@@ -161,6 +181,17 @@ mod tests {
             assert!(!in_place.allows(&blocks(1, 400)), "{left} left");
         }
         assert!(in_place.allows(&blocks(1, 400)));
+    }
+
+    #[test]
+    fn blocks_are_executed_in_order_and_in_groups_worth_verifying_together() {
+        let lengths = |blocks: &[Entry]| in_turns(blocks).map(<[Entry]>::len).collect::<Vec<_>>();
+        assert!(lengths(&[]).is_empty());
+        assert_eq!(lengths(&blocks(1, 10 * TURN_BYTES)), [1]);
+        assert_eq!(lengths(&blocks(3, TURN_BYTES)), [1, 1, 1], "each is worth it alone");
+        assert_eq!(lengths(&blocks(10, TURN_BYTES / 4)), [4, 4, 2]);
+        let many = blocks(1000, 300);
+        assert_eq!(in_turns(&many).flatten().collect::<Vec<_>>(), many.iter().collect::<Vec<_>>());
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use super::Shared;
 use super::execute::{Execute, InPlace};
+use super::inbox::Inbox;
 use crate::catch_up::Behind;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
@@ -9,7 +10,6 @@ use ledger::transaction::Transaction;
 use ledger::{Code, Refusal, Rejection};
 use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -29,7 +29,7 @@ pub(super) struct Order {
     shared: Arc<Shared>,
     execute: Execute,
     /// To the execute thread.
-    blocks: Sender<Vec<Entry>>,
+    blocks: Arc<Inbox<Entry>>,
     /// Committed, and neither executed nor handed over.
     committed: Vec<Entry>,
     /// Whether what is committed may be executed here.
@@ -55,7 +55,7 @@ impl Order {
         shared: Arc<Shared>,
         stop: Arc<AtomicBool>,
         execute: Execute,
-        blocks: Sender<Vec<Entry>>,
+        blocks: &Arc<Inbox<Entry>>,
         status: Arc<Mutex<Status>>,
         role: watch::Sender<RoleChange>,
     ) -> Self {
@@ -67,7 +67,7 @@ impl Order {
             leading,
             shared,
             execute,
-            blocks,
+            blocks: Arc::clone(blocks),
             committed: Vec::new(),
             in_place: InPlace::default(),
             outputs,
@@ -81,7 +81,7 @@ impl Order {
         }
     }
 
-    pub(super) fn run(mut self, inputs: &Receiver<Input>, tick: Duration) {
+    pub(super) fn run(mut self, inputs: &Inbox<Input>, tick: Duration) {
         let mut next_tick = Instant::now();
         while !self.stop.load(Ordering::Relaxed) {
             if next_tick <= Instant::now() {
@@ -100,26 +100,17 @@ impl Order {
                 Some(_) => self.flush_due.saturating_duration_since(Instant::now()),
                 None => self.idle_time(next_tick),
             };
-            match inputs.recv_timeout(wait) {
-                Ok(input) => self.step(input),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => return,
-            }
-            for _ in 0..INPUTS_PER_WRITE_MAX {
-                match inputs.try_recv() {
-                    Ok(input) => self.step(input),
-                    Err(_) => break,
-                }
-            }
-            if !self.write() {
-                return;
+            inputs.wait(wait);
+            let mut taken = 0;
+            while taken < INPUTS_PER_WRITE_MAX && !inputs.is_empty() {
+                let waiting = inputs.take();
+                taken += waiting.len();
+                waiting.into_iter().for_each(|input| self.step(input));
             }
             // What waits already is to be ordered while the other thread executes.
-            let next = inputs.try_recv().ok();
-            if !self.execute(next.is_none()) {
+            if !(self.write() && self.execute(inputs.is_empty())) {
                 return;
             }
-            next.into_iter().for_each(|input| self.step(input));
         }
         self.flush_due = Instant::now();
         let _stopping = self.write() && self.execute(false);
@@ -306,5 +297,12 @@ impl Order {
 
     fn report(&self) {
         *self.status.lock().unwrap_or_else(PoisonError::into_inner) = self.engine.status();
+    }
+}
+
+impl Drop for Order {
+    /// However this thread ends, the other one ends after what it was given.
+    fn drop(&mut self) {
+        self.blocks.close();
     }
 }

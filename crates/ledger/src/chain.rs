@@ -3,7 +3,7 @@
 mod storage;
 
 use crate::Hash;
-use crate::block::{Header, leaf};
+use crate::block::{Header, Payload, leaf};
 use crate::certificate::Certificate;
 use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead};
 use crate::code::Code;
@@ -269,6 +269,25 @@ impl Ledger {
         let leaves = transactions.map(|transaction| (leaf(transaction.encoded()), transaction));
         let unverified = leaves.filter(|(leaf, _)| !self.verified.contains(leaf));
         self.identities.verify_together(unverified, now).into_iter().for_each(|leaf| self.verified.insert(leaf));
+    }
+
+    /// The same for blocks that are about to be applied one after the other. It changes no verdict: applying them looks
+    /// itself for what was not seen to verify.
+    pub fn verify_blocks(&self, blocks: &[Entry]) {
+        // The signatures of one block are checked together anyway.
+        if blocks.len() < 2 {
+            return;
+        }
+        let transactions = blocks.iter().filter_map(|block| Payload::from_bytes(block.data.clone()).ok());
+        let decoded = transactions.flat_map(|payload| payload.transactions).filter_map(|encoded| {
+            let leaf = leaf(&encoded);
+            let new = !self.verified.contains(&leaf);
+            new.then(|| Transaction::decode(encoded).ok()).flatten().map(|transaction| (leaf, transaction))
+        });
+        let decoded: Vec<_> = decoded.collect();
+        let unverified = decoded.iter().map(|(leaf, transaction)| (*leaf, transaction));
+        let verified = self.identities.verify_together(unverified, self.tip().time);
+        verified.into_iter().for_each(|leaf| self.verified.insert(leaf));
     }
 
     /// Calls a function on the committed state and throws its writes away. Answers with the height of that state.

@@ -82,3 +82,28 @@ fn what_was_checked_together_is_admitted_as_if_it_was_not() {
         }
     }
 }
+
+#[test]
+fn blocks_whose_signatures_were_checked_together_give_the_same_results() {
+    let crowd = Crowd::new();
+    let (cold, warm) = (crowd.ledger(), crowd.ledger());
+    let mut outcomes = Vec::new();
+    let entries: Vec<_> = [&[][..], &[1], &[0, 2], &[0, 1, 2]]
+        .into_iter()
+        .zip(1..)
+        .map(|(forged, after)| {
+            let calls = crowd.calls(3, forged);
+            let mut entry = entry(&cold, NOW + after, &calls.iter().collect::<Vec<_>>());
+            if after == 3 {
+                entry.data = vec![0xff; 100].into();
+            }
+            outcomes.push(cold.apply(&entry).unwrap());
+            entry
+        })
+        .collect();
+    warm.verify_blocks(&entries);
+    let again: Vec<_> = entries.iter().map(|entry| warm.apply(entry).unwrap()).collect();
+    assert_eq!(outcomes, again);
+    assert_eq!(codes(&again[1]), [Code::Ok, Code::BadSignature, Code::Ok]);
+    assert_eq!(codes(&again[3]), [Code::BadSignature; 3]);
+}
