@@ -64,6 +64,7 @@ mod retention;
 mod scrub;
 pub mod setup;
 mod signer;
+mod slice;
 mod stores;
 mod telemetry;
 mod waiters;

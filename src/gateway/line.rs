@@ -37,6 +37,11 @@ impl Line {
         self.lane(arrived.lane).push_back(arrived);
     }
 
+    /// How many there are.
+    pub(super) fn len(&self) -> usize {
+        self.control.len() + self.data.len()
+    }
+
     /// The lane that is to be looked at next.
     pub(super) fn next(&self) -> Option<Lane> {
         match (self.control.is_empty(), self.data.is_empty()) {

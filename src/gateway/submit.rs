@@ -3,6 +3,7 @@
 use super::line::{Arrived, Line, overloaded};
 use super::share::{Share, Turn};
 use super::{GatewayService, NodeView};
+use crate::slice;
 use crate::waiters::{Waiter, known, refused};
 use futures::FutureExt;
 use ledger::transaction::Transaction;
@@ -29,6 +30,9 @@ const READS_MAX: usize = 64;
 /// Requests of a stream that were taken in and whose answers the client has not read. A client that reads no answers is
 /// not read from any more.
 const UNREAD_MAX: usize = 16_384;
+
+/// Transactions in a line when there is much to do.
+const MANY_WAIT: usize = 8;
 
 type Answers = mpsc::UnboundedSender<Result<SubmitResponse, Status>>;
 
@@ -129,6 +133,7 @@ impl Desk {
     /// Looks at what waits, for as long as others allow.
     async fn look(&mut self, requests: &mut Requests) {
         let Some(lane) = self.line.next() else { return };
+        slice::adapt(self.line.len() >= MANY_WAIT);
         // Not with a turn, as nobody else could have it meanwhile.
         if let Some(height) = self.line.min_height(lane)
             && let Err(reason) = self.node.at_height(height).await

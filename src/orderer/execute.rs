@@ -50,7 +50,8 @@ impl Execute {
                     return;
                 }
                 self.waiting.fetch_sub(entries.len(), Ordering::Release);
-                applied.put(entries.last().map(|entry| Input::Applied { height: entry.index }));
+                let at = self.shared.clock.now();
+                applied.put(entries.last().map(|entry| Input::Applied { height: entry.index, at }));
             }
         }
     }

@@ -4,6 +4,7 @@ use super::Shared;
 use super::execute::{Execute, InPlace};
 use super::inbox::Inbox;
 use crate::catch_up::Behind;
+use crate::slice;
 use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
@@ -16,6 +17,8 @@ use tokio::sync::watch;
 
 /// Inputs taken before the log is written, so that a flood cannot put off the write.
 const INPUTS_PER_WRITE_MAX: usize = 4096;
+/// Inputs that come while the log is written when there is much to do.
+const MANY_INPUTS: usize = 8;
 /// How long a learner, for whose disk nobody waits, gathers before it writes.
 const LEARNER_WRITE_DELAY: Duration = Duration::from_millis(2);
 /// Pause before a write is tried again that found no space.
@@ -107,6 +110,7 @@ impl Order {
                 taken += waiting.len();
                 waiting.into_iter().for_each(|input| self.step(input));
             }
+            slice::adapt(taken >= MANY_INPUTS);
             // What waits already is to be ordered while the other thread executes.
             if !(self.write() && self.execute(inputs.is_empty())) {
                 return;
@@ -132,7 +136,7 @@ impl Order {
             return false;
         }
         self.in_place.took(start.elapsed());
-        self.step(Input::Applied { height });
+        self.step(Input::Applied { height, at: self.shared.clock.now() });
         true
     }
 

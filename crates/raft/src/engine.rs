@@ -1,5 +1,6 @@
 //! The pump around the `raft` crate: inputs in, outputs out, nothing else.
 
+mod ahead;
 mod behind;
 mod config;
 mod guard;
@@ -16,6 +17,7 @@ use crate::interface::{Input, Output, Role, RoleChange};
 use crate::log::Log;
 use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind};
 use crate::queue::Queues;
+use ahead::Ahead;
 use ledger::block::Payload;
 use ledger::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger::entry::EntryKind;
@@ -55,12 +57,6 @@ struct OwnBlock {
     bytes: usize,
 }
 
-/// A block this leader proposed, until it is executed.
-struct Ahead {
-    index: u64,
-    cost: usize,
-}
-
 /// The orderer of one node. See the crate's documentation for the duties of its driver.
 pub struct Engine {
     config: EngineConfig,
@@ -76,8 +72,8 @@ pub struct Engine {
     held: BTreeMap<u64, VecDeque<raft::eraftpb::Message>>,
     /// Own blocks under way, in order of index.
     own: VecDeque<OwnBlock>,
-    /// Own blocks that are not executed, in order of index.
-    ahead: VecDeque<Ahead>,
+    /// Own blocks that are not executed.
+    ahead: Ahead,
     /// Members as of `emitted`.
     membership: Membership,
     /// Last height handed out as committed.
@@ -167,7 +163,7 @@ impl Engine {
             unpersisted_bytes: 0,
             held: BTreeMap::new(),
             own: VecDeque::new(),
-            ahead: VecDeque::new(),
+            ahead: Ahead::new(config.ahead_bytes),
             now: 0,
             membership,
             emitted: applied,
@@ -205,7 +201,7 @@ impl Engine {
             Input::Submit { lane, transaction } => self.submit(lane, transaction, out),
             Input::ProposeEmpty => self.wants_empty = self.is_leader(),
             Input::Persisted { ready } => self.persisted(ready, out),
-            Input::Applied { height } => self.set_applied(height),
+            Input::Applied { height, at } => self.set_applied(height, at),
             Input::ReadIndex { context } => self.read_index(context, out),
             Input::TransferLeadership { .. } | Input::ChangeMembership(_) => self.administer(input, out),
             Input::Campaign => self.campaign(),

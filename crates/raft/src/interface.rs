@@ -44,6 +44,9 @@ pub enum Input {
     Applied {
         /// The height.
         height: u64,
+        /// When that was, by the clock that goes with inputs, microseconds: how much may be ordered ahead of execution
+        /// depends on how long it takes.
+        at: u64,
     },
     /// A linearizable read wants to know how far this node must be. Answered by [`Output::ReadReady`] or
     /// [`Output::Refused`], or, when a message is lost, the leader changes meanwhile, or is so new that it has committed

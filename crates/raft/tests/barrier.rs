@@ -52,7 +52,7 @@ impl Voter {
     fn execute_all(&mut self) {
         while let Some(height) = self.committed.pop() {
             self.committed.clear();
-            self.step(Input::Applied { height });
+            self.step(Input::Applied { height, at: 1_000_000 });
         }
     }
 

@@ -457,7 +457,7 @@ fn commits_stop_when_the_executor_falls_behind_and_go_on_when_it_catches_up() {
                 Output::Commit(entries) => {
                     heights.extend(entries.iter().map(|entry| entry.index));
                     if apply {
-                        engine.step(nth, Input::Applied { height: *heights.last().unwrap() }, &mut out);
+                        engine.step(nth, Input::Applied { height: *heights.last().unwrap(), at: nth }, &mut out);
                     }
                 }
                 _ => {}
@@ -467,7 +467,7 @@ fn commits_stop_when_the_executor_falls_behind_and_go_on_when_it_catches_up() {
     assert!(heights.len() < 10, "found {heights:?}");
     assert!(engine.status().commit > 90);
     while heights.len() < 101 {
-        engine.step(0, Input::Applied { height: *heights.last().unwrap() }, &mut out);
+        engine.step(0, Input::Applied { height: *heights.last().unwrap(), at: 0 }, &mut out);
         for output in out.drain(..) {
             if let Output::Commit(entries) = output {
                 heights.extend(entries.iter().map(|entry| entry.index));

@@ -34,8 +34,8 @@ pub struct EngineConfig {
     /// rest stays bounded. Control waits as long as it takes.
     pub data_wait_us: u64,
     /// Committed data of a leader that may wait for its execution, in bytes (each transaction counting some hundred more,
-    /// for what its execution costs beside them); a block takes at most half of it. What is ordered cannot be overtaken:
-    /// this is how long control waits behind data. Two blocks keep disk and executor busy; more would only wait.
+    /// for what its execution costs beside them), at most: it is less while execution takes long, as control waits behind
+    /// it. A block takes at most half of it. Two keep disk and executor busy; more would only wait.
     pub ahead_bytes: usize,
     /// Randomness: election timeouts and the names of reads. Different on every node and at every start.
     pub seed: u64,

@@ -5,7 +5,7 @@
 //! on the disk: [`PendingReady`]. Learners have no part in that: a leader sends them what is committed, and they hand it
 //! out before their own disk has it, as a majority of the voters has.
 
-use super::{Ahead, Engine, OwnBlock, PendingReady, READ_BYTES};
+use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
 use crate::interface::{Output, Role, RoleChange};
 use crate::log::membership;
 use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
@@ -114,19 +114,16 @@ impl Engine {
             drop(self.queues.take(cut));
             let index = self.raw.raft.raft_log.last_index();
             self.own.push_back(OwnBlock { index, bytes });
-            self.ahead.push_back(Ahead { index, cost: cut.cost });
+            self.ahead.proposed(index, cut.cost);
             self.last_time = time;
             self.wants_empty = false;
         }
     }
 
-    /// What the data of the next block may cost: nothing while enough is committed that is not executed. What waits for
-    /// a majority does not count, or a distant one would be the limit.
+    /// What the data of the next block may cost: nothing while enough is committed that is not executed.
     pub(super) fn room_ahead(&self) -> usize {
         let log = &self.raw.raft.raft_log;
-        let until = log.committed.min(log.persisted);
-        let waiting: usize = self.ahead.iter().take_while(|block| block.index <= until).map(|block| block.cost).sum();
-        self.config.ahead_bytes.saturating_sub(waiting).min(self.config.ahead_bytes.div_ceil(2))
+        self.ahead.room(log.committed.min(log.persisted))
     }
 
     /// Hands out what is committed and, on a voter, on the own disk, as far as the executor keeps up.
@@ -153,6 +150,7 @@ impl Engine {
             let Some(last) = entries.last().map(|entry| entry.index) else { return Ok(()) };
             let bytes = entries.iter().map(|entry| entry.data.len() + 64).sum();
             self.emitted = last;
+            self.ahead.committed(last, self.now);
             self.unapplied.push_back((last, bytes));
             self.unapplied_bytes += bytes;
             let changes: Vec<Entry> =
@@ -191,7 +189,7 @@ impl Engine {
     }
 
     /// The driver has executed blocks.
-    pub(super) fn set_applied(&mut self, height: u64) {
+    pub(super) fn set_applied(&mut self, height: u64, at: u64) {
         let height = height.min(self.emitted);
         if height <= self.applied {
             return;
@@ -203,9 +201,7 @@ impl Engine {
             self.unapplied.pop_front();
             self.unapplied_bytes -= bytes;
         }
-        while self.ahead.front().is_some_and(|block| block.index <= height) {
-            self.ahead.pop_front();
-        }
+        self.ahead.executed(height, at);
         self.advance_applied();
     }
 

@@ -3,6 +3,7 @@
 mod learners;
 
 use super::*;
+use crate::Lane;
 use crate::message::{RaftKind, RaftMessage, WireEntry};
 use ledger::block_store::Options;
 use ledger::disk::SimDisk;
@@ -29,7 +30,7 @@ fn step(engine: &mut Engine, input: Input) -> Vec<Output> {
                     inputs.push(Input::Persisted { ready: *ready });
                 }
                 Output::Commit(entries) => {
-                    inputs.push(Input::Applied { height: entries.last().unwrap().index });
+                    inputs.push(Input::Applied { height: entries.last().unwrap().index, at: 1000 });
                 }
                 _ => {}
             }
@@ -98,6 +99,36 @@ fn a_late_refusal_never_makes_a_probe_start_below_what_the_peer_holds() {
         let (matched, next) = progress(&engine, 2);
         assert!(next > matched, "refusal of {index} with hint {hint}: matched {matched}, next {next}");
     }
+}
+
+#[test]
+fn less_is_ordered_ahead_while_execution_takes_long() {
+    let mut engine = engine(1, &[1], &[]);
+    step(&mut engine, Input::Tick);
+    assert!(engine.is_leader());
+    // Orders and executes a transaction; what its block leaves to the next one.
+    let mut room_after = |took: u64| {
+        let mut inputs = vec![Input::Submit { lane: Lane::Data, transaction: ledger::Bytes::from_static(b"drive") }];
+        while let Some(input) = inputs.pop() {
+            let mut out = Vec::new();
+            engine.step(1000, input, &mut out);
+            inputs.extend(out.iter().filter_map(|output| match output {
+                Output::Flush { ready } => {
+                    engine.store.flush().unwrap();
+                    Some(Input::Persisted { ready: *ready })
+                }
+                Output::Commit(entries) => {
+                    Some(Input::Applied { height: entries.last().unwrap().index, at: 1000 + took })
+                }
+                _ => None,
+            }));
+        }
+        engine.room_ahead()
+    };
+    let usual = room_after(100);
+    let (slow, slower) = (room_after(5000), room_after(5000));
+    assert!(slow < usual && slower < slow, "{usual}, {slow}, {slower}");
+    assert!(room_after(100) > slower);
 }
 
 #[test]

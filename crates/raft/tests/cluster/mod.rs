@@ -321,7 +321,7 @@ impl Cluster {
                     self.nodes[&id].up.as_ref().unwrap().1.flush().unwrap();
                     self.input(id, Input::Persisted { ready });
                 }
-                Event::Apply { height } => self.input(id, Input::Applied { height }),
+                Event::Apply { height } => self.input(id, Input::Applied { height, at: self.now }),
             }
         }
         self.now = until;

@@ -24,7 +24,10 @@ impl World {
         }
         self.catch_up(id)?;
         match entries.back() {
-            Some(last) => self.input(id, Input::Applied { height: last.index }),
+            Some(last) => {
+                let at = self.nodes.get(&id).map_or(0, |node| node.clock.now(self.now));
+                self.input(id, Input::Applied { height: last.index, at })
+            }
             None => Ok(()),
         }
     }
