@@ -19,6 +19,8 @@ mod chain;
 mod founding;
 mod load;
 mod network;
+#[path = "micro/ordering.rs"]
+mod ordering;
 mod own_network;
 mod report;
 #[path = "micro/robot.rs"]

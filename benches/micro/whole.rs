@@ -1,14 +1,14 @@
 //! Where the time goes: the parts of one command in flight beside the whole, in turns within one run.
 //!
-//! The parts take turns as they do in a commit, on processors that are awake. So each finds caches as the others left
-//! them, and the disk is written to as often as by the whole: one that is left alone for longer answers later. A bench of
-//! one part alone, over and over, shows neither.
+//! The parts take turns as they do in a commit, on processors that are awake, so each finds caches as the others left them.
+//! And the disk is left alone between two writes for as long as by the whole: one that was left alone for longer answers
+//! later. A bench of one part alone, over and over, shows neither.
 
-use crate::founding::PAPER;
+use crate::World;
+use crate::founding::{ONE_VOTER, PAPER};
 use crate::network::{Network, Operator};
+use crate::ordering::{Engines, Ordered};
 use crate::report;
-use crate::{ENTRY_BYTES, World, append_and_flush, log, next_entry};
-use ledger::block_store::BlockStore;
 use serde_json::json;
 use std::hint::spin_loop;
 use std::sync::Arc;
@@ -16,7 +16,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
 use std::thread::{JoinHandle, available_parallelism};
 use std::time::{Duration, Instant};
-use tempfile::TempDir;
 use thread_priority::{
     NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
 };
@@ -47,43 +46,56 @@ pub(crate) fn where_the_time_goes(smoke: bool) {
         ("gRPC over TLS: there and back, for a command that is known already", 1),
         ("admit: decode, identify, verify, simulate", 1),
         ("hand over to another thread", HAND_OVERS),
+        ("order: a block, the log, commit, the message to the learner", 1),
         ("write and fdatasync", 1),
         ("execute", 1),
     ]
     .map(|(name, times)| Part { name, times, samples: Vec::new() });
-    let mut whole = Vec::new();
+    let (mut whole, mut alone) = (Vec::new(), Vec::new());
     for _ in 0..rounds {
+        // The node keeps processors awake for itself.
+        whole.extend((0..samples).map(|_| bench.whole(0)));
+        alone.extend((0..samples).map(|_| bench.whole(1)));
         let awake = Awake::start();
         let known = bench.known();
-        let [sign, network, admit, hand_over, write, execute] = &mut parts;
+        let cycle = median(&whole);
+        let [sign, network, admit, hand_over, order, write, execute] = &mut parts;
         for _ in 0..samples {
             sign.samples.push(bench.sign());
             network.samples.push(bench.ask_again(&known));
             admit.samples.push(bench.admit());
             hand_over.samples.push(bench.hand_over());
-            write.samples.push(bench.write());
+            let pause = cycle.saturating_sub(write.samples.last().copied().unwrap_or_default());
+            let Ordered { engine, disk } = bench.order(pause);
+            order.samples.push(engine);
+            write.samples.push(disk);
             execute.samples.push(bench.execute());
         }
-        // The node keeps processors awake for itself.
         drop(awake);
-        whole.extend((0..samples).map(|_| bench.whole()));
     }
-    print(&parts, &whole, smoke);
+    print(&parts, &whole, &alone, smoke);
 }
 
-fn print(parts: &[Part], whole: &[Duration], smoke: bool) {
+fn print(parts: &[Part], whole: &[Duration], alone: &[Duration], smoke: bool) {
     let us = |time: Duration| time.as_secs_f64() * 1e6;
     let cost = |part: &Part| us(median(&part.samples)) * f64::from(part.times);
     println!("\none command in flight, voter and learner: where the time goes (medians, us)");
     for part in parts {
         println!("{:10.1}  {} x {}", cost(part), part.times, part.name);
     }
-    let (sum, whole) = (parts.iter().map(cost).sum::<f64>(), us(median(whole)));
+    let (whole, alone) = (us(median(whole)), us(median(alone)));
+    // It writes, verifies and executes the same for itself while the next command is on its way.
+    let learner = (whole - alone).max(0.0);
+    println!("{learner:10.1}  1 x a learner on the same processors and disk: with it less without it");
+    let sum = parts.iter().map(cost).sum::<f64>() + learner;
     println!("{sum:10.1}  the parts together: {:.0} % of the whole\n{whole:10.1}  the whole", 100.0 * sum / whole);
     if !smoke {
         let parts = parts.iter().map(|part| json!({ "part": part.name, "times": part.times, "us": cost(part) }));
         let parts: Vec<_> = parts.collect();
-        report::write("where_the_time_goes", &json!({ "parts": parts, "sum_us": sum, "whole_us": whole }));
+        report::write(
+            "where_the_time_goes",
+            &json!({ "parts": parts, "learner_us": learner, "sum_us": sum, "whole_us": whole }),
+        );
     }
 }
 
@@ -102,22 +114,31 @@ fn time<T>(body: impl FnOnce() -> T) -> Duration {
 /// What the parts are measured with, and the network of the whole.
 struct Bench {
     world: World,
-    store: BlockStore,
+    engines: Engines,
+    /// When the last write ended.
+    written: Instant,
     echo: Echo,
     runtime: Runtime,
-    operator: Operator,
-    _network: Network,
-    _log: TempDir,
+    /// With a learner, and without one.
+    operators: [Operator; 2],
+    _networks: [Network; 2],
 }
 
 impl Bench {
     fn new() -> Self {
-        let (log, store) = log();
         // The client on one thread: no wake-up but by the network.
         let runtime = Builder::new_current_thread().enable_all().build().unwrap();
-        let network = runtime.block_on(Network::start(PAPER));
-        let operator = runtime.block_on(network.operator("Husky"));
-        Self { world: World::new(), store, echo: Echo::start(), runtime, operator, _network: network, _log: log }
+        let networks = [PAPER, ONE_VOTER].map(|shape| runtime.block_on(Network::start(shape)));
+        let operators = networks.each_ref().map(|network| runtime.block_on(network.operator("Husky")));
+        Self {
+            world: World::new(),
+            engines: Engines::start(),
+            written: Instant::now(),
+            echo: Echo::start(),
+            runtime,
+            operators,
+            _networks: networks,
+        }
     }
 
     fn sign(&mut self) -> Duration {
@@ -140,24 +161,31 @@ impl Bench {
         time(|| self.echo.once()) / 2
     }
 
-    fn write(&self) -> Duration {
-        let entry = next_entry(&self.store, ENTRY_BYTES[0]);
-        time(|| append_and_flush(&self.store, &entry))
+    /// Writes not before the disk was left alone for so long.
+    fn order(&mut self, pause: Duration) -> Ordered {
+        let (command, written) = (self.world.command(), self.written);
+        let ordered = self.engines.order(command.encoded(), || {
+            while written.elapsed() < pause {
+                spin_loop();
+            }
+        });
+        self.written = Instant::now();
+        ordered
     }
 
-    fn whole(&self) -> Duration {
-        time(|| self.runtime.block_on(self.operator.command()).unwrap())
+    fn whole(&self, network: usize) -> Duration {
+        time(|| self.runtime.block_on(self.operators[network].command()).unwrap())
     }
 
     /// A command that was executed: asked again, the node answers from what it knows.
     fn known(&self) -> ledger::transaction::Transaction {
-        let command = self.operator.signed(TTL);
-        self.runtime.block_on(self.operator.send(&command)).unwrap();
+        let command = self.operators[0].signed(TTL);
+        self.runtime.block_on(self.operators[0].send(&command)).unwrap();
         command
     }
 
     fn ask_again(&self, known: &ledger::transaction::Transaction) -> Duration {
-        time(|| self.runtime.block_on(self.operator.send(known)).unwrap())
+        time(|| self.runtime.block_on(self.operators[0].send(known)).unwrap())
     }
 }
 
