@@ -56,7 +56,7 @@ fn leader(blocks: u64) -> Engine {
     step(&mut engine, message(2, RaftKind::AppendResponse, |message| message.index = 1));
     for nth in 0..blocks {
         let transaction = vec![0; 10].into();
-        step(&mut engine, Input::Submit { lane: crate::Lane::Data, transaction });
+        step(&mut engine, Input::Submit { lane: Lane::Data, transaction });
         step(&mut engine, message(2, RaftKind::AppendResponse, |message| message.index = 2 + nth));
     }
     assert_eq!(engine.raw.raft.raft_log.committed, 1 + blocks);
@@ -92,7 +92,7 @@ fn a_late_refusal_never_makes_a_probe_start_below_what_the_peer_holds() {
         if index == 7 {
             // A block that node 2 was sent before it was probed, so that a probe may start above `matched`.
             engine.raw.raft.mut_prs().get_mut(2).unwrap().next_idx = 8;
-            step(&mut engine, Input::Submit { lane: crate::Lane::Data, transaction: vec![1].into() });
+            step(&mut engine, Input::Submit { lane: Lane::Data, transaction: vec![1].into() });
         }
         let message = PeerMessage::Raft(refusal(index, hint));
         step(&mut engine, Input::Message { from: 2, message });
@@ -245,7 +245,7 @@ fn sent(out: &[Output]) -> Vec<RaftKind> {
 fn a_leader_sends_before_its_own_disk_is_done_and_does_not_count_itself_until_then() {
     let mut engine = leader(0);
     let mut out = Vec::new();
-    engine.step(0, Input::Submit { lane: crate::Lane::Data, transaction: vec![1].into() }, &mut out);
+    engine.step(0, Input::Submit { lane: Lane::Data, transaction: vec![1].into() }, &mut out);
     assert!(sent(&out).contains(&RaftKind::Append), "found {out:?}");
     let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
     let ready = *ready;
@@ -278,7 +278,7 @@ fn a_commit_reaches_a_learner_at_once_although_nothing_follows() {
     step(&mut engine, Input::Tick);
     step(&mut engine, message(9, RaftKind::AppendResponse, |message| message.index = 1));
     let mut out = Vec::new();
-    engine.step(0, Input::Submit { lane: crate::Lane::Data, transaction: vec![1].into() }, &mut out);
+    engine.step(0, Input::Submit { lane: Lane::Data, transaction: vec![1].into() }, &mut out);
     let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
     let ready = *ready;
     out.clear();

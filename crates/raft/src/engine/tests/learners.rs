@@ -29,7 +29,7 @@ fn a_learner_gets_a_block_with_its_commit_in_one_message() {
     let mut engine = leader_with_learner();
     let mut out = Vec::new();
     for transaction in ["a", "b"] {
-        engine.step(1000, Input::Submit { lane: crate::Lane::Data, transaction: transaction.into() }, &mut out);
+        engine.step(1000, Input::Submit { lane: Lane::Data, transaction: transaction.into() }, &mut out);
     }
     assert_eq!(appends_to_learner(&out), [], "nothing of it is committed");
     engine.store.flush().unwrap();
@@ -48,7 +48,7 @@ fn a_learner_gets_a_block_with_its_commit_in_one_message() {
 #[test]
 fn what_is_held_back_goes_to_a_learner_that_becomes_a_voter_and_is_forgotten_by_a_leader_that_falls() {
     let mut engine = leader_with_learner();
-    let submit = || Input::Submit { lane: crate::Lane::Data, transaction: "a".into() };
+    let submit = || Input::Submit { lane: Lane::Data, transaction: "a".into() };
     engine.step(1000, submit(), &mut Vec::new());
     assert_eq!(engine.held.len(), 1);
     engine.membership = Membership::new([1, 9], []);
