@@ -1,8 +1,9 @@
 //! Keys and signatures: Ed25519 (the default for keys we make) and ECDSA P-256 (accepted everywhere).
 //!
 //! Every signature has exactly one accepted encoding. For P-256 that needs two rules that the curve alone does
-//! not give: strict DER, and the lower of the two values of `s` that verify (see [`ecdsa`]). For Ed25519 it needs the rules
-//! of ZIP 215, so that each node gives the same answer however many signatures it checks at once (see [`ed25519`]).
+//! not give: strict DER, and the lower of the two values of `s` that verify (see `key/ecdsa.rs`). For Ed25519 it needs the
+//! rules of ZIP 215, so that each node gives the same answer however many signatures it checks at once (see
+//! `key/ed25519.rs`).
 
 mod ecdsa;
 mod ed25519;

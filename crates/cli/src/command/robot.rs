@@ -35,8 +35,14 @@ pub(crate) struct Add {
     /// The attribute that a user's certificate must carry; KEY alone means KEY=true
     #[arg(long, value_name = "KEY[=VALUE]")]
     attr_required: String,
-    /// TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m][,max-age=500ms][,stop=HEX]
-    #[arg(long = "service", value_name = "SERVICE", required = true, value_parser = service::parse)]
+    #[arg(
+        long = "service",
+        value_name = "SERVICE",
+        required = true,
+        value_parser = service::parse,
+        help = "TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m][,max-age=500ms]\
+                [,stop=HEX]"
+    )]
     services: Vec<ServiceSpec>,
     /// An organisation whose attributes count; otherwise all that are members now
     #[arg(long = "trust", value_name = "ORG")]

@@ -17,7 +17,7 @@ impl Ledger {
     /// snapshots that are due on the way. Runs beside everything else.
     ///
     /// # Errors
-    /// [`Code::DiskFull`], [`Code::DiskFailed`]: nothing is lost, the blocks have it.
+    /// [`Code::DiskFull`](crate::Code::DiskFull), [`Code::DiskFailed`](crate::Code::DiskFailed): nothing is lost, the blocks have it.
     pub fn flush(&self, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
         self.flush_up_to(u64::MAX, snapshots)
     }
@@ -61,7 +61,7 @@ impl Ledger {
     /// Answers with the height of the oldest result that is left.
     ///
     /// # Errors
-    /// [`Code::DiskFailed`].
+    /// [`Code::DiskFailed`](crate::Code::DiskFailed).
     pub fn prune_results(&self, keep_from: u64) -> Result<u64, Rejection> {
         self.results.prune(keep_from, self.tip().time.saturating_sub(NOT_AFTER_AHEAD_MAX))
     }

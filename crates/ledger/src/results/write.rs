@@ -11,7 +11,7 @@ use std::sync::{Arc, MutexGuard, PoisonError};
 const PIECE_BYTES: usize = 1024 * 1024;
 
 impl ResultStore {
-    /// Makes the results up to a height durable. Readers and [`push`](Self::push) go on beside it.
+    /// Makes the results up to a height durable. Readers and `push` go on beside it.
     ///
     /// # Errors
     /// [`Code::DiskFull`]: nothing is lost, it can be tried again. [`Code::DiskFailed`], for good after a failed sync.

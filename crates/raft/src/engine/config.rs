@@ -9,7 +9,7 @@ pub struct EngineConfig {
     pub id: u64,
     /// The members as of `applied`, which the state machine holds.
     pub membership: Membership,
-    /// Last height that the state machine holds. Blocks after it come as [`Output::Commit`].
+    /// Last height that the state machine holds. Blocks after it come as [`Output::Commit`](crate::Output::Commit).
     pub applied: u64,
     /// Ticks without a leader after which a node stands for election; the real timeout is drawn from once to twice.
     pub election_tick: usize,

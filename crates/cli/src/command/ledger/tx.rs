@@ -86,7 +86,7 @@ impl TransactionFacts {
     }
 }
 
-/// An argument in at most [`BRIEF_CHARS_MAX`] characters.
+/// An argument in at most `BRIEF_CHARS_MAX` characters.
 fn brief(answer: &Answer) -> String {
     const BRIEF_CHARS_MAX: usize = 40;
     let text = match answer {
