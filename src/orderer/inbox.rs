@@ -23,6 +23,16 @@ struct Content<T> {
     closed: bool,
 }
 
+/// See [`Inbox::close_at_end`].
+pub(super) struct CloseAtEnd<'a, T>(&'a Inbox<T>);
+
+impl<T> Drop for CloseAtEnd<'_, T> {
+    fn drop(&mut self) {
+        self.0.content().closed = true;
+        self.0.wake();
+    }
+}
+
 impl<T> Inbox<T> {
     pub(super) fn new() -> Self {
         let content = Mutex::new(Content { items: Vec::new(), closed: false });
@@ -48,10 +58,10 @@ impl<T> Inbox<T> {
         true
     }
 
-    /// Nothing more will come that matters: the reader gets what is left.
-    pub(super) fn close(&self) {
-        self.content().closed = true;
-        self.wake();
+    /// Closes the inbox when the answer is dropped, however the thread that has it ends. The reader gets what is left,
+    /// and nobody is told that more was taken in.
+    pub(super) fn close_at_end(&self) -> CloseAtEnd<'_, T> {
+        CloseAtEnd(self)
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -133,7 +143,7 @@ mod tests {
             move || std::iter::from_fn(|| Some(inbox.next()).filter(|items| !items.is_empty())).flatten().collect()
         });
         senders.into_iter().for_each(|sender| sender.join().unwrap());
-        inbox.close();
+        drop(inbox.close_at_end());
         let received: Vec<(u32, u32)> = reader.join().unwrap();
         for sender in 0..SENDERS {
             let of_sender = received.iter().filter(|(from, _)| *from == sender).map(|(_, number)| *number);
@@ -162,7 +172,7 @@ mod tests {
             assert_eq!(back.take(), [number]);
         }
         assert!(start.elapsed() < LONG, "a wake-up was lost");
-        there.close();
+        drop(there.close_at_end());
         echo.join().unwrap();
     }
 
@@ -174,7 +184,7 @@ mod tests {
         inbox.put([4]);
         assert_eq!(inbox.take(), [1, 2, 4]);
         assert!(inbox.try_put(5, 2), "there is space again");
-        inbox.close();
+        drop(inbox.close_at_end());
         assert!(!inbox.try_put(6, 2), "it is closed");
         assert_eq!(inbox.next(), [5]);
         assert!(inbox.next().is_empty());

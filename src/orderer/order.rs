@@ -85,6 +85,9 @@ impl Order {
     }
 
     pub(super) fn run(mut self, inputs: &Inbox<Input>, tick: Duration) {
+        // However this thread ends: it takes nothing in any more, and the other one ends after what it was given.
+        let blocks = Arc::clone(&self.blocks);
+        let _ends = (inputs.close_at_end(), blocks.close_at_end());
         let mut next_tick = Instant::now();
         while !self.stop.load(Ordering::Relaxed) {
             if next_tick <= Instant::now() {
@@ -301,12 +304,5 @@ impl Order {
 
     fn report(&self) {
         *self.status.lock().unwrap_or_else(PoisonError::into_inner) = self.engine.status();
-    }
-}
-
-impl Drop for Order {
-    /// However this thread ends, the other one ends after what it was given.
-    fn drop(&mut self) {
-        self.blocks.close();
     }
 }
