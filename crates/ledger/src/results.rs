@@ -2,7 +2,8 @@
 //!
 //! They follow from the blocks, as the world state does: whatever is wrong with them is dropped from there on and
 //! executed again. What was not flushed yet is in memory. [`ResultStore::flush`] makes results durable before the world
-//! state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut off.
+//! state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut off. Whoever
+//! executes blocks takes a lock that is held for moments only, never the one of the files, where the writer may need long.
 //!
 //! A node that has the blocks keeps only what they do not tell: a call's arguments are in its block, and what it answers
 //! and emits often says the same again ([`Chaincode::foretell`](crate::Chaincode::foretell)).
@@ -33,7 +34,7 @@ use bytes::Bytes;
 use file::{Records, ResultFile, Spot, beginnings};
 use std::collections::VecDeque;
 use std::io::{self, ErrorKind};
-use std::sync::{Arc, Mutex, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
 
 /// A file of this size is finished and the next one begun.
 pub const RESULTS_FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
@@ -47,7 +48,10 @@ pub struct ResultStore {
     /// What results are kept beside; without it they are kept whole.
     blocks: Option<Arc<dyn Blocks>>,
     network: Hash,
-    inner: RwLock<Inner>,
+    /// A result goes from `recent` into a file, where it is noted before it leaves `recent`: whoever looks into `recent`
+    /// first and into `files` then finds it.
+    recent: Mutex<Recent>,
+    files: RwLock<Files>,
     /// Held while files are written.
     writing: Mutex<Writing>,
 }
@@ -60,11 +64,14 @@ struct Writing {
     failed: bool,
 }
 
-struct Inner {
-    /// Finished files, oldest first. Each follows the one before.
-    files: VecDeque<Arc<ResultFile>>,
+struct Files {
+    /// Oldest first. Each follows the one before.
+    finished: VecDeque<Arc<ResultFile>>,
     /// The one that is written.
     open: Option<Open>,
+}
+
+struct Recent {
     /// What is not in a file yet.
     pending: VecDeque<Arc<Pending>>,
     /// Bytes in `pending`.
@@ -94,11 +101,15 @@ impl ResultStore {
         Self::new(None, Hash::ZERO, VecDeque::new(), None)
     }
 
-    fn new(disk: Option<Arc<dyn Disk>>, network: Hash, files: VecDeque<Arc<ResultFile>>, open: Option<Open>) -> Self {
-        let last = open.as_ref().map(|open| &open.content).or_else(|| files.back().map(|file| &**file));
-        let next = last.map_or(1, ResultFile::next);
-        let inner = Inner { files, open, pending: VecDeque::new(), bytes: 0, next };
-        Self { disk, blocks: None, network, inner: RwLock::new(inner), writing: Mutex::default() }
+    fn new(
+        disk: Option<Arc<dyn Disk>>,
+        network: Hash,
+        finished: VecDeque<Arc<ResultFile>>,
+        open: Option<Open>,
+    ) -> Self {
+        let files = Files { finished, open };
+        let recent = Mutex::new(Recent { pending: VecDeque::new(), bytes: 0, next: files.next() });
+        Self { disk, blocks: None, network, recent, files: RwLock::new(files), writing: Mutex::default() }
     }
 
     /// From now on keeps of a result only what these blocks do not tell. They must have every block whose result is taken,
@@ -115,19 +126,23 @@ impl ResultStore {
 
     /// Height of the oldest result; [`next`](Self::next) if there is none.
     pub fn first(&self) -> u64 {
-        let inner = self.read();
-        let file = inner.files.front().map(|file| file.first).or(inner.open.as_ref().map(|open| open.content.first));
-        file.or(inner.pending.front().map(|pending| pending.height)).unwrap_or(inner.next)
+        let recent = {
+            let recent = self.recent();
+            recent.pending.front().map_or(recent.next, |pending| pending.height)
+        };
+        let files = self.files();
+        let file = files.finished.front().map(|file| file.first).or(files.open.as_ref().map(|open| open.content.first));
+        file.unwrap_or(recent)
     }
 
     /// Height of the block whose result comes next.
     pub fn next(&self) -> u64 {
-        self.read().next
+        self.recent().next
     }
 
     /// Roughly how many bytes wait for a flush.
     pub fn pending_bytes(&self) -> usize {
-        self.read().bytes
+        self.recent().bytes
     }
 
     /// Takes the result of the next block, which these [blocks](Self::beside) have. `foretold` says which transactions came
@@ -147,15 +162,16 @@ impl ResultStore {
     fn take(&self, height: u64, stored: &StoredResult) -> Result<(), Rejection> {
         let pending =
             Pending { height, time: stored.time(), bytes: stored.to_bytes(), taken: beginnings(stored).collect() };
-        let mut inner = self.write();
-        if height != inner.next {
+        let pending = Arc::new(pending);
+        let mut recent = self.recent();
+        if height != recent.next {
             return Err(Rejection::new(Code::Internal, "a result does not follow the last one")
                 .found(format!("height {height}"))
-                .wanted(format!("height {}", inner.next)));
+                .wanted(format!("height {}", recent.next)));
         }
-        inner.next += 1;
-        inner.bytes += pending.weight();
-        inner.pending.push_back(Arc::new(pending));
+        recent.next += 1;
+        recent.bytes += pending.weight();
+        recent.pending.push_back(pending);
         Ok(())
     }
 
@@ -195,12 +211,12 @@ impl ResultStore {
     /// # Errors
     /// [`Code::DiskFailed`]; [`Code::Corrupt`] if it is damaged: the results are to be made again from the blocks.
     pub(crate) fn get(&self, height: u64) -> Result<Option<StoredResult>, Rejection> {
-        let located = self.read().locate(height);
-        // Files are read without a lock.
-        let bytes = match located {
-            None => return Ok(None),
-            Some(Located::Pending(pending)) => pending.bytes.clone(),
-            Some(Located::Stored { first, spot, file }) => {
+        let pending = self.recent().locate(height);
+        let bytes = match pending {
+            Some(pending) => pending.bytes.clone(),
+            None => {
+                // Files are read without a lock.
+                let Some(Located { first, spot, file }) = self.files().locate(height) else { return Ok(None) };
                 let file = file.map(Some).map_or_else(|| self.open_file(first), Ok)?;
                 let Some(file) = file else { return Ok(None) };
                 spot.read(&*file).map_err(|error| failed("read", first, &error))?
@@ -215,18 +231,19 @@ impl ResultStore {
     /// As [`ResultStore::get`].
     pub(crate) fn find(&self, id: &Hash) -> Result<Option<Place>, Rejection> {
         let short = index::beginning(id);
-        let (mut places, files) = {
-            let inner = self.read();
-            let pending = inner.pending.iter().rev().flat_map(|pending| {
-                let taken = pending.taken.iter().filter(|(_, beginning)| *beginning == short);
-                taken.map(|(position, _)| Place { height: pending.height, position: *position })
-            });
-            let mut places: Vec<Place> = pending.collect();
-            if let Some(open) = &inner.open {
+        let pending: Vec<_> = self.recent().pending.iter().rev().cloned().collect();
+        let places = pending.iter().flat_map(|pending| {
+            let taken = pending.taken.iter().filter(|(_, beginning)| *beginning == short);
+            taken.map(|(position, _)| Place { height: pending.height, position: *position })
+        });
+        let mut places: Vec<Place> = places.collect();
+        let files: Vec<_> = {
+            let files = self.files();
+            if let Some(open) = &files.open {
                 let items = open.content.find(|| Ok(Arc::clone(&open.file)), short).unwrap_or_default();
                 places.extend(items.iter().map(|item| item.place(open.content.first)));
             }
-            (places, inner.files.iter().rev().cloned().collect::<Vec<_>>())
+            files.finished.iter().rev().cloned().collect()
         };
         if let Some(place) = self.first_of(id, &places)? {
             return Ok(Some(place));
@@ -260,10 +277,11 @@ impl ResultStore {
         last: u64,
         mut each: impl FnMut(u64, StoredResult) -> Result<(), Rejection>,
     ) -> Result<(), Rejection> {
+        let pending: Vec<_> = self.recent().pending.iter().cloned().collect();
         let files: Vec<Records> = {
-            let inner = self.read();
-            let open = inner.open.as_ref().map(|open| open.content.records());
-            let all = inner.files.iter().map(|file| file.records()).chain(open);
+            let files = self.files();
+            let open = files.open.as_ref().map(|open| open.content.records());
+            let all = files.finished.iter().map(|file| file.records()).chain(open);
             all.filter(|records| records.next > records.first && records.newest >= time).collect()
         };
         let mut give = |height: u64, bytes: Bytes| {
@@ -276,7 +294,6 @@ impl ResultStore {
             records.since(time, &file, |error| failed("read", records.first, error), &mut give)?;
             next = Some(records.next);
         }
-        let pending: Vec<_> = self.read().pending.iter().cloned().collect();
         for pending in pending.iter().filter(|pending| next.is_none_or(|next| pending.height >= next)) {
             give(pending.height, pending.bytes.clone())?;
         }
@@ -293,42 +310,48 @@ impl ResultStore {
         }
     }
 
-    fn read(&self) -> RwLockReadGuard<'_, Inner> {
-        self.inner.read().unwrap_or_else(PoisonError::into_inner)
+    fn recent(&self) -> MutexGuard<'_, Recent> {
+        self.recent.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn write(&self) -> RwLockWriteGuard<'_, Inner> {
-        self.inner.write().unwrap_or_else(PoisonError::into_inner)
+    fn files(&self) -> RwLockReadGuard<'_, Files> {
+        self.files.read().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn files_mut(&self) -> RwLockWriteGuard<'_, Files> {
+        self.files.write().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-enum Located {
-    Pending(Arc<Pending>),
-    /// In the file with this first height; its handle if it is open.
-    Stored {
-        first: u64,
-        spot: Spot,
-        file: Option<Arc<dyn DiskFile>>,
-    },
+/// The place of a result in the file with this first height, and the file's handle if it is open.
+struct Located {
+    first: u64,
+    spot: Spot,
+    file: Option<Arc<dyn DiskFile>>,
 }
 
-impl Inner {
+impl Recent {
+    fn locate(&self, height: u64) -> Option<Arc<Pending>> {
+        let number = height.checked_sub(self.pending.front()?.height)?;
+        self.pending.get(usize::try_from(number).ok()?).map(Arc::clone)
+    }
+}
+
+impl Files {
+    /// Height of the block after the last.
+    fn next(&self) -> u64 {
+        let last = self.open.as_ref().map(|open| &open.content).or_else(|| self.finished.back().map(|file| &**file));
+        last.map_or(1, ResultFile::next)
+    }
+
     fn locate(&self, height: u64) -> Option<Located> {
-        if let Some(pending) = self.pending.front()
-            && let Some(number) = height.checked_sub(pending.height)
-        {
-            return self
-                .pending
-                .get(usize::try_from(number).ok()?)
-                .map(|pending| Located::Pending(Arc::clone(pending)));
-        }
         if let Some(open) = self.open.as_ref().filter(|open| open.content.first <= height) {
             let (first, file) = (open.content.first, Some(Arc::clone(&open.file)));
-            return open.content.locate(height).map(|spot| Located::Stored { first, spot, file });
+            return open.content.locate(height).map(|spot| Located { first, spot, file });
         }
-        let after = self.files.partition_point(|file| file.first <= height);
-        let file = self.files.get(after.checked_sub(1)?)?;
-        file.locate(height).map(|spot| Located::Stored { first: file.first, spot, file: None })
+        let after = self.finished.partition_point(|file| file.first <= height);
+        let file = self.finished.get(after.checked_sub(1)?)?;
+        file.locate(height).map(|spot| Located { first: file.first, spot, file: None })
     }
 }
 

@@ -173,7 +173,8 @@ impl ResultFile {
         tail.extend(self.times.1.to_le_bytes());
         tail.extend(crc32c::crc32c(&tail).to_le_bytes());
         bytes.append(&mut tail);
-        (Self { index: Index::Finished { pages }, ..self.clone() }, bytes)
+        let Self { first, count, end, times, .. } = *self;
+        (Self { first, count, end, times, marks: self.marks.clone(), index: Index::Finished { pages } }, bytes)
     }
 
     /// Opens a finished file by its end; none if it is not finished, or damaged.

@@ -70,8 +70,9 @@ impl ResultStore {
     /// Drops the results above a height, and files that could not be read.
     fn cut(&self, last: u64) -> Result<(), Rejection> {
         let Some(disk) = &self.disk else { return Ok(()) };
-        let mut inner = self.write();
-        let known = |first: u64| first <= last && first < inner.next;
+        let next = self.next();
+        let mut files = self.files_mut();
+        let known = |first: u64| first <= last && first < next;
         let names = disk.list().map_err(|error| failed("list", 0, &error))?;
         let beyond: Vec<u64> =
             names.iter().filter_map(|name| ResultFile::height(name)).filter(|first| !known(*first)).collect();
@@ -81,32 +82,31 @@ impl ResultStore {
         if !beyond.is_empty() {
             disk.sync_dir().map_err(|error| failed("remove", last, &error))?;
         }
-        inner.files.retain(|file| file.first <= last);
-        if inner.open.as_ref().is_some_and(|open| open.content.first > last) {
-            inner.open = None;
+        files.finished.retain(|file| file.first <= last);
+        if files.open.as_ref().is_some_and(|open| open.content.first > last) {
+            files.open = None;
         }
         // The file in which the cut is becomes the one that is written.
-        let split = match &inner.open {
+        let split = match &files.open {
             Some(open) => open.content.next() > last + 1,
-            None => inner.files.back().is_some_and(|file| file.next() > last + 1),
+            None => files.finished.back().is_some_and(|file| file.next() > last + 1),
         };
         if split {
-            let first = match inner.open.take() {
+            let first = match files.open.take() {
                 Some(open) => open.content.first,
-                None => inner.files.pop_back().map_or(0, |file| file.first),
+                None => files.finished.pop_back().map_or(0, |file| file.first),
             };
             let reopened = disk.open(&ResultFile::name(first)).and_then(|file| {
                 let content = ResultFile::scan(&file, first, last, &self.network.0)?;
                 Ok(content.map(|content| Open { content, file }))
             });
-            inner.open = reopened.map_err(|error| failed("read", first, &error))?;
+            files.open = reopened.map_err(|error| failed("read", first, &error))?;
         }
-        if let Some(open) = &inner.open {
+        if let Some(open) = &files.open {
             let length = open.file.set_len(open.content.end);
             length.map_err(|error| failed("cut", open.content.first, &error))?;
         }
-        let last = inner.open.as_ref().map(|open| open.content.next());
-        inner.next = last.or(inner.files.back().map(|file| file.next())).unwrap_or(1);
+        self.recent().next = files.next();
         Ok(())
     }
 }

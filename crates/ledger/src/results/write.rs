@@ -7,8 +7,8 @@ use crate::disk::{Disk, DiskFile};
 use crate::rejection::Rejection;
 use std::sync::{Arc, MutexGuard, PoisonError};
 
-/// Results are written in pieces of about this size.
-const PIECE_BYTES: usize = 1024 * 1024;
+/// Results are written in pieces of about this size: as much as is noted, or taken out of memory, under one lock.
+const PIECE_BYTES: usize = 256 * 1024;
 
 impl ResultStore {
     /// Makes the results up to a height durable. Readers and `push` go on beside it.
@@ -50,11 +50,11 @@ impl ResultStore {
         let mut dropped = false;
         loop {
             let oldest = {
-                let mut inner = self.write();
+                let mut files = self.files_mut();
                 let droppable = |file: &Arc<ResultFile>| file.next() < keep_from && file.times.1 < keep_since;
-                let oldest = inner.files.front().filter(|file| droppable(file)).map(|file| file.first);
+                let oldest = files.finished.front().filter(|file| droppable(file)).map(|file| file.first);
                 if oldest.is_some() {
-                    inner.files.pop_front();
+                    files.finished.pop_front();
                 }
                 oldest
             };
@@ -71,13 +71,17 @@ impl ResultStore {
     /// Lets an empty store begin at a height, to go on after a snapshot.
     pub(crate) fn begin(&self, height: u64) -> Result<(), Rejection> {
         let _writing = self.writing()?;
-        let mut inner = self.write();
-        if !inner.files.is_empty() || inner.open.is_some() || !inner.pending.is_empty() {
+        let in_files = {
+            let files = self.files();
+            !files.finished.is_empty() || files.open.is_some()
+        };
+        let mut recent = self.recent();
+        if in_files || !recent.pending.is_empty() {
             return Err(Rejection::new(Code::Internal, "there are results already")
-                .found(format!("the next is of height {}", inner.next))
+                .found(format!("the next is of height {}", recent.next))
                 .wanted("an empty directory of results"));
         }
-        inner.next = height;
+        recent.next = height;
         Ok(())
     }
 
@@ -92,9 +96,9 @@ impl ResultStore {
 
     /// The next results to write, up to a height.
     fn piece(&self, height: u64) -> Vec<Arc<Pending>> {
-        let inner = self.read();
+        let recent = self.recent();
         let mut bytes = 0;
-        let within = inner.pending.iter().take_while(|pending| {
+        let within = recent.pending.iter().take_while(|pending| {
             let wanted = pending.height <= height && bytes < PIECE_BYTES;
             bytes += pending.bytes.len();
             wanted
@@ -104,7 +108,7 @@ impl ResultStore {
 
     /// The file that takes the results from a height on, and where.
     fn file_for(&self, disk: &dyn Disk, height: u64) -> Result<(Arc<dyn DiskFile>, u64), Rejection> {
-        if let Some(open) = &self.read().open {
+        if let Some(open) = &self.files().open {
             return Ok((Arc::clone(&open.file), open.content.end));
         }
         let content = ResultFile::new(height);
@@ -115,28 +119,32 @@ impl ResultStore {
         });
         let file = created.map_err(|error| failed("create", height, &error))?;
         let end = content.end;
-        self.write().open = Some(Open { content, file: Arc::clone(&file) });
+        self.files_mut().open = Some(Open { content, file: Arc::clone(&file) });
         Ok((file, end))
     }
 
     /// These are in the file now. Is it full?
     fn written(&self, piece: &[Arc<Pending>]) -> bool {
-        let mut inner = self.write();
-        let inner = &mut *inner;
-        let Some(open) = &mut inner.open else { return false };
-        for pending in piece {
-            open.content.add(pending.bytes.len(), pending.time, pending.taken.iter().copied());
-            inner.bytes -= pending.weight();
-            inner.pending.pop_front();
-        }
-        open.content.end >= RESULTS_FILE_BYTES_MAX
+        let full = {
+            let mut files = self.files_mut();
+            let Some(open) = &mut files.open else { return false };
+            for pending in piece {
+                open.content.add(pending.bytes.len(), pending.time, pending.taken.iter().copied());
+            }
+            open.content.end >= RESULTS_FILE_BYTES_MAX
+        };
+        let weight: usize = piece.iter().map(|pending| pending.weight()).sum();
+        let mut recent = self.recent();
+        recent.bytes -= weight;
+        recent.pending.drain(..piece.len());
+        full
     }
 
     /// Writes the end of the open file.
     fn finish(&self, writing: &mut Writing) -> Result<(), Rejection> {
         let (finished, bytes, file) = {
-            let inner = self.read();
-            let Some(open) = &inner.open else { return Ok(()) };
+            let files = self.files();
+            let Some(open) = &files.open else { return Ok(()) };
             let (finished, bytes) = open.content.finish();
             (finished, bytes, Arc::clone(&open.file))
         };
@@ -145,14 +153,14 @@ impl ResultStore {
             file.write_at(&bytes, finished.end).and_then(|()| file.set_len(finished.end + bytes.len() as u64));
         written.map_err(|error| failed("write", finished.first, &error))?;
         self.sync(writing)?;
-        let mut inner = self.write();
-        inner.files.push_back(Arc::new(finished));
-        inner.open = None;
+        let mut files = self.files_mut();
+        files.finished.push_back(Arc::new(finished));
+        files.open = None;
         Ok(())
     }
 
     fn sync(&self, writing: &mut Writing) -> Result<(), Rejection> {
-        let open = self.read().open.as_ref().map(|open| (Arc::clone(&open.file), open.content.first));
+        let open = self.files().open.as_ref().map(|open| (Arc::clone(&open.file), open.content.first));
         let Some((file, first)) = open.filter(|_| writing.unsynced) else { return Ok(()) };
         if let Err(error) = file.sync_data() {
             writing.failed = true;
@@ -163,13 +171,13 @@ impl ResultStore {
     }
 
     fn open_first(&self) -> u64 {
-        self.read().open.as_ref().map_or(0, |open| open.content.first)
+        self.files().open.as_ref().map_or(0, |open| open.content.first)
     }
 
     fn forget(&self, height: u64) {
-        let mut inner = self.write();
-        while let Some(pending) = inner.pending.pop_front_if(|pending| pending.height <= height) {
-            inner.bytes -= pending.weight();
+        let mut recent = self.recent();
+        while let Some(pending) = recent.pending.pop_front_if(|pending| pending.height <= height) {
+            recent.bytes -= pending.weight();
         }
     }
 }
