@@ -376,3 +376,57 @@ fn failed(operation: &str, first: u64, error: &io::Error) -> Rejection {
         _ => refused,
     }
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::disk::SimDisk;
+    use std::sync::mpsc;
+    use std::time::{Duration, Instant};
+
+    /// A store with the results of so many blocks.
+    fn store(blocks: u64) -> Arc<ResultStore> {
+        let store = ResultStore::open(Arc::new(SimDisk::new(1)), Hash::ZERO).unwrap();
+        (1..=blocks).for_each(|height| store.push_whole(height, result(height)).unwrap());
+        Arc::new(store)
+    }
+
+    fn result(height: u64) -> BlockResult {
+        let [hash, digest] = [Bytes::from(vec![1; 32]), Bytes::from(vec![2; 32])];
+        BlockResult { term: 1, time: height, hash, digest, ..BlockResult::default() }
+    }
+
+    #[test]
+    fn who_executes_blocks_does_not_wait_for_the_lock_of_the_files() {
+        let store = store(1);
+        let sorting = store.files_mut();
+        let (done, executed) = mpsc::channel();
+        let executing = Arc::clone(&store);
+        std::thread::spawn(move || {
+            executing.push_whole(2, result(2)).unwrap();
+            assert!(executing.get(1).unwrap().is_some() && executing.get(2).unwrap().is_some());
+            done.send((executing.next(), executing.pending_bytes() > 0)).unwrap();
+        });
+        assert_eq!(executed.recv_timeout(Duration::from_secs(60)), Ok((3, true)));
+        drop(sorting);
+    }
+
+    #[test]
+    fn a_file_knows_a_result_before_memory_forgets_it() {
+        let store = store(3);
+        let piece = store.piece(2);
+        store.file_for(&SimDisk::new(2), 1).unwrap();
+        let forgetting = store.recent();
+        let writing = Arc::clone(&store);
+        let written = std::thread::spawn(move || writing.written(&piece));
+        let late = Instant::now() + Duration::from_secs(60);
+        while store.files().locate(2).is_none() {
+            assert!(Instant::now() < late, "it is forgotten first");
+            std::thread::yield_now();
+        }
+        drop(forgetting);
+        assert!(!written.join().unwrap(), "the file is not full");
+        assert_eq!(store.recent().pending.front().map(|pending| pending.height), Some(3));
+    }
+}

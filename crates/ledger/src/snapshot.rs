@@ -1,8 +1,8 @@
 //! Snapshots: the world state at a height, and what else a ledger needs to go on from there, as bytes that every node
 //! makes alike.
 //!
-//! A node makes one at every height that [`Genesis::snapshot_every`](crate::network::Genesis) divides, keeps the newest two,
-//! and signs their [content](Manifest::content). Who is far behind fetches the manifest and the chunks, checks who has
+//! A node makes one at heights that [`Genesis::snapshot_every`](crate::network::Genesis) divides, keeps the newest two, and
+//! signs their [content](Manifest::content). Who is far behind fetches the manifest and the chunks, checks who has
 //! signed the content, and installs it: the ledger opened on it stands where the others stood, and refuses the same
 //! duplicates.
 //!

@@ -7,6 +7,11 @@ use crate::state::Tip;
 use crate::transaction::NOT_AFTER_AHEAD_MAX;
 use std::sync::PoisonError;
 
+/// Block time between two snapshots for each block that a network wants between them, in microseconds, at least; but no
+/// more than the time whose results a snapshot holds. Under load those are millions, and a snapshot every few seconds
+/// would be more work than executing blocks: so each result is written into one or two snapshots, however many there are.
+const SNAPSHOT_TIME_PER_BLOCK: u64 = 12_000;
+
 impl Ledger {
     /// Roughly how many bytes of results and world state wait for a [`flush`](Self::flush).
     pub fn pending_bytes(&self) -> usize {
@@ -48,13 +53,26 @@ impl Ledger {
 
     /// Makes the snapshot of what is stored, if one is due and not there yet.
     fn snapshot(&self, stored: &Tip, snapshots: &Snapshots) {
-        if stored.height == 0 || !stored.height.is_multiple_of(self.snapshot_every) {
-            return;
-        }
-        if let Err(fault) = snapshots.make(stored, &self.state, (&self.results, &self.registry)) {
+        let made = self.is_snapshot_due(stored).and_then(|due| match due {
+            true => snapshots.make(stored, &self.state, (&self.results, &self.registry)),
+            false => Ok(()),
+        });
+        if let Err(fault) = made {
             // The next one may succeed; blocks are kept until one does.
             tracing::error!(height = stored.height, %fault, "cannot make a snapshot");
         }
+    }
+
+    /// Is there to be a snapshot of the state after this block? Follows from the chain, so that all nodes make the same.
+    pub(super) fn is_snapshot_due(&self, tip: &Tip) -> Result<bool, Rejection> {
+        let every = self.snapshot_every;
+        if tip.height == 0 || !tip.height.is_multiple_of(every) {
+            return Ok(false);
+        }
+        let period = every.saturating_mul(SNAPSHOT_TIME_PER_BLOCK).min(NOT_AFTER_AHEAD_MAX);
+        // What is not kept any more is older than the longest period.
+        let before = self.seal(tip.height - every)?;
+        Ok(before.is_none_or(|before| before.time / period != tip.time / period))
     }
 
     /// Drops old results, in whole files: those of blocks below `keep_from` that are not needed to find duplicates.

@@ -95,7 +95,7 @@ impl ResultStore {
     }
 
     /// The next results to write, up to a height.
-    fn piece(&self, height: u64) -> Vec<Arc<Pending>> {
+    pub(super) fn piece(&self, height: u64) -> Vec<Arc<Pending>> {
         let recent = self.recent();
         let mut bytes = 0;
         let within = recent.pending.iter().take_while(|pending| {
@@ -107,7 +107,7 @@ impl ResultStore {
     }
 
     /// The file that takes the results from a height on, and where.
-    fn file_for(&self, disk: &dyn Disk, height: u64) -> Result<(Arc<dyn DiskFile>, u64), Rejection> {
+    pub(super) fn file_for(&self, disk: &dyn Disk, height: u64) -> Result<(Arc<dyn DiskFile>, u64), Rejection> {
         if let Some(open) = &self.files().open {
             return Ok((Arc::clone(&open.file), open.content.end));
         }
@@ -124,7 +124,7 @@ impl ResultStore {
     }
 
     /// These are in the file now. Is it full?
-    fn written(&self, piece: &[Arc<Pending>]) -> bool {
+    pub(super) fn written(&self, piece: &[Arc<Pending>]) -> bool {
         let full = {
             let mut files = self.files_mut();
             let Some(open) = &mut files.open else { return false };

@@ -22,13 +22,18 @@ struct Chain {
 impl Chain {
     /// Blocks of several calls, some of them refused, ten seconds apart; large values, so that there are several chunks.
     fn new(height: u64) -> Self {
+        Self::paced(height, 10 * SECOND, 40_000)
+    }
+
+    /// So much block time between two blocks; values of some such length.
+    fn paced(height: u64, pace: u64, repeated: usize) -> Self {
         let world = World::new();
         let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
         let ledger = world.ledger();
         let (mut entries, mut calls) = (Vec::new(), Vec::new());
         for height in 1..=height {
-            let time = NOW + height * 10 * SECOND;
-            let value = height.to_string().repeat(40_000);
+            let time = NOW + height * pace;
+            let value = height.to_string().repeat(repeated);
             let [put, refused] = [
                 world_call(&world, &salma, time, "put", &[&format!("k{}", height % 37), &value]),
                 world_call(&world, &salma, time, "put-then-refuse", &["k"]),
@@ -103,6 +108,35 @@ fn nodes_make_the_same_bytes_whenever_they_store_and_restart() {
         other.crash();
     }
     assert_eq!(bytes(&disk, "00000000000000000050.snap"), bytes(&other, "00000000000000000050.snap"));
+}
+
+#[test]
+fn where_blocks_come_quickly_a_snapshot_is_made_once_in_a_period_and_by_all_nodes_alike() {
+    // 12 ms for each block between two snapshots.
+    let (period, pace) = (SNAPSHOT_EVERY * 12_000, 5_000);
+    let chain = Chain::paced(200, pace, 1);
+    let made = |restart_every: usize| {
+        let (place, results, disk) = (tempfile::tempdir().unwrap(), SimDisk::new(1), SimDisk::new(2));
+        let snapshots = chain.snapshots(&disk);
+        let mut heights = Vec::new();
+        for entries in chain.entries.chunks(restart_every) {
+            let ledger = chain.world.ledger_on(place.path(), &results);
+            for entry in entries {
+                ledger.apply(entry).unwrap();
+                ledger.flush(Some(&snapshots)).unwrap();
+                heights.extend(snapshots.newest().map(|newest| newest.manifest().height));
+            }
+        }
+        heights.dedup();
+        heights
+    };
+    let heights = made(200);
+    assert_eq!(made(7), heights, "with restarts");
+    let periods: Vec<u64> = heights.iter().map(|height| (NOW + height * pace) / period).collect();
+    assert!(periods.is_sorted_by(|one, next| one < next), "one in each period: {heights:?}");
+    let all = (NOW + 200 * pace) / period - NOW / period;
+    assert!(periods.len() as u64 + 1 >= all, "{heights:?}: one in each of {all} periods, but perhaps the last");
+    assert!(heights.iter().all(|height| height.is_multiple_of(SNAPSHOT_EVERY)), "{heights:?}");
 }
 
 #[test]
