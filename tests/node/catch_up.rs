@@ -259,17 +259,22 @@ fn snapshot(place: &NodePlace) -> Option<(u64, String)> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_newcomer_takes_a_snapshot_that_two_organisations_attest_when_the_blocks_are_gone() {
-    const EVERY: u64 = 500;
+    // At most one in 1.2 s of block time.
+    const EVERY: u64 = 100;
     let (fleet, owner, users) = found_every(EVERY);
     let mut voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
     register_robots(&at(&fleet, &owner, 0).await, "open").await;
-    let height = blocks(&fleet, &users, 0, 2 * BLOCKS).await;
-    let due = height / EVERY * EVERY;
-    let made = |node: usize| snapshot(&fleet.nodes[node]).filter(|(height, _)| *height == due).map(|(_, text)| text);
-    let (one, other) = (eventually("a snapshot", || made(0)), eventually("another snapshot", || made(1)));
-    assert_eq!(one, other, "every node makes the same");
+    let enough = blocks(&fleet, &users, 0, 2 * BLOCKS).await;
+    let mut height = enough;
+    while snapshot(&fleet.nodes[0]).is_none_or(|(made, _)| made < enough) {
+        assert!(height < 100 * BLOCKS, "no snapshot is made");
+        height = blocks(&fleet, &users, 0, EVERY).await;
+    }
+    agree(&at(&fleet, &owner, 0).await, &at(&fleet, &owner, 1).await, height).await;
+    voters.iter_mut().for_each(Process::interrupt);
+    let [(due, one), other] = [0, 1].map(|node| snapshot(&fleet.nodes[node]).unwrap());
+    assert_eq!((due, one), other, "every node makes the same");
     for (voter, place) in voters.iter_mut().zip(&fleet.nodes) {
-        voter.interrupt();
         let first = log(place).prune(due).unwrap();
         assert!(first > 1, "something was dropped: the log begins at {first}");
         *voter = place.start();
