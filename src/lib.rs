@@ -33,7 +33,7 @@
 //! | `renewal` | the node's certificate, renewed before it runs out |
 //! | `setup`, `join` | founding a network; bringing a node into one |
 //! | `housekeeping`, `scrub` | what is done beside the work; reading old blocks to find damage |
-//! | `awake`, `memory` | processors that may not sleep yet; memory that goes back |
+//! | `awake`, `slice`, `memory` | processors that may not sleep yet; short turns on them; memory that goes back |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
 mod awake;
