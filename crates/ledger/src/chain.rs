@@ -216,7 +216,7 @@ impl Ledger {
             window.forget_before(tip.time);
         }
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).push(tip.height, &writes);
-        let cut = self.is_snapshot_due(&tip)?;
+        let cut = self.is_snapshot_due(&tip);
         self.state.commit(writes, tip, cut);
         if changed_organisations {
             self.identities.reload(&*self.state)?;

@@ -53,26 +53,32 @@ impl Ledger {
 
     /// Makes the snapshot of what is stored, if one is due and not there yet.
     fn snapshot(&self, stored: &Tip, snapshots: &Snapshots) {
-        let made = self.is_snapshot_due(stored).and_then(|due| match due {
-            true => snapshots.make(stored, &self.state, (&self.results, &self.registry)),
-            false => Ok(()),
-        });
-        if let Err(fault) = made {
+        if !self.is_snapshot_due(stored) {
+            return;
+        }
+        if let Err(fault) = snapshots.make(stored, &self.state, (&self.results, &self.registry)) {
             // The next one may succeed; blocks are kept until one does.
             tracing::error!(height = stored.height, %fault, "cannot make a snapshot");
         }
     }
 
-    /// Is there to be a snapshot of the state after this block? Follows from the chain, so that all nodes make the same.
-    pub(super) fn is_snapshot_due(&self, tip: &Tip) -> Result<bool, Rejection> {
+    /// Is there to be a snapshot of the state after this block? Follows from the chain, so that all nodes make the same. A
+    /// node that cannot read what tells it goes on without the snapshot.
+    pub(super) fn is_snapshot_due(&self, tip: &Tip) -> bool {
         let every = self.snapshot_every;
         if tip.height == 0 || !tip.height.is_multiple_of(every) {
-            return Ok(false);
+            return false;
         }
         let period = every.saturating_mul(SNAPSHOT_TIME_PER_BLOCK).min(NOT_AFTER_AHEAD_MAX);
-        // What is not kept any more is older than the longest period.
-        let before = self.seal(tip.height - every)?;
-        Ok(before.is_none_or(|before| before.time / period != tip.time / period))
+        match self.seal(tip.height - every) {
+            Ok(Some(before)) => before.time / period != tip.time / period,
+            // What is not kept any more is older than the longest period.
+            Ok(None) => true,
+            Err(fault) => {
+                tracing::error!(height = tip.height, %fault, "no snapshot is made: it cannot be told whether one is due");
+                false
+            }
+        }
     }
 
     /// Drops old results, in whole files: those of blocks below `keep_from` that are not needed to find duplicates.

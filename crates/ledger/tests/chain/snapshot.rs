@@ -140,6 +140,22 @@ fn where_blocks_come_quickly_a_snapshot_is_made_once_in_a_period_and_by_all_node
 }
 
 #[test]
+fn a_result_that_cannot_be_read_costs_a_snapshot_and_stops_nobody() {
+    let chain = Chain::new(30);
+    let (place, results, disk) = (tempfile::tempdir().unwrap(), SimDisk::new(1), SimDisk::new(2));
+    let (ledger, snapshots) = (chain.world.ledger_on(place.path(), &results), chain.snapshots(&disk));
+    let apply = |entries: &[Entry]| entries.iter().for_each(|entry| drop(ledger.apply(entry).unwrap()));
+    apply(&chain.entries[..19]);
+    ledger.flush(Some(&snapshots)).unwrap();
+    // Whether a snapshot is due at 20 depends on the time of block 10.
+    results.fail_read(1);
+    apply(&chain.entries[19..20]);
+    apply(&chain.entries[20..]);
+    ledger.flush(Some(&snapshots)).unwrap();
+    assert_eq!(disk.list().unwrap(), ["00000000000000000010.snap", "00000000000000000030.snap"]);
+}
+
+#[test]
 fn a_snapshot_that_was_due_when_the_node_stopped_is_made_at_the_next_start() {
     let chain = Chain::new(20);
     let (place, results, disk) = (tempfile::tempdir().unwrap(), SimDisk::new(1), SimDisk::new(2));
