@@ -27,14 +27,13 @@ pub(super) struct Execute {
     shared: Arc<Shared>,
     /// As of the newest block executed.
     deadline: Arc<AtomicU64>,
-    /// Blocks given to the execute thread that it has not executed.
-    waiting: Arc<AtomicUsize>,
+    given: Given,
 }
 
 impl Execute {
     pub(super) fn new(shared: Arc<Shared>) -> Self {
         let deadline = Arc::new(AtomicU64::new(shared.ledger.next_deadline().unwrap_or(u64::MAX)));
-        Self { shared, deadline, waiting: Arc::default() }
+        Self { shared, deadline, given: Given::default() }
     }
 
     /// The execute thread.
@@ -49,7 +48,7 @@ impl Execute {
                 if !self.execute(entries) {
                     return;
                 }
-                self.waiting.fetch_sub(entries.len(), Ordering::Release);
+                self.given.remove(entries.len());
                 let at = self.shared.clock.now();
                 applied.put(entries.last().map(|entry| Input::Applied { height: entry.index, at }));
             }
@@ -58,7 +57,7 @@ impl Execute {
 
     /// Gives blocks to the execute thread.
     pub(super) fn hand_over(&self, blocks: &Inbox<Entry>, entries: Vec<Entry>) {
-        self.waiting.fetch_add(entries.len(), Ordering::Relaxed);
+        self.given.add(entries.len());
         blocks.put(entries);
     }
 
@@ -69,7 +68,7 @@ impl Execute {
 
     /// Has the execute thread nothing to do? Whoever gives it blocks may execute the next ones itself then.
     pub(super) fn is_idle(&self) -> bool {
-        self.waiting.load(Ordering::Acquire) == 0
+        self.given.is_empty()
     }
 
     /// Executes blocks. False if the node cannot go on.
@@ -88,6 +87,26 @@ impl Execute {
     }
 }
 
+/// Counts the blocks that were given to the execute thread and that it has not executed. Only whoever gives them adds to
+/// it, so when it finds it empty nobody else executes, and everything before its next block is executed.
+#[derive(Clone, Default)]
+struct Given(Arc<AtomicUsize>);
+
+impl Given {
+    fn add(&self, blocks: usize) {
+        self.0.fetch_add(blocks, Ordering::Relaxed);
+    }
+
+    /// So many are executed. Whoever sees it sees what they wrote.
+    fn remove(&self, blocks: usize) {
+        self.0.fetch_sub(blocks, Ordering::Release);
+    }
+
+    fn is_empty(&self) -> bool {
+        self.0.load(Ordering::Acquire) == 0
+    }
+}
+
 /// Blocks in groups that are verified together, and told to be executed together.
 fn in_turns(entries: &[Entry]) -> impl Iterator<Item = &[Entry]> {
     let mut bytes = 0;
@@ -101,6 +120,16 @@ fn in_turns(entries: &[Entry]) -> impl Iterator<Item = &[Entry]> {
     })
 }
 
+/// What else is going on when blocks are to be executed.
+pub(super) struct Circumstances {
+    /// Somebody waits for what the order thread does next: a leader, for what a voter that follows writes.
+    pub(super) awaited: bool,
+    /// Inputs wait: they are to be ordered while the other thread executes.
+    pub(super) inputs_wait: bool,
+    /// The execute thread has executed everything it was given.
+    pub(super) other_is_idle: bool,
+}
+
 /// What the order thread may execute itself.
 #[derive(Default)]
 pub(super) struct InPlace {
@@ -109,11 +138,17 @@ pub(super) struct InPlace {
 }
 
 impl InPlace {
-    /// Are these blocks to be executed in place, as far as they themselves and those before them tell?
-    pub(super) fn allows(&mut self, entries: &[Entry]) -> bool {
-        let allows = self.not_before == 0;
+    /// Are these blocks to be executed in place?
+    pub(super) fn allows(&mut self, entries: &[Entry], now: &Circumstances) -> bool {
+        if now.awaited {
+            return false;
+        }
+        let quick = self.not_before == 0;
         self.not_before = self.not_before.saturating_sub(1);
-        allows && entries.iter().map(|entry| entry.data.len()).sum::<usize>() <= IN_PLACE_BYTES_MAX
+        quick
+            && !now.inputs_wait
+            && now.other_is_idle
+            && entries.iter().map(|entry| entry.data.len()).sum::<usize>() <= IN_PLACE_BYTES_MAX
     }
 
     /// Executing them took so long.
@@ -171,17 +206,46 @@ mod tests {
         (1..).map(entry).take(count).collect()
     }
 
+    /// Nothing speaks against executing in place.
+    const QUIET: Circumstances = Circumstances { awaited: false, inputs_wait: false, other_is_idle: true };
+
+    #[test]
+    fn nothing_is_executed_in_place_while_the_other_thread_executes() {
+        let given = Given::default();
+        let at_the_other_thread = given.clone();
+        assert!(given.is_empty());
+        given.add(3);
+        at_the_other_thread.remove(2);
+        assert!(!given.is_empty(), "one is not executed yet");
+        at_the_other_thread.remove(1);
+        assert!(given.is_empty());
+        let busy = Circumstances { other_is_idle: false, ..QUIET };
+        assert!(!InPlace::default().allows(&blocks(1, 400), &busy));
+    }
+
+    #[test]
+    fn a_voter_that_follows_writes_and_does_not_execute_in_place() {
+        let awaited = Circumstances { awaited: true, ..QUIET };
+        assert!(!InPlace::default().allows(&blocks(1, 400), &awaited));
+    }
+
+    #[test]
+    fn what_waits_is_ordered_before_anything_is_executed_in_place() {
+        let inputs_wait = Circumstances { inputs_wait: true, ..QUIET };
+        assert!(!InPlace::default().allows(&blocks(1, 400), &inputs_wait));
+    }
+
     #[test]
     fn a_slow_chaincode_leaves_the_next_blocks_to_the_other_thread() {
         let mut in_place = InPlace::default();
-        assert!(in_place.allows(&blocks(1, 400)));
+        assert!(in_place.allows(&blocks(1, 400), &QUIET));
         in_place.took(IN_PLACE_TIME_MAX);
-        assert!(in_place.allows(&blocks(1, 400)), "that was quick enough");
+        assert!(in_place.allows(&blocks(1, 400), &QUIET), "that was quick enough");
         in_place.took(IN_PLACE_TIME_MAX * 2);
         for left in (0..HANDED_OVER_AFTERWARDS).rev() {
-            assert!(!in_place.allows(&blocks(1, 400)), "{left} left");
+            assert!(!in_place.allows(&blocks(1, 400), &QUIET), "{left} left");
         }
-        assert!(in_place.allows(&blocks(1, 400)));
+        assert!(in_place.allows(&blocks(1, 400), &QUIET));
     }
 
     #[test]
@@ -198,8 +262,8 @@ mod tests {
     #[test]
     fn much_is_not_executed_in_place() {
         let mut in_place = InPlace::default();
-        assert!(in_place.allows(&blocks(2, IN_PLACE_BYTES_MAX / 2)));
-        assert!(!in_place.allows(&blocks(1, IN_PLACE_BYTES_MAX + 1)));
-        assert!(!in_place.allows(&blocks(3, IN_PLACE_BYTES_MAX / 2)));
+        assert!(in_place.allows(&blocks(2, IN_PLACE_BYTES_MAX / 2), &QUIET));
+        assert!(!in_place.allows(&blocks(1, IN_PLACE_BYTES_MAX + 1), &QUIET));
+        assert!(!in_place.allows(&blocks(3, IN_PLACE_BYTES_MAX / 2), &QUIET));
     }
 }

@@ -1,7 +1,7 @@
 //! The order thread: owns the engine, writes the log.
 
 use super::Shared;
-use super::execute::{Execute, InPlace};
+use super::execute::{Circumstances, Execute, InPlace};
 use super::inbox::Inbox;
 use crate::catch_up::Behind;
 use crate::slice;
@@ -115,22 +115,25 @@ impl Order {
             }
             slice::adapt(taken >= MANY_INPUTS);
             // What waits already is to be ordered while the other thread executes.
-            if !(self.write() && self.execute(inputs.is_empty())) {
+            if !(self.write() && self.execute(!inputs.is_empty())) {
                 return;
             }
         }
         self.flush_due = Instant::now();
-        let _stopping = self.write() && self.execute(false);
+        let _stopping = self.write() && self.execute(true);
     }
 
     /// Executes what was committed, or has it executed: a little of it in place if nothing else is to be done, as waking
     /// the other thread takes longer. False if the node cannot go on.
-    fn execute(&mut self, nothing_waits: bool) -> bool {
+    fn execute(&mut self, inputs_wait: bool) -> bool {
         let entries = std::mem::take(&mut self.committed);
         let Some(height) = entries.last().map(|entry| entry.index) else { return true };
-        // The leader waits for what a voter that follows writes, not for what it executes.
-        let awaited = self.engine.is_voter() && !self.leading;
-        if awaited || !(self.in_place.allows(&entries) && nothing_waits && self.execute.is_idle()) {
+        let now = Circumstances {
+            awaited: self.engine.is_voter() && !self.leading,
+            inputs_wait,
+            other_is_idle: self.execute.is_idle(),
+        };
+        if !self.in_place.allows(&entries, &now) {
             self.execute.hand_over(&self.blocks, entries);
             return true;
         }
