@@ -27,8 +27,9 @@ const THREADS_MAX: usize = 2;
 const LINGER: Duration = Duration::from_micros(300);
 /// How long a processor spins until it shows that it is idle.
 const SPIN: Duration = Duration::from_micros(100);
-/// How long it shows it: long enough that the kernel lets it take over work, too short to fall asleep in earnest.
-const PAUSE: Duration = Duration::from_micros(5);
+/// How long it shows it: long enough that the kernel lets it take over work (it does not look for any if a processor is
+/// usually idle for less than looking takes, tens of microseconds), too short to fall asleep in earnest.
+const PAUSE: Duration = Duration::from_micros(20);
 /// Spins between two looks at the clock.
 const SPINS_PER_LOOK: u32 = 32;
 
