@@ -6,7 +6,7 @@
 //! `SCHED_IDLE` (sched(7)) spin: the kernel runs them only where nothing else wants to run, and puts them aside at once
 //! when something does. While nothing is in flight they are parked and cost nothing.
 //!
-//! They pause often, for a few microseconds. A processor takes over what waits behind another one when it becomes idle,
+//! They pause often, for some microseconds. A processor takes over what waits behind another one when it becomes idle,
 //! which one that spins never does: without the pauses a ready thread could wait for the next tick of the scheduler, 4 ms.
 
 use rustix::thread::set_current_timer_slack;
