@@ -2,7 +2,7 @@
 
 use crate::config::{Config, Log};
 use crate::node::{Ended, NodeBuilder};
-use crate::{demo, dev, join, memory, setup, telemetry};
+use crate::{demo, dev, join, memory, setup, telemetry, verify};
 use clap::{Parser, Subcommand};
 use ledger::{Class, Code, Rejection};
 use ledger_api::report;
@@ -41,11 +41,12 @@ enum Command {
     Join(join::JoinOptions),
     /// Joins a ROS 2 graph to the ledger through a remote gateway.
     Bridge(WithConfig),
-    /// Verifies the data directory of a stopped node, with the chaincodes of this program.
-    Verify {
-        /// The data directory.
-        directory: PathBuf,
-    },
+    /// Checks the chain of a stopped node or of an archive: every hash, every signature, every verdict executed again.
+    ///
+    /// Nothing that the node has computed is trusted. What nodes have attested is compared. Exits with 1 and names the
+    /// first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the others. Blocks
+    /// that call a chaincode of your own are verified by the program that has that chaincode.
+    Verify(verify::Options),
 }
 
 #[derive(clap::Args)]
@@ -110,13 +111,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             telemetry::start(&Log::default());
             block_on_with(1, async move { ros_bridge::run(&config, stop_signal()).await })
         }
-        Command::Verify { directory } => {
-            let report = ledger::verify::verify_directory(&directory, &builder.registry()?)?;
-            let text = serde_json::to_string_pretty(&report)
-                .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-            print_line(&text);
-            Ok(())
-        }
+        Command::Verify(options) => verify::run(builder, &options),
     }
 }
 

@@ -32,6 +32,7 @@
 //! | `identity` | which of the network's nodes this is |
 //! | `renewal` | the node's certificate, renewed before it runs out |
 //! | `setup`, `join` | founding a network; bringing a node into one |
+//! | `verify` | checking a chain offline |
 //! | `housekeeping`, `scrub` | what is done beside the work; reading old blocks to find damage |
 //! | `awake`, `slice`, `memory` | processors that may not sleep yet; short turns on them; memory that goes back |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
@@ -67,6 +68,7 @@ mod signer;
 mod slice;
 mod stores;
 mod telemetry;
+mod verify;
 mod waiters;
 mod witness;
 

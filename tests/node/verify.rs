@@ -1,5 +1,6 @@
-//! `ledgerctl verify`: whatever is changed in a node's directory is found, and its place named.
+//! `ledgerd verify`: whatever is changed in a node's directory is found, and its place named.
 
+use crate::support::ctl::verify;
 use crate::support::network::{message, register_robots};
 use crate::support::{Fleet, connect};
 use ledger::block::Payload;
@@ -54,8 +55,7 @@ async fn stopped() -> (Fleet, PathBuf) {
     for seq in 0..12 {
         client.invoke("abac", "set", message(0, seq, b"forward")).await.unwrap();
     }
-    let words = ["verify", &fleet.nodes[0].data.to_string_lossy()];
-    fleet.ctl().run(&words).refused(3, &["LGR-7002", "stop the node"]);
+    verify(&fleet.nodes[0].data).refused(3, &["LGR-7002", "stop the node"]);
     node.check();
     node.interrupt();
     let segment = fleet.nodes[0].segments().remove(0);
@@ -65,17 +65,16 @@ async fn stopped() -> (Fleet, PathBuf) {
 #[tokio::test]
 async fn a_right_directory_is_right_and_a_running_node_or_another_directory_is_an_error() {
     let (fleet, _) = stopped().await;
-    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
-    let report = fleet.ctl().json(&["verify", &data]);
+    let data = fleet.nodes[0].data.clone();
+    let report = verify(&data).ok().json();
     assert_eq!((&report["ok"], &report["transactions"]), (&true.into(), &13.into()));
     assert_eq!(report["verdicts"]["OK"], 13);
     assert_eq!(report["state_compared"], true);
-    let home = fleet.home().to_string_lossy().into_owned();
-    fleet.ctl().run(&["verify", &home]).refused(3, &["LGR-7002", "genesis.json"]);
-    fleet.ctl().run(&["verify", "/nowhere"]).refused(3, &["LGR-7002", "/nowhere"]);
+    verify(&fleet.home()).refused(3, &["LGR-7002", "genesis.json"]);
+    verify("/nowhere".as_ref()).refused(3, &["LGR-7002", "/nowhere"]);
     // Without the state there is less to compare, and still everything to execute.
     fs::remove_dir_all(fleet.nodes[0].data.join("state")).unwrap();
-    let report = fleet.ctl().json(&["verify", &data]);
+    let report = verify(&data).ok().json();
     // The log itself may not know yet that its last block is committed; then that one is only counted.
     let seen = report["transactions"].as_u64().unwrap() + report["uncommitted"].as_u64().unwrap();
     assert_eq!((seen, &report["state_compared"]), (13, &false.into()));
@@ -85,7 +84,7 @@ async fn a_right_directory_is_right_and_a_running_node_or_another_directory_is_a
 #[tokio::test]
 async fn every_changed_byte_is_found_and_its_place_named() {
     let (fleet, path) = stopped().await;
-    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let data = fleet.nodes[0].data.clone();
     let file = path.file_name().unwrap().to_string_lossy().into_owned();
     let right = fs::read(&path).unwrap();
     let (_, _, records) = read(&right);
@@ -97,10 +96,10 @@ async fn every_changed_byte_is_found_and_its_place_named() {
         let mut wrong = right.clone();
         wrong[place as usize] ^= 0x04;
         fs::write(&path, &wrong).unwrap();
-        let told = fleet.ctl().run(&["verify", &data]);
+        let told = verify(&data);
         if told.code == 0 && place >= records.last().unwrap().offset {
             // Nothing after it proves that it was written as a whole: a torn tail, and nothing was promised by it.
-            assert!(told.stdout.contains("torn"), "{told:?}");
+            assert!(told.json()["torn_bytes"].as_u64() > Some(0), "{told:?}");
             continue;
         }
         let told = told.refused(1, &["LGR-500", &file, "byte"]);
@@ -121,7 +120,7 @@ fn number(text: &str) -> Option<u64> {
 #[tokio::test]
 async fn a_forger_who_makes_all_checksums_fit_is_found_out() {
     let (fleet, path) = stopped().await;
-    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let data = fleet.nodes[0].data.clone();
     let file = path.file_name().unwrap().to_string_lossy().into_owned();
     let right = fs::read(&path).unwrap();
     assert_eq!(
@@ -157,7 +156,7 @@ async fn a_forger_who_makes_all_checksums_fit_is_found_out() {
             fs::write(&path, write(right.clone(), &header, crc, &records)).unwrap();
             let byte = format!("{file} byte {offset}");
             // Without the state nothing is left to compare with: the signature alone shows that nobody signed this.
-            fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-5004", &byte]);
+            verify(&data).refused(1, &["LGR-5004", &byte]);
             faults += 1;
         }
     }
@@ -168,7 +167,7 @@ async fn a_forger_who_makes_all_checksums_fit_is_found_out() {
 #[tokio::test]
 async fn a_torn_tail_is_told_and_a_cut_before_what_was_durable_is_refused() {
     let (fleet, path) = stopped().await;
-    let data = fleet.nodes[0].data.to_string_lossy().into_owned();
+    let data = fleet.nodes[0].data.clone();
     let right = fs::read(&path).unwrap();
     let (_, _, records) = read(&right);
     // The last record is torn: nobody relied on it, or the state shows that somebody did.
@@ -176,7 +175,7 @@ async fn a_torn_tail_is_told_and_a_cut_before_what_was_durable_is_refused() {
     let mut torn = right.clone();
     torn[last.offset as usize + 20..].fill(0);
     fs::write(&path, &torn).unwrap();
-    let ran = fleet.ctl().run(&["verify", &data, "-o", "json"]);
+    let ran = verify(&data);
     match ran.code {
         0 => assert!(ran.json()["torn_bytes"].as_u64() > Some(0), "{ran:?}"),
         _ => drop(ran.refused(1, &["LGR-5004"])),
@@ -186,15 +185,15 @@ async fn a_torn_tail_is_told_and_a_cut_before_what_was_durable_is_refused() {
     let mut torn = right.clone();
     torn[middle.offset as usize + 30..middle.offset as usize + 40].fill(0);
     fs::write(&path, &torn).unwrap();
-    fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500", "byte"]);
+    verify(&data).refused(1, &["LGR-500", "byte"]);
     // The whole second half gone: the state has seen more.
     let mut torn = right.clone();
     torn[middle.offset as usize..].fill(0);
     fs::write(&path, &torn).unwrap();
-    fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-5004", "not there"]);
+    verify(&data).refused(1, &["LGR-5004", "not there"]);
     // The file itself shortened.
     fs::write(&path, &right[..middle.offset as usize + 3]).unwrap();
-    fleet.ctl().run(&["verify", &data]).refused(1, &["LGR-500"]);
+    verify(&data).refused(1, &["LGR-500"]);
     println!("verify: 4 cuts");
 }
 
@@ -208,8 +207,8 @@ async fn the_blocks_of_a_running_node_are_archived_and_the_archive_verifies_alon
     register_robots(&owner, "open").await;
     let client = connect(&salma).await;
     let image = vec![7; 40_000];
-    let (data, to) = (fleet.nodes[0].data.to_string_lossy().into_owned(), fleet.path().join("archive"));
-    let archive = ["ledger", "archive", &data, "--to", &to.to_string_lossy()];
+    let (data, to) = (fleet.nodes[0].data.clone(), fleet.path().join("archive"));
+    let archive = ["ledger", "archive", &data.to_string_lossy(), "--to", &to.to_string_lossy()];
     let mut last_height = 0;
     for round in 0..3 {
         for seq in 0..40 {
@@ -219,7 +218,7 @@ async fn the_blocks_of_a_running_node_are_archived_and_the_archive_verifies_alon
         assert!(archived["segments_copied"].as_u64() > Some(0), "{archived}");
         assert!(archived["last_height"].as_u64() > Some(last_height), "{archived}");
         last_height = archived["last_height"].as_u64().unwrap();
-        let report = fleet.ctl().json(&["verify", &to.to_string_lossy()]);
+        let report = verify(&to).ok().json();
         assert_eq!((&report["ok"], &report["first_height"]), (&true.into(), &1.into()));
         assert!(
             report["height"].as_u64().unwrap() + report["uncommitted"].as_u64().unwrap() == last_height,
@@ -228,6 +227,6 @@ async fn the_blocks_of_a_running_node_are_archived_and_the_archive_verifies_alon
     }
     node.check();
     node.interrupt();
-    assert_eq!(fleet.ctl().json(&["verify", &data])["transactions"], 121);
+    assert_eq!(verify(&data).ok().json()["transactions"], 121);
     println!("archive: up to block {last_height}");
 }

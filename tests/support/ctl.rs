@@ -1,4 +1,4 @@
-//! One run of `ledgerctl`, as a user on a machine of their own.
+//! One run of `ledgerctl`, as a user on a machine of their own, and of `ledgerd verify`, as an auditor.
 
 use super::programs;
 use serde_json::Value;
@@ -54,18 +54,7 @@ impl Ctl {
     pub fn run_with<S: AsRef<OsStr>>(&self, arguments: &[S], input: &[u8]) -> Ran {
         let words: Vec<_> = arguments.iter().map(|word| word.as_ref().to_string_lossy()).collect();
         let line = format!("ledgerctl --context {:?} {}", self.context, words.join(" "));
-        let mut command = self.command(arguments);
-        command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
-        let mut child = command.spawn().expect("ledgerctl can be started");
-        // It may end without reading.
-        let _closed = child.stdin.take().expect("a pipe").write_all(input);
-        let done = child.wait_with_output().expect("ledgerctl ends");
-        Ran {
-            stdout: String::from_utf8(done.stdout).expect("text"),
-            stderr: String::from_utf8(done.stderr).expect("text"),
-            code: done.status.code().unwrap_or(-1),
-            line,
-        }
+        run(self.command(arguments), line, input)
     }
 
     /// Runs it with `-o json`; it must succeed with one value on standard output.
@@ -73,6 +62,27 @@ impl Ctl {
         let mut words: Vec<&OsStr> = arguments.iter().map(AsRef::as_ref).collect();
         words.extend([OsStr::new("-o"), OsStr::new("json")]);
         self.run(&words).ok().json()
+    }
+}
+
+/// `ledgerd verify DIR --json`, as an auditor runs it.
+pub fn verify(directory: &Path) -> Ran {
+    let mut command = Command::new(programs::ledgerd());
+    command.arg("verify").arg(directory).arg("--json").env_remove("RUST_LOG");
+    run(command, format!("ledgerd verify {}", directory.display()), b"")
+}
+
+fn run(mut command: Command, line: String, input: &[u8]) -> Ran {
+    command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut child = command.spawn().unwrap_or_else(|error| panic!("{line}: {error}"));
+    // It may end without reading.
+    let _closed = child.stdin.take().expect("a pipe").write_all(input);
+    let done = child.wait_with_output().expect("the program ends");
+    Ran {
+        stdout: String::from_utf8(done.stdout).expect("text"),
+        stderr: String::from_utf8(done.stderr).expect("text"),
+        code: done.status.code().unwrap_or(-1),
+        line,
     }
 }
 

@@ -8,7 +8,7 @@
 //! | `directory` | a copy of a stopped node's directory |
 //! | `small_disk` | a disk that can be full |
 //! | `dev` | `ledgerd dev` with its users |
-//! | `ctl` | one run of `ledgerctl` |
+//! | `ctl` | one run of `ledgerctl`, or of `ledgerd verify` |
 //! | `wire` | connections below the Rust client |
 //! | `wait` | conditions with a deadline, and a small source of random numbers |
 //!

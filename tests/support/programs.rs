@@ -26,7 +26,8 @@ pub fn ledgerctl() -> &'static Path {
 /// Builds `ledgerctl` into the directory of a profile (`target/debug`, `target/release`).
 fn build(profile: &Path) {
     let mut cargo = Command::new(env!("CARGO"));
-    cargo.args(["build", "--package", "ledgerctl", "--manifest-path"]);
+    // Together with the node: the same features of what both use, so that nothing is built twice.
+    cargo.args(["build", "--package", "ledgerctl", "--package", "ledgerd", "--manifest-path"]);
     cargo.arg(Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml"));
     cargo.arg("--target-dir").arg(profile.parent().expect("a target directory"));
     match profile.file_name().and_then(|name| name.to_str()) {

@@ -1,16 +1,18 @@
 //! Who may: asks the owner's policies, remembers the answers, and explains refusals.
 
 use crate::arguments::{Arguments, shown};
+use crate::conflict;
 use crate::grant::{self, Holding, Principal, mode_name};
 use crate::nearest::did_you_mean;
 use crate::policies;
 use crate::policy::{Answer, Engine, Question, Resource, User, Verdict};
 use crate::publish;
 use crate::records::Records;
-use crate::service::{self, Direction, Offered, Target};
+use crate::service::{self, Offered, Target};
 use crate::store;
 use ledger::identity::{Identity, Role};
 use ledger::{Bytes, Code, Context, Event, Hash, Rejection};
+use ledger_contract::Direction;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -243,7 +245,8 @@ pub(crate) fn may_publish(
     target: &Target,
     epoch: Option<u64>,
 ) -> Result<Option<Arc<Holding>>, Rejection> {
-    let by_policy = !target.service.mode.rule().publishing_needs_grant() && epoch.is_none_or(|epoch| epoch == 0);
+    let by_policy =
+        !conflict::rule(target.service.mode).publishing_needs_grant() && epoch.is_none_or(|epoch| epoch == 0);
     if !by_policy
         && let Some(own) = decider.held(ctx, target, submitter)?
         && epoch.is_none_or(|epoch| epoch == own.grant.epoch)

@@ -1,7 +1,7 @@
 //! Who wins when several may: the rules behind a service's mode.
 
-use crate::grant::{Grant, Principal};
-use crate::service::Mode;
+use crate::grant::Principal;
+use ledger_contract::{Grant, Mode};
 
 /// Decides between one who may have a service and those who have it. A rule is pure: the same contender and
 /// holders give the same outcome on every node.
@@ -52,12 +52,10 @@ impl ConflictRule for Exclusive {
     }
 }
 
-impl Mode {
-    /// The rule of this mode.
-    pub(crate) fn rule(self) -> &'static dyn ConflictRule {
-        match self {
-            Self::Open => &Open,
-            Self::Exclusive => &Exclusive,
-        }
+/// The rule of a mode.
+pub(crate) fn rule(mode: Mode) -> &'static dyn ConflictRule {
+    match mode {
+        Mode::Open => &Open,
+        Mode::Exclusive => &Exclusive,
     }
 }

@@ -5,73 +5,22 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::authorize::{self, Decider};
-use crate::conflict::Outcome;
+use crate::conflict::{self, Outcome};
 use crate::publish;
 use crate::revoke;
 use crate::robot;
-use crate::service::{self, LEASE_MS_MIN, Mode, Target};
+use crate::service::{self, LEASE_MS_MIN, Target};
 use crate::store;
 use crate::timestamp::rfc3339;
 use ledger::identity::{Identity, Role};
 use ledger::mutation::{Mutation, active, lease_clock};
 use ledger::{Bytes, Code, Context, Hash, Rejection};
+use ledger_contract::{Grant, Mode, Reason, Released};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// Most holders of one open service.
 pub(crate) const HOLDERS_MAX: usize = 256;
-
-/// The right to use a service for a while.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Grant {
-    /// The service, e.g. `Turtlebot4/cmd_vel`.
-    pub service: String,
-    /// Who holds it, e.g. `Org1/Salma`.
-    pub holder: String,
-    /// The fencing token: grows by one with every grant of the service and never comes again.
-    pub epoch: u64,
-    /// When it ends unless renewed or used (block time, microseconds).
-    pub expires: u64,
-    /// How many may hold the service at once.
-    pub mode: Mode,
-    /// When it began (block time, microseconds).
-    pub acquired_at: u64,
-    /// By how much a renewal extends it, in milliseconds.
-    pub lease_ms: u64,
-    /// The smallest sequence number that `set` accepts from the holder; a restarted bridge goes on from here.
-    pub next_seq: u64,
-}
-
-/// Why a grant ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Reason {
-    /// Its holder gave it back.
-    Released,
-    /// Its lease ran out.
-    Expired,
-    /// Its holder's certificate was revoked.
-    Revoked,
-    /// The owner took the service back, or its mode no longer admits this holder.
-    Taken,
-    /// The robot or the service was taken out of service.
-    RobotRemoved,
-    /// The owner's policies or the robot's requirements no longer permit it.
-    Policy,
-}
-
-/// Payload of the event `released`: the robot's bridge publishes the stop message on every one.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Released {
-    /// The service.
-    pub service: String,
-    /// Who held it.
-    pub holder: String,
-    /// The epoch that ended.
-    pub epoch: u64,
-    /// Why.
-    pub reason: Reason,
-}
 
 /// What decides about an identity. Kept with a grant, so that the grant can be judged again when policies change.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -245,7 +194,7 @@ pub(crate) fn may_acquire(
         return Ok(Some(own));
     }
     let grants: Vec<&Grant> = others.iter().map(|holding| &holding.grant).collect();
-    match target.service.mode.rule().resolve(principal, &grants) {
+    match conflict::rule(target.service.mode).resolve(principal, &grants) {
         Outcome::Held(grant) => Err(held(target, grant)),
         Outcome::Granted if grants.len() >= HOLDERS_MAX => {
             Err(Rejection::new(Code::LimitExceeded, format!("{} has no room for another holder", target.id))

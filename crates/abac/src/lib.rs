@@ -52,9 +52,9 @@ mod timestamp;
 
 pub use authorize::{Authorization, Caller};
 pub use contract::AccessControl;
-pub use grant::{Grant, Reason, Released};
-pub use policies::{PolicyChange, PolicyEntry};
+pub use ledger_contract::{
+    Direction, Grant, MessageEvent, Mode, PolicyChange, PolicyEntry, Published, Reason, Released, RobotAsset,
+    RobotEvent, RobotSpec, ServiceSpec, ServiceState,
+};
 pub use policy::{DEFAULT_POLICY, POLICY_BYTES_MAX, SCHEMA};
-pub use publish::{MESSAGES_PER_CALL_MAX, MessageEvent, Published};
-pub use robot::{RobotAsset, RobotEvent, RobotSpec};
-pub use service::{Direction, Mode, ServiceSpec, ServiceState};
+pub use publish::MESSAGES_PER_CALL_MAX;

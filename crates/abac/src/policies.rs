@@ -2,12 +2,12 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::authorize::Decider;
-use crate::grant::Released;
 use crate::policy::{DEFAULT_POLICY, POLICY_BYTES_MAX, Texts};
 use crate::revoke;
 use crate::robot;
 use crate::store;
 use ledger::{Bytes, Code, Context, Hash, Rejection};
+use ledger_contract::{PolicyChange, PolicyEntry};
 use serde::{Deserialize, Serialize};
 
 /// Most policies of one organisation.
@@ -23,33 +23,6 @@ const _: () = assert!(POLICY_BYTES_MAX < DOCUMENT_BYTES_MAX);
 const DEFAULT_ID: &str = "default";
 
 const USAGE: &str = "policy put ID TEXT | policy remove ID";
-
-/// A policy, as `policies` lists it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PolicyEntry {
-    /// The organisation about whose robots it decides; empty for the built-in one, which decides about the robots
-    /// of every organisation that has no policy of its own.
-    pub organisation: String,
-    /// Its id within the organisation.
-    pub id: String,
-    /// Cedar.
-    pub text: String,
-}
-
-/// Answer of `policy put` and `policy remove`, and payload of the event `policy`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct PolicyChange {
-    /// The organisation whose policies changed.
-    pub organisation: String,
-    /// The policy that changed.
-    pub id: String,
-    /// `put` or `removed`.
-    pub change: String,
-    /// Is the built-in policy in force now, because the organisation has none of its own?
-    pub default_in_force: bool,
-    /// The grants that the change ended. If they are very many, the rest ends with the next blocks.
-    pub ended: Vec<Released>,
-}
 
 /// `policy put ID TEXT`, `policy remove ID`: by an admin, for the robots of their organisation.
 pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {

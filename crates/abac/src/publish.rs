@@ -5,11 +5,13 @@
 
 use crate::arguments::Arguments;
 use crate::authorize::{self, Decider};
+use crate::conflict;
 use crate::contract::NAME;
 use crate::grant;
 use crate::service::Target;
 use crate::store;
 use ledger::{Bytes, Code, Context, Event, Foretold, Rejection};
+use ledger_contract::{MessageEvent, Published};
 use serde::{Deserialize, Serialize};
 
 /// Most messages of one `set`.
@@ -30,26 +32,6 @@ struct Last {
     publisher: String,
     /// How many messages its transaction holds; their sequence numbers end with `seq`.
     count: u64,
-}
-
-/// Answer of `set`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Published {
-    /// The epoch the messages were published under; 0 without a grant.
-    pub epoch: u64,
-    /// The smallest sequence number that the next `set` may start with.
-    pub next_seq: u64,
-}
-
-/// Payload of the event `message`, whose subject is the service; the messages are arguments of the transaction.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct MessageEvent {
-    /// The epoch they were published under; 0 without a grant.
-    pub epoch: u64,
-    /// Sequence number of the first one.
-    pub first_seq: u64,
-    /// How many they are.
-    pub count: u64,
 }
 
 const USAGE: &str = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
@@ -104,12 +86,12 @@ pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
 /// has one publisher; an open one counts for each publisher, whatever the epoch.
 pub(crate) fn next_sequence(ctx: &Context<'_>, target: &Target, epoch: u64, publisher: &str) -> Result<u64, Rejection> {
     let last: Option<Last> = store::read(ctx, &last_message_key(target, publisher))?;
-    let counts_on = |last: &Last| last.epoch == epoch || !target.service.mode.rule().publishing_needs_grant();
+    let counts_on = |last: &Last| last.epoch == epoch || !conflict::rule(target.service.mode).publishing_needs_grant();
     Ok(last.filter(counts_on).map_or(0, |last| last.seq + 1))
 }
 
 fn last_message_key(target: &Target, publisher: &str) -> Vec<u8> {
-    let shared = target.service.mode.rule().publishing_needs_grant();
+    let shared = conflict::rule(target.service.mode).publishing_needs_grant();
     store::last_key(&target.id, (!shared).then_some(publisher))
 }
 

@@ -5,12 +5,13 @@
 //! at once; the following blocks sweep them up and tell why they ended.
 
 use crate::authorize::{self, Decider};
-use crate::conflict::Outcome;
-use crate::grant::{self, Holding, Reason, Released};
+use crate::conflict::{self, Outcome};
+use crate::grant::{self, Holding};
 use crate::robot::{self, Robot, SERVICES_MAX};
 use crate::service::Target;
 use crate::store;
 use ledger::{Context, Rejection, Revocation};
+use ledger_contract::{Reason, Released};
 
 /// Most grants that one call or the start of one block ends with an event each.
 const ENDINGS_MAX: usize = 256;
@@ -142,7 +143,7 @@ fn unfit(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<Ve
         let grants: Vec<_> = stay.iter().map(|holding| &holding.grant).collect();
         if authorize::may_hold(ctx, decider, &holding.principal, target).is_err() {
             ending.push((holding, Reason::Policy));
-        } else if matches!(target.service.mode.rule().resolve(&holding.principal, &grants), Outcome::Held(_)) {
+        } else if matches!(conflict::rule(target.service.mode).resolve(&holding.principal, &grants), Outcome::Held(_)) {
             ending.push((holding, Reason::Taken));
         } else {
             if holding.grant.mode != target.service.mode {

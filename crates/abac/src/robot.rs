@@ -2,13 +2,14 @@
 
 use crate::arguments::{Arguments, shown};
 use crate::authorize::Decider;
-use crate::grant::{self, Holding, Reason};
+use crate::grant::{self, Holding};
 use crate::nearest::did_you_mean;
 use crate::revoke;
-use crate::service::{Direction, Service, ServiceSpec, ServiceState, Target};
+use crate::service::{Service, Target};
 use crate::store;
 use ledger::identity::{Identity, Role};
 use ledger::{Bytes, Code, Context, Hash, Rejection};
+use ledger_contract::{Direction, Reason, RobotAsset, RobotEvent, RobotSpec, ServiceSpec};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -27,22 +28,6 @@ const SPEC_BYTES_MAX: usize = 256 * 1024;
 /// Most robots of one `setup`.
 const ROBOTS_PER_SETUP_MAX: usize = 64;
 
-/// A robot as its owner describes it in `setup`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RobotSpec {
-    /// Letters, digits, `_`, `-` and `.`.
-    pub name: String,
-    /// The attribute a user's certificate must carry: `KEY=VALUE`, or `KEY` for `KEY=true`.
-    pub attribute_required: String,
-    /// Organisations whose attributes count. By default those that are members when the robot is first registered,
-    /// so that an organisation that joins later cannot grant itself access.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub trusted: Option<Vec<String>>,
-    /// What it offers.
-    pub services: Vec<ServiceSpec>,
-}
-
 /// A registered robot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Robot {
@@ -57,45 +42,6 @@ pub(crate) struct Robot {
     pub(crate) services: Vec<Service>,
     /// Hash over all of the above: names this state of the robot in caches.
     pub(crate) version: Hash,
-}
-
-/// The asset of the paper, with its field names, and what we know beyond it.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RobotAsset {
-    /// The robot's name.
-    #[serde(rename = "Name")]
-    pub name: String,
-    /// The topics it subscribes to (command services), separated by commas.
-    #[serde(rename = "SubTopic")]
-    pub sub_topic: String,
-    /// The topics it publishes (feeds), separated by commas.
-    #[serde(rename = "PubTopic")]
-    pub pub_topic: String,
-    /// Who operates it, e.g. `Org1/Salma`: the oldest holder of a command service; empty if there is none.
-    #[serde(rename = "owner")]
-    pub operator: String,
-    /// Is it under operation?
-    #[serde(rename = "UnderOp")]
-    pub under_operation: bool,
-    /// The organisation that owns it.
-    pub organisation: String,
-    /// The attribute a user's certificate must carry, `KEY=VALUE`.
-    pub attribute_required: String,
-    /// Organisations whose attributes count.
-    pub trusted: Vec<String>,
-    /// What it offers and who holds it.
-    pub services: Vec<ServiceState>,
-}
-
-/// Payload of the event `robot`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct RobotEvent {
-    /// The robot's name.
-    pub robot: String,
-    /// The organisation that owns it.
-    pub organisation: String,
-    /// `registered`, `updated` or `removed`.
-    pub change: String,
 }
 
 impl Robot {
@@ -303,7 +249,7 @@ fn check_services(robot: &str, specs: Vec<ServiceSpec>) -> Result<Vec<Service>, 
             .found(format!("{} services", specs.len()))
             .wanted(format!("1 to {SERVICES_MAX}")));
     }
-    let services = specs.into_iter().map(ServiceSpec::check).collect::<Result<Vec<_>, _>>()?;
+    let services = specs.into_iter().map(Service::check).collect::<Result<Vec<_>, _>>()?;
     let mut topics = BTreeSet::new();
     for service in &services {
         if !topics.insert(&service.topic) {

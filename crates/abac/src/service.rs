@@ -1,11 +1,12 @@
 //! Services: the right to publish or subscribe on one topic of a robot.
 
 use crate::arguments::shown;
-use crate::grant::{self, Grant};
+use crate::grant;
 use crate::nearest::did_you_mean;
 use crate::robot::{self, Robot};
 use crate::store;
 use ledger::{Code, Context, Rejection};
+use ledger_contract::{Direction, Grant, Mode, ServiceSpec, ServiceState};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -29,57 +30,6 @@ const STOP_BYTES_MAX: usize = 64 * 1024;
 const _: () = assert!(LEASE_MS_MIN < LEASE_MS_DEFAULT && LEASE_MS_DEFAULT < LEASE_MS_MAX_DEFAULT);
 const _: () = assert!(LEASE_MS_MAX_DEFAULT < LEASE_MS_MAX && AGE_MS_DEFAULT < AGE_MS_MAX);
 
-/// How many may use a service at once.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mode {
-    /// Everybody whom policies permit.
-    Open,
-    /// One holder of a grant at a time.
-    Exclusive,
-}
-
-/// Which way messages go.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Direction {
-    /// Users publish, the robot subscribes, e.g. `/cmd_vel`.
-    #[default]
-    Command,
-    /// The robot publishes, users subscribe, e.g. the poses of a motion capture system.
-    Feed,
-}
-
-/// A service as its owner describes it in `setup`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ServiceSpec {
-    /// The ROS 2 topic with its leading slash.
-    pub topic: String,
-    /// The ROS 2 type, e.g. `geometry_msgs/msg/Twist`.
-    #[serde(rename = "type")]
-    pub type_name: String,
-    /// How many may use it at once; by default `exclusive` for commands and `open` for feeds.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub mode: Option<Mode>,
-    /// Which way messages go.
-    #[serde(default)]
-    pub direction: Direction,
-    /// Age (milliseconds) beyond which the robot drops a message; 1000 by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub max_age_ms: Option<u64>,
-    /// Lease (milliseconds) of a grant that asks for none; 10000 by default.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub lease_ms: Option<u64>,
-    /// Longest lease (milliseconds) that may be asked for; ten minutes, or `lease_ms` if that is longer.
-    #[serde(default, skip_serializing_if = "Option::is_none", alias = "lease_max")]
-    pub lease_ms_max: Option<u64>,
-    /// The message, CDR with its encapsulation header, in hexadecimal digits, that stops the robot; the bridge
-    /// knows those of common types.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub stop_hex: Option<String>,
-}
-
 /// A registered service: a [`ServiceSpec`] with every default filled in.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Service {
@@ -94,48 +44,12 @@ pub(crate) struct Service {
     pub(crate) stop_hex: Option<String>,
 }
 
-/// A service and who holds it: the answer of `service`, and part of [`crate::RobotAsset`].
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct ServiceState {
-    /// Its id, e.g. `Turtlebot4/cmd_vel`.
-    pub service: String,
-    /// The robot that offers it.
-    pub robot: String,
-    /// The organisation that owns the robot.
-    pub organisation: String,
-    /// The ROS 2 topic.
-    pub topic: String,
-    /// The ROS 2 type.
-    #[serde(rename = "type")]
-    pub type_name: String,
-    /// How many may use it at once.
-    pub mode: Mode,
-    /// Which way messages go.
-    pub direction: Direction,
-    /// Age (milliseconds) beyond which the robot drops a message.
-    pub max_age_ms: u64,
-    /// Lease (milliseconds) of a grant that asks for none.
-    pub lease_ms: u64,
-    /// Longest lease (milliseconds) that may be asked for.
-    pub lease_ms_max: u64,
-    /// The message that stops the robot, if the owner gave one.
-    pub stop_hex: Option<String>,
-    /// The oldest holder, e.g. `Org1/Salma`; empty if there is none.
-    pub holder: String,
-    /// All holders, oldest grant first.
-    pub holders: Vec<String>,
-    /// The newest epoch ever given; 0 before the first grant.
-    pub epoch: u64,
-    /// When the grant of `holder` expires (block time, microseconds); 0 if there is none.
-    pub expires: u64,
-}
-
-impl ServiceSpec {
-    /// Checks everything and fills in the defaults.
-    pub(crate) fn check(self) -> Result<Service, Rejection> {
-        check_topic(&self.topic)?;
-        check_type(&self.type_name)?;
-        let topic = &self.topic;
+impl Service {
+    /// Checks everything that an owner describes and fills in the defaults.
+    pub(crate) fn check(spec: ServiceSpec) -> Result<Self, Rejection> {
+        check_topic(&spec.topic)?;
+        check_type(&spec.type_name)?;
+        let topic = &spec.topic;
         let within = |field: &str, value: u64, min: u64, max: u64| {
             if (min..=max).contains(&value) {
                 return Ok(value);
@@ -144,12 +58,12 @@ impl ServiceSpec {
                 .found(format!("{value} ms"))
                 .wanted(format!("{min} to {max} ms")))
         };
-        let max_age_ms = within("max_age_ms", self.max_age_ms.unwrap_or(AGE_MS_DEFAULT), 1, AGE_MS_MAX)?;
-        let lease_ms = self.lease_ms.or(self.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));
+        let max_age_ms = within("max_age_ms", spec.max_age_ms.unwrap_or(AGE_MS_DEFAULT), 1, AGE_MS_MAX)?;
+        let lease_ms = spec.lease_ms.or(spec.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));
         let lease_ms = within("lease_ms", lease_ms.unwrap_or(LEASE_MS_DEFAULT), LEASE_MS_MIN, LEASE_MS_MAX)?;
-        let longest = self.lease_ms_max.unwrap_or(LEASE_MS_MAX_DEFAULT.max(lease_ms));
+        let longest = spec.lease_ms_max.unwrap_or(LEASE_MS_MAX_DEFAULT.max(lease_ms));
         let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX)?;
-        if let Some(stop) = &self.stop_hex {
+        if let Some(stop) = &spec.stop_hex {
             let length = hex::decode(stop).map(|bytes| bytes.len()).unwrap_or_default();
             if !(4..=STOP_BYTES_MAX).contains(&length) {
                 return Err(Rejection::new(Code::BadArgument, format!("stop_hex of service {topic} is no message"))
@@ -157,19 +71,19 @@ impl ServiceSpec {
                     .wanted(format!("4 to {STOP_BYTES_MAX} bytes of CDR in hexadecimal digits")));
             }
         }
-        let mode = self.mode.unwrap_or(match self.direction {
+        let mode = spec.mode.unwrap_or(match spec.direction {
             Direction::Command => Mode::Exclusive,
             Direction::Feed => Mode::Open,
         });
-        Ok(Service {
-            topic: self.topic,
-            type_name: self.type_name,
+        Ok(Self {
+            topic: spec.topic,
+            type_name: spec.type_name,
             mode,
-            direction: self.direction,
+            direction: spec.direction,
             max_age_ms,
             lease_ms,
             lease_ms_max,
-            stop_hex: self.stop_hex,
+            stop_hex: spec.stop_hex,
         })
     }
 }

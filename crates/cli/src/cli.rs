@@ -2,7 +2,7 @@
 
 use crate::command::{
     chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, network, policy,
-    robot, verify, whoami,
+    robot, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -70,7 +70,6 @@ enum Command {
     Denials(denials::Denials),
     #[command(subcommand)]
     Ledger(ledger::Ledger),
-    Verify(verify::Verify),
     Explain(explain::Explain),
     Completions(completions::Completions),
 }
@@ -111,7 +110,6 @@ impl Cli {
             Command::Tx(command) => command.run(global, output).await,
             Command::Denials(command) => command.run(global, output).await,
             Command::Ledger(command) => command.run(output),
-            Command::Verify(command) => command.run(output),
             Command::Explain(command) => command.run(output),
             Command::Completions(command) => command.run(output),
         }
@@ -185,7 +183,6 @@ mod tests {
             "ledgerctl echo T/cmd_vel --from 1 --count 2 -o json",
             "ledgerctl invoke inventory add -5 - @f hex:00 -o json --context x",
             "ledgerctl query abac robots",
-            "ledgerctl verify /tmp/x",
             "ledgerctl tx 00",
         ] {
             Cli::try_parse_from(words(line)).unwrap_or_else(|error| panic!("{line}: {error}"));

@@ -13,5 +13,4 @@ pub(crate) mod message;
 pub(crate) mod network;
 pub(crate) mod policy;
 pub(crate) mod robot;
-pub(crate) mod verify;
 pub(crate) mod whoami;

@@ -113,7 +113,7 @@ fn version_and_help_go_to_standard_output_with_0() {
     assert_eq!(version.stdout, concat!("ledgerctl ", env!("CARGO_PKG_VERSION"), "\n"));
     let help = machine.run(&["--help"]);
     assert_eq!((help.code, help.stderr.as_str()), (0, ""));
-    for word in ["enroll", "acquire", "echo", "verify", "Exit codes", "--context", "LEDGERCTL_CONTEXT"] {
+    for word in ["enroll", "acquire", "echo", "explain", "Exit codes", "--context", "LEDGERCTL_CONTEXT"] {
         assert!(help.stdout.contains(word), "{word} in {}", help.stdout);
     }
 }
@@ -223,11 +223,6 @@ fn archiving_what_is_no_data_directory_ends_with_3_and_makes_nothing() {
     let words = ["ledger", "archive", "/nowhere/ledger", "--to", &to.to_string_lossy()];
     machine.run(&words).refused(3, "LGR-7002", &["/nowhere/ledger", "genesis.json"]);
     assert!(!to.exists());
-}
-
-#[test]
-fn verifying_what_is_no_directory_ends_with_3() {
-    Machine::new().run(&["verify", "/nowhere/ledger"]).refused(3, "LGR-7002", &["/nowhere/ledger"]);
 }
 
 #[test]

@@ -32,6 +32,7 @@ pub mod snapshot;
 pub mod state;
 pub mod transaction;
 mod verified;
+#[cfg(feature = "sled")]
 pub mod verify;
 pub mod writes;
 

@@ -11,10 +11,14 @@
 
 mod cache;
 mod memory;
+#[cfg(feature = "sled")]
+mod sled_store;
 mod store;
 
 pub use memory::MemoryState;
-pub use store::{SledStore, Store};
+#[cfg(feature = "sled")]
+pub use sled_store::SledStore;
+pub use store::Store;
 
 use self::cache::Cache;
 use crate::Hash;

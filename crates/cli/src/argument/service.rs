@@ -1,7 +1,7 @@
 //! A service on the command line: `TOPIC=TYPE[,mode=…][,direction=…][,lease=…][,lease-max=…][,max-age=…][,stop=HEX]`.
 
 use super::span::Milliseconds;
-use ledger_abac::{Direction, Mode, ServiceSpec};
+use ledger_contract::{Direction, Mode, ServiceSpec};
 
 /// What a service looks like, for messages.
 const WANTED: &str = "TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m]\

@@ -8,8 +8,8 @@ use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
 use crate::time;
 use ledger::Bytes;
-use ledger_abac::{Grant, Mode, Released};
 use ledger_api::Committed;
+use ledger_contract::{Grant, Mode, Released};
 use serde::Serialize;
 use std::io::{self, Write};
 

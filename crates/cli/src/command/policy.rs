@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
 use ledger::Bytes;
-use ledger_abac::{PolicyChange, PolicyEntry};
+use ledger_contract::{PolicyChange, PolicyEntry};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -8,7 +8,7 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::{json, time};
 use ledger::{Bytes, Code, Rejection};
-use ledger_abac::{Released, RobotAsset, RobotSpec, ServiceSpec};
+use ledger_contract::{Released, RobotAsset, RobotSpec, ServiceSpec};
 use serde::Serialize;
 use serde_json::value::RawValue;
 use std::io::{self, Write};

@@ -7,7 +7,7 @@ use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Copy the finished blocks of a node to an archive, which `ledgerctl verify` checks by itself.
+/// Copy the finished blocks of a node to an archive, which `ledgerd verify` checks by itself.
 ///
 /// The node may run meanwhile. Run it again to add what has been finished since: put it into a timer, and let `retention`
 /// of the node keep blocks for longer than that takes. Blocks that are still being written follow with the next run.

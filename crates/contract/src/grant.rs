@@ -1,0 +1,56 @@
+//! Grants: who holds a service until when, and how that ends.
+
+use crate::service::Mode;
+use serde::{Deserialize, Serialize};
+
+/// The right to use a service for a while.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Grant {
+    /// The service, e.g. `Turtlebot4/cmd_vel`.
+    pub service: String,
+    /// Who holds it, e.g. `Org1/Salma`.
+    pub holder: String,
+    /// The fencing token: grows by one with every grant of the service and never comes again.
+    pub epoch: u64,
+    /// When it ends unless renewed or used (block time, microseconds).
+    pub expires: u64,
+    /// How many may hold the service at once.
+    pub mode: Mode,
+    /// When it began (block time, microseconds).
+    pub acquired_at: u64,
+    /// By how much a renewal extends it, in milliseconds.
+    pub lease_ms: u64,
+    /// The smallest sequence number that `set` accepts from the holder; a restarted bridge goes on from here.
+    pub next_seq: u64,
+}
+
+/// Why a grant ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Reason {
+    /// Its holder gave it back.
+    Released,
+    /// Its lease ran out.
+    Expired,
+    /// Its holder's certificate was revoked.
+    Revoked,
+    /// The owner took the service back, or its mode no longer admits this holder.
+    Taken,
+    /// The robot or the service was taken out of service.
+    RobotRemoved,
+    /// The owner's policies or the robot's requirements no longer permit it.
+    Policy,
+}
+
+/// Payload of the event `released`: the robot's bridge publishes the stop message on every one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Released {
+    /// The service.
+    pub service: String,
+    /// Who held it.
+    pub holder: String,
+    /// The epoch that ended.
+    pub epoch: u64,
+    /// Why.
+    pub reason: Reason,
+}

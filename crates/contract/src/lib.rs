@@ -1,0 +1,23 @@
+//! The JSON that the chaincode `abac` and its clients share: what is asked for, answered, and told in events.
+//!
+//! Data only: what a field means stands here, what follows from it is decided in `crates/abac`. So a client such as
+//! `ledgerctl` reads the answers without linking the engine of the policies.
+//!
+//! ```
+//! let text = r#"{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"}"#;
+//! let service: ledger_contract::ServiceSpec = serde_json::from_str(text)?;
+//! assert_eq!(service.mode, Some(ledger_contract::Mode::Open));
+//! # Ok::<(), serde_json::Error>(())
+//! ```
+
+mod grant;
+mod message;
+mod policy;
+mod robot;
+mod service;
+
+pub use grant::{Grant, Reason, Released};
+pub use message::{MessageEvent, Published};
+pub use policy::{PolicyChange, PolicyEntry};
+pub use robot::{RobotAsset, RobotEvent, RobotSpec};
+pub use service::{Direction, Mode, ServiceSpec, ServiceState};

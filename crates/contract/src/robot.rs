@@ -1,0 +1,59 @@
+//! Robots: how their owner describes them, and how everybody sees them.
+
+use crate::service::{ServiceSpec, ServiceState};
+use serde::{Deserialize, Serialize};
+
+/// A robot as its owner describes it in `setup`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotSpec {
+    /// Letters, digits, `_`, `-` and `.`.
+    pub name: String,
+    /// The attribute a user's certificate must carry: `KEY=VALUE`, or `KEY` for `KEY=true`.
+    pub attribute_required: String,
+    /// Organisations whose attributes count. By default those that are members when the robot is first registered,
+    /// so that an organisation that joins later cannot grant itself access.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub trusted: Option<Vec<String>>,
+    /// What it offers.
+    pub services: Vec<ServiceSpec>,
+}
+
+/// The asset of the paper, with its field names, and what we know beyond it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RobotAsset {
+    /// The robot's name.
+    #[serde(rename = "Name")]
+    pub name: String,
+    /// The topics it subscribes to (command services), separated by commas.
+    #[serde(rename = "SubTopic")]
+    pub sub_topic: String,
+    /// The topics it publishes (feeds), separated by commas.
+    #[serde(rename = "PubTopic")]
+    pub pub_topic: String,
+    /// Who operates it, e.g. `Org1/Salma`: the oldest holder of a command service; empty if there is none.
+    #[serde(rename = "owner")]
+    pub operator: String,
+    /// Is it under operation?
+    #[serde(rename = "UnderOp")]
+    pub under_operation: bool,
+    /// The organisation that owns it.
+    pub organisation: String,
+    /// The attribute a user's certificate must carry, `KEY=VALUE`.
+    pub attribute_required: String,
+    /// Organisations whose attributes count.
+    pub trusted: Vec<String>,
+    /// What it offers and who holds it.
+    pub services: Vec<ServiceState>,
+}
+
+/// Payload of the event `robot`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RobotEvent {
+    /// The robot's name.
+    pub robot: String,
+    /// The organisation that owns it.
+    pub organisation: String,
+    /// `registered`, `updated` or `removed`.
+    pub change: String,
+}

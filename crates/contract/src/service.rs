@@ -1,0 +1,90 @@
+//! Services: the right to publish or subscribe on one topic of a robot.
+
+use serde::{Deserialize, Serialize};
+
+/// How many may use a service at once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Mode {
+    /// Everybody whom policies permit.
+    Open,
+    /// One holder of a grant at a time.
+    Exclusive,
+}
+
+/// Which way messages go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// Users publish, the robot subscribes, e.g. `/cmd_vel`.
+    #[default]
+    Command,
+    /// The robot publishes, users subscribe, e.g. the poses of a motion capture system.
+    Feed,
+}
+
+/// A service as its owner describes it in `setup`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ServiceSpec {
+    /// The ROS 2 topic with its leading slash.
+    pub topic: String,
+    /// The ROS 2 type, e.g. `geometry_msgs/msg/Twist`.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// How many may use it at once; by default `exclusive` for commands and `open` for feeds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mode: Option<Mode>,
+    /// Which way messages go.
+    #[serde(default)]
+    pub direction: Direction,
+    /// Age (milliseconds) beyond which the robot drops a message; 1000 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub max_age_ms: Option<u64>,
+    /// Lease (milliseconds) of a grant that asks for none; 10000 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub lease_ms: Option<u64>,
+    /// Longest lease (milliseconds) that may be asked for; ten minutes, or `lease_ms` if that is longer.
+    #[serde(default, skip_serializing_if = "Option::is_none", alias = "lease_max")]
+    pub lease_ms_max: Option<u64>,
+    /// The message, CDR with its encapsulation header, in hexadecimal digits, that stops the robot; the bridge
+    /// knows those of common types.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stop_hex: Option<String>,
+}
+
+/// A service and who holds it: the answer of `service`, and part of [`crate::RobotAsset`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ServiceState {
+    /// Its id, e.g. `Turtlebot4/cmd_vel`.
+    pub service: String,
+    /// The robot that offers it.
+    pub robot: String,
+    /// The organisation that owns the robot.
+    pub organisation: String,
+    /// The ROS 2 topic.
+    pub topic: String,
+    /// The ROS 2 type.
+    #[serde(rename = "type")]
+    pub type_name: String,
+    /// How many may use it at once.
+    pub mode: Mode,
+    /// Which way messages go.
+    pub direction: Direction,
+    /// Age (milliseconds) beyond which the robot drops a message.
+    pub max_age_ms: u64,
+    /// Lease (milliseconds) of a grant that asks for none.
+    pub lease_ms: u64,
+    /// Longest lease (milliseconds) that may be asked for.
+    pub lease_ms_max: u64,
+    /// The message that stops the robot, if the owner gave one.
+    pub stop_hex: Option<String>,
+    /// The oldest holder, e.g. `Org1/Salma`; empty if there is none.
+    pub holder: String,
+    /// All holders, oldest grant first.
+    pub holders: Vec<String>,
+    /// The newest epoch ever given; 0 before the first grant.
+    pub epoch: u64,
+    /// When the grant of `holder` expires (block time, microseconds); 0 if there is none.
+    pub expires: u64,
+}

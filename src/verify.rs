@@ -1,0 +1,89 @@
+//! `ledgerd verify`: checks a chain offline, with the chaincodes of this program.
+
+use crate::command::print_line;
+use crate::node::NodeBuilder;
+use ledger::verify::{Dissent, Report, verify_directory};
+use ledger::{Code, Rejection};
+use serde::Serialize;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// `ledgerd verify`
+#[derive(clap::Args)]
+#[command(after_help = "Example:\n  ledgerd verify /var/lib/ledgerd")]
+pub(crate) struct Options {
+    /// The node's data directory, a copy of it, or an archive.
+    #[arg(value_name = "DIR")]
+    directory: PathBuf,
+    /// Print the report as one line of JSON.
+    #[arg(long)]
+    json: bool,
+}
+
+/// What `ledgerd verify --json` prints.
+#[derive(Serialize)]
+struct Verified<'a> {
+    ok: bool,
+    directory: &'a Path,
+    #[serde(flatten)]
+    report: Report,
+}
+
+/// Verifies and prints the report.
+///
+/// # Errors
+/// [`Code::BadFile`] if the directory is none of a node or in use; [`Code::ChainInvalid`] and others with the first byte
+/// that is wrong.
+pub(crate) fn run(builder: &NodeBuilder, options: &Options) -> Result<(), Rejection> {
+    let directory = &options.directory;
+    if !directory.is_dir() {
+        return Err(Rejection::new(Code::BadFile, format!("cannot verify {}", directory.display()))
+            .found("no directory of this name")
+            .wanted("the data directory of a node, or an archive")
+            .next("look for `data` in the node's ledgerd.toml"));
+    }
+    let report = verify_directory(directory, &builder.registry()?)?;
+    let verified = Verified { ok: true, directory, report };
+    if options.json {
+        let line =
+            serde_json::to_string(&verified).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        print_line(&line);
+    } else {
+        print_line(&text(&verified));
+    }
+    Ok(())
+}
+
+/// The report for people.
+fn text(verified: &Verified<'_>) -> String {
+    let Report { network, height, block_hash, state_digest, transactions, verdicts, .. } = &verified.report;
+    let report = &verified.report;
+    let mut text = format!("{} is right, up to block {height}", verified.directory.display());
+    let mut pair = |name: &str, value: String| {
+        let _infallible = write!(text, "\n  {name:<18}{value}");
+    };
+    pair("network", network.to_string());
+    if let Some(begun) = &report.begun {
+        let by: Vec<_> = begun.attested_by.iter().map(String::as_str).collect();
+        pair("begins after", format!("the snapshot at height {}, {}", begun.height, begun.content));
+        pair("attested by", if by.is_empty() { "nobody, in these blocks".into() } else { by.join(", ") });
+    }
+    let verdicts: Vec<_> = verdicts.iter().map(|(name, count)| format!("{name} {count}")).collect();
+    pair("block hash", block_hash.to_string());
+    pair("state digest", state_digest.to_string());
+    pair("transactions", transactions.to_string());
+    pair("verdicts", if verdicts.is_empty() { "none".into() } else { verdicts.join(", ") });
+    pair("results compared", report.results_compared.to_string());
+    pair("state compared", if report.state_compared { "yes" } else { "no" }.into());
+    pair("attestations", format!("{} agree", report.attestations_agreeing));
+    for Dissent { height, node, digest, .. } in &report.dissents {
+        pair("differs", format!("{node} attested state digest {digest} at height {height}"));
+    }
+    if report.uncommitted > 0 {
+        pair("uncommitted", format!("{} entries that are not known to be committed", report.uncommitted));
+    }
+    if report.torn_bytes > 0 {
+        pair("torn", format!("{} bytes of a write that was never acknowledged", report.torn_bytes));
+    }
+    text
+}
