@@ -6,16 +6,18 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 10] = [
+const LAYERS: [(&str, &[&str]); 11] = [
     ("ledger", &["ledger"]),
     ("ledger-raft", &["ledger"]),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
     ("ledger-contract", &[]),
     ("ledger-abac", &["ledger", "ledger-contract"]),
     ("ledger-api", &["ledger"]),
-    ("ros-bridge", &["ledger", "ledger-api"]),
+    // Messages by their definitions: nothing of a ledger.
+    ("ros-message", &[]),
+    ("ros-bridge", &["ledger", "ledger-api", "ros-message"]),
     // Never abac: whoever only talks to nodes needs neither Cedar nor a world state.
-    ("ledgerctl", &["ledger", "ledger-contract", "ledger-api"]),
+    ("ledgerctl", &["ledger", "ledger-contract", "ledger-api", "ros-message"]),
     ("ledgerd", &["ledger", "ledger-raft", "ledger-abac", "ledger-api", "ros-bridge"]),
     ("inventory", &["ledger", "ledger-api", "ledgerd"]),
     // The simulation drives what a node drives, without a node.

@@ -8,7 +8,6 @@ use crate::robot;
 use crate::store;
 use ledger::{Bytes, Code, Context, Hash, Rejection};
 use ledger_contract::{PolicyChange, PolicyEntry};
-use serde::{Deserialize, Serialize};
 
 /// Most policies of one organisation.
 const POLICIES_MAX: usize = 64;

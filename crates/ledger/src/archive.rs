@@ -10,13 +10,16 @@ use crate::code::Code;
 use crate::disk::RealDisk;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
-use crate::verify::{BLOCKS_DIRECTORY, GENESIS_FILE};
 use segments::{Copied, copy_segments};
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind};
 use std::path::Path;
 
+/// The genesis document of a node, in its data directory.
+pub const GENESIS_FILE: &str = "genesis.json";
+/// The block store of a node, in its data directory.
+pub const BLOCKS_DIRECTORY: &str = "blocks";
 /// The snapshots of a node, in its data directory: `<height, 20 digits>.snap`.
 pub const SNAPSHOTS_DIRECTORY: &str = "snapshots";
 

@@ -29,10 +29,8 @@ use std::sync::Arc;
 pub use attested::Dissent;
 pub use begin::Begun;
 
-/// The genesis document of a node, in its data directory.
-pub const GENESIS_FILE: &str = "genesis.json";
-/// The block store of a node, in its data directory.
-pub const BLOCKS_DIRECTORY: &str = "blocks";
+pub use crate::archive::{BLOCKS_DIRECTORY, GENESIS_FILE};
+
 /// The world state of a node, in its data directory.
 pub const STATE_DIRECTORY: &str = "state";
 

@@ -1,0 +1,45 @@
+//! Whether bytes can be a message of a type, at the cost of looking at its lengths.
+
+use crate::cdr::Reader;
+use crate::definition::Count;
+use crate::fault::Fault;
+use crate::message::{Element, Message, Structure};
+
+impl Message {
+    /// Can these bytes, header included, be a message of this type? Only lengths are looked at, nothing is allocated: what
+    /// the numbers mean is for the receiver.
+    ///
+    /// # Errors
+    /// If there are too few or too many bytes, or a length in them is beyond what the type or the bytes admit.
+    pub fn check(&self, bytes: &[u8]) -> Result<(), Fault> {
+        let mut reader = Reader::new(bytes)?;
+        let checked = structure(&mut reader, &self.structure).and_then(|()| reader.end());
+        checked.map_err(|fault| self.not_of_this_type(fault))
+    }
+}
+
+fn structure(reader: &mut Reader<'_>, of: &Structure) -> Result<(), Fault> {
+    if of.fields.is_empty() {
+        reader.take(1, 1)?;
+    }
+    for field in &of.fields {
+        elements(reader, &field.element, field.count).map_err(|fault| fault.within(&field.name))?;
+    }
+    Ok(())
+}
+
+fn elements(reader: &mut Reader<'_>, element: &Element, count: Count) -> Result<(), Fault> {
+    let count = match count {
+        Count::One => 1,
+        Count::Array(count) => count,
+        Count::Sequence(most) => reader.length(element.bytes_min(), most)?,
+    };
+    match element {
+        // Behind an empty sequence nothing is aligned for elements that do not come.
+        Element::Primitive(_) if count == 0 => Ok(()),
+        Element::Primitive(primitive) => reader.take(primitive.bytes(), count).map(drop),
+        // Every element takes a byte at least, so this ends with the bytes.
+        Element::Text(most) => (0..count).try_for_each(|_| reader.text(*most).map(drop)),
+        Element::Message(inner) => (0..count).try_for_each(|_| structure(reader, inner)),
+    }
+}

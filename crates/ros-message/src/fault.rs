@@ -1,0 +1,73 @@
+//! Why something was refused.
+
+/// What was refused, what was found, what was wanted, what to do next; the last three may be empty.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{message}")]
+pub struct Fault {
+    /// What was refused.
+    pub message: String,
+    /// What was found instead.
+    pub found: String,
+    /// What would have been accepted.
+    pub wanted: String,
+    /// What to do next.
+    pub next: String,
+}
+
+impl Fault {
+    pub(crate) fn new(message: impl Into<String>) -> Self {
+        Self { message: message.into(), found: String::new(), wanted: String::new(), next: String::new() }
+    }
+
+    pub(crate) fn found(mut self, found: impl Into<String>) -> Self {
+        self.found = found.into();
+        self
+    }
+
+    pub(crate) fn wanted(mut self, wanted: impl Into<String>) -> Self {
+        self.wanted = wanted.into();
+        self
+    }
+
+    /// The same fault, of a field: `linear.x: …`.
+    pub(crate) fn within(self, field: &str) -> Self {
+        let is_path = self.message.split(": ").next().is_some_and(|path| {
+            !path.is_empty() && path.chars().all(|c| c.is_ascii_alphanumeric() || matches!(c, '_' | '.' | '[' | ']'))
+        });
+        let message = match is_path {
+            true => format!("{field}.{}", self.message),
+            false => format!("{field}: {}", self.message),
+        };
+        Self { message, ..self }
+    }
+
+    pub(crate) fn next(mut self, next: impl Into<String>) -> Self {
+        self.next = next.into();
+        self
+    }
+}
+
+/// Longest text that a fault quotes, in characters.
+const QUOTED_MAX: usize = 80;
+
+/// A text in quotes, cut where it is long.
+pub(crate) fn quoted(text: &str) -> String {
+    match text.char_indices().nth(QUOTED_MAX) {
+        Some((end, _)) => format!("{:?}…", text.get(..end).unwrap_or_default()),
+        None => format!("{text:?}"),
+    }
+}
+
+/// `did you mean "x"?` for the nearest of these names, if one is near; otherwise nothing.
+pub(crate) fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> String {
+    /// Longer names are not compared: it costs the product of both lengths.
+    const COMPARED_BYTES_MAX: usize = 256;
+    if name.len() > COMPARED_BYTES_MAX {
+        return String::new();
+    }
+    let near = |other: &str| (strsim::osa_distance(&name.to_lowercase(), &other.to_lowercase()), other.to_owned());
+    let slip_max = (name.chars().count() / 3).clamp(1, 4);
+    let names = names.into_iter().filter(|other| other.len() <= COMPARED_BYTES_MAX);
+    let nearest = names.map(near).filter(|(distance, _)| *distance <= slip_max).min();
+    nearest.map_or(String::new(), |(_, name)| format!("did you mean {name:?}?"))
+}

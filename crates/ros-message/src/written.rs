@@ -1,0 +1,43 @@
+//! What a person wrote for a message, before anybody knows its type.
+//!
+//! `1`, `yes` and `left` are texts here: what they mean is for the field that they are written for. So `data: yes` is a text
+//! in a `std_msgs/msg/String` and true in a `std_msgs/msg/Bool`.
+
+use crate::fault::{Fault, quoted};
+use crate::yaml;
+
+/// A text, a list, or names with values.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Written {
+    /// Nothing, as in `{stamp: }` or `null`: the default.
+    Nothing,
+    /// A number, a word, a text.
+    Text(String),
+    /// `[1, 2]`, or lines that begin with `-`.
+    List(Vec<Written>),
+    /// `{x: 1}`, or lines with a colon. No name stands twice.
+    Map(Vec<(String, Written)>),
+}
+
+impl Written {
+    /// Reads YAML of one document; JSON is YAML. An empty text is [`Written::Nothing`].
+    ///
+    /// # Errors
+    /// If it is not YAML, names a field twice, or uses what messages have no use for: anchors, aliases and tags.
+    pub fn parse(text: &str) -> Result<Self, Fault> {
+        yaml::parse(text)
+    }
+
+    /// What it is, for people.
+    pub(crate) fn shown(&self) -> String {
+        match self {
+            Self::Nothing => "nothing".to_owned(),
+            Self::Text(text) => quoted(text),
+            Self::List(list) => format!("a list of {}", list.len()),
+            Self::Map(map) => {
+                let names: Vec<_> = map.iter().take(8).map(|(name, _)| name.as_str()).collect();
+                quoted(&format!("{{{}}}", names.join(", ")))
+            }
+        }
+    }
+}
