@@ -1,6 +1,6 @@
 //! The command line of `ledgerd`.
 
-use crate::config::{Config, Log};
+use crate::config::{CONFIG_BYTES_MAX, Config, Fault, Log};
 use crate::node::{Ended, NodeBuilder};
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
 use clap::{Parser, Subcommand};
@@ -108,7 +108,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             if options.run { execute(Command::Run(WithConfig { config: options.config }), builder) } else { Ok(()) }
         }
         Command::Bridge(WithConfig { config }) => {
-            telemetry::start(&Log::default());
+            telemetry::start(&bridge_log(&config)?);
             block_on_with(1, async move { ros_bridge::run(&config, stop_signal()).await })
         }
         Command::Verify(options) => verify::run(builder, &options),
@@ -165,9 +165,35 @@ pub(crate) fn stop_signal() -> impl Future<Output = ()> {
     }
 }
 
+/// The section `[log]` of a bridge's configuration. What else is wrong with that file the bridge says.
+fn bridge_log(path: &std::path::Path) -> Result<Log, Rejection> {
+    use std::io::Read;
+    let mut text = String::new();
+    let read = std::fs::File::open(path).and_then(|file| file.take(CONFIG_BYTES_MAX as u64).read_to_string(&mut text));
+    if read.is_err() {
+        return Ok(Log::default());
+    }
+    // The lines of other sections stay empty, so that a fault is named with its line.
+    let (mut section, mut kept) = (String::new(), String::new());
+    for line in text.lines() {
+        if line.trim_start().starts_with('[') {
+            section = line.trim().to_owned();
+        }
+        if section.starts_with("[log]") {
+            kept.push_str(line);
+        }
+        kept.push('\n');
+    }
+    parsed(Config::parse(&kept, path)).map(|config| config.log)
+}
+
 /// Every fault of a configuration, one below the other.
 fn load(path: &std::path::Path) -> Result<Config, Rejection> {
-    Config::load(path).map_err(|mut faults| {
+    parsed(Config::load(path))
+}
+
+fn parsed(config: Result<Config, Vec<Fault>>) -> Result<Config, Rejection> {
+    config.map_err(|mut faults| {
         let last = faults
             .pop()
             .map_or_else(|| Rejection::new(Code::BadConfiguration, "configuration is not usable"), Rejection::from);

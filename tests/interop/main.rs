@@ -2,9 +2,11 @@
 //! receive, `ledgerd` carries the messages through a real ledger.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
+mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
 mod python;
+mod telling;
 mod world;
 
 use ledger_api::Client;
@@ -17,7 +19,7 @@ fn stop_message() -> String {
     format!("00010000{}", "00".repeat(48))
 }
 
-async fn call(client: &Client, function: &str, args: &[&str]) {
+pub(crate) async fn call(client: &Client, function: &str, args: &[&str]) {
     let args = args.iter().map(|arg| (*arg).to_owned().into()).collect();
     client.invoke("abac", function, args).await.unwrap();
 }

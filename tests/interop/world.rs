@@ -15,6 +15,7 @@ use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 const START_TIME_MAX: Duration = Duration::from_secs(20);
+const LINE_TIME_MAX: Duration = Duration::from_secs(60);
 
 /// Runs a test's body on a runtime of its own.
 pub(crate) fn run(body: impl Future<Output = ()>) {
@@ -43,6 +44,22 @@ impl Process {
     }
 }
 
+impl Process {
+    /// Ends it as a service unit would, and answers with what it reported.
+    pub(crate) fn report(mut self) -> serde_json::Value {
+        self.send(rustix::process::Signal::TERM);
+        let mut printed = String::new();
+        self.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
+        assert!(self.0.wait().unwrap().success());
+        serde_json::from_str(printed.lines().last().unwrap()).unwrap()
+    }
+
+    pub(crate) fn send(&self, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_raw(i32::try_from(self.0.id()).unwrap()).unwrap();
+        rustix::process::kill_process(pid, signal).unwrap();
+    }
+}
+
 impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.0.kill();
@@ -56,14 +73,7 @@ pub(crate) struct Bridges(RefCell<Vec<Process>>);
 impl Bridges {
     /// Ends the bridges and answers with what each reported.
     pub(crate) fn stop(self) -> [serde_json::Value; 3] {
-        let reports = self.0.take().into_iter().map(|mut bridge| {
-            let pid = rustix::process::Pid::from_raw(i32::try_from(bridge.0.id()).unwrap()).unwrap();
-            rustix::process::kill_process(pid, rustix::process::Signal::TERM).unwrap();
-            let mut printed = String::new();
-            bridge.0.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
-            assert!(bridge.0.wait().unwrap().success());
-            serde_json::from_str(printed.lines().last().unwrap()).unwrap()
-        });
+        let reports = self.0.take().into_iter().map(Process::report);
         reports.collect::<Vec<_>>().try_into().unwrap()
     }
 
@@ -77,7 +87,7 @@ impl Bridges {
 pub(crate) struct World {
     pub(crate) salma: Client,
     pub(crate) farhad: Client,
-    _nodes: Vec<Process>,
+    nodes: Vec<Process>,
     directory: TempDir,
 }
 
@@ -88,6 +98,11 @@ fn ledgerd() -> Command {
 impl World {
     /// Starts the node, enrols everybody and registers the robot with one exclusive service.
     pub(crate) async fn start(topic: &str, kind: &str) -> Self {
+        Self::start_with_mode(topic, kind, "exclusive").await
+    }
+
+    /// The same with a service of this mode.
+    pub(crate) async fn start_with_mode(topic: &str, kind: &str, mode: &str) -> Self {
         let directory = tempfile::tempdir().unwrap();
         let home = directory.path().join("home");
         let mut node = ledgerd()
@@ -108,8 +123,8 @@ impl World {
         let salma = enrol(&admin, &home, ("Salma", Role::Member), "Rover", address, fingerprint).await;
         let farhad = enrol(&admin, &home, ("Farhad", Role::Member), "Rover", address, fingerprint).await;
         enrol(&owner, &home, ("Rover", Role::Robot), "robot", address, fingerprint).await;
-        register_rover(&owner, topic, kind).await;
-        Self { salma, farhad, _nodes: vec![node], directory }
+        register_rover(&owner, topic, kind, mode).await;
+        Self { salma, farhad, nodes: vec![node], directory }
     }
 
     /// The same with two nodes: the users' one orders, the robot's one follows and carries the robot's bridge.
@@ -161,10 +176,10 @@ impl World {
         let fingerprint = founded.authorities[0].fingerprint;
         let salma = enrol(&admin, &home, ("Salma", Role::Member), "Rover", addresses[0], fingerprint).await;
         let farhad = enrol(&admin, &home, ("Farhad", Role::Member), "Rover", addresses[0], fingerprint).await;
-        let height = register_rover(&owner, topic, kind).await;
+        let height = register_rover(&owner, topic, kind, "exclusive").await;
         // The owner asked the other node: Salma's may be a moment behind it.
         salma.query_at(height, "abac", "robots", Vec::new()).await.unwrap();
-        Self { salma, farhad, _nodes: nodes, directory }
+        Self { salma, farhad, nodes, directory }
     }
 
     /// The bridges of Salma (domain 1), Farhad (domain 2) and the robot (domain 3).
@@ -198,6 +213,41 @@ impl World {
         Process(ledgerd().args(["bridge", "--config"]).arg(config).stdout(Stdio::null()).stderr(log).spawn().unwrap())
     }
 
+    /// A bridge of this user with exactly these settings, and these variables in its environment.
+    pub(crate) fn start_bridge_as(&self, name: &str, settings: &str, environment: &[(&str, &str)]) -> Process {
+        let mut command = ledgerd();
+        command.args(["bridge", "--config"]).arg(self.config_of(name, settings)).env_remove("ROS_DOMAIN_ID");
+        command.envs(environment.iter().copied()).stdout(Stdio::piped());
+        command.stderr(File::create(self.directory.path().join(format!("{name}.log"))).unwrap());
+        Process(command.spawn().unwrap())
+    }
+
+    /// What a bridge with these settings prints, that cannot start; and its exit code.
+    pub(crate) fn bridge_refuses(&self, name: &str, settings: &str) -> (Option<i32>, String) {
+        let output = ledgerd().args(["bridge", "--config"]).arg(self.config_of(name, settings)).output().unwrap();
+        (output.status.code(), String::from_utf8(output.stderr).unwrap())
+    }
+
+    fn config_of(&self, name: &str, settings: &str) -> PathBuf {
+        let context = self.directory.path().join("home/contexts").join(name);
+        let config = self.directory.path().join(format!("{name}.toml"));
+        fs::write(&config, format!("context_dir = {context:?}\n{settings}")).unwrap();
+        config
+    }
+
+    /// Waits until the log of a process has a line with all these words, and answers with it.
+    pub(crate) async fn line(&self, name: &str, words: &[&str]) -> String {
+        let deadline = Instant::now() + LINE_TIME_MAX;
+        loop {
+            let log = fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap();
+            if let Some(line) = log.lines().find(|line| words.iter().all(|word| line.contains(word))) {
+                return line.to_owned();
+            }
+            assert!(Instant::now() < deadline, "{name} never said {words:?}\n{}", self.logs());
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    }
+
     /// What a bridge that cannot start prints.
     pub(crate) fn bridge_fails(&self, name: &str, topic: &str, kind: &str) -> String {
         let config = self.bridge_config(name, 1, "to_ledger", topic, kind);
@@ -213,6 +263,11 @@ impl World {
         fs::write(&config, format!("context_dir = {context:?}\ndomain_id = {domain}\nshared_memory = false\n{route}"))
             .unwrap();
         config
+    }
+
+    /// The process of a node.
+    pub(crate) fn node(&self) -> &Process {
+        self.nodes.first().unwrap()
     }
 
     /// The logs of all processes, for a failure's message.
@@ -242,8 +297,8 @@ async fn enrol(
     Client::connect(&context).await.unwrap()
 }
 
-async fn register_rover(owner: &Client, topic: &str, kind: &str) -> u64 {
-    let service = serde_json::json!({"topic": topic, "type": kind, "mode": "exclusive", "max_age_ms": 5000});
+async fn register_rover(owner: &Client, topic: &str, kind: &str, mode: &str) -> u64 {
+    let service = serde_json::json!({"topic": topic, "type": kind, "mode": mode, "max_age_ms": 5000, "lease_ms": 4000});
     let spec = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "services": [service]});
     owner.invoke("abac", "setup", vec![Bytes::from(spec.to_string())]).await.unwrap().height
 }

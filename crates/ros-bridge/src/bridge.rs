@@ -6,6 +6,7 @@ mod tests;
 use std::{
     path::{Path, PathBuf},
     sync::Arc,
+    time::Duration,
 };
 
 use ledger::{Code, Rejection};
@@ -14,20 +15,25 @@ use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
-    config::{Config, Direction, IdentitySource, all_faults},
+    config::{Config, Direction, IdentitySource, RouteConfig, all_faults, circle},
     count::{Counters, RouteSummary},
-    dds::Mismatch,
+    domain::{Domain, ROS_DOMAIN_ID},
+    door::Door,
     gate::Settings,
     gateway::Gateway,
-    names::{TopicName, TypeName},
+    mark::Mark,
+    names::TopicName,
     renewal::keep_renewed,
-    route::{Stop, from_ledger::FromLedger, local::Local, stopped, to_ledger::ToLedger},
+    report::{Reporter, Watched},
+    route::{from_ledger::FromLedger, local::Local, to_ledger::ToLedger},
     service::Service,
 };
 
 /// What all routes of a bridge have done.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
+    /// The ROS domain.
+    pub domain: u16,
     /// One entry for each route, in the order of the configuration.
     pub routes: Vec<RouteSummary>,
 }
@@ -39,6 +45,7 @@ pub struct Bridge {
     /// Has a route ended?
     ended: watch::Receiver<bool>,
     tasks: Vec<JoinHandle<()>>,
+    domain: u16,
     counters: Vec<Counters>,
 }
 
@@ -67,7 +74,8 @@ impl Bridge {
     /// the configuration names, which was stored at enrolment and needs no trust in a node.
     ///
     /// # Errors
-    /// [`Code::NoContext`]; [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has
+    /// [`Code::NoContext`]; [`Code::BadConfiguration`] if two routes close a circle, or `ROS_DOMAIN_ID` names no domain;
+    /// [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has
     /// another type than its service; [`Code::MiddlewareFailed`]; what the ledger says if it does not answer.
     pub async fn start(config: Config, client: Client) -> Result<Self, Rejection> {
         let context = context_of(&config)?;
@@ -81,18 +89,28 @@ impl Bridge {
             let topic = service.topic_for(route)?;
             services.push((service, topic));
         }
-        let local = Local::open(config.domain_id, &config.node_name, config.shared_memory).await?;
-        let expected = services.iter().zip(&config.routes);
-        let expected = expected.map(|((_, topic), route)| (topic.clone(), route.message.clone())).collect();
+        no_circle(&config.routes, &services)?;
+        let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
+        let local = Local::open(domain.id, &config.node_name, config.shared_memory).await?;
+        let mut watched = Vec::with_capacity(config.routes.len());
         let (stop, told) = watch::channel(false);
         let mut routes: Vec<futures::future::BoxFuture<'static, ()>> = Vec::new();
         let mut counters = Vec::new();
-        for (route, (service, topic)) in config.routes.into_iter().zip(services) {
+        for (route, (service, topic)) in config.routes.iter().zip(services) {
             let gateway = Arc::clone(&gateway);
+            let mark = Mark::new(&context.network, &route.service);
+            let is_command = service.is_command();
+            let in_memory;
             match route.direction {
                 Direction::ToLedger => {
-                    let inlet = local.inlet(&topic, &route.message, &route.qos, route.limits()).await?;
-                    let counted = Counters::new(&route, inlet.matched());
+                    let max_age = Duration::from_millis(service.max_age_ms);
+                    let delivered = Arc::clone(local.delivered());
+                    let door = Arc::new(Door::new(mark, &route.service, max_age, delivered));
+                    let inlet =
+                        local.inlet(&topic, &route.message, &route.qos, route.limits(), Arc::clone(&door)).await?;
+                    in_memory = inlet.in_memory();
+                    let counted = Counters::new(route, inlet.matched(), Some(door));
+                    counted.lock().live.needs_grant = service.needs_grant() && is_command;
                     counters.push(counted.clone());
                     let opened = ToLedger::open(gateway, &route.service, inlet, route.batch_max, counted).await?;
                     routes.push(Box::pin(opened.run(told.clone())));
@@ -105,17 +123,22 @@ impl Bridge {
                         max_age: route.max_age,
                     };
                     let outlet = async {
-                        let outlet = local.outlet(&topic, &route.message, &route.qos).await?;
-                        let counted = Counters::new(&route, outlet.matched());
+                        let outlet = local.outlet(&topic, &route.message, &route.qos, mark).await?;
+                        let counted = Counters::new(route, outlet.matched(), None);
                         Ok((outlet, counted))
                     };
                     let opened = FromLedger::open(gateway, route.clone(), settings, service, outlet).await?;
+                    in_memory = opened.in_memory();
                     counters.push(opened.counters().clone());
                     routes.push(Box::pin(opened.run(told.clone())));
                 }
             }
+            if let Some(counters) = counters.last().cloned() {
+                watched.push(Watched { route: route.clone(), topic, mark, is_command, counters, in_memory });
+            }
         }
-        routes.push(Box::pin(watch_types(local, expected, told)));
+        let reporter = Reporter::ready(&config, context, domain, gateway, local, watched);
+        routes.push(Box::pin(reporter.run(told)));
         let (ending, ended) = watch::channel(false);
         let tasks = routes.into_iter().map(|route| {
             let ending = ending.clone();
@@ -124,7 +147,7 @@ impl Bridge {
                 ending.send_replace(true);
             })
         });
-        Ok(Self { tasks: tasks.collect(), stop, ended, counters })
+        Ok(Self { tasks: tasks.collect(), domain: domain.id, stop, ended, counters })
     }
 
     /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then start another bridge.
@@ -139,7 +162,7 @@ impl Bridge {
 
     /// What the routes have done so far.
     pub fn summary(&self) -> Summary {
-        Summary { routes: self.counters.iter().map(Counters::summary).collect() }
+        Summary { domain: self.domain, routes: self.counters.iter().map(Counters::summary).collect() }
     }
 
     /// Stops what robots are moving, ends all routes, and leaves the graph.
@@ -150,20 +173,21 @@ impl Bridge {
                 tracing::error!(%error, "a route ended before its time");
             }
         }
-        Summary { routes: self.counters.iter().map(Counters::summary).collect() }
+        Summary { domain: self.domain, routes: self.counters.iter().map(Counters::summary).collect() }
     }
 }
 
-/// Warns of local publishers and subscribers whose type is not the route's: they are never matched.
-async fn watch_types(local: Local, expected: Vec<(TopicName, TypeName)>, mut stop: Stop) {
-    tokio::select! {
-        () = stopped(&mut stop) => {}
-        () = local.participant().watch_types(&expected, warn) => {}
+/// Refuses a pair of routes between which each message would go round.
+fn no_circle(routes: &[RouteConfig], services: &[(Service, TopicName)]) -> Result<(), Rejection> {
+    let routes = || (1..).zip(routes.iter().zip(services));
+    for (one, (up, (_, topic))) in routes().filter(|(_, (route, _))| route.direction == Direction::ToLedger) {
+        for (two, (down, (_, other))) in routes().filter(|(_, (route, _))| route.direction == Direction::FromLedger) {
+            if up.service == down.service && topic == other {
+                return Err(circle(&up.service, topic.as_str(), [(one, up.direction), (two, down.direction)]));
+            }
+        }
     }
-}
-
-fn warn(Mismatch { role, topic, found, wanted }: Mismatch) {
-    tracing::warn!(topic, found, wanted, "a {role} on this topic has another type: nothing passes");
+    Ok(())
 }
 
 /// The identity of a bridge towards the ledger, as its configuration names it.

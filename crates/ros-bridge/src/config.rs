@@ -2,9 +2,10 @@
 //!
 //! ```toml
 //! context = "Salma"            # who the bridge is towards the ledger; or context_dir = "/path/to/contexts/Salma"
-//! domain_id = 1                # ROS 2 domain of the local graph
+//! domain_id = 1                # ROS 2 domain of the local graph; by default ROS_DOMAIN_ID, else 0
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
+//! report_s = 60                # between two lines with counters, while something is refused
 //!
 //! [[route]]
 //! service = "Turtlebot4/cmd_vel"
@@ -18,6 +19,7 @@
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
 //! ```
+//! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
 //! Everything has a default but `service`, `direction` and `type`. Every fault is reported, not only the first.
 
 mod table;
@@ -52,18 +54,23 @@ const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
 /// Longest `stale_after_ms` and `max_age_ms`.
 const WAIT_MS_MAX: u64 = 3_600_000;
 const STALE_MS_DEFAULT: u64 = 1_000;
+/// Longest `report_s`.
+const REPORT_S_MAX: u64 = 86_400;
+const REPORT_S_DEFAULT: u64 = 60;
 
 /// The settings of a bridge.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
     /// Whose context it uses towards the ledger.
     pub identity: IdentitySource,
-    /// ROS 2 domain of the local graph.
-    pub domain_id: u16,
+    /// ROS 2 domain of the local graph; none = that of `ROS_DOMAIN_ID`, else 0.
+    pub domain_id: Option<u16>,
     /// Name of the bridge in that graph.
     pub node_name: String,
     /// Whether local processes are served over iceoryx2 as well.
     pub shared_memory: bool,
+    /// Time between two lines with counters, while something is refused.
+    pub report_every: Duration,
     /// What is joined.
     pub routes: Vec<RouteConfig>,
 }
@@ -152,12 +159,14 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn parse(text: &str, directory: &Path) -> Result<Self, Vec<Rejection>> {
-        let table = text.parse().map_err(|error: toml::de::Error| {
+        let mut table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
             vec![
                 Rejection::new(Code::BadConfiguration, "the bridge configuration is not TOML")
                     .found(error.to_string().trim_end().to_owned()),
             ]
         })?;
+        // Of the program that runs the bridge. Inside a node the node has its own.
+        table.remove("log");
         Self::from_table(table, directory)
     }
 
@@ -179,9 +188,10 @@ impl Config {
                 IdentitySource::Directory(path)
             }
         };
-        let domain_id = root.integer("domain_id", 0..=u64::from(DOMAIN_MAX)).unwrap_or(0);
+        let domain_id = root.integer("domain_id", 0..=u64::from(DOMAIN_MAX));
         let node_name = root.take("node_name", "a ROS 2 node name").unwrap_or_else(|| "ledgerd_bridge".to_owned());
         let shared_memory = root.take("shared_memory", "true or false").unwrap_or(true);
+        let report_s = root.integer("report_s", 1..=REPORT_S_MAX).unwrap_or(REPORT_S_DEFAULT);
         let routes: Vec<toml::Table> = root.take("route", "tables: [[route]]").unwrap_or_default();
         if routes.is_empty() || routes.len() > ROUTES_MAX {
             let wanted = format!("1 to {ROUTES_MAX}: [[route]]");
@@ -197,9 +207,43 @@ impl Config {
                 faults.push(Rejection::new(Code::BadConfiguration, message).wanted("each service once per direction"));
             }
         }
-        let domain_id = u16::try_from(domain_id).unwrap_or(0);
-        if faults.is_empty() { Ok(Self { identity, domain_id, node_name, shared_memory, routes }) } else { Err(faults) }
+        faults.extend(circles(&routes));
+        let domain_id = domain_id.and_then(|id| u16::try_from(id).ok());
+        let report_every = Duration::from_secs(report_s);
+        if faults.is_empty() {
+            Ok(Self { identity, domain_id, node_name, shared_memory, report_every, routes })
+        } else {
+            Err(faults)
+        }
     }
+}
+
+/// Pairs of routes that are a circle by what the configuration alone says.
+fn circles(routes: &[RouteConfig]) -> Vec<Rejection> {
+    let mut found = Vec::new();
+    for (number, one) in (1..).zip(routes).filter(|(_, route)| route.direction == Direction::ToLedger) {
+        for (other_number, other) in (1..).zip(routes).filter(|(_, route)| route.direction == Direction::FromLedger) {
+            if one.service == other.service && one.topic == other.topic {
+                let topic = one.topic.as_ref().map_or("the service's topic", TopicName::as_str);
+                found.push(circle(&one.service, topic, [(number, one.direction), (other_number, other.direction)]));
+            }
+        }
+    }
+    found
+}
+
+/// Two routes between which each message would go round.
+pub(crate) fn circle(service: &str, topic: &str, routes: [(usize, Direction); 2]) -> Rejection {
+    let word = |direction| if direction == Direction::ToLedger { "to_ledger" } else { "from_ledger" };
+    let [(one, up), (two, down)] = routes;
+    Rejection::new(Code::BadConfiguration, format!("routes {one} and {two} close a circle: {service} on {topic}"))
+        .found(format!(
+            "route {one}: {service} {} from {topic}; route {two}: {service} {} to {topic}",
+            word(up),
+            word(down)
+        ))
+        .wanted("what comes from the ledger on another topic than what goes there")
+        .next(format!("give route {two} another topic, e.g. topic = \"/watched\", or remove one of both"))
 }
 
 fn route(number: usize, table: toml::Table, faults: &mut Vec<Rejection>) -> Option<RouteConfig> {
@@ -294,7 +338,7 @@ mod tests {
     fn a_short_configuration_has_defaults() {
         let config = parse(&format!("{ROUTE}direction = 'from_ledger'")).unwrap();
         assert_eq!(config.identity, IdentitySource::Selected);
-        assert_eq!((config.domain_id, config.shared_memory), (0, true));
+        assert_eq!((config.domain_id, config.shared_memory), (None, true));
         let route = &config.routes[0];
         assert_eq!((route.direction, route.batch_max), (Direction::FromLedger, 1));
         assert_eq!((route.max_age, route.stale_after), (None, Duration::from_secs(1)));
@@ -333,7 +377,22 @@ mod tests {
     fn a_service_goes_one_way_once() {
         let twice = format!("{ROUTE}direction = 'to_ledger'\n{ROUTE}direction = 'to_ledger'");
         assert!(parse(&twice).unwrap_err()[0].message.contains("same direction"));
-        assert!(parse(&format!("{ROUTE}direction = 'to_ledger'\n{ROUTE}direction = 'from_ledger'")).is_ok());
+        let watched = format!("{ROUTE}direction = 'to_ledger'\n{ROUTE}direction = 'from_ledger'\ntopic = '/watched'");
+        assert!(parse(&watched).is_ok());
+    }
+
+    #[test]
+    fn two_routes_that_close_a_circle_are_refused_and_both_named() {
+        for topic in ["", "topic = '/drive'\n"] {
+            let text = format!("{ROUTE}{topic}direction = 'to_ledger'\n{ROUTE}{topic}direction = 'from_ledger'");
+            let faults = parse(&text).unwrap_err();
+            let [fault] = faults.as_slice() else { unreachable!("{faults:?}") };
+            assert!(fault.message.contains("routes 1 and 2 close a circle"), "{fault}");
+            assert!(
+                fault.found.contains("T/cmd_vel to_ledger") && fault.found.contains("T/cmd_vel from_ledger"),
+                "{fault}"
+            );
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use serde::Serialize;
 use crate::{
     config::{Direction, RouteConfig},
     dds::Matched,
+    door::Door,
     gateway::Tally,
 };
 
@@ -31,6 +32,8 @@ pub struct RouteSummary {
     pub samples_in: u64,
     /// Samples that newer ones replaced while they waited, or that were too large.
     pub replaced: u64,
+    /// Samples that came from the ledger, and were not taken in again.
+    pub returned: u64,
     /// Samples submitted to the ledger.
     pub submitted: u64,
     /// Samples that the ledger executed.
@@ -69,23 +72,45 @@ pub struct Latency {
 pub(crate) struct Counters {
     counts: Arc<Mutex<Counts>>,
     matched: Matched,
+    door: Option<Arc<Door>>,
 }
 
 /// What is counted.
 #[derive(Debug)]
 pub(crate) struct Counts {
     pub(crate) summary: RouteSummary,
+    pub(crate) live: Live,
     latency: Option<Histogram<u64>>,
 }
 
+/// What happened last on a route, and how it stands.
+#[derive(Debug, Default)]
+pub(crate) struct Live {
+    /// The node gave a sign of life.
+    pub(crate) heard: Option<Instant>,
+    /// A sample came from the local graph, or a message from the ledger.
+    pub(crate) came: Option<Instant>,
+    /// A sample was committed, or published.
+    pub(crate) passed: Option<Instant>,
+    /// The last refusal: code or rule by its name, and what to tell people.
+    pub(crate) refused: Option<(&'static str, String, Instant)>,
+    /// Does publishing need a grant?
+    pub(crate) needs_grant: bool,
+    /// Does somebody hold the service? Where samples go to the ledger: the bridge's own user.
+    pub(crate) held: bool,
+    /// What the route waits for, before anything can pass.
+    pub(crate) waiting: Option<String>,
+}
+
 impl Counters {
-    pub(crate) fn new(route: &RouteConfig, matched: &Matched) -> Self {
+    pub(crate) fn new(route: &RouteConfig, matched: &Matched, door: Option<Arc<Door>>) -> Self {
         let summary = RouteSummary {
             service: route.service.clone(),
             direction: route.direction,
             matched: 0,
             samples_in: 0,
             replaced: 0,
+            returned: 0,
             submitted: 0,
             committed: 0,
             refused: Tally::new(),
@@ -96,7 +121,11 @@ impl Counters {
             commit_us: Latency::default(),
         };
         let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
-        Self { counts: Arc::new(Mutex::new(Counts { summary, latency })), matched: matched.clone() }
+        Self {
+            counts: Arc::new(Mutex::new(Counts { summary, live: Live::default(), latency })),
+            matched: matched.clone(),
+            door,
+        }
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, Counts> {
@@ -113,6 +142,7 @@ impl Counters {
         let counts = self.lock();
         let mut summary = counts.summary.clone();
         summary.matched = self.matched.now().matched;
+        summary.returned = self.door.as_ref().map_or(0, |door| door.returned());
         if let Some(latency) = &counts.latency {
             summary.commit_us = Latency {
                 count: latency.len(),
@@ -130,6 +160,7 @@ impl Counts {
     /// A sample was committed after this long.
     pub(crate) fn committed(&mut self, after: Duration) {
         self.summary.committed += 1;
+        self.live.passed = Some(Instant::now());
         let micros = u64::try_from(after.as_micros()).unwrap_or(LATENCY_US_MAX).clamp(1, LATENCY_US_MAX);
         if let Some(latency) = &mut self.latency {
             latency.saturating_record(micros);

@@ -28,7 +28,7 @@ mod encoding;
 mod graph;
 mod intake;
 mod matched;
-mod mismatch;
+mod neighbours;
 mod reader;
 mod writer;
 
@@ -39,12 +39,14 @@ use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Top
 use self::graph::Graph;
 pub use self::{
     matched::{Matched, Matching},
-    mismatch::Mismatch,
+    neighbours::{Change, Neighbour, Role},
     reader::Reader,
     writer::{WRITER_BYTES_MAX, Writer},
 };
 use crate::{
+    door::Door,
     error::{Error, Explained, Result},
+    mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
@@ -88,12 +90,30 @@ impl Participant {
 
     /// Starts to read a topic. Samples of this participant's own writers are never given out.
     pub fn reader(&self, topic: &TopicName, message: &TypeName, qos: &Qos, limits: Limits) -> Result<Reader> {
-        Reader::open(self, topic, message, qos, limits)
+        Reader::open(self, topic, message, qos, limits, None)
+    }
+
+    /// Starts to read a topic whose samples go to the ledger: only what the door admits is given out. Other bridges
+    /// see whose door it is.
+    pub fn reader_behind(
+        &self,
+        topic: &TopicName,
+        message: &TypeName,
+        qos: &Qos,
+        limits: Limits,
+        door: Arc<Door>,
+    ) -> Result<Reader> {
+        Reader::open(self, topic, message, qos, limits, Some(door))
     }
 
     /// Starts to offer a topic.
     pub fn writer(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Writer> {
-        Writer::open(self, topic, message, qos)
+        Writer::open(self, topic, message, qos, None)
+    }
+
+    /// Starts to offer a topic with samples that come from the ledger. No bridge of that network takes them in.
+    pub fn marked_writer(&self, topic: &TopicName, message: &TypeName, qos: &Qos, mark: Mark) -> Result<Writer> {
+        Writer::open(self, topic, message, qos, Some(mark))
     }
 
     /// The GUID of the participant: unique in the world, new with every start.

@@ -303,6 +303,11 @@ impl Gate {
         moved_it
     }
 
+    /// Does anybody hold the service?
+    pub fn is_held(&self) -> bool {
+        !self.holders.is_empty()
+    }
+
     /// Has anybody moved the robot since its last stop?
     pub fn is_moving(&self) -> bool {
         self.driver.is_some()

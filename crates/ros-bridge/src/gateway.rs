@@ -37,6 +37,9 @@ pub(crate) trait Gateway: Send + Sync + 'static {
         args: Vec<Bytes>,
     ) -> BoxFuture<'static, Result<Answer, Rejection>>;
 
+    /// Address of the node that answers, or that did last.
+    fn node(&self) -> String;
+
     /// Height of the last executed block.
     fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>>;
 
@@ -57,6 +60,10 @@ impl Gateway for Client {
     ) -> BoxFuture<'static, Result<Answer, Rejection>> {
         let (client, chaincode, function) = (self.clone(), chaincode.to_owned(), function.to_owned());
         async move { client.query_at(height, &chaincode, &function, args).await }.boxed()
+    }
+
+    fn node(&self) -> String {
+        Self::node(self).to_string()
     }
 
     fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>> {

@@ -15,7 +15,9 @@
 //! | `route` | one topic, one direction: `to_ledger`, `from_ledger`, and `local`, their side of the graph |
 //! | [`gate`] | what a robot checks for itself before anything reaches its graph |
 //! | `gateway`, [`service`] | what is asked of the ledger, and what it answers |
-//! | `count` | what a route has done |
+//! | `count`, `report` | what a route has done; what the bridge says about itself |
+//! | [`domain`] | which ROS domain it joins |
+//! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
 //! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
 //! | [`qos`] | the quality-of-service settings of a route |
 //! | [`sample`] | one message as raw CDR, in the form that travels on the ledger |
@@ -46,15 +48,19 @@ mod bridge;
 pub mod config;
 mod count;
 pub mod dds;
+pub mod domain;
+pub mod door;
 pub mod error;
 #[cfg(test)]
 mod fixture;
 pub mod gate;
 mod gateway;
+pub mod mark;
 pub mod names;
 pub mod qos;
 pub mod queue;
 mod renewal;
+mod report;
 mod route;
 pub mod sample;
 pub mod service;

@@ -24,6 +24,16 @@ pub enum Reliability {
     BestEffort,
 }
 
+impl Reliability {
+    /// As it is written in a configuration.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Reliable => "reliable",
+            Self::BestEffort => "best_effort",
+        }
+    }
+}
+
 /// Whether a reader that comes late receives what was published before.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -33,6 +43,16 @@ pub enum Durability {
     Volatile,
     /// Also the last samples of every writer that is still there ("latched").
     TransientLocal,
+}
+
+impl Durability {
+    /// As it is written in a configuration.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Volatile => "volatile",
+            Self::TransientLocal => "transient_local",
+        }
+    }
 }
 
 /// The settings of one route; unset ones have ROS 2's defaults for publishers and subscriptions.

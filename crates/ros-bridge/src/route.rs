@@ -2,6 +2,7 @@
 
 pub(crate) mod from_ledger;
 pub(crate) mod local;
+pub(crate) mod silence;
 pub(crate) mod to_ledger;
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};

@@ -5,10 +5,11 @@
 //!   in domain N: shared memory has no domains, and two graphs on one machine must not meet behind the ledger's back.
 //!   The payload is the sample with its encapsulation header, byte for byte what DDS carries ([`Sample::wire`]).
 //! - **User header**: 32 bytes, `[u8; 32]`, so that no padding and no byte order is left to the compiler:
-//!   `origin` (16, who published), `sequence` (8, little endian, counts from 1), then 8 zero bytes. A process that
-//!   publishes by itself takes any origin that is unique, best random; zero is allowed and stands for "unknown".
+//!   `origin` (16, who published), `sequence` (8, little endian, counts from 1), `mark` (8, little endian). A process that
+//!   publishes by itself takes any origin that is unique, best random; zero is allowed and stands for "unknown". Its mark
+//!   is zero: others are set by bridges on what came from the ledger ([`Mark::nanos`]).
 //! - **Event service** of the same name: notify it after each publication, wait on it for news.
-//! - A bridge drops what carries its own origin, so nothing goes in circles.
+//! - A bridge drops what carries its own origin, or the mark of its network, so nothing goes in circles.
 //! - All processes run as the same user. The first one to open a service sets its limits ([`PUBLISHERS_MAX`],
 //!   [`SUBSCRIBERS_MAX`], [`BUFFER_SAMPLES`]); ours refuses a service that was opened with less.
 //!
@@ -37,7 +38,10 @@ use iceoryx2::{
 };
 
 use crate::{
+    dds::Role,
+    door::{Door, Entry},
     error::{Error, Explained, Result},
+    mark::Mark,
     names::TopicName,
     queue::{Incoming, Limits, Queue},
     sample::Sample,
@@ -92,6 +96,15 @@ impl Node {
 
     /// Starts to publish a topic.
     pub async fn publisher(&self, topic: &TopicName) -> Result<Publisher> {
+        self.publish(topic, None).await
+    }
+
+    /// Starts to publish samples of a topic that come from the ledger. No bridge of that network takes them in.
+    pub async fn marked_publisher(&self, topic: &TopicName, mark: Mark) -> Result<Publisher> {
+        self.publish(topic, Some(mark)).await
+    }
+
+    async fn publish(&self, topic: &TopicName, mark: Option<Mark>) -> Result<Publisher> {
         let (node, topic) = (self.clone(), topic.clone());
         blocking(move || {
             let (data, events) = node.services(&topic)?;
@@ -104,13 +117,30 @@ impl Node {
                     .create()
             })?;
             let notifier = retry(&what, || events.notifier_builder().create())?;
-            Ok(Publisher { port, notifier, data, origin: node.origin, sequence: AtomicU64::new(0), topic })
+            Ok(Publisher {
+                port,
+                notifier,
+                data: Arc::new(data),
+                origin: node.origin,
+                mark,
+                sequence: AtomicU64::new(0),
+                topic,
+            })
         })
         .await
     }
 
     /// Starts to receive a topic; what carries this node's origin is left out.
     pub async fn subscriber(&self, topic: &TopicName, limits: Limits) -> Result<Subscriber> {
+        self.subscribe(topic, limits, None).await
+    }
+
+    /// The same for samples that go to the ledger: only what the door admits is given out.
+    pub async fn subscriber_behind(&self, topic: &TopicName, limits: Limits, door: Arc<Door>) -> Result<Subscriber> {
+        self.subscribe(topic, limits, Some(door)).await
+    }
+
+    async fn subscribe(&self, topic: &TopicName, limits: Limits, door: Option<Arc<Door>>) -> Result<Subscriber> {
         let (node, topic) = (self.clone(), topic.clone());
         blocking(move || {
             let (data, events) = node.services(&topic)?;
@@ -128,10 +158,11 @@ impl Node {
                 origin: node.origin,
                 bytes_max: limits.sample_bytes_max,
                 topic: topic.clone(),
+                door,
             };
             let thread = std::thread::Builder::new().name("bridge-shm".to_owned());
             thread.spawn(move || pump.run()).map_err(|error| failed(&what, &error))?;
-            Ok(Subscriber { queue, data, stop, waker })
+            Ok(Subscriber { queue, data: Arc::new(data), stop, waker })
         })
         .await
     }
@@ -172,8 +203,9 @@ impl Node {
 pub struct Publisher {
     port: publisher::Publisher<Service, [u8], Header>,
     notifier: Notifier<Service>,
-    data: DataService,
+    data: Arc<DataService>,
     origin: [u8; 16],
+    mark: Option<Mark>,
     sequence: AtomicU64,
     topic: TopicName,
 }
@@ -185,7 +217,7 @@ impl Publisher {
         let wire = sample.wire();
         let mut loan = self.port.loan_slice_uninit(wire.len()).map_err(|error| failed(&what(), &error))?;
         let sequence = self.sequence.fetch_add(1, Ordering::Relaxed).saturating_add(1);
-        *loan.user_header_mut() = encode_header(self.origin, sequence);
+        *loan.user_header_mut() = encode_header(self.origin, sequence, self.mark);
         let reached = loan.write_from_slice(wire).send().map_err(|error| failed(&what(), &error))?;
         if let Err(error) = self.notifier.notify() {
             tracing::debug!(topic = %self.topic, ?error, "a subscriber in shared memory was not woken");
@@ -197,12 +229,17 @@ impl Publisher {
     pub fn subscribers(&self) -> usize {
         self.data.dynamic_config().number_of_subscribers()
     }
+
+    /// The subscribers, to count them later.
+    pub(crate) fn peers(&self) -> Peers {
+        Peers { data: Arc::clone(&self.data), role: Role::Subscriber }
+    }
 }
 
 /// Receives raw samples of one topic; ends when dropped. A thread moves them into a queue limited in bytes.
 pub struct Subscriber {
     queue: Arc<Queue>,
-    data: DataService,
+    data: Arc<DataService>,
     stop: Arc<AtomicBool>,
     waker: Notifier<Service>,
 }
@@ -223,6 +260,11 @@ impl Subscriber {
         self.data.dynamic_config().number_of_publishers()
     }
 
+    /// The publishers, to count them later.
+    pub(crate) fn peers(&self) -> Peers {
+        Peers { data: Arc::clone(&self.data), role: Role::Publisher }
+    }
+
     /// Samples dropped so far: not valid, too large, or pushed out of a full queue.
     pub fn dropped(&self) -> u64 {
         self.queue.dropped()
@@ -239,6 +281,28 @@ impl Drop for Subscriber {
     }
 }
 
+/// Counts who uses a topic in shared memory.
+#[derive(Clone)]
+pub(crate) struct Peers {
+    data: Arc<DataService>,
+    role: Role,
+}
+
+impl Peers {
+    /// Whom it counts.
+    pub(crate) fn role(&self) -> Role {
+        self.role
+    }
+
+    /// How many there are now. Those of a process that was killed count until another one cleans up.
+    pub(crate) fn count(&self) -> usize {
+        match self.role {
+            Role::Publisher => self.data.dynamic_config().number_of_publishers(),
+            Role::Subscriber => self.data.dynamic_config().number_of_subscribers(),
+        }
+    }
+}
+
 /// What the thread behind a subscriber holds.
 struct Pump {
     port: subscriber::Subscriber<Service, [u8], Header>,
@@ -248,6 +312,7 @@ struct Pump {
     origin: [u8; 16],
     bytes_max: usize,
     topic: TopicName,
+    door: Option<Arc<Door>>,
 }
 
 impl Pump {
@@ -276,12 +341,18 @@ impl Pump {
     }
 
     fn take(&self, header: &Header, payload: &[u8]) {
-        let (source, sequence) = decode_header(header);
+        let (source, sequence, mark) = decode_header(header);
         if source == self.origin {
             return;
         }
         match Sample::copy_from_wire(payload, self.bytes_max) {
-            Ok(sample) => self.queue.push(Incoming { sample, source, sequence, received: Instant::now() }),
+            Ok(sample) => {
+                let received = Instant::now();
+                let judge = |door: &Arc<Door>| door.judge(source, mark, sample.wire(), received);
+                if self.door.as_ref().map_or(Entry::Admit, judge) == Entry::Admit {
+                    self.queue.push(Incoming { sample, source, sequence, received });
+                }
+            }
             Err(error) => {
                 self.queue.count_dropped();
                 tracing::warn!(topic = %self.topic, %error, "sample from shared memory dropped");
@@ -290,17 +361,21 @@ impl Pump {
     }
 }
 
-fn encode_header(origin: [u8; 16], sequence: u64) -> Header {
+fn encode_header(origin: [u8; 16], sequence: u64, mark: Option<Mark>) -> Header {
     let mut header = [0; HEADER_BYTES];
-    let bytes = origin.into_iter().chain(sequence.to_le_bytes());
+    let mark = mark.map_or(0, Mark::nanos);
+    let bytes = origin.into_iter().chain(sequence.to_le_bytes()).chain(mark.to_le_bytes());
     header.iter_mut().zip(bytes).for_each(|(to, from)| *to = from);
     header
 }
 
-fn decode_header(header: &Header) -> ([u8; 16], u64) {
+fn decode_header(header: &Header) -> ([u8; 16], u64, Option<Mark>) {
     let origin = header.first_chunk().copied().unwrap_or_default();
-    let sequence = header.get(16..24).and_then(|bytes| bytes.try_into().ok()).map_or(0, u64::from_le_bytes);
-    (origin, sequence)
+    let number = |at: usize| {
+        let bytes = header.get(at..).and_then(|rest| rest.first_chunk()).copied();
+        bytes.map_or(0, u64::from_le_bytes)
+    };
+    (origin, number(16), Mark::from_nanos(number(24)))
 }
 
 /// Tries again what fails while others create or clean up the same thing.

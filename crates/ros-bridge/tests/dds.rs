@@ -4,11 +4,14 @@
 #[path = "../../../tests/support/own_network.rs"]
 mod network;
 
-use std::{process::Command, time::Duration};
+use std::{process::Command, sync::Arc, time::Duration};
 
+use ledger::Hash;
 use ros_bridge::{
-    dds::{Participant, Reader, Writer},
+    dds::{Change, Participant, Reader, Role, Writer},
+    door::Door,
     error::Error,
+    mark::Mark,
     names::{TopicName, TypeName},
     qos::{Durability, Qos, Reliability},
     queue::{Incoming, Limits},
@@ -200,23 +203,92 @@ async fn domains_and_node_names_out_of_range_are_refused() {
 }
 
 #[tokio::test]
-async fn an_endpoint_of_another_type_is_told() {
-    if !network::isolated("an_endpoint_of_another_type_is_told") {
+async fn who_comes_and_who_leaves_is_told_with_type_qos_and_mark() {
+    if !network::isolated("who_comes_and_who_leaves_is_told_with_type_qos_and_mark") {
         return;
     }
     let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
     let text = TypeName::parse("std_msgs/msg/String").unwrap();
     let elsewhere = TopicName::parse("/elsewhere").unwrap();
-    let _right = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
-    let _other = there.writer(&elsewhere, &text, &Qos::default()).unwrap();
-    let _wrong = there.writer(&topic(), &text, &Qos::default()).unwrap();
+    let right = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    let _uninteresting = there.writer(&elsewhere, &text, &Qos::default()).unwrap();
+    let _bridge = there.marked_writer(&elsewhere, &twist(), &Qos::default(), mark()).unwrap();
+    let other = there.writer(&topic(), &text, &Qos::default()).unwrap();
     let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
-    let expected = [(topic(), twist())];
-    let mismatch = tokio::select! {
-        () = here.watch_types(&expected, |mismatch| tell.send(mismatch).unwrap()) => None,
-        mismatch = tokio::time::timeout(DEADLINE, told.recv()) => mismatch.unwrap(),
+    let topics = [topic().dds()].into();
+    let follow = here.follow(&topics, |change| tell.send(change).unwrap());
+    let story = async {
+        let mut came = Vec::new();
+        while came.len() < 3 {
+            let Some(Change::Came(neighbour)) = told.recv().await else { unreachable!("nobody leaves yet") };
+            came.push((neighbour.role, neighbour.topic, neighbour.type_name, neighbour.mark));
+        }
+        came.sort();
+        let (topic, elsewhere) = (topic().dds(), elsewhere.dds());
+        let expected = [
+            (Role::Publisher, topic.clone(), text.dds(), None),
+            (Role::Publisher, elsewhere, twist().dds(), Some(mark())),
+            (Role::Subscriber, topic, twist().dds(), None),
+        ];
+        assert_eq!(came.len(), expected.len());
+        assert!(expected.iter().all(|expected| came.contains(expected)), "{came:?}");
+        drop(right);
+        let Some(Change::Left(left)) = told.recv().await else { unreachable!("only the reader left") };
+        assert_eq!(left.role, Role::Subscriber);
+        drop(other);
+        let Some(Change::Left(left)) = told.recv().await else { unreachable!("only the writer left") };
+        assert_eq!(left.type_name, text.dds());
     };
-    let mismatch = mismatch.unwrap();
-    assert_eq!((mismatch.role, &mismatch.topic[..]), ("publisher", "rt/cmd_vel"));
-    assert_eq!((mismatch.found, mismatch.wanted), (text.dds(), twist().dds()));
+    tokio::time::timeout(DEADLINE, async {
+        tokio::select! {
+            () = follow => unreachable!("it goes on"),
+            () = story => {}
+        }
+    })
+    .await
+    .unwrap();
+}
+
+fn mark() -> Mark {
+    Mark::new(&Hash([7; 32]), "T/cmd_vel")
+}
+
+fn door(network: u8) -> Arc<Door> {
+    let mark = Mark::new(&Hash([network; 32]), "T/cmd_vel");
+    Arc::new(Door::new(mark, "T/cmd_vel", Duration::from_secs(1), Arc::default()))
+}
+
+#[tokio::test]
+async fn what_a_bridge_publishes_is_not_taken_in_by_another_one_of_its_network() {
+    if !network::isolated("what_a_bridge_publishes_is_not_taken_in_by_another_one_of_its_network") {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let door_here = door(7);
+    let open = |door| here.reader_behind(&topic(), &twist(), &Qos::default(), Limits::default(), door).unwrap();
+    let mut reader = open(Arc::clone(&door_here));
+    let mut elsewhere = open(door(8));
+    let bridge = there.marked_writer(&topic(), &twist(), &Qos::default(), mark()).unwrap();
+    let node = there.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    matched(&reader, &bridge).await;
+    assert!(tokio::time::timeout(DEADLINE, reader.matched().at_least(2)).await.unwrap());
+    assert!(tokio::time::timeout(DEADLINE, elsewhere.matched().at_least(2)).await.unwrap());
+    bridge.write(&numbered(1)).unwrap();
+    assert!(bridge.flush(DEADLINE).await);
+    assert_eq!(next(&mut elsewhere).await.sample, numbered(1), "a bridge of another network takes it");
+    while door_here.returned() == 0 {
+        tokio::task::yield_now().await;
+    }
+    node.write(&numbered(2)).unwrap();
+    assert_eq!(next(&mut reader).await.sample, numbered(2));
+    assert_eq!(door_here.returned(), 1);
+    // A bridge that was killed and comes back is known at once: nothing of it is taken in before.
+    drop(bridge);
+    let again = there.marked_writer(&topic(), &twist(), &Qos::default(), mark()).unwrap();
+    matched(&reader, &again).await;
+    again.write(&numbered(3)).unwrap();
+    while door_here.returned() == 1 {
+        tokio::task::yield_now().await;
+    }
+    assert!(reader.try_next().is_none());
 }

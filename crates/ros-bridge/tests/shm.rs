@@ -4,10 +4,14 @@
 use std::{
     env,
     process::{Child, Command},
+    sync::Arc,
     time::Duration,
 };
 
+use ledger::Hash;
 use ros_bridge::{
+    door::Door,
+    mark::Mark,
     names::TopicName,
     queue::{Incoming, Limits},
     sample::{CDR_LE, Sample},
@@ -68,6 +72,24 @@ async fn a_node_never_hears_itself() {
     own.write(&sample(1, 10)).unwrap();
     other.write(&sample(2, 10)).unwrap();
     assert_eq!(next(&mut subscriber).await.sample, sample(2, 10));
+    assert!(subscriber.try_next().is_none());
+}
+
+#[tokio::test]
+async fn what_a_bridge_publishes_is_not_taken_in_by_another_one_of_its_network() {
+    let topic = topic("mark");
+    let (here, there) = (Node::open(0, "here", [1; 16]).await.unwrap(), Node::open(0, "there", [2; 16]).await.unwrap());
+    let mark = |network| Mark::new(&Hash([network; 32]), "T/cmd_vel");
+    let door = Arc::new(Door::new(mark(7), "T/cmd_vel", Duration::from_secs(1), Arc::default()));
+    let mut subscriber = here.subscriber_behind(&topic, Limits::default(), Arc::clone(&door)).await.unwrap();
+    let bridge = there.marked_publisher(&topic, mark(7)).await.unwrap();
+    let other_network = there.marked_publisher(&topic, mark(8)).await.unwrap();
+    bridge.write(&sample(1, 10)).unwrap();
+    other_network.write(&sample(2, 10)).unwrap();
+    assert_eq!(next(&mut subscriber).await.sample, sample(2, 10));
+    while door.returned() == 0 {
+        tokio::task::yield_now().await;
+    }
     assert!(subscriber.try_next().is_none());
 }
 

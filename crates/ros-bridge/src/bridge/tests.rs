@@ -19,6 +19,7 @@ use super::*;
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
     fixture::{Network, User},
+    names::TypeName,
     qos::Qos,
     queue::Limits,
     sample::{CDR_LE, Sample},

@@ -1,6 +1,6 @@
 //! Takes the samples of one topic.
 
-use std::{sync::Arc, time::Instant};
+use std::{collections::BTreeMap, sync::Arc, time::Instant};
 
 use futures::StreamExt;
 use rustdds::{DataReaderStatus, GUID, StatusEvented, no_key::SimpleDataReader};
@@ -14,12 +14,17 @@ use super::{
     matched::Matches,
 };
 use crate::{
+    door::{Door, Entry},
     error::Result,
+    mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits, Queue},
     sample::Sample,
 };
+
+/// Most writers whose mark is remembered; beyond it all are looked up again.
+const MARKS_MAX: usize = 4096;
 
 /// Reads one topic; ends when dropped. A task moves samples from DDS into a queue that is limited in bytes.
 pub struct Reader {
@@ -37,12 +42,15 @@ impl Reader {
         message: &TypeName,
         qos: &Qos,
         limits: Limits,
+        door: Option<Arc<Door>>,
     ) -> Result<Self> {
         let failed = |error| dds_error(&format!("cannot read topic {topic} [{message}]"), &error);
         let dds_topic = participant.topic(topic, message, qos)?;
+        let policies = qos.policies();
+        let policies = door.as_ref().map_or_else(|| policies.clone(), |door| door.mark().put_on(&policies));
         let subscriber = participant.dds.create_subscriber(&qos.policies()).map_err(failed)?;
         let source: SimpleDataReader<Sample, AnyRaw> =
-            subscriber.create_simple_datareader_no_key(&dds_topic, Some(qos.policies())).map_err(failed)?;
+            subscriber.create_simple_datareader_no_key(&dds_topic, Some(policies)).map_err(failed)?;
         let guid = source.guid();
         let (matches, matched) = Matches::new(participant.guid_prefix());
         let queue = Queue::new(&limits);
@@ -52,15 +60,12 @@ impl Reader {
             matches,
             sample_bytes_max: limits.sample_bytes_max,
             queue: Arc::clone(&queue),
+            participant: participant.clone(),
+            door,
+            marks: BTreeMap::new(),
         };
         participant.graph.add(Role::Reads, guid);
-        Ok(Self {
-            queue,
-            matched,
-            guid,
-            graph: Arc::clone(&participant.graph),
-            pump: tokio::spawn(pump.run(source, participant.clone())),
-        })
+        Ok(Self { queue, matched, guid, graph: Arc::clone(&participant.graph), pump: tokio::spawn(pump.run(source)) })
     }
 
     /// The next sample, as soon as there is one; `None` only if DDS ended. Cancelling it loses nothing.
@@ -98,11 +103,17 @@ struct Pump {
     matches: Matches,
     sample_bytes_max: usize,
     queue: Arc<Queue>,
+    /// Held, so that it outlives its reader.
+    participant: Participant,
+    /// Where samples go to the ledger.
+    door: Option<Arc<Door>>,
+    /// The marks of writers that were looked up.
+    marks: BTreeMap<[u8; 16], Option<Mark>>,
 }
 
 impl Pump {
-    /// Runs until the reader is dropped. Holds the participant, so that it outlives its reader.
-    async fn run(mut self, source: SimpleDataReader<Sample, AnyRaw>, _participant: Participant) {
+    /// Runs until the reader is dropped.
+    async fn run(mut self, source: SimpleDataReader<Sample, AnyRaw>) {
         let samples = source.as_async_stream();
         let mut samples = std::pin::pin!(samples);
         let mut statuses = source.as_async_status_stream();
@@ -140,8 +151,36 @@ impl Pump {
             tracing::warn!(topic = %self.topic, bytes, bytes_max, "sample dropped: larger than the limit");
             return;
         }
+        let received = Instant::now();
+        if let Some(door) = self.door.clone() {
+            let mark = self.mark_of(source, &door);
+            if door.judge(source, mark, sample.wire(), received) != Entry::Admit {
+                return;
+            }
+        }
         let sequence = u64::try_from(sequence).unwrap_or_default();
-        self.queue.push(Incoming { sample, source, sequence, received: Instant::now() });
+        self.queue.push(Incoming { sample, source, sequence, received });
+    }
+
+    /// The mark of a writer. Discovery knew it before its first sample was let in; what is not found there has left.
+    fn mark_of(&mut self, writer: [u8; 16], door: &Door) -> Option<Mark> {
+        if let Some(known) = self.marks.get(&writer) {
+            return *known;
+        }
+        if self.marks.len() >= MARKS_MAX {
+            self.marks.clear();
+        }
+        let mut found = None;
+        for neighbour in self.participant.publishers() {
+            if let Some(mark) = neighbour.mark {
+                door.hear_of(mark);
+            }
+            if neighbour.guid == writer {
+                found = neighbour.mark;
+                self.marks.insert(writer, found);
+            }
+        }
+        found
     }
 
     fn note(&mut self, status: &DataReaderStatus) {

@@ -17,6 +17,7 @@ use tokio::{task::AbortHandle, time::interval};
 use super::{ALIVE_EVERY, Matched, Participant, dds_error, encoding::Raw, graph::Role, matched::Matches};
 use crate::{
     error::{Error, Explained, Result},
+    mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
     sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample},
@@ -47,14 +48,21 @@ struct Endpoint {
 }
 
 impl Writer {
-    pub(super) fn open(participant: &Participant, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Self> {
+    pub(super) fn open(
+        participant: &Participant,
+        topic: &TopicName,
+        message: &TypeName,
+        qos: &Qos,
+        mark: Option<Mark>,
+    ) -> Result<Self> {
+        let policies = qos.policies();
         let dds_topic = participant.topic(topic, message, qos)?;
         let (matches, matched) = Matches::new(participant.guid_prefix());
         let mut writer = Self {
             participant: participant.clone(),
             topic: topic.clone(),
             dds_topic,
-            policies: qos.policies(),
+            policies: mark.map_or_else(|| policies.clone(), |mark| mark.put_on(&policies)),
             matched,
             endpoints: Mutex::default(),
         };

@@ -74,4 +74,31 @@ impl Refused {
             Self::UnprovenGrant => "unproven_grant",
         }
     }
+
+    /// The rule in words, for people.
+    pub const fn meaning(self) -> &'static str {
+        match self {
+            Self::Malformed => "the bytes are no call of set",
+            Self::WrongNetwork => "it was signed for another network",
+            Self::WrongCall => "it is a call of something else",
+            Self::TooLarge => "it is larger than sample_bytes_max of this route",
+            Self::BadPayload => "it is no CDR of ROS 2",
+            Self::UnknownCreator => "the certificate of its creator is not known",
+            Self::Untrusted => "the certificate of its creator is of no organisation of this network, or not valid now",
+            Self::Revoked => "the certificate of its creator was revoked",
+            Self::BadSignature => "its signature is not its creator's",
+            Self::NotOwner => "only the owner of the robot publishes on a feed",
+            Self::StaleEpoch => "it belongs to a grant that has ended",
+            Self::UnknownEpoch => "it belongs to a grant that this bridge was not shown",
+            Self::NotHolder => "its creator does not hold the service",
+            Self::StaleSequence => "a later message of its creator has passed",
+            Self::TooOld => "it is older than the service or max_age_ms allows; compare the clocks if that goes on",
+            Self::Expired => "its signer's own limit of time has passed",
+            Self::FromFuture => "its time is ahead of this machine's clock; compare the clocks",
+            Self::BeforeStop => "it is from before the last stop",
+            Self::TooManyPublishers => "more publishers than the gate can tell apart",
+            Self::NoService => "the service is not known now",
+            Self::UnprovenGrant => "its holder did not sign for the grant",
+        }
+    }
 }

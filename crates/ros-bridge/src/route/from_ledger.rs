@@ -26,6 +26,7 @@ use crate::{
     gateway::{ABAC, Deliveries, Gateway, MSP, ask},
     sample::Sample,
     service::{Grant, Released, Revoked, Service, read},
+    shm::Peers,
 };
 
 /// How long a stop message is waited for when the bridge ends.
@@ -154,6 +155,11 @@ impl FromLedger {
         Ok(opened)
     }
 
+    /// Subscribers in shared memory.
+    pub(crate) fn in_memory(&self) -> Option<Peers> {
+        self.outlet.in_memory()
+    }
+
     /// What it has done.
     pub(crate) fn counters(&self) -> &Counters {
         &self.counters
@@ -177,9 +183,14 @@ impl FromLedger {
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break,
+                // Whatever ends before what goes on: a flood of events must not keep the robot from being stopped.
+                () = overdue, if is_moving => self.halt("lease").await,
+                () = stale, if is_moving => self.halt("stale").await,
+                Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     if let Ok(delivery) = &delivery {
                         self.heard = Instant::now();
+                        self.counters.lock().live.heard = Some(self.heard);
                         self.next_height = self.next_height.max(delivery.height.saturating_add(1));
                         self.gate.heard(delivery.time, self.clocks.now());
                     }
@@ -190,9 +201,6 @@ impl FromLedger {
                         events = self.subscribe();
                     }
                 }
-                () = stale, if is_moving => self.halt("stale").await,
-                () = overdue, if is_moving => self.halt("lease").await,
-                Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 () = &mut graph_ended => {
                     tracing::error!(service = self.route.service, "THE LOCAL GRAPH IS LOST: the robot cannot be reached");
                     break;
@@ -223,7 +231,9 @@ impl FromLedger {
         let delivery = match delivery {
             Ok(delivery) => delivery,
             Err(refused) => {
-                tracing::error!(service = self.route.service, reason = line(&refused), "the ledger tells no more");
+                let reason = line(&refused);
+                tracing::error!(service = self.route.service, reason, "the ledger tells no more");
+                self.counters.lock().live.waiting = Some(format!("the ledger tells no more: {reason}"));
                 if self.gate.is_moving() {
                     self.halt("refused").await;
                 }
@@ -246,13 +256,27 @@ impl FromLedger {
         if self.gate.is_closed() {
             self.try_describe(delivery.height).await;
         }
+        self.tell_holders();
+    }
+
+    /// Tells the reporter how the service stands.
+    fn tell_holders(&self) {
+        let live = &mut self.counters.lock().live;
+        live.held = self.gate.is_held();
+        if !self.gate.is_closed() {
+            live.waiting = None;
+        }
     }
 
     fn publish(&mut self, samples: &[Sample]) {
         let mut counts = self.counters.lock();
+        counts.live.came = Some(Instant::now());
         for sample in samples {
             match self.outlet.write(sample) {
-                Ok(()) => counts.summary.published += 1,
+                Ok(()) => {
+                    counts.summary.published += 1;
+                    counts.live.passed = Some(Instant::now());
+                }
                 Err(error) => {
                     counts.summary.unpublished += 1;
                     let name = if matches!(error, Error::Slow(_)) { "slow" } else { "unpublished" };
@@ -280,10 +304,13 @@ impl FromLedger {
     }
 
     fn refuse(&mut self, refused: Refused, height: u64) {
-        count(&mut self.counters.lock().summary.gate, refused.name(), 1);
+        let mut counts = self.counters.lock();
+        count(&mut counts.summary.gate, refused.name(), 1);
+        counts.live.refused = Some((refused.name(), refused.meaning().to_owned(), Instant::now()));
+        drop(counts);
         if let Some(silent) = self.complaint.worth(refused.name(), Instant::now()) {
-            let (service, reason) = (&self.route.service, refused.name());
-            tracing::warn!(service, height, reason, not_logged = silent, "the gate let a message not pass");
+            let (service, reason, meaning) = (&self.route.service, refused.name(), refused.meaning());
+            tracing::warn!(service, height, reason, meaning, not_logged = silent, "the gate let a message not pass");
         }
     }
 
@@ -295,11 +322,16 @@ impl FromLedger {
     async fn try_describe(&mut self, height: u64) {
         let patience = self.route.stale_after;
         let failure = match timeout(patience, self.describe(height)).await {
-            Ok(Ok(())) => return,
+            Ok(Ok(())) => {
+                // It answered: that is a sign of life, however long it took.
+                self.heard = Instant::now();
+                return;
+            }
             Ok(Err(refused)) => line(&refused),
             Err(_) => format!("no answer within {} ms", patience.as_millis()),
         };
         self.gate.close();
+        self.counters.lock().live.waiting = Some(format!("the service is not known: {failure}"));
         if let Some(silent) = self.complaint.worth("description", Instant::now()) {
             let service = &self.route.service;
             tracing::warn!(service, reason = failure, not_logged = silent, "service not known: nothing passes");
@@ -316,7 +348,9 @@ impl FromLedger {
         service.topic_for(&self.route)?;
         self.stop = service.stop_for(&self.route)?;
         self.gate.describe(&service, &grants);
+        self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         self.service = service;
+        self.tell_holders();
         Ok(())
     }
 }

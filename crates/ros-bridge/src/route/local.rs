@@ -1,10 +1,15 @@
 //! The local side of routes: DDS, and shared memory beside it.
 
-use std::time::Duration;
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
+    door::{Delivered, Door},
     error::{Error, Result},
+    mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits},
@@ -23,6 +28,7 @@ const STOP_TRY: Duration = Duration::from_millis(50);
 pub(crate) struct Local {
     participant: Participant,
     shm: Option<shm::Node>,
+    delivered: Arc<Delivered>,
 }
 
 impl Local {
@@ -30,11 +36,16 @@ impl Local {
         let participant = Participant::open(domain, node_name).await?;
         let shm =
             if shared_memory { Some(shm::Node::open(domain, node_name, participant.guid()).await?) } else { None };
-        Ok(Self { participant, shm })
+        Ok(Self { participant, shm, delivered: Arc::default() })
     }
 
     pub(crate) fn participant(&self) -> &Participant {
         &self.participant
+    }
+
+    /// What bridges deliver to this graph, as far as it is known.
+    pub(crate) fn delivered(&self) -> &Arc<Delivered> {
+        &self.delivered
     }
 
     pub(crate) async fn inlet(
@@ -43,22 +54,24 @@ impl Local {
         message: &TypeName,
         qos: &Qos,
         limits: Limits,
+        door: Arc<Door>,
     ) -> Result<Inlet> {
-        let reader = self.participant.reader(topic, message, qos, limits)?;
+        let reader = self.participant.reader_behind(topic, message, qos, limits, Arc::clone(&door))?;
         let shm = match &self.shm {
-            Some(node) => Some(node.subscriber(topic, limits).await?),
+            Some(node) => Some(node.subscriber_behind(topic, limits, door).await?),
             None => None,
         };
         Ok(Inlet { reader, shm })
     }
 
-    pub(crate) async fn outlet(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Outlet> {
-        let writer = self.participant.writer(topic, message, qos)?;
+    pub(crate) async fn outlet(&self, topic: &TopicName, message: &TypeName, qos: &Qos, mark: Mark) -> Result<Outlet> {
+        self.delivered.begins(mark);
+        let writer = self.participant.marked_writer(topic, message, qos, mark)?;
         let shm = match &self.shm {
-            Some(node) => Some(node.publisher(topic).await?),
+            Some(node) => Some(node.marked_publisher(topic, mark).await?),
             None => None,
         };
-        Ok(Outlet { writer, shm })
+        Ok(Outlet { writer, shm, mark, delivered: Arc::clone(&self.delivered) })
     }
 }
 
@@ -90,6 +103,11 @@ impl Inlet {
         self.reader.matched()
     }
 
+    /// Publishers in shared memory.
+    pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
+        self.shm.as_ref().map(shm::Subscriber::peers)
+    }
+
     /// Samples lost here: replaced by newer ones, too large, or not readable.
     pub(crate) fn dropped(&self) -> u64 {
         self.reader.dropped().saturating_add(self.shm.as_ref().map_or(0, shm::Subscriber::dropped))
@@ -100,11 +118,14 @@ impl Inlet {
 pub(crate) struct Outlet {
     writer: Writer,
     shm: Option<shm::Publisher>,
+    mark: Mark,
+    delivered: Arc<Delivered>,
 }
 
 impl Outlet {
     /// Publishes a sample, to local processes first: that is quicker. An error concerns one of both only.
     pub(crate) fn write(&self, sample: &Sample) -> Result<()> {
+        self.note(sample);
         let shm = self.shm.as_ref().map_or(Ok(0), |shm| shm.write(sample));
         self.writer.write(sample)?;
         shm.map(drop)
@@ -112,6 +133,7 @@ impl Outlet {
 
     /// Publishes a stop message; insists while a slow reader keeps it from being written.
     pub(crate) async fn write_stop(&self, stop: &Sample) -> Result<()> {
+        self.note(stop);
         if let Some(Err(error)) = self.shm.as_ref().map(|shm| shm.write(stop)) {
             tracing::error!(%error, "the stop message did not reach shared memory");
         }
@@ -122,6 +144,16 @@ impl Outlet {
             };
         }
         self.writer.write(stop)
+    }
+
+    /// Subscribers in shared memory.
+    pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
+        self.shm.as_ref().map(shm::Publisher::peers)
+    }
+
+    /// Before it is written: an echo must not be quicker.
+    fn note(&self, sample: &Sample) {
+        self.delivered.note(self.mark, sample.wire(), Instant::now());
     }
 
     /// The subscribers of others.

@@ -133,6 +133,7 @@ impl ToLedger {
         let mut publishing = Publishing { service: service.to_owned(), me: caller.id, epoch: 0, last_seq: 0, as_of: 0 };
         let (now, as_of) = authorization(Arc::clone(&gateway), height, service.to_owned()).await?;
         publishing.learn(as_of, now.epoch, now.next_seq);
+        counters.lock().live.held = publishing.epoch > 0;
         Ok(Self {
             gateway,
             inlet,
@@ -166,7 +167,10 @@ impl ToLedger {
                 biased;
                 () = stopped(&mut stop) => break,
                 Some(delivery) = events.next() => match delivery {
-                    Ok(delivery) => self.publishing.hear(&delivery),
+                    Ok(delivery) => {
+                        self.publishing.hear(&delivery);
+                        self.tell_grant(Some(Instant::now()));
+                    }
                     Err(refused) => {
                         if let Some(not_logged) = self.no_news.worth(refused.code.name(), Instant::now()) {
                             tracing::warn!(reason = line(&refused), not_logged, "no news about grants");
@@ -176,7 +180,10 @@ impl ToLedger {
                 Some(answer) = &mut refresh => {
                     refresh = None.into();
                     match answer {
-                        Ok((now, height)) => self.publishing.learn(height, now.epoch, now.next_seq),
+                        Ok((now, height)) => {
+                            self.publishing.learn(height, now.epoch, now.next_seq);
+                            self.tell_grant(None);
+                        }
                         Err(refused) => tracing::warn!(reason = line(&refused), "own grant not known"),
                     }
                 }
@@ -200,6 +207,13 @@ impl ToLedger {
         self.counters.lock().summary.replaced = self.inlet.dropped();
     }
 
+    /// Tells the reporter how the own grant stands, and when the ledger was heard.
+    fn tell_grant(&self, heard: Option<Instant>) {
+        let live = &mut self.counters.lock().live;
+        live.held = self.publishing.epoch > 0;
+        live.heard = heard.or(live.heard);
+    }
+
     /// Submits a sample, with those that wait behind it up to a batch.
     fn submit(&mut self, first: Incoming) -> BoxFuture<'static, Outcome> {
         let mut bytes = first.sample.wire().len();
@@ -214,6 +228,7 @@ impl ToLedger {
         let mut counts = self.counters.lock();
         counts.summary.samples_in += received.len() as u64;
         counts.summary.submitted += received.len() as u64;
+        counts.live.came = Some(Instant::now());
         let replaced = self.inlet.dropped();
         let more = replaced.saturating_sub(std::mem::replace(&mut counts.summary.replaced, replaced));
         drop(counts);
@@ -240,6 +255,7 @@ impl ToLedger {
             Err(refused) => refused,
         };
         count(&mut counts.summary.refused, refused.code.name(), received.len() as u64);
+        counts.live.refused = Some((refused.code.name(), line(&refused), now));
         drop(counts);
         if let Some(silent) = self.complaint.worth(refused.code.name(), now) {
             let service = &self.publishing.service;

@@ -131,6 +131,10 @@ impl Gateway for Fake {
         std::future::ready(Ok(Answer { response: Bytes::from(value.to_string()), height })).boxed()
     }
 
+    fn node(&self) -> String {
+        "fake:1".to_owned()
+    }
+
     fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>> {
         std::future::ready(Ok(0)).boxed()
     }

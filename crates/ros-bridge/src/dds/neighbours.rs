@@ -1,0 +1,128 @@
+//! Who else is in the domain: the publishers and subscribers of other participants, as discovery knows them.
+
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    time::Duration,
+};
+
+use futures::{FutureExt, StreamExt};
+use rustdds::{GUID, QosPolicies, StatusEvented};
+use tokio::time::{sleep, timeout};
+
+use super::{Participant, prefix};
+use crate::mark::Mark;
+
+/// Between two looks, however much changes: a look costs as much as there are endpoints in the domain.
+const LOOK_PAUSE: Duration = Duration::from_millis(100);
+/// A look without news: those may be lost where many come at once.
+const LOOK_EVERY: Duration = Duration::from_secs(5);
+/// Most endpoints that are followed; more are not told of.
+const NEIGHBOURS_MAX: usize = 4096;
+
+/// Does an endpoint publish or subscribe?
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Role {
+    /// It has a DDS writer.
+    Publisher,
+    /// It has a DDS reader.
+    Subscriber,
+}
+
+impl Role {
+    /// The word for it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Publisher => "publisher",
+            Self::Subscriber => "subscriber",
+        }
+    }
+}
+
+/// A publisher or subscriber of another participant.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Neighbour {
+    /// Its GUID.
+    pub guid: [u8; 16],
+    /// Which of both.
+    pub role: Role,
+    /// The DDS topic, `rt/cmd_vel`.
+    pub topic: String,
+    /// The DDS type, `geometry_msgs::msg::dds_::Twist_`.
+    pub type_name: String,
+    /// What it offers or requests.
+    pub qos: QosPolicies,
+    /// Set by bridges.
+    pub mark: Option<Mark>,
+}
+
+impl Neighbour {
+    fn new(guid: GUID, role: Role, topic: &str, type_name: &str, qos: QosPolicies) -> Self {
+        let mark = Mark::of(qos.lifespan());
+        let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
+        Self { guid: guid.to_bytes(), role, topic, type_name, qos, mark }
+    }
+}
+
+/// What has changed.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Change {
+    /// It was not there before.
+    Came(Neighbour),
+    /// It has left, or its participant gave no sign of life.
+    Left(Neighbour),
+}
+
+impl Participant {
+    /// The publishers of others, now.
+    pub(super) fn publishers(&self) -> impl Iterator<Item = Neighbour> {
+        let own = self.guid_prefix();
+        let writers = self.dds.discovered_writers().into_iter().map(|writer| {
+            let (guid, data) = (writer.writer_proxy.remote_writer_guid, writer.publication_topic_data);
+            (guid, Neighbour::new(guid, Role::Publisher, &data.topic_name, &data.type_name, data.qos()))
+        });
+        writers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
+    }
+
+    /// The subscribers of others, now.
+    fn subscribers(&self) -> impl Iterator<Item = Neighbour> {
+        let own = self.guid_prefix();
+        let readers = self.dds.discovered_readers().into_iter().map(|reader| {
+            let (guid, data) = (reader.reader_proxy.remote_reader_guid, reader.subscription_topic_data);
+            (guid, Neighbour::new(guid, Role::Subscriber, data.topic_name(), data.type_name(), data.qos()))
+        });
+        readers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
+    }
+
+    /// Tells, as long as it runs, of publishers and subscribers that come and leave, those first that are there
+    /// already: all that are marked, and those on the DDS topics of `topics`. One caller at a time: the news of a
+    /// participant are given out once.
+    pub async fn follow(&self, topics: &BTreeSet<String>, mut tell: impl FnMut(Change)) {
+        let listener = self.dds.status_listener();
+        let mut news = listener.as_async_status_stream();
+        let mut known: BTreeMap<[u8; 16], Neighbour> = BTreeMap::new();
+        loop {
+            let all = self.publishers().chain(self.subscribers());
+            let all = all.filter(|neighbour| neighbour.mark.is_some() || topics.contains(&neighbour.topic));
+            let now: BTreeMap<_, _> = all.take(NEIGHBOURS_MAX).map(|neighbour| (neighbour.guid, neighbour)).collect();
+            let before = std::mem::replace(&mut known, now);
+            for (guid, neighbour) in &before {
+                if !known.contains_key(guid) {
+                    tell(Change::Left(neighbour.clone()));
+                }
+            }
+            for (guid, neighbour) in &known {
+                if !before.contains_key(guid) {
+                    tell(Change::Came(neighbour.clone()));
+                }
+            }
+            sleep(LOOK_PAUSE).await;
+            match timeout(LOOK_EVERY, news.next()).await {
+                // DDS has ended: its readers and writers say so.
+                Ok(None) => return std::future::pending().await,
+                // Whatever else came meanwhile is seen at the next look as well.
+                Ok(Some(_)) => while let Some(Some(_)) = news.next().now_or_never() {},
+                Err(_) => {}
+            }
+        }
+    }
+}

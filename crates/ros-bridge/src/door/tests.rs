@@ -1,0 +1,114 @@
+use super::*;
+use ledger::Hash;
+
+const SALMA: Source = [1; 16];
+const RELAY: Source = [2; 16];
+const BRIDGE: Source = [3; 16];
+const NETWORK: Hash = Hash([9; 32]);
+
+fn mark(service: &str) -> Mark {
+    Mark::new(&NETWORK, service)
+}
+
+fn door() -> (Door, Arc<Delivered>, Instant) {
+    let delivered = Arc::new(Delivered::default());
+    let door = Door::new(mark("T/cmd_vel"), "T/cmd_vel", Duration::from_millis(300), Arc::clone(&delivered));
+    (door, delivered, Instant::now())
+}
+
+fn millis(count: u64) -> Duration {
+    Duration::from_millis(count)
+}
+
+#[test]
+fn what_a_bridge_of_the_network_published_is_never_taken_in() {
+    let (door, _, now) = door();
+    for service in ["T/cmd_vel", "Other/image"] {
+        assert_eq!(door.judge(BRIDGE, Some(mark(service)), b"x", now), Entry::FromBridge);
+    }
+    assert_eq!(door.returned(), 2);
+    let stranger = Mark::new(&Hash([8; 32]), "T/cmd_vel");
+    assert_eq!(
+        door.judge([4; 16], Some(stranger), b"y", now),
+        Entry::Admit,
+        "another network's is a message like others"
+    );
+}
+
+#[test]
+fn constant_commands_pass_while_a_bridge_delivers_them_to_the_same_graph() {
+    let (door, delivered, start) = door();
+    delivered.begins(mark("T/cmd_vel"));
+    for number in 0..500 {
+        let now = start + millis(20 * number);
+        assert_eq!(door.judge(SALMA, None, b"ahead", now), Entry::Admit, "sample {number}");
+        delivered.note(mark("T/cmd_vel"), b"ahead", now + millis(5));
+    }
+    // A source may also do what others did just before.
+    let now = start + millis(10_000);
+    delivered.note(mark("T/cmd_vel"), b"stop", now);
+    assert_eq!(door.judge(SALMA, None, b"stop", now + millis(1)), Entry::Admit);
+}
+
+#[test]
+fn a_relay_of_what_was_delivered_is_not_taken_in() {
+    let (door, delivered, start) = door();
+    delivered.begins(mark("T/cmd_vel"));
+    for number in 0..500u64 {
+        let (now, payload) = (start + millis(20 * number), (number / 100).to_le_bytes());
+        assert_eq!(door.judge(SALMA, None, &payload, now), Entry::Admit);
+        delivered.note(mark("T/cmd_vel"), &payload, now + millis(5));
+        assert_eq!(door.judge(RELAY, None, &payload, now + millis(6)), Entry::PassedOn, "sample {number}");
+    }
+    assert_eq!(door.returned(), 500);
+}
+
+#[test]
+fn a_relay_is_known_by_what_another_took_even_if_the_delivery_was_not_heard() {
+    let (door, delivered, now) = door();
+    delivered.begins(mark("T/cmd_vel"));
+    assert_eq!(door.judge(SALMA, None, b"ahead", now), Entry::Admit);
+    assert_eq!(door.judge(RELAY, None, b"ahead", now + millis(9)), Entry::PassedOn);
+    assert_eq!(door.judge(RELAY, None, b"ahead", now + millis(1100)), Entry::Admit, "this is no echo any more");
+}
+
+#[test]
+fn what_another_bridge_delivered_on_the_same_topic_is_not_taken_from_a_relay() {
+    let (door, _, now) = door();
+    assert_eq!(door.judge(BRIDGE, Some(mark("T/cmd_vel")), b"ahead", now), Entry::FromBridge);
+    assert_eq!(door.judge(RELAY, None, b"ahead", now + millis(1)), Entry::PassedOn);
+    assert_eq!(door.judge(RELAY, None, b"other", now + millis(2)), Entry::Admit, "this is its own");
+}
+
+#[test]
+fn two_nodes_may_send_the_same_where_nothing_is_delivered() {
+    let (door, delivered, now) = door();
+    assert_eq!(door.judge(SALMA, None, b"on", now), Entry::Admit);
+    assert_eq!(door.judge(RELAY, None, b"on", now + millis(1)), Entry::Admit);
+    delivered.note(mark("T/image"), b"on", now);
+    assert_eq!(door.judge([5; 16], None, b"on", now + millis(2)), Entry::Admit, "another service was delivered");
+}
+
+#[test]
+fn a_long_life_costs_bounded_memory() {
+    let (door, delivered, start) = door();
+    delivered.begins(mark("T/cmd_vel"));
+    for number in 0..3 * PAYLOADS_MAX as u64 {
+        let source = u128::from(number).to_le_bytes();
+        door.judge(source, None, &number.to_le_bytes(), start + Duration::from_nanos(number));
+        delivered.note(mark("T/cmd_vel"), &number.to_le_bytes(), start + Duration::from_nanos(number));
+    }
+    let window = delivered.lock();
+    assert!(window.order.len() <= PAYLOADS_MAX && window.last.len() <= PAYLOADS_MAX);
+    let known = door.lock();
+    assert!(known.sources.len() <= SOURCES_MAX && known.taken.len() <= PAYLOADS_MAX);
+}
+
+#[test]
+fn old_deliveries_are_forgotten() {
+    let (_, delivered, start) = door();
+    for number in 0..100u64 {
+        delivered.note(mark("T/cmd_vel"), &number.to_le_bytes(), start + Duration::from_secs(2 * number));
+    }
+    assert_eq!(delivered.lock().last.len(), 1);
+}

@@ -1,0 +1,232 @@
+//! What a bridge says about itself while it runs: on the log, as text or as JSON.
+//!
+//! One line when it is ready, and one for each route; when publishers and subscribers on its topics come and leave; when the
+//! node is lost, and when one answers again; why a route is silent, and when it carries messages again; and, as long as
+//! something is refused, the counters. All of it is limited in rate.
+
+mod neighbourhood;
+mod silent;
+
+use std::{
+    collections::BTreeSet,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use ledger_api::Context;
+use tokio::{
+    sync::mpsc,
+    time::{MissedTickBehavior, interval},
+};
+
+use self::{neighbourhood::Neighbourhood, silent::Teller};
+use crate::{
+    config::{Config, Direction, RouteConfig},
+    count::{Counters, RouteSummary},
+    domain::{ChosenBy, Domain},
+    gateway::{Gateway, Tally},
+    mark::Mark,
+    names::TopicName,
+    route::{
+        Stop,
+        local::Local,
+        silence::{Facts, silence},
+        stopped,
+    },
+    shm::Peers,
+};
+
+/// Between two looks at the routes.
+const LOOK_EVERY: Duration = Duration::from_secs(1);
+/// Silence of the ledger after which the node counts as lost: it gives a sign of life four times a second.
+const LOST_AFTER: Duration = Duration::from_secs(2);
+
+/// A route as the reporter sees it.
+pub(crate) struct Watched {
+    pub(crate) route: RouteConfig,
+    pub(crate) topic: TopicName,
+    pub(crate) mark: Mark,
+    /// Do users publish and the robot listens?
+    pub(crate) is_command: bool,
+    pub(crate) counters: Counters,
+    /// Who uses the topic in shared memory.
+    pub(crate) in_memory: Option<Peers>,
+}
+
+/// Reports on a running bridge until it ends.
+pub(crate) struct Reporter {
+    gateway: Arc<dyn Gateway>,
+    local: Local,
+    every: Duration,
+    routes: Arc<[Watched]>,
+    tellers: Vec<Teller>,
+    /// Address of the node that answers.
+    node: String,
+    heard: Instant,
+    is_lost: bool,
+    /// What was counted when the counters were last looked at.
+    counted: Vec<RouteSummary>,
+}
+
+impl Reporter {
+    /// Says that the bridge is ready, and what it carries.
+    pub(crate) fn ready(
+        config: &Config,
+        context: &Context,
+        domain: Domain,
+        gateway: Arc<dyn Gateway>,
+        local: Local,
+        routes: Vec<Watched>,
+    ) -> Self {
+        let node = gateway.node();
+        let Domain { id, chosen_by } = domain;
+        let identity = format!("{}/{}", context.organisation, context.name);
+        let (name, shared_memory, count) = (&config.node_name, config.shared_memory, routes.len());
+        tracing::info!(
+            context = context.name, organisation = context.organisation, node, domain = id, domain_from = %chosen_by,
+            node_name = name, shared_memory, routes = count,
+            "the bridge of {identity} is ready: ROS domain {id} (from {chosen_by}), node {node}"
+        );
+        if chosen_by == ChosenBy::Default {
+            tracing::info!(
+                domain = id,
+                "no domain_id is set: every ROS 2 node without ROS_DOMAIN_ID is in this domain too"
+            );
+        }
+        for (number, Watched { route, topic, .. }) in (1..).zip(&routes) {
+            let (service, message, qos) = (&route.service, &route.message, &route.qos);
+            let (direction, arrow) = match route.direction {
+                Direction::ToLedger => ("to_ledger", format!("{topic} -> {service}")),
+                Direction::FromLedger => ("from_ledger", format!("{service} -> {topic}")),
+            };
+            let (reliability, durability) = (qos.reliability.name(), qos.durability.name());
+            tracing::info!(
+                service, direction, topic = topic.as_str(), r#type = %message, reliability, durability, depth = qos.depth,
+                "route {number}: {arrow}"
+            );
+        }
+        let counted = routes.iter().map(|watched| watched.counters.summary()).collect();
+        let tellers = routes.iter().map(|_| Teller::default()).collect();
+        let (heard, every) = (Instant::now(), config.report_every);
+        Self { gateway, local, every, routes: routes.into(), tellers, node, heard, is_lost: false, counted }
+    }
+
+    /// Runs until it is told to end.
+    pub(crate) async fn run(mut self, mut stop: Stop) {
+        let topics: BTreeSet<String> = self.routes.iter().map(|watched| watched.topic.dds()).collect();
+        let (tell, mut changes) = mpsc::unbounded_channel();
+        let participant = self.local.participant().clone();
+        // Nobody hears it only when this task ends.
+        let follow = participant.follow(&topics, |change| drop(tell.send(change)));
+        let mut follow = std::pin::pin!(follow);
+        let mut neighbourhood = Neighbourhood::new(self.local.clone(), Arc::clone(&self.routes));
+        let mut look = interval(LOOK_EVERY);
+        look.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut count = interval(self.every);
+        count.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        loop {
+            tokio::select! {
+                biased;
+                () = stopped(&mut stop) => return,
+                Some(change) = changes.recv() => neighbourhood.note(change, Instant::now()),
+                _ = count.tick() => self.count(),
+                _ = look.tick() => {
+                    let now = Instant::now();
+                    neighbourhood.look(now);
+                    self.look_at_node(now);
+                    self.look_at_routes(&neighbourhood, now);
+                }
+                () = &mut follow => {}
+            }
+        }
+    }
+
+    fn look_at_node(&mut self, now: Instant) {
+        let heard = self.routes.iter().filter_map(|watched| watched.counters.lock().live.heard).max();
+        let before = self.heard;
+        self.heard = heard.unwrap_or(before).max(before);
+        let (node, silent) = (self.gateway.node(), now.saturating_duration_since(self.heard));
+        match (self.is_lost, silent > LOST_AFTER) {
+            (false, true) => {
+                self.is_lost = true;
+                let silent_ms = silent.as_millis();
+                tracing::warn!(
+                    node = self.node,
+                    silent_ms,
+                    "node {} lost: the ledger gives no sign of life",
+                    self.node
+                );
+            }
+            (true, false) => {
+                self.is_lost = false;
+                let lost_ms = self.heard.saturating_duration_since(before).as_millis();
+                tracing::warn!(node, was = self.node, lost_ms, "connected to node {node}: the ledger is back");
+                self.node = node;
+            }
+            (false, false) if node != self.node => {
+                tracing::info!(node, was = self.node, "connected to node {node} instead of {}", self.node);
+                self.node = node;
+            }
+            _ => {}
+        }
+    }
+
+    fn look_at_routes(&mut self, neighbourhood: &Neighbourhood, now: Instant) {
+        if self.is_lost {
+            return; // It is said why.
+        }
+        for (watched, teller) in self.routes.iter().zip(&mut self.tellers) {
+            let surroundings = neighbourhood.surroundings(watched);
+            let counts = watched.counters.lock();
+            let facts = Facts {
+                service: &watched.route.service,
+                direction: watched.route.direction,
+                topic: watched.topic.as_str(),
+                surroundings,
+                live: &counts.live,
+            };
+            let (silence, passed) = (silence(&facts, now), counts.live.passed);
+            drop(counts);
+            teller.look(watched, silence, passed, now);
+        }
+    }
+
+    /// One line for each route that refused or lost something since the last time.
+    fn count(&mut self) {
+        for (watched, last) in self.routes.iter().zip(&mut self.counted) {
+            let now = watched.counters.summary();
+            let before = std::mem::replace(last, now.clone());
+            let since = |now: u64, before: u64| now.saturating_sub(before);
+            let (refused, gate) = (grown(&now.refused, &before.refused), grown(&now.gate, &before.gate));
+            let replaced = since(now.replaced, before.replaced);
+            let returned = since(now.returned, before.returned);
+            let unpublished = since(now.unpublished, before.unpublished);
+            if refused.is_empty() && gate.is_empty() && replaced + returned + unpublished == 0 {
+                continue;
+            }
+            let (samples_in, committed) =
+                (since(now.samples_in, before.samples_in), since(now.committed, before.committed));
+            let published = since(now.published, before.published);
+            tracing::warn!(
+                service = now.service,
+                seconds = self.every.as_secs(),
+                samples_in,
+                committed,
+                refused,
+                replaced,
+                returned,
+                published,
+                unpublished,
+                gate,
+                "not everything passes"
+            );
+        }
+    }
+}
+
+/// By how much each entry of a tally has grown, as text.
+fn grown(now: &Tally, before: &Tally) -> String {
+    let more = now.iter().map(|(name, count)| (name, count.saturating_sub(before.get(name).copied().unwrap_or(0))));
+    let more = more.filter(|(_, count)| *count > 0).map(|(name, count)| format!("{name} {count}"));
+    more.collect::<Vec<_>>().join(", ")
+}

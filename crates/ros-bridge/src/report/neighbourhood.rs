@@ -1,0 +1,256 @@
+//! Who else is on the topics of a bridge, and what that means for its routes.
+
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use rustdds::QosPolicies;
+use tokio::task::AbortHandle;
+
+use super::Watched;
+use crate::{
+    config::Direction,
+    dds::{Change, Neighbour, Role},
+    mark::Mark,
+    names::TopicName,
+    qos::{Qos, Reliability},
+    queue::Limits,
+    route::{local::Local, silence::Surroundings},
+};
+
+/// At most so many lines about those who come and leave ...
+const LINES_MAX: u32 = 20;
+/// ... in this time.
+const LINES_IN: Duration = Duration::from_secs(10);
+/// Most publishers of other bridges that are listened to.
+const LISTENED_MAX: usize = 16;
+
+/// What is known of the others.
+pub(super) struct Neighbourhood {
+    local: Local,
+    routes: Arc<[Watched]>,
+    known: BTreeMap<[u8; 16], Neighbour>,
+    /// Publishers of other bridges on other topics, listened to: what they deliver must not come in by a relay.
+    listened: BTreeMap<[u8; 16], AbortHandle>,
+    /// How many use each route's topic in shared memory, when last looked at.
+    in_memory: Vec<usize>,
+    lines: u32,
+    window: Instant,
+    not_told: u64,
+}
+
+impl Neighbourhood {
+    pub(super) fn new(local: Local, routes: Arc<[Watched]>) -> Self {
+        let in_memory = routes.iter().map(count_in_memory).collect();
+        let (known, listened) = (BTreeMap::new(), BTreeMap::new());
+        Self { local, routes, known, listened, in_memory, lines: 0, window: Instant::now(), not_told: 0 }
+    }
+
+    /// Takes note of a change, and tells what it means.
+    pub(super) fn note(&mut self, change: Change, now: Instant) {
+        let (neighbour, came) = match change {
+            Change::Came(neighbour) => (neighbour, true),
+            Change::Left(neighbour) => (neighbour, false),
+        };
+        if came {
+            self.known.insert(neighbour.guid, neighbour.clone());
+            self.listen(&neighbour);
+        } else {
+            self.known.remove(&neighbour.guid);
+            if let Some(listener) = self.listened.remove(&neighbour.guid) {
+                listener.abort();
+            }
+        }
+        for watched in Arc::clone(&self.routes).iter() {
+            if watched.topic.dds() == neighbour.topic && self.may_tell(now) {
+                tell(watched, &neighbour, came);
+            }
+        }
+    }
+
+    /// Looks at what nobody tells: shared memory; and says how much was not told.
+    pub(super) fn look(&mut self, now: Instant) {
+        for (watched, before) in self.routes.iter().zip(&mut self.in_memory) {
+            let count = count_in_memory(watched);
+            if count != *before
+                && let Some(peers) = &watched.in_memory
+            {
+                let (service, topic) = (&watched.route.service, watched.topic.as_str());
+                tracing::info!(
+                    service,
+                    topic,
+                    "{count} {}s in shared memory now, {before} before",
+                    peers.role().name()
+                );
+                *before = count;
+            }
+        }
+        if self.not_told > 0 && now.saturating_duration_since(self.window) > LINES_IN {
+            let count = std::mem::take(&mut self.not_told);
+            tracing::info!(count, "{count} more publishers and subscribers have come or left");
+        }
+    }
+
+    /// Who is at the other end of a route.
+    pub(super) fn surroundings(&self, watched: &Watched) -> Surroundings {
+        let mut surroundings = Surroundings::default();
+        let (topic, wanted) = (watched.topic.dds(), watched.route.message.dds());
+        for neighbour in self.known.values().filter(|neighbour| neighbour.topic == topic) {
+            if neighbour.role == other_end(watched.route.direction) {
+                surroundings.add(neighbour, &wanted, misfit(watched, neighbour), is_bridge(neighbour, watched.mark));
+            }
+        }
+        // A bridge is in shared memory as well; which one of them it is cannot be told.
+        surroundings.in_memory = count_in_memory(watched).saturating_sub(surroundings.bridges);
+        surroundings
+    }
+
+    fn may_tell(&mut self, now: Instant) -> bool {
+        if now.saturating_duration_since(self.window) > LINES_IN {
+            (self.window, self.lines) = (now, 0);
+        }
+        self.lines = self.lines.saturating_add(1);
+        if self.lines > LINES_MAX {
+            self.not_told = self.not_told.saturating_add(1);
+        }
+        self.lines <= LINES_MAX
+    }
+
+    /// Hears what another bridge delivers of a service that a route of ours takes to the ledger from another topic.
+    fn listen(&mut self, neighbour: &Neighbour) {
+        let Some(mark) = neighbour.mark.filter(|_| neighbour.role == Role::Publisher) else { return };
+        let meant = |watched: &&Watched| {
+            watched.route.direction == Direction::ToLedger
+                && watched.mark == mark
+                && watched.route.message.dds() == neighbour.type_name
+        };
+        let Some(watched) = self.routes.iter().find(meant) else { return };
+        self.local.delivered().begins(mark);
+        if watched.topic.dds() == neighbour.topic || self.listened.len() >= LISTENED_MAX {
+            return; // The route itself hears it.
+        }
+        let topic = neighbour.topic.strip_prefix("rt").and_then(|topic| TopicName::parse(topic).ok());
+        let Some(topic) = topic else { return };
+        let qos = Qos { reliability: Reliability::BestEffort, ..Qos::default() };
+        let limits = Limits { sample_bytes_max: watched.route.sample_bytes_max, ..Limits::default() };
+        match self.local.participant().reader(&topic, &watched.route.message, &qos, limits) {
+            Ok(mut reader) => {
+                let delivered = Arc::clone(self.local.delivered());
+                let listener = tokio::spawn(async move {
+                    while let Some(incoming) = reader.next().await {
+                        delivered.note(mark, incoming.sample.wire(), incoming.received);
+                    }
+                });
+                self.listened.insert(neighbour.guid, listener.abort_handle());
+                let service = &watched.route.service;
+                tracing::info!(
+                    service,
+                    topic = topic.as_str(),
+                    "another bridge delivers {service} on {topic}: what comes back from there is not taken in"
+                );
+            }
+            Err(error) => tracing::warn!(%topic, %error, "what another bridge delivers here is not heard"),
+        }
+    }
+}
+
+impl Drop for Neighbourhood {
+    fn drop(&mut self) {
+        self.listened.values().for_each(AbortHandle::abort);
+    }
+}
+
+fn count_in_memory(watched: &Watched) -> usize {
+    watched.in_memory.as_ref().map_or(0, crate::shm::Peers::count)
+}
+
+/// Whom a route is connected with.
+fn other_end(direction: Direction) -> Role {
+    match direction {
+        Direction::ToLedger => Role::Publisher,
+        Direction::FromLedger => Role::Subscriber,
+    }
+}
+
+fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
+    neighbour.mark.is_some_and(|mark| mark.is_of_network_of(own))
+}
+
+/// The policy by which DDS keeps both apart.
+fn misfit(watched: &Watched, neighbour: &Neighbour) -> Option<String> {
+    let ours: QosPolicies = watched.route.qos.policies();
+    let (offered, requested) = match neighbour.role {
+        Role::Publisher => (&neighbour.qos, &ours),
+        Role::Subscriber => (&ours, &neighbour.qos),
+    };
+    offered.compliance_failure_wrt(requested).map(|policy| format!("{policy:?}").to_lowercase())
+}
+
+/// One line about somebody on a route's topic.
+fn tell(watched: &Watched, neighbour: &Neighbour, came: bool) {
+    let (service, topic, role) = (&watched.route.service, watched.topic.as_str(), neighbour.role.name());
+    let guid = hex::encode(neighbour.guid);
+    if !came {
+        tracing::info!(service, topic, role, guid, "a {role} on {topic} has left");
+        return;
+    }
+    let is_same_service = neighbour.mark == Some(watched.mark);
+    if neighbour.role != other_end(watched.route.direction) {
+        match watched.route.direction {
+            Direction::ToLedger if is_same_service => tracing::warn!(
+                service,
+                topic,
+                guid,
+                "another bridge takes {topic} to {service} too: each sample is submitted twice; stop one of both"
+            ),
+            Direction::FromLedger if is_same_service => tracing::warn!(
+                service,
+                topic,
+                guid,
+                "another bridge delivers {service} on {topic} too: each message arrives twice; stop one of both"
+            ),
+            Direction::FromLedger if watched.is_command => tracing::warn!(
+                service,
+                topic,
+                guid,
+                "a publisher beside this bridge on {topic}: what it sends goes around the ledger"
+            ),
+            _ => {}
+        }
+        return;
+    }
+    let (found, wanted) = (&neighbour.type_name, watched.route.message.dds());
+    if *found != wanted {
+        tracing::warn!(
+            service,
+            topic,
+            role,
+            guid,
+            found,
+            wanted,
+            "a {role} on {topic} has another type: nothing passes"
+        );
+    } else if neighbour.role == Role::Publisher && is_bridge(neighbour, watched.mark) {
+        tracing::warn!(
+            service,
+            topic,
+            guid,
+            "another bridge publishes on {topic} what came from the ledger, and this route takes {topic} to {service}: \
+             this would be a circle, so what the bridge publishes is not taken in; give one of both another topic or domain"
+        );
+    } else if let Some(policy) = misfit(watched, neighbour) {
+        tracing::warn!(
+            service,
+            topic,
+            role,
+            guid,
+            policy,
+            "the qos of a {role} on {topic} does not fit: nothing passes"
+        );
+    } else {
+        let reliability = if neighbour.qos.is_reliable() { "reliable" } else { "best_effort" };
+        tracing::info!(service, topic, role, guid, reliability, "a {role} on {topic} has come");
+    }
+}
