@@ -98,11 +98,6 @@ impl Blocks {
         self.store.first_index()
     }
 
-    /// The end of the log, committed or not.
-    pub(crate) fn last_height(&self) -> u64 {
-        self.store.last_index()
-    }
-
     fn recent(&self, height: u64) -> Option<Arc<Outcome>> {
         let recent = self.recent.read().unwrap_or_else(PoisonError::into_inner);
         let first = recent.outcomes.front()?.header.height;

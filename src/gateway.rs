@@ -1,7 +1,10 @@
 //! The gateway: the gRPC API of the node for clients and bridges (crates/api/proto/ledgerd/v1/gateway.proto).
 
+mod current;
+mod held;
 mod line;
 mod reads;
+mod retries;
 mod share;
 mod submit;
 mod subscribe;
@@ -13,10 +16,11 @@ use crate::clock::{Clock, wall};
 use crate::config::Limits;
 use crate::denials::Denials;
 use crate::listen::Caller;
-use crate::orderer::{Executed, Reads, Seat};
+use crate::orderer::{Executed, Seat};
 use crate::peers::{Directory, Member, Peers};
 use crate::waiters::Waiters;
 use crate::witness::Witness;
+pub(crate) use current::Current;
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
 pub(crate) use ledger_api::to_status as status;
@@ -26,6 +30,7 @@ use ledger_api::v1::{
     QueryResponse, StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
     TransferLeadershipRequest, TransferLeadershipResponse,
 };
+pub(crate) use retries::Retries;
 pub(crate) use share::{Place, Shares};
 use std::pin::Pin;
 use std::sync::Arc;
@@ -59,8 +64,8 @@ pub(crate) struct NodeView {
     pub denials: Arc<Denials>,
     /// Where ordering is, when it is.
     pub seat: Arc<Seat>,
-    /// Linearizable reads that wait.
-    pub reads: Arc<Reads>,
+    /// Makes the state as new as what was committed when somebody asked.
+    pub current: Current,
     /// What was executed.
     pub executed: Arc<Executed>,
     /// Who belongs to the network.
@@ -71,6 +76,8 @@ pub(crate) struct NodeView {
     pub limits: Limits,
     /// What each identity has in flight.
     pub shares: Shares,
+    /// Repetitions that are ordered although the state refuses them.
+    pub retries: Retries,
     /// Longest time that data waits until it is looked at.
     pub wait_max: Duration,
     /// Open subscriptions.
@@ -152,7 +159,7 @@ impl Gateway for GatewayService {
         let caller = self.caller(&request)?;
         let height = request.into_inner().height;
         if height > self.node.ledger.tip().height {
-            self.node.reach_log().await;
+            self.node.current.reach().await.map_err(|rejection| status(&rejection))?;
         }
         self.node.block(&caller, height).map(Response::new).map_err(|rejection| status(&rejection))
     }
@@ -165,7 +172,7 @@ impl Gateway for GatewayService {
         let id = request.into_inner().id;
         let found = match self.node.transaction(&caller, &id) {
             Err(rejection) if rejection.code == Code::NotFound => {
-                self.node.reach_log().await;
+                self.node.current.reach().await.map_err(|rejection| status(&rejection))?;
                 self.node.transaction(&caller, &id)
             }
             found => found,

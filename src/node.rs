@@ -10,7 +10,7 @@ use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::{self, EnrolmentService};
-use crate::gateway::{GatewayService, NodeView, Shares};
+use crate::gateway::{Current, GatewayService, NodeView, Retries, Shares};
 use crate::housekeeping::Housekeeping;
 use crate::identity::{Joined, own_membership, removed};
 use crate::listen::accept;
@@ -199,6 +199,7 @@ impl Node {
             data: config.data.clone(),
         };
 
+        let current = Current::new(reads, Arc::clone(&seat), Arc::clone(&blocks));
         let view = Arc::new(NodeView {
             me,
             label: genesis.label.clone(),
@@ -207,12 +208,13 @@ impl Node {
             waiters,
             denials,
             seat: Arc::clone(&seat),
-            reads,
+            current,
             executed,
             directory: Arc::clone(&directory),
             peers: Arc::clone(&peers),
             limits: config.limits.clone(),
             shares: Shares::new(count(config.limits.in_flight_max), workers),
+            retries: Retries::default(),
             wait_max: Duration::from_millis(config.order.wait_ms),
             subscribers: Arc::new(AtomicU64::new(0)),
             disk_full,

@@ -61,6 +61,11 @@ impl Waiters {
         waiting.waiters.push((Instant::now(), waiter));
     }
 
+    /// Does somebody wait for exactly these bytes? Then they were admitted, and are on their way.
+    pub(crate) fn has(&self, transaction: &Transaction) -> bool {
+        self.lock().waiting.get(&transaction.id()).is_some_and(|waiting| waiting.encoded == *transaction.encoded())
+    }
+
     /// Does nobody wait?
     pub(crate) fn is_empty(&self) -> bool {
         self.lock().waiting.is_empty()
@@ -96,10 +101,16 @@ impl Waiters {
             let response = match ledger.transaction(id) {
                 Ok(Some(record)) => known(id, &record),
                 Ok(None) if *bytes != submitted => continue,
-                Ok(None) if matches!(result.code(), Code::NotAfterTooFar | Code::UnknownCreator) => {
+                Ok(None) if is_early(result.code()) => {
                     let reason = format!("transaction {id} was ordered too early: {}", result.message);
                     let early = Rejection::new(Code::Timeout, reason);
                     refused(Some(id), &early.next("submit the same transaction again: it is executed once"))
+                }
+                Ok(None) if result.code() == Code::Expired && !remembers(ledger, &submitted) => {
+                    let reason = format!(
+                        "the time of transaction {id} has passed, and this node does not have every block that may hold it"
+                    );
+                    refused(Some(id), &Rejection::new(Code::Timeout, reason).next("ask a node that keeps older blocks"))
                 }
                 Ok(None) => executed(id, outcome.header.height, index, outcome.header.time, result),
                 Err(fault) => refused(Some(id), &fault),
@@ -141,6 +152,18 @@ impl Waiters {
     fn lock(&self) -> MutexGuard<'_, Table> {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Is it a verdict that another copy, ordered later, may not get?
+fn is_early(code: Code) -> bool {
+    use Code::{CertificateNotYetValid, NotAfterTooFar, UnknownCreator, Untrusted};
+    matches!(code, NotAfterTooFar | UnknownCreator | CertificateNotYetValid | Untrusted)
+}
+
+/// Would the ledger know of an earlier verdict?
+fn remembers(ledger: &Ledger, submitted: &Bytes) -> bool {
+    let transaction = Transaction::decode(submitted.clone());
+    transaction.is_ok_and(|transaction| ledger.remembers(transaction.body().not_after).unwrap_or(false))
 }
 
 fn answer(waiting: Vec<(Instant, Waiter)>, response: &SubmitResponse) {

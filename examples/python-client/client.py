@@ -13,6 +13,7 @@ import json
 import os
 import ssl
 import sys
+import time
 import tomllib
 from pathlib import Path
 
@@ -28,6 +29,8 @@ from ledgerd.v1 import transaction_pb2 as signed
 P256_ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
 # A command is worth nothing after two seconds.
 LIFE_US = 2_000_000
+# How long a call is tried: longer than it can be executed.
+RETRY_S = 5
 
 
 class Client:
@@ -61,11 +64,26 @@ class Client:
         ).SerializeToString()
         signature = self.sign(b"ledgerd transaction v1\0" + body)
         transaction = signed.Transaction(body=body, signature=signature, certificate=self.certificate)
-        answer = self.gateway.Submit(api.SubmitRequest(transaction=transaction.SerializeToString()))
+        request = api.SubmitRequest(transaction=transaction.SerializeToString(), first_attempt=True)
+        answer = self.send(request, until=time.monotonic() + RETRY_S)
         if answer.verdict.code != 0:
             verdict = answer.verdict
             sys.exit(f"LGR-{verdict.code}: {verdict.message}\n  found   {verdict.found}\n  wanted  {verdict.wanted}")
         return answer
+
+    def send(self, request: api.SubmitRequest, until: float) -> api.SubmitResponse:
+        """Submits; again as long as nobody knows what became of it. The node executes it once."""
+        while True:
+            try:
+                answer = self.gateway.Submit(request, timeout=RETRY_S)
+                if answer.height or answer.verdict.code < 4000 or time.monotonic() > until:
+                    return answer
+            except grpc.RpcError:
+                if time.monotonic() > until:
+                    raise
+            # From now on a copy may be on its way: only the chain can tell what became of it.
+            request.first_attempt = False
+            time.sleep(0.1)
 
     def sign(self, message: bytes) -> bytes:
         """Ed25519, or P-256 with the lower of the two values of s."""

@@ -17,6 +17,8 @@ pub(super) struct Arrived {
     pub(super) transaction: Transaction,
     /// Height at which it is to be looked at.
     pub(super) min_height: u64,
+    /// The client says that it gave it to no node before.
+    pub(super) first_attempt: bool,
     /// How urgent it says it is.
     pub(super) lane: Lane,
     /// When it came.
@@ -162,7 +164,7 @@ mod tests {
             let transaction = Transaction::sign(&body, &self.key).unwrap();
             let place = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();
             let since = self.start + Duration::from_millis(at_ms);
-            self.line.push(Arrived { transaction, min_height: 0, lane, since, place });
+            self.line.push(Arrived { transaction, min_height: 0, first_attempt: true, lane, since, place });
         }
 
         /// When those came that are refused after so many milliseconds, and what they are told.

@@ -10,21 +10,17 @@ use ledger_api::v1::{
     Verdict,
 };
 use std::sync::atomic::Ordering;
-use std::time::Duration;
 use tonic::Status;
 
-/// Longest time that a query waits for the height that it wants.
-const WAIT_FOR_HEIGHT: Duration = Duration::from_secs(2);
 /// Refusals that are answered if the caller names no limit.
 const DENIALS_DEFAULT: u32 = 100;
 
 impl NodeView {
     pub(super) async fn query(&self, caller: &Identity, request: QueryRequest) -> Result<QueryResponse, Status> {
-        let height = match request.linearizable {
-            true => self.reads.confirmed_height(&self.seat).await.map_err(|rejection| status(&rejection))?,
-            false => 0,
-        };
-        self.reach(request.min_height.max(height)).await.map_err(|rejection| status(&rejection))?;
+        if !request.may_be_stale {
+            self.current.reach().await.map_err(|rejection| status(&rejection))?;
+        }
+        self.at_height(request.min_height).await.map_err(|rejection| status(&rejection))?;
         let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
         Ok(match answer {
             Ok((response, height)) => QueryResponse { verdict: Some(Verdict::default()), response, height },
@@ -36,27 +32,8 @@ impl NodeView {
     }
 
     /// Waits until this node has executed the block at a height.
-    pub(super) async fn reach(&self, height: u64) -> Result<(), Rejection> {
-        let mut head = self.blocks.head();
-        let reached = tokio::time::timeout(WAIT_FOR_HEIGHT, head.wait_for(|reached| *reached >= height)).await;
-        match reached {
-            Ok(Ok(_)) => Ok(()),
-            Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
-            Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
-                .found(format!("height {}", self.ledger.tip().height))
-                .wanted(format!("height {height}"))
-                .next("ask again, or ask another node")),
-        }
-    }
-
-    /// Waits until everything that the log holds now is executed, as far as it comes to that soon. After a start the log
-    /// knows of blocks that a client has seen, before the others confirm that they are committed.
-    pub(super) async fn reach_log(&self) {
-        let last = self.blocks.last_height();
-        if self.ledger.tip().height < last {
-            // What cannot be waited for is answered by what there is.
-            let _reached = self.reach(last).await;
-        }
+    pub(super) async fn at_height(&self, height: u64) -> Result<(), Rejection> {
+        if height > self.ledger.tip().height { self.current.reach_height(height).await } else { Ok(()) }
     }
 
     pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {

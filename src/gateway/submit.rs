@@ -1,5 +1,7 @@
 //! Submission: a place in the line, admission, then the queue of the orderer, then an answer when the verdict is known.
 
+use super::current::Known;
+use super::held::{Held, Item};
 use super::line::{Arrived, Line, overloaded};
 use super::share::{Share, Turn};
 use super::{GatewayService, NodeView};
@@ -7,7 +9,7 @@ use crate::slice;
 use crate::waiters::{Waiter, known, refused};
 use futures::FutureExt;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Code, Refusal, Rejection};
+use ledger::{Admission, Code, Ground, Refusal, Rejection, Step};
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::{Input, Lane};
 use std::pin::{Pin, pin};
@@ -42,7 +44,7 @@ pub(super) fn stream(gateway: GatewayService, share: Arc<Share>, requests: Strea
     let (answers, verdicts) = mpsc::unbounded_channel();
     let unread = Arc::new(Semaphore::new(UNREAD_MAX));
     let requests = Requests { requests, unread: Arc::clone(&unread), open: true };
-    let desk = Desk { node: gateway.node, share, answers, line: Line::default() };
+    let desk = Desk { node: gateway.node, share, answers, line: Line::default(), held: Held::default() };
     tokio::spawn(desk.serve(requests));
     Verdicts { verdicts, unread }
 }
@@ -96,17 +98,19 @@ struct Desk {
     share: Arc<Share>,
     answers: Answers,
     line: Line,
+    /// What the state refuses, until it is known whether the state is current.
+    held: Held,
 }
 
 impl Desk {
     async fn serve(mut self, mut requests: Requests) {
-        while requests.open || self.line.next().is_some() {
-            if self.line.next().is_none() {
-                let request = tokio::select! {
-                    request = requests.next() => request,
+        while requests.open || self.line.next().is_some() || !self.held.is_empty() {
+            if self.line.next().is_none() && self.held.due().is_none() {
+                tokio::select! {
+                    request = requests.next(), if requests.open => self.take_in(request),
+                    () = self.held.answered(), if !self.held.is_empty() => {}
                     () = self.answers.closed() => return,
-                };
-                self.take_in(request);
+                }
             }
             if self.answers.is_closed() {
                 return;
@@ -118,6 +122,8 @@ impl Desk {
                     _ => break,
                 }
             }
+            let _not_yet = self.held.answered().now_or_never();
+            self.decide(&mut requests).await;
             self.look(&mut requests).await;
         }
     }
@@ -128,6 +134,20 @@ impl Desk {
             Ok(arrived) => self.line.push(arrived),
             Err(answer) => drop(self.answers.send(Ok(*answer))),
         }
+    }
+
+    /// Decides on what was held, now that the state is current; for as long as others allow.
+    async fn decide(&mut self, requests: &mut Requests) {
+        let Some(lane) = self.held.due() else { return };
+        let Some(turn) = self.turn(lane, requests).await else { return };
+        let start = Instant::now();
+        while let Some((item, known)) = self.held.take(lane, &self.node.current) {
+            self.node.submit_again(item, &known, &self.answers);
+            if self.held.due() != Some(lane) || start.elapsed() >= SLICE {
+                break;
+            }
+        }
+        drop(turn);
     }
 
     /// Looks at what waits, for as long as others allow.
@@ -147,7 +167,7 @@ impl Desk {
         let (now, height) = (Instant::now(), self.node.ledger.tip().height);
         if lane == Lane::Data {
             for (arrived, reason) in self.line.take_late(now, self.node.wait_max) {
-                self.node.refuse_overloaded(&arrived, reason, &self.share, &self.answers);
+                self.node.refuse_overloaded(&arrived, reason, &self.answers);
             }
         }
         self.node.ledger.verify_together(self.line.first(lane, TOGETHER_MAX), self.node.clock.now());
@@ -155,7 +175,13 @@ impl Desk {
         while self.line.min_height(lane).is_some_and(|wanted| wanted <= height)
             && let Some(arrived) = self.line.take(lane)
         {
-            self.node.submit(arrived, &self.answers);
+            let left = match self.held.holds_back(&arrived) {
+                true => Some(Item { arrived, refusal: None }),
+                false => self.node.submit(arrived, None, &self.answers),
+            };
+            if let Some(item) = left {
+                self.held.push(item, &self.node.current);
+            }
             if start.elapsed() >= SLICE {
                 break;
             }
@@ -181,7 +207,7 @@ impl Desk {
                 request = requests.next(), if requests.open => request,
             };
             self.take_in(request);
-            if self.line.next() != Some(lane) {
+            if lane == Lane::Data && self.line.next() == Some(Lane::Control) {
                 return None;
             }
             reads += 1;
@@ -202,23 +228,28 @@ impl NodeView {
         if let Err(reason) = self.at_height(arrived.min_height).await {
             return self.refuse_unordered(&arrived, &reason, answers);
         }
-        let Some(_turn) = share.turn(arrived.lane).await else { return };
+        let Some(turn) = share.turn(arrived.lane).await else { return };
         let waited = arrived.since.elapsed();
         if arrived.lane == Lane::Data && waited > self.wait_max {
             let reason = overloaded(true, waited, (1, waited), self.wait_max);
-            return self.refuse_overloaded(&arrived, reason, share, answers);
+            return self.refuse_overloaded(&arrived, reason, answers);
         }
-        self.submit(arrived, answers);
+        let Some(item) = self.submit(arrived, None, answers) else { return };
+        drop(turn);
+        let known = self.current.reach().await;
+        let Some(_turn) = share.turn(item.arrived.lane).await else { return };
+        self.submit_again(item, &known, answers);
     }
 
     /// Takes a request in: what can be refused without looking closer is refused here.
     fn arrived(&self, request: SubmitRequest, share: &Arc<Share>) -> Result<Arrived, Box<SubmitResponse>> {
         self.awake.keep();
-        let SubmitRequest { transaction: encoded, min_height } = request;
+        let SubmitRequest { transaction: encoded, min_height, first_attempt } = request;
         // Not even looked at, but named: by the id a client on a stream knows which of its transactions is meant.
         let unread = |rejection| {
             let transaction = Transaction::decode(encoded.clone()).ok();
-            self.refuse(&Refusal { who: None, transaction, rejection })
+            let refusal = Refusal::of_node(None, transaction, rejection);
+            self.refuse(first_attempt, &refusal)
         };
         let limit = self.limits.payload_bytes_max;
         if encoded.len() as u64 > limit {
@@ -235,39 +266,102 @@ impl NodeView {
             return Err(unread(rejection));
         }
         let transaction = Transaction::decode(encoded)
-            .map_err(|rejection| self.refuse(&Refusal { who: None, transaction: None, rejection }))?;
+            .map_err(|rejection| Refusal { who: None, transaction: None, rejection, ground: Ground::Bytes })
+            .map_err(|refusal| self.refuse(first_attempt, &refusal))?;
         let body = transaction.body();
         let urgent =
             self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
         match share.place(lane, transaction.encoded().len()) {
-            Ok(place) => Ok(Arrived { transaction, min_height, lane, since: Instant::now(), place }),
+            Ok(place) => Ok(Arrived { transaction, min_height, first_attempt, lane, since: Instant::now(), place }),
             Err(rejection) => {
                 let who = Some(share.name().to_owned());
-                Err(self.refuse(&Refusal { who, transaction: Some(transaction), rejection }))
+                Err(self.refuse(first_attempt, &Refusal::of_node(who, Some(transaction), rejection)))
             }
         }
     }
 
-    /// Waits until this node has executed the block at a height.
-    async fn at_height(&self, height: u64) -> Result<(), Rejection> {
-        if height > self.ledger.tip().height { self.reach(height).await } else { Ok(()) }
+    /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused here;
+    /// the answer may also be an earlier verdict. What the state refuses is given back with the reason as long as it is not
+    /// known whether the state is current: `reached` is what became of the question.
+    fn submit(&self, arrived: Arrived, reached: Option<&Known>, answers: &Answers) -> Option<Item> {
+        if self.waiters.has(&arrived.transaction) {
+            // It is on its way already. Perhaps it was lost there, so it goes once more.
+            self.order(arrived, answers);
+            return None;
+        }
+        let Arrived { transaction, min_height, first_attempt, lane, since, place } = arrived;
+        let back = |transaction| Arrived { transaction, min_height, first_attempt, lane, since, place };
+        match self.ledger.admit_decoded(transaction, self.clock.now()) {
+            Ok(Admission::New(transaction)) => {
+                let (arrived, waited) = (back(transaction), since.elapsed());
+                if reached.is_some() && lane == Lane::Data && waited > self.wait_max * 2 {
+                    let reason = overloaded(true, waited, (1, waited), self.wait_max);
+                    self.refuse_overloaded(&arrived, reason, answers);
+                } else {
+                    self.order(arrived, answers);
+                }
+            }
+            Ok(Admission::Known(id, record)) => drop(answers.send(Ok(known(&id, &record)))),
+            Err(refusal) => match refusal.transaction.clone() {
+                Some(transaction) => return self.conclude(back(transaction), refusal, reached, answers),
+                None => drop(answers.send(Ok(*self.refuse(first_attempt, &refusal)))),
+            },
+        }
+        None
     }
 
-    /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused here;
-    /// the answer may also be an earlier verdict.
-    fn submit(&self, arrived: Arrived, answers: &Answers) {
-        let Arrived { transaction, lane, place, .. } = arrived;
-        let transaction = match self.ledger.admit_decoded(transaction, self.clock.now()) {
-            Ok(Admission::New(transaction)) => transaction,
-            Ok(Admission::Known(id, record)) => return drop(answers.send(Ok(known(&id, &record)))),
-            Err(refusal) => return drop(answers.send(Ok(*self.refuse(&refusal)))),
+    /// As [`NodeView::submit`], for one that was held until it is known whether the state is current.
+    fn submit_again(&self, item: Item, known: &Known, answers: &Answers) {
+        let Item { arrived, refusal, .. } = item;
+        // Judged by a state that is new enough: it would be judged the same way again.
+        let judged = refusal.filter(|refusal| match (refusal.ground, known) {
+            (Ground::Judged { height } | Ground::State { height }, Ok(reached)) => height >= *reached,
+            _ => true,
+        });
+        let left = match judged {
+            Some(refusal) => self.conclude(arrived, refusal, Some(known), answers),
+            None => self.submit(arrived, Some(known), answers),
         };
+        if let Some(Item { arrived, refusal: Some(refusal) }) = left {
+            self.answer(&arrived, &refusal, &refusal.open(), answers);
+        }
+    }
+
+    /// Does what is to be done with a transaction that the state refuses.
+    fn conclude(
+        &self,
+        arrived: Arrived,
+        refusal: Box<Refusal>,
+        reached: Option<&Known>,
+        answers: &Answers,
+    ) -> Option<Item> {
+        match refusal.step(arrived.first_attempt, reached) {
+            Step::Reach => return Some(Item { arrived, refusal: Some(refusal) }),
+            Step::Order if self.may_order(&arrived) => self.order(arrived, answers),
+            Step::Order => self.answer(&arrived, &refusal, &refusal.open(), answers),
+            Step::Answer(reason) => self.answer(&arrived, &refusal, &reason, answers),
+        }
+        None
+    }
+
+    fn answer(&self, arrived: &Arrived, refusal: &Refusal, reason: &Rejection, answers: &Answers) {
+        self.denials.record(self.clock.now(), refusal);
+        let _gone = answers.send(Ok(refused(Some(&arrived.transaction.id()), reason)));
+    }
+
+    fn may_order(&self, arrived: &Arrived) -> bool {
+        self.retries.allow(arrived.place.name(), arrived.transaction.encoded().len(), self.clock.now())
+    }
+
+    /// Hands a transaction to the orderer. It is answered when it has a verdict.
+    fn order(&self, arrived: Arrived, answers: &Answers) {
+        let Arrived { transaction, lane, place, .. } = arrived;
         self.waiters.add(&transaction, lane, Waiter { answers: answers.clone(), place });
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
         if let Err(rejection) = self.seat.input(input) {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
-            self.denials.record(self.clock.now(), &Refusal { who, transaction: Some(transaction), rejection });
+            self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
         }
     }
 
@@ -276,14 +370,19 @@ impl NodeView {
         let _gone = answers.send(Ok(refused(Some(&arrived.transaction.id()), reason)));
     }
 
-    fn refuse_overloaded(&self, arrived: &Arrived, rejection: Rejection, share: &Share, answers: &Answers) {
-        let (who, transaction) = (Some(share.name().to_owned()), Some(arrived.transaction.clone()));
-        let _gone = answers.send(Ok(*self.refuse(&Refusal { who, transaction, rejection })));
+    fn refuse_overloaded(&self, arrived: &Arrived, rejection: Rejection, answers: &Answers) {
+        let (who, transaction) = (Some(arrived.place.name().to_owned()), Some(arrived.transaction.clone()));
+        let refusal = Refusal::of_node(who, transaction, rejection);
+        let _gone = answers.send(Ok(*self.refuse(arrived.first_attempt, &refusal)));
     }
 
     /// Counts a refusal; the answer to it.
-    fn refuse(&self, refusal: &Refusal) -> Box<SubmitResponse> {
+    fn refuse(&self, first_attempt: bool, refusal: &Refusal) -> Box<SubmitResponse> {
         self.denials.record(self.clock.now(), refusal);
-        Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &refusal.rejection))
+        let reason = match refusal.step(first_attempt, None) {
+            Step::Answer(reason) => reason,
+            Step::Reach | Step::Order => refusal.open(),
+        };
+        Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &reason))
     }
 }

@@ -301,7 +301,7 @@ impl Order {
     /// Tells whoever submitted it, and counts it.
     fn refuse(&self, transaction: Transaction, rejection: Rejection) {
         let who = self.shared.waiters.refuse(&transaction.id(), &rejection);
-        let refusal = Refusal { who, transaction: Some(transaction), rejection };
+        let refusal = Refusal::of_node(who, Some(transaction), rejection);
         self.shared.denials.record(self.shared.clock.now(), &refusal);
     }
 

@@ -40,7 +40,7 @@ async fn ask(line: Channel) -> Result<QueryResponse, tonic::Status> {
         function: "robot".into(),
         args: vec!["Turtlebot4".into()],
         min_height: 0,
-        linearizable: true,
+        may_be_stale: false,
     };
     GatewayClient::new(line).query(request).await.map(tonic::Response::into_inner)
 }

@@ -180,7 +180,7 @@ async fn a_client_that_reads_no_answers_is_not_read_from_without_end() {
     let mut gateway = GatewayClient::new(channel);
     let answers = gateway.submit_stream(tokio_stream::wrappers::ReceiverStream::new(outgoing)).await.unwrap();
     // Not so small that HTTP/2 itself ends the connection for it.
-    let garbage = || v1::SubmitRequest { transaction: Bytes::from_static(&[7; 400]), min_height: 0 };
+    let garbage = || v1::SubmitRequest { transaction: Bytes::from_static(&[7; 400]), ..v1::SubmitRequest::default() };
     let mut sent = 0_u64;
     // Until the node takes nothing more, although it answers each of these at once.
     let full = loop {

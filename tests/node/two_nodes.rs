@@ -39,6 +39,7 @@ async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
     let leader = connect(&at(&owner, &fleet, 0)).await;
     register_robots(&leader, "exclusive").await;
     let seen = leader.height_seen();
+    connect(&at(&owner, &fleet, 1)).await;
     let channel = wire::channel(&at(&owner, &fleet, 1), true).await;
     let call = Call { chaincode: "msp".into(), function: "organisations".into(), args: Vec::new(), ttl: PATIENCE };
     let transaction = leader.prepare(call).unwrap();
@@ -47,6 +48,87 @@ async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
     assert_eq!(wire::code(&answer), u32::from(Code::Behind.number()));
     let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen).await.unwrap();
     assert_eq!(wire::code(&answer), 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn what_one_node_has_told_anybody_no_other_node_refuses() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let salma = fleet.issue("Org1", "Salma", Role::Member, &["Robot"]);
+    let _nodes = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let told = [connect(&at(&owner, &fleet, 0)).await, connect(&at(&owner, &fleet, 1)).await];
+    let asked = [connect(&at(&salma, &fleet, 1)).await, connect(&at(&salma, &fleet, 0)).await];
+    // Nothing tells the second node what the first one's client has seen. Both ways: the orderer is sometimes behind, too.
+    for round in 0..60_usize {
+        let (robot, way) = (format!("Robot{round}"), round % 2);
+        let setup = format!(
+            r#"{{"name":"{robot}","attribute_required":"Robot","services":[{{"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"}}]}}"#
+        );
+        told[way].invoke("abac", "setup", vec![setup.into()]).await.unwrap();
+        match round % 3 {
+            0 => drop(asked[way].query("abac", "robot", vec![robot.clone().into()]).await.unwrap()),
+            _ => drop(asked[way].invoke("abac", "acquire", vec![robot.into()]).await.unwrap()),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_node_that_cannot_know_whether_its_state_is_current_refuses_nothing_for_good() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let (mut orderer, _learner) = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    register_robots(&connect(&at(&owner, &fleet, 1)).await, "exclusive").await;
+    let channel = wire::channel(&at(&owner, &fleet, 1), true).await;
+    let client = connect(&at(&owner, &fleet, 1)).await;
+    let call =
+        || Call { chaincode: "abac".into(), function: "renew".into(), args: vec!["Husky".into()], ttl: PATIENCE };
+    let refused = wire::submit(&channel, client.prepare(call()).unwrap().encoded().clone()).await.unwrap();
+    assert_eq!((wire::code(&refused), refused.height), (u32::from(Code::NotHolder.number()), 0));
+    orderer.kill();
+    let refused = wire::submit(&channel, client.prepare(call()).unwrap().encoded().clone()).await.unwrap();
+    assert_eq!(wire::code(&refused), u32::from(Code::NoLeader.number()), "{refused:?}");
+    let verdict = refused.verdict.unwrap();
+    assert!(verdict.found.contains("LGR-3006") && verdict.next.contains("again"), "{verdict:?}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_repetition_that_the_state_refuses_gets_its_verdict_from_the_chain() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let _nodes = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let client = connect(&at(&owner, &fleet, 0)).await;
+    register_robots(&client, "exclusive").await;
+    connect(&at(&owner, &fleet, 1)).await;
+    let channels =
+        [wire::channel(&at(&owner, &fleet, 0), true).await, wire::channel(&at(&owner, &fleet, 1), true).await];
+    let call = |ttl| Call { chaincode: "abac".into(), function: "renew".into(), args: vec!["Husky".into()], ttl };
+    let transaction = client.prepare(call(PATIENCE)).unwrap().encoded().clone();
+    // A copy may be at a node that stands still, so nobody can say that it will never be executed.
+    let first = wire::submit_again(&channels[1], transaction.clone()).await.unwrap();
+    assert_eq!(wire::code(&first), u32::from(Code::NotHolder.number()));
+    assert!(first.height > 0, "{first:?}");
+    for channel in &channels {
+        let copy = wire::submit_again(channel, transaction.clone()).await.unwrap();
+        assert_eq!((copy.height, copy.index, wire::code(&copy)), (first.height, first.index, wire::code(&first)));
+    }
+    // One that is too late by the clock: a block shows that it is too late for all.
+    let late = client.prepare(call(Duration::ZERO)).unwrap().encoded().clone();
+    let late = wire::submit_again(&channels[1], late).await.unwrap();
+    assert_eq!(wire::code(&late), u32::from(Code::Expired.number()), "{late:?}");
+    // A flood of repetitions: some are ordered, the others are told to ask again.
+    let (mut ordered, mut open) = (0, 0);
+    for _ in 0..200 {
+        let transaction = client.prepare(call(PATIENCE)).unwrap().encoded().clone();
+        let answer = wire::submit_again(&channels[0], transaction).await.unwrap();
+        match answer.height {
+            0 => {
+                assert_eq!(wire::code(&answer), u32::from(Code::Timeout.number()), "{answer:?}");
+                open += 1;
+            }
+            _ => ordered += 1,
+        }
+    }
+    assert!(ordered > 0 && open > 0, "{ordered} ordered, {open} open");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -35,13 +35,22 @@ pub async fn submit(channel: &Channel, transaction: impl Into<ledger::Bytes>) ->
     submit_from(channel, transaction, 0).await
 }
 
+/// As [`submit`], without the promise that no other node has it.
+pub async fn submit_again(
+    channel: &Channel,
+    transaction: impl Into<ledger::Bytes>,
+) -> Result<SubmitResponse, tonic::Status> {
+    let request = v1::SubmitRequest { transaction: transaction.into(), ..v1::SubmitRequest::default() };
+    GatewayClient::new(channel.clone()).submit(request).await.map(tonic::Response::into_inner)
+}
+
 /// As [`submit`], to be looked at from a height on.
 pub async fn submit_from(
     channel: &Channel,
     transaction: impl Into<ledger::Bytes>,
     min_height: u64,
 ) -> Result<SubmitResponse, tonic::Status> {
-    let request = v1::SubmitRequest { transaction: transaction.into(), min_height };
+    let request = v1::SubmitRequest { transaction: transaction.into(), min_height, first_attempt: true };
     let mut client = GatewayClient::new(channel.clone()).max_encoding_message_size(64 << 20);
     client.submit(request).await.map(tonic::Response::into_inner)
 }

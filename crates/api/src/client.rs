@@ -4,6 +4,7 @@
 //! client          the calls that a program makes
 //!   session       the one connection, and its replacement by another when it breaks
 //!     in_flight   transactions without a verdict yet; survives the connection
+//!     fresh       which of them no node has seen
 //!     clock       the node's clock
 //!   reads         queries, status, blocks, registrations
 //!   leadership    choosing who leads
@@ -12,6 +13,7 @@
 
 mod clock;
 mod events;
+mod fresh;
 mod in_flight;
 mod leadership;
 mod reads;
@@ -118,7 +120,8 @@ impl Client {
         Ok(Self { session, credentials: Arc::new(credentials), random: SystemRandom::new() })
     }
 
-    /// Signs a call now. The certificate comes along until the ledger is known to have it.
+    /// Signs a call now. The certificate comes along until the ledger is known to have it. When it is submitted for the first
+    /// time, by this client, the node is told that no other node has seen it; so give it to no other client before.
     ///
     /// # Errors
     /// [`Code::Malformed`] or [`Code::TooLarge`] if the call cannot be a transaction.
@@ -140,6 +143,7 @@ impl Client {
             args: call.args,
         };
         let transaction = Transaction::sign(&body, &own.key)?;
+        self.session.in_flight.signed(transaction.id());
         if self.session.in_flight.introduced(&creator) {
             return Ok(transaction);
         }
@@ -168,7 +172,9 @@ impl Client {
     /// Submits a transaction and waits for its verdict. Waits also while too much is in flight.
     ///
     /// A lost connection, a timeout and "not now" are answered by sending the same bytes again, through another node
-    /// if there is one: the id makes sure that it is executed once. What is final is not repeated.
+    /// if there is one: the id makes sure that it is executed once. What is final is not repeated. A refusal is the chain's
+    /// verdict, or a promise that the transaction never becomes part of the chain; while neither is known, a retry is told to
+    /// ask again, and in the end that the outcome is unknown.
     ///
     /// # Errors
     /// As [`Client::invoke`].

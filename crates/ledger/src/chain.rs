@@ -1,6 +1,9 @@
 //! The ledger of a node: the chain executed so far, and the questions that can be asked of it.
 
+mod admission;
 mod storage;
+
+pub use admission::{Admission, Ground, Refusal, Step};
 
 use crate::Hash;
 use crate::block::{Header, Payload, leaf};
@@ -8,7 +11,7 @@ use crate::certificate::Certificate;
 use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead};
 use crate::code::Code;
 use crate::entry::Entry;
-use crate::execution::{Execution, Executor, check_network, genesis};
+use crate::execution::{Execution, Executor, genesis};
 use crate::governance::{self, Governance, ORGANISATION_KEYS, certificate_key, revoked_key};
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::identity::Identity;
@@ -91,15 +94,6 @@ pub struct TransactionRecord {
     pub time: u64,
     /// What became of it.
     pub result: TransactionResult,
-}
-
-/// What [`Ledger::admit`] answers.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Admission {
-    /// Worth ordering.
-    New(Transaction),
-    /// Executed before under this id: this is its verdict.
-    Known(Hash, TransactionRecord),
 }
 
 impl Ledger {
@@ -224,53 +218,6 @@ impl Ledger {
         Ok(Outcome { header, hash, digest, kind, transactions, ids, results: result.results, events: result.events })
     }
 
-    /// Is this transaction worth ordering? Checks all that execution will check, on the committed state, so that what
-    /// would be refused costs the others nothing. `now` is the node's clock in microseconds; block time may be behind
-    /// it on a quiet network.
-    ///
-    /// # Errors
-    /// The refusal, with the creator's name if it is known (see [`Refusal`]).
-    pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Box<Refusal>> {
-        self.admit_decoded(Transaction::decode(encoded).map_err(Refusal::anonymous)?, now)
-    }
-
-    /// As [`Ledger::admit`], for who has read the transaction already.
-    ///
-    /// # Errors
-    /// As [`Ledger::admit`].
-    pub fn admit_decoded(&self, transaction: Transaction, now: u64) -> Result<Admission, Box<Refusal>> {
-        let refuse = |who: Option<&Identity>, rejection| {
-            Box::new(Refusal { who: who.map(Identity::id), transaction: Some(transaction.clone()), rejection })
-        };
-        check_network(&transaction, &self.network).map_err(|rejection| refuse(None, rejection))?;
-        if let Some(record) = self.executed(&transaction).map_err(|rejection| refuse(None, rejection))? {
-            return Ok(Admission::Known(transaction.id(), record));
-        }
-        let time = now.max(self.tip().time);
-        let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
-        let authenticated = transaction.check_time(time).and_then(|()| {
-            let (identity, _) = self.identities.creator(&transaction, &overlay, time)?;
-            if !self.verified.contains(&leaf) {
-                transaction.verify(&identity.public_key)?;
-            }
-            Ok(identity)
-        });
-        let identity = authenticated.map_err(|rejection| refuse(None, rejection))?;
-        let body = transaction.body();
-        self.call(&identity, time, transaction.id(), &body.chaincode, &body.function, &body.args)
-            .map_err(|rejection| refuse(Some(&identity), rejection))?;
-        self.verified.insert(leaf);
-        Ok(Admission::New(transaction))
-    }
-
-    /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each costs
-    /// alone. Only admission tells what is wrong with one.
-    pub fn verify_together<'a>(&self, transactions: impl Iterator<Item = &'a Transaction>, now: u64) {
-        let leaves = transactions.map(|transaction| (leaf(transaction.encoded()), transaction));
-        let unverified = leaves.filter(|(leaf, _)| !self.verified.contains(leaf));
-        self.identities.verify_together(unverified, now).into_iter().for_each(|leaf| self.verified.insert(leaf));
-    }
-
     /// The same for blocks that are about to be applied one after the other. It changes no verdict: applying them looks
     /// itself for what was not seen to verify.
     pub fn verify_blocks(&self, blocks: &[Entry]) {
@@ -371,18 +318,6 @@ impl Ledger {
         }
     }
 
-    /// The same for who has the transaction: history is only searched for what block time has passed.
-    fn executed(&self, transaction: &Transaction) -> Result<Option<TransactionRecord>, Rejection> {
-        let (id, not_after) = (transaction.id(), transaction.body().not_after);
-        let time = self.tip().time;
-        let recent = self.window.read().unwrap_or_else(PoisonError::into_inner).find(&id, not_after);
-        match recent {
-            Some(place) => self.record(place),
-            None if not_after < time => self.results.find(&id)?.map_or(Ok(None), |place| self.record(place)),
-            None => Ok(None),
-        }
-    }
-
     fn record(&self, place: Place) -> Result<Option<TransactionRecord>, Rejection> {
         let found = self.results.transaction(place, &self.registry)?;
         let Place { height, position: index } = place;
@@ -476,22 +411,5 @@ impl Ledger {
 fn remember(window: &mut Window, height: u64, taken: impl Iterator<Item = (u32, Hash, u64)>) {
     for (position, id, not_after) in taken {
         window.insert(&id, not_after, Place { height, position });
-    }
-}
-
-/// A transaction that was refused before it was ordered, and whose it was if that is known.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Refusal {
-    /// Who signed it, e.g. `Org1/Farhad`; none if the signature was not verified.
-    pub who: Option<String>,
-    /// The transaction, if the bytes are one.
-    pub transaction: Option<Transaction>,
-    /// Why.
-    pub rejection: Rejection,
-}
-
-impl Refusal {
-    fn anonymous(rejection: Rejection) -> Box<Self> {
-        Box::new(Self { who: None, transaction: None, rejection })
     }
 }

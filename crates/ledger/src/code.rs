@@ -56,6 +56,10 @@ macro_rules! codes {
             /// How a client should react.
             pub const fn class(self) -> Class { match self { $(Self::$variant => Class::$class,)* } }
 
+            /// Does a refusal before ordering with this code promise that the transaction is never executed? The others speak
+            /// of a node, not of the transaction; or ask for the certificate, with which it is the same transaction.
+            pub const fn is_final(self) -> bool { self.number() < 4000 && !matches!(self, Self::UnknownCreator) }
+
             /// The code with this number, if there is one.
             pub const fn from_number(number: u16) -> Option<Self> {
                 match number { $($number => Some(Self::$variant),)* _ => None }

@@ -37,7 +37,7 @@ pub mod verify;
 pub mod writes;
 
 pub use bytes::Bytes;
-pub use chain::{Admission, Ledger, Outcome, Refusal, Seal, TransactionRecord};
+pub use chain::{Admission, Ground, Ledger, Outcome, Refusal, Seal, Step, TransactionRecord};
 pub use chaincode::{
     Chaincode, Context, Environment, Event, Foretold, Overlay, Registry, Revocation, StateRead, WriteSet,
 };

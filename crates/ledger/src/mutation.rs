@@ -28,6 +28,10 @@ pub enum Mutation {
     UnsortedDigest,
     /// What is read from the log at a start is not checked again.
     NoRecheckAfterRestart,
+    /// A gateway refuses without knowing whether its state is current.
+    RefuseOnAnOldState,
+    /// A gateway refuses a repetition as if no other copy could be on its way.
+    RefuseARetry,
 }
 
 /// Is this bug turned on?

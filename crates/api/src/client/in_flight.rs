@@ -4,6 +4,7 @@
 //! that breaks and the next one, which sends all of them again in their order.
 
 use super::Committed;
+use super::fresh::Fresh;
 use super::session::{Session, is_final};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
@@ -35,7 +36,16 @@ pub(super) const ATTEMPT_MAX: Duration = Duration::from_secs(3);
 pub(super) const RETRY_AFTER: Duration = Duration::from_millis(100);
 
 pub(super) type Verdict = Result<Committed, Rejection>;
-type Outgoing = mpsc::UnboundedSender<Bytes>;
+type Outgoing = mpsc::UnboundedSender<Sent>;
+
+/// A transaction on its way to a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Sent {
+    /// The signed bytes.
+    pub(super) transaction: Bytes,
+    /// No node has seen it before, as far as it is not refused for good.
+    pub(super) first_attempt: bool,
+}
 
 /// What an answer means for the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,6 +70,7 @@ pub(super) enum Patience {
 pub(super) struct InFlight {
     table: Mutex<Table>,
     room: Arc<Semaphore>,
+    fresh: Fresh,
     /// Who signs.
     identity: TlsIdentity,
     /// The creator whose certificate the ledger is known to have. After a renewal it is another one than ours.
@@ -96,7 +107,11 @@ struct Entry {
     /// How often it was sent.
     attempts: u32,
     patience: Patience,
-    /// Was it sent without any answer? Then it may have been executed, whatever a later attempt says.
+    /// Has no node got it that has not refused it for good?
+    fresh: bool,
+    /// Did this client sign it, and nobody send it before?
+    signed_here: bool,
+    /// Was it sent without any answer? Then it may have been executed, until a node says what became of it.
     uncertain: bool,
     /// What a node said when it could not take it.
     refused: Option<Rejection>,
@@ -118,6 +133,7 @@ impl InFlight {
         Self {
             table: Mutex::default(),
             room: Arc::new(Semaphore::new(UNITS)),
+            fresh: Fresh::default(),
             identity,
             introduced: Mutex::default(),
             patience,
@@ -132,6 +148,11 @@ impl InFlight {
 
     fn known(&self) -> MutexGuard<'_, Option<Hash>> {
         self.introduced.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// This client has signed a transaction just now.
+    pub(super) fn signed(&self, id: Hash) {
+        self.fresh.signed(id);
     }
 
     /// Room for a transaction; waits for it.
@@ -160,6 +181,7 @@ impl InFlight {
         patience: Patience,
     ) -> oneshot::Receiver<Verdict> {
         let (waiter, verdict) = oneshot::channel();
+        let fresh = self.fresh.take(&transaction.id());
         let mut table = self.lock();
         let table = &mut *table;
         match table.entries.entry(transaction.id()) {
@@ -175,6 +197,8 @@ impl InFlight {
                     state: State::Waiting,
                     attempts: 0,
                     patience,
+                    fresh,
+                    signed_here: fresh,
                     uncertain: false,
                     refused: None,
                     _room: room,
@@ -236,6 +260,8 @@ impl InFlight {
                 return if elsewhere { Effect::Leave } else { Effect::Nothing };
             }
             if refused.code == Code::UnknownCreator && self.introduce(entry) {
+                // If this was the first attempt, the node has nothing more to do with it.
+                entry.fresh = entry.attempts == 1 && entry.signed_here;
                 entry.send(table.outgoing.as_ref(), Instant::now());
                 return Effect::Nothing;
             }
@@ -252,8 +278,9 @@ impl InFlight {
                 *self.known() = Some(creator);
             }
         }
-        // It expired while its fate was unknown: ids are forgotten after not_after, so it may have been executed.
-        let forgotten = entry.uncertain && answer.height == 0 && effect == Effect::DoubtClock;
+        // A refusal that is no end, when nothing more can be tried.
+        let open =
+            entry.uncertain && answer.height == 0 && verdict.as_ref().is_err_and(|refused| !refused.code.is_final());
         let verdict = match verdict {
             Ok(()) => Ok(Committed {
                 id,
@@ -262,7 +289,7 @@ impl InFlight {
                 time: answer.time,
                 response: answer.response,
             }),
-            Err(_) if forgotten => Err(unknown(id, entry.attempts, "its time ran out while no node answered")),
+            Err(refused) if open => Err(unknown(id, entry.attempts, &refused.message)),
             Err(refused) => Err(refused),
         };
         entry.resolve(&verdict);
@@ -327,7 +354,9 @@ impl Table {
 
 impl Entry {
     fn send(&mut self, outgoing: Option<&Outgoing>, now: Instant) {
-        if outgoing.is_some_and(|outgoing| outgoing.send(self.encoded.clone()).is_ok()) {
+        let sent = Sent { transaction: self.encoded.clone(), first_attempt: self.fresh };
+        if outgoing.is_some_and(|outgoing| outgoing.send(sent).is_ok()) {
+            self.fresh = false;
             self.state = State::Sent(now);
             self.attempts += 1;
         } else {
@@ -446,7 +475,7 @@ mod tests {
         let mut verdicts = Vec::new();
         for one in [&first, &second] {
             verdicts.push(table.add(one, table.room(one).await.unwrap(), Patience::Call));
-            assert_eq!(sent.try_recv().unwrap(), *one.encoded());
+            assert_eq!(sent.try_recv().unwrap().transaction, *one.encoded());
         }
         // The second is refused before the first, then comes a third.
         for one in [&second, &first] {
@@ -459,7 +488,7 @@ mod tests {
         assert!(sent.try_recv().is_err(), "it rests with the others");
         table.sweep(Instant::now() + RETRY_AFTER, None);
         for one in [&first, &second, &third] {
-            assert_eq!(sent.try_recv().unwrap(), *one.encoded());
+            assert_eq!(sent.try_recv().unwrap().transaction, *one.encoded());
         }
     }
 }

@@ -31,16 +31,21 @@ pub struct Registered {
 }
 
 impl Client {
-    /// Calls a function on the committed state, throwing its writes away. The state is at least as new as what this
-    /// client has seen.
+    /// Calls a function on the committed state, throwing its writes away. The answer reflects everything that any node
+    /// had acknowledged to anybody before this call: that costs a round from the node to the leader, and from there to a
+    /// majority.
     ///
     /// # Errors
-    /// The verdict, if it is not 0; [`Code::Unreachable`] and its kin when the deadline has passed.
+    /// The verdict, if it is not 0; [`Code::NoLeader`] if no leader could confirm it before the deadline;
+    /// [`Code::Unreachable`] and its kin when the deadline has passed.
     pub async fn query(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Answer, Rejection> {
-        self.query_at(self.height_seen(), chaincode, function, args).await
+        let (chaincode, function) = (chaincode.into(), function.into());
+        let min_height = self.height_seen();
+        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, may_be_stale: false }).await
     }
 
-    /// As [`Client::query`], on a state of at least this height; 0 = any.
+    /// As [`Client::query`], on whatever state of at least this height the node has; 0 = any. Asks nobody else, so it is
+    /// answered without a leader, too, and may be older than what others were told.
     ///
     /// # Errors
     /// As [`Client::query`]; [`Code::Behind`] if no node reaches the height in time.
@@ -52,23 +57,7 @@ impl Client {
         args: Vec<Bytes>,
     ) -> Result<Answer, Rejection> {
         let (chaincode, function) = (chaincode.into(), function.into());
-        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, linearizable: false }).await
-    }
-
-    /// As [`Client::query`], on a state that reflects everything that any node had acknowledged to anybody before this
-    /// call. Costs a round from the node to the leader, and from there to a majority.
-    ///
-    /// # Errors
-    /// As [`Client::query`]; [`Code::NoLeader`] if no leader could confirm it before the deadline.
-    pub async fn query_linearizable(
-        &self,
-        chaincode: &str,
-        function: &str,
-        args: Vec<Bytes>,
-    ) -> Result<Answer, Rejection> {
-        let (chaincode, function) = (chaincode.into(), function.into());
-        let min_height = self.height_seen();
-        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, linearizable: true }).await
+        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, may_be_stale: true }).await
     }
 
     async fn query_for(&self, request: v1::QueryRequest) -> Result<Answer, Rejection> {

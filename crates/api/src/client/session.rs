@@ -5,7 +5,7 @@
 
 use super::Options;
 use super::clock::{Clock, middle};
-use super::in_flight::{Effect, InFlight, Patience, Pending};
+use super::in_flight::{Effect, InFlight, Patience, Pending, Sent};
 use crate::connect::{Connection, Credentials};
 use crate::tls::TlsIdentity;
 use crate::v1::enrolment_client::EnrolmentClient;
@@ -232,7 +232,7 @@ struct Dialer {
 /// A connection with its stream of transactions.
 struct Opened {
     connection: Connection,
-    requests: mpsc::UnboundedSender<Bytes>,
+    requests: mpsc::UnboundedSender<Sent>,
     answers: Streaming<SubmitResponse>,
     /// What the node's clock showed at a moment.
     clock: u64,
@@ -273,8 +273,9 @@ impl Dialer {
         }
         let (requests, outgoing) = mpsc::unbounded_channel();
         let seen = Arc::clone(&self.seen);
-        let outgoing = UnboundedReceiverStream::new(outgoing)
-            .map(move |transaction| SubmitRequest { transaction, min_height: seen.load(Ordering::Relaxed) });
+        let outgoing = UnboundedReceiverStream::new(outgoing).map(move |Sent { transaction, first_attempt }| {
+            SubmitRequest { transaction, min_height: seen.load(Ordering::Relaxed), first_attempt }
+        });
         let mut gateway = up.gateway();
         let answers = timeout(self.patience, gateway.submit_stream(outgoing)).await;
         let answers = answers.map_err(|_| late())?.map_err(|status| up.connection.refusal(&status))?.into_inner();

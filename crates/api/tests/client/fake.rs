@@ -67,6 +67,8 @@ pub(crate) struct Node {
     pub(crate) received: Mutex<Vec<Bytes>>,
     /// Height that the client had seen when it sent each of them.
     pub(crate) min_heights: Mutex<Vec<u64>>,
+    /// Whether the client said of each of them that no node had it before.
+    pub(crate) first_attempts: Mutex<Vec<bool>>,
     attempts: Mutex<BTreeMap<Hash, usize>>,
     pub(crate) subscriptions: Mutex<Vec<v1::SubscribeRequest>>,
     /// Height of the newest block with an event.
@@ -107,6 +109,7 @@ impl Fake {
             script: Mutex::new(Arc::new(|_, _| Reaction::Commit)),
             received: Mutex::default(),
             min_heights: Mutex::default(),
+            first_attempts: Mutex::default(),
             attempts: Mutex::default(),
             subscriptions: Mutex::default(),
             height: watch::Sender::new(0),
@@ -134,6 +137,10 @@ impl Fake {
 
     pub(crate) fn min_heights(&self) -> Vec<u64> {
         self.node.min_heights.lock().unwrap().clone()
+    }
+
+    pub(crate) fn first_attempts(&self) -> Vec<bool> {
+        self.node.first_attempts.lock().unwrap().clone()
     }
 
     pub(crate) fn received(&self) -> Vec<Bytes> {
@@ -327,6 +334,7 @@ impl Gateway for Shared {
         tokio::spawn(async move {
             while let Some(Ok(request)) = requests.next().await {
                 node.min_heights.lock().unwrap().push(request.min_height);
+                node.first_attempts.lock().unwrap().push(request.first_attempt);
                 if let Some(answer) = node.submit(&request.transaction) {
                     let _gone = answers.send(Ok(answer));
                 }

@@ -5,8 +5,8 @@ use crate::fake::{Chain, Fake, Reaction, until};
 use ledger::transaction::Transaction;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::{Call, Client, Context, Options};
-use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 fn call(argument: &str) -> Call {
@@ -203,20 +203,62 @@ async fn what_was_sent_before_the_node_went_away_is_unknown() {
 }
 
 #[tokio::test]
-async fn a_transaction_that_expires_after_a_lost_attempt_is_unknown_and_not_signed_anew() {
+async fn a_lost_attempt_that_a_node_calls_expired_was_never_executed_and_is_signed_anew() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
-    node.script(|_, attempt| match attempt {
-        1 => Reaction::CommitSilently,
-        _ => Reaction::Refuse(Rejection::new(Code::Expired, "came too late")),
+    let first = Mutex::new(None);
+    node.script(move |transaction, attempt| {
+        let lost = *first.lock().unwrap().get_or_insert(transaction.id()) == transaction.id();
+        match (lost, attempt) {
+            (true, 1) => Reaction::Ignore,
+            (true, _) => Reaction::Refuse(Rejection::new(Code::Expired, "came too late")),
+            (false, _) => Reaction::Commit,
+        }
     });
     let client = Client::connect(&authority.context(&[&node])).await.unwrap();
     let invoked = tokio::spawn(async move { client.invoke("abac", "acquire", Vec::new()).await });
     until("the node has it", || !node.received().is_empty()).await;
     node.cut();
-    assert_eq!(invoked.await.unwrap().unwrap_err().code, Code::Timeout);
+    let done = invoked.await.unwrap().unwrap();
     let received = ids(&node.received());
-    assert_eq!(received, [received[0], received[0]]);
+    assert_eq!(received, [received[0], received[0], done.id]);
+}
+
+#[tokio::test]
+async fn a_refusal_that_is_no_end_leaves_the_outcome_of_a_lost_attempt_unknown() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.script(|_, attempt| match attempt {
+        1 => Reaction::CommitSilently,
+        _ => Reaction::Refuse(Rejection::new(Code::UnknownCreator, "whose is it?")),
+    });
+    let client = Client::connect(&authority.context(&[&node])).await.unwrap();
+    // The certificate came along, so nothing more can be tried.
+    let invoked = tokio::spawn(async move { client.invoke("abac", "acquire", Vec::new()).await });
+    until("the node has it", || !node.received().is_empty()).await;
+    node.cut();
+    assert_eq!(invoked.await.unwrap().unwrap_err().code, Code::Timeout);
+}
+
+#[tokio::test]
+async fn only_what_no_node_has_seen_is_called_a_first_attempt() {
+    let authority = Arc::new(Authority::new());
+    let node = Fake::start(&authority).await;
+    node.script(|_, attempt| match attempt {
+        1 => Reaction::Refuse(Rejection::new(Code::NoLeader, "no leader is known")),
+        _ => Reaction::Commit,
+    });
+    let context = authority.context(&[&node]);
+    let client = Client::connect(&context).await.unwrap();
+    let transaction = client.prepare(call("a")).unwrap();
+    client.submit(transaction.clone()).await.unwrap();
+    assert_eq!(node.first_attempts(), [true, false], "the second may have been the first one's copy");
+    client.submit(transaction.clone()).await.unwrap();
+    let other = Client::connect(&context).await.unwrap();
+    other.submit(transaction).await.unwrap();
+    assert_eq!(node.first_attempts(), [true, false, false, false], "a program may have given it to anybody");
+    other.submit_nowait(&other.prepare(call("b")).unwrap()).await.unwrap();
+    assert!(node.first_attempts()[4]);
 }
 
 #[tokio::test]

@@ -32,9 +32,9 @@ Example:
   ledgerctl query abac robots
   ledgerctl query abac authorize Turtlebot4/cmd_vel")]
 pub(crate) struct Query {
-    /// Answer from a state that has everything that any node had acknowledged before, at the cost of asking the leader
+    /// Answer from the node's own state, which may be older than what others were told; needs no leader
     #[arg(long)]
-    linearizable: bool,
+    stale: bool,
     #[command(flatten)]
     call: Call,
 }
@@ -112,8 +112,8 @@ impl Query {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let (chaincode, function, args) = self.call.read()?;
         let client = Session::open(global).await?.client;
-        let answer = match self.linearizable {
-            true => client.query_linearizable(&chaincode, &function, args).await?,
+        let answer = match self.stale {
+            true => client.query_at(0, &chaincode, &function, args).await?,
             false => client.query(&chaincode, &function, args).await?,
         };
         output.show(&Queried { height: answer.height, answer: Answer::read(&answer.response) })

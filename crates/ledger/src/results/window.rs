@@ -25,6 +25,8 @@ pub(crate) struct Place {
 #[derive(Debug, Default)]
 pub(crate) struct Window {
     seconds: BTreeMap<u64, HashMap<u128, Place>>,
+    /// Everything before this second is forgotten.
+    first: u64,
 }
 
 impl Window {
@@ -39,6 +41,11 @@ impl Window {
         self.seconds.values().find_map(|ids| ids.get(&short)).copied()
     }
 
+    /// Are executed transactions that live until then still remembered?
+    pub(crate) fn covers(&self, not_after: u64) -> bool {
+        not_after / SECOND >= self.first
+    }
+
     /// Remembers an executed transaction.
     pub(crate) fn insert(&mut self, id: &Hash, not_after: u64, place: Place) {
         self.seconds.entry(not_after / SECOND).or_default().insert(short(id), place);
@@ -47,6 +54,7 @@ impl Window {
     /// Forgets what block time has passed.
     pub(crate) fn forget_before(&mut self, time: u64) {
         let second = time / SECOND;
+        self.first = self.first.max(second);
         while let Some(oldest) = self.seconds.first_entry().filter(|oldest| *oldest.key() < second) {
             oldest.remove();
         }
