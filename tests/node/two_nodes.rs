@@ -116,10 +116,13 @@ async fn a_repetition_that_the_state_refuses_gets_its_verdict_from_the_chain() {
     let late = wire::submit_again(&channels[1], late).await.unwrap();
     assert_eq!(wire::code(&late), u32::from(Code::Expired.number()), "{late:?}");
     // A flood of repetitions: some are ordered, the others are told to ask again.
-    let (mut ordered, mut open) = (0, 0);
-    for _ in 0..200 {
+    let flood = (0..200).map(|_| {
         let transaction = client.prepare(call(PATIENCE)).unwrap().encoded().clone();
-        let answer = wire::submit_again(&channels[0], transaction).await.unwrap();
+        wire::submit_again(&channels[0], transaction)
+    });
+    let (mut ordered, mut open) = (0, 0);
+    for answer in futures::future::join_all(flood).await {
+        let answer = answer.unwrap();
         match answer.height {
             0 => {
                 assert_eq!(wire::code(&answer), u32::from(Code::Timeout.number()), "{answer:?}");

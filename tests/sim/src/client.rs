@@ -162,7 +162,7 @@ impl World {
             Call::Read { service, linearizable } => {
                 let (service, linearizable) = (service.clone(), *linearizable);
                 let kind = Kind::Read { person, service: service.clone(), linearizable, min_height: seen };
-                (kind, What::Read { person, service, linearizable })
+                (kind, What::Read { person, service, may_be_stale: !linearizable })
             }
             call => {
                 let (chaincode, function, args) = call.transaction();
@@ -173,7 +173,8 @@ impl World {
                 let whose = &self.people.all[person];
                 let transaction = sign(whose, self.network, nonce, not_after, (chaincode, function, args), introduce);
                 let encoded = transaction.encoded().clone();
-                (Kind::Submit { id: transaction.id(), encoded: encoded.clone() }, What::Submit(encoded))
+                let kind = Kind::Submit { id: transaction.id(), encoded: encoded.clone() };
+                (kind, What::Submit { transaction: encoded, first_attempt: true })
             }
         };
         let operation = self.history.begin(number, session, self.now, kind);
@@ -190,6 +191,7 @@ impl World {
     fn again(&mut self, number: usize, elsewhere: bool) {
         let nodes = self.gateways();
         let client = &mut self.clients[number];
+        let told = self.invariants.answered_is_seen.told();
         let Some((_, what, tries)) = client.doing.as_mut() else { return };
         if *tries >= TRIES_MAX {
             client.doing = None;
@@ -197,6 +199,10 @@ impl World {
             return self.rest(number);
         }
         *tries += 1;
+        if let What::Submit { first_attempt, .. } = what {
+            // From the second time on a copy may be anywhere: at a node that stands still, or on its way.
+            *first_attempt = *tries == 1;
+        }
         let what = what.clone();
         client.attempt += 1;
         let elsewhere = elsewhere || !nodes.contains(&client.gateway);
@@ -205,7 +211,7 @@ impl World {
         }
         let reply = Reply { client: number, attempt: client.attempt };
         let (attempt, gateway) = (client.attempt, client.gateway);
-        let request = Request { reply, min_height: client.seen, what };
+        let request = Request { reply, min_height: client.seen, told, what };
         if let Some(at) = self.links.client(self.now, &mut self.random.network, &mut self.coverage) {
             self.schedule_at(at, Event::Request { node: gateway, request });
         }
@@ -219,7 +225,7 @@ impl World {
         let (now, late) = (self.now, self.clients[number].attempt != reply.attempt);
         let client = &mut self.clients[number];
         client.ahead = clock.saturating_sub(now).max(client.ahead / 2);
-        let Some((operation, _, tries)) = client.doing.clone() else { return };
+        let Some((operation, ..)) = client.doing.clone() else { return };
         if late {
             return;
         }
@@ -245,7 +251,7 @@ impl World {
             }
             Answer::Refused(refused) => {
                 self.learn(number, refused.code, &Bytes::new());
-                Outcome::Refused { code: refused.code, judged: refused.judged, never: tries == 1 }
+                Outcome::Refused { code: refused.code, judged: refused.judged, never: refused.code.is_final() }
             }
             Answer::Value { height, judged_at, code, response } => {
                 client.seen = client.seen.max(height);

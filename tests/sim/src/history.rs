@@ -64,7 +64,7 @@ pub enum Outcome {
         code: Code,
         /// Height and time by which it was judged, if it was.
         judged: Option<(u64, u64)>,
-        /// It had never been sent before, so that it can never happen.
+        /// By this code it can never happen.
         never: bool,
     },
     /// What was read.

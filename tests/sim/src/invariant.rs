@@ -4,6 +4,7 @@
 //! before. It sees all nodes at once, which no node does. [`Invariants`] passes on what the world observes.
 
 mod acknowledged;
+mod answered_is_seen;
 mod chain_agreement;
 mod committed;
 mod denied_by_default;
@@ -13,10 +14,12 @@ mod exactly_once;
 mod grant_exclusivity;
 mod leader_completeness;
 mod log_matching;
+mod refused_is_final;
 mod revoked;
 mod state_agreement;
 
 pub use acknowledged::AcknowledgedIsDurable;
+pub use answered_is_seen::AnsweredIsSeen;
 pub use chain_agreement::ChainAgreement;
 pub use committed::CommittedIsImmutable;
 pub use denied_by_default::DeniedByDefault;
@@ -26,6 +29,7 @@ pub use exactly_once::ExactlyOnce;
 pub use grant_exclusivity::GrantExclusivity;
 pub use leader_completeness::LeaderCompleteness;
 pub use log_matching::LogMatching;
+pub use refused_is_final::RefusedIsFinal;
 pub use revoked::RevokedStaysRevoked;
 pub use state_agreement::StateAgreement;
 
@@ -96,6 +100,10 @@ pub struct Invariants {
     pub revoked: RevokedStaysRevoked,
     /// What is committed does not change.
     pub committed: CommittedIsImmutable,
+    /// What was refused for good is not executed.
+    pub refused_is_final: RefusedIsFinal,
+    /// What was told is seen by every later call.
+    pub answered_is_seen: AnsweredIsSeen,
 }
 
 impl Invariants {
@@ -114,6 +122,8 @@ impl Invariants {
             denied_by_default: DeniedByDefault::new(Arc::clone(people)),
             revoked: RevokedStaysRevoked::new(Arc::clone(people)),
             committed: CommittedIsImmutable::default(),
+            refused_is_final: RefusedIsFinal::default(),
+            answered_is_seen: AnsweredIsSeen::default(),
         }
     }
 
@@ -126,6 +136,7 @@ impl Invariants {
         self.state_agreement.executed(executed)?;
         if first {
             self.exactly_once.executed(executed)?;
+            self.refused_is_final.executed(executed)?;
             self.epochs_grow.executed(executed)?;
             self.denied_by_default.executed(executed)?;
             self.revoked.executed(executed)?;

@@ -14,7 +14,7 @@ use ledger::disk::SimDisk;
 use ledger::entry::Entry;
 use ledger::snapshot::Snapshots;
 use ledger::state::State;
-use ledger::{Bytes, Code, Hash, Ledger};
+use ledger::{Bytes, Code, Hash, Ledger, Refusal};
 use ledger_raft::{Engine, Input, Lane};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -88,7 +88,7 @@ pub struct Running {
     pub submit_again: bool,
     /// Numbers what waits.
     pub next_waiting: u64,
-    /// Reads that wait for the leader's confirmation, and then for a height.
+    /// What waits for the leader's confirmation, and then for a height.
     pub reads: BTreeMap<u64, Read>,
     /// Requests that wait for a height.
     pub behind: Vec<(u64, Request)>,
@@ -126,11 +126,14 @@ pub struct Waiter {
     pub since: u64,
 }
 
-/// A linearizable read on its way.
+/// A request that waits until the node's state is as new as what was committed when it came: a read, or a transaction that
+/// the state refuses.
 #[derive(Clone, Debug)]
 pub struct Read {
     /// What is asked.
     pub request: Request,
+    /// Why the state refuses it, if it is a transaction.
+    pub refusal: Option<Box<Refusal>>,
     /// The height to wait for, once it is known.
     pub index: Option<u64>,
     /// When it gives up.
@@ -153,6 +156,8 @@ pub struct Request {
     pub reply: Reply,
     /// The height that the client has seen.
     pub min_height: u64,
+    /// The newest height that anybody had been told when the client asked. The node does not know it.
+    pub told: u64,
     /// What it wants.
     pub what: What,
 }
@@ -161,15 +166,20 @@ pub struct Request {
 #[derive(Clone, Debug)]
 pub enum What {
     /// Order this.
-    Submit(Bytes),
+    Submit {
+        /// The signed bytes.
+        transaction: Bytes,
+        /// The client gave it to no node before.
+        first_attempt: bool,
+    },
     /// Who holds a service? Asked with a certificate of [`crate::people::People`].
     Read {
         /// Index of the certificate.
         person: usize,
         /// The service.
         service: String,
-        /// Or may it be what this node has just now?
-        linearizable: bool,
+        /// May it be what this node has just now?
+        may_be_stale: bool,
     },
 }
 

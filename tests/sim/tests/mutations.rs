@@ -1,4 +1,4 @@
-//! Would the simulation notice? Ten deliberate bugs, one at a time: each must be caught within a bounded number of
+//! Would the simulation notice? Twelve deliberate bugs, one at a time: each must be caught within a bounded number of
 //! seeds, by the promises that it breaks.
 //!
 //! `cargo test --release -p ledgerd-sim --features mutations --test mutations`
@@ -75,4 +75,14 @@ fn a_digest_in_any_order_is_noticed() {
 #[test]
 fn damage_that_a_start_does_not_look_for_is_noticed() {
     caught(Mutation::NoRecheckAfterRestart, &["damage is refused", "log matching", "committed is immutable"]);
+}
+
+#[test]
+fn a_refusal_on_an_old_state_is_noticed() {
+    caught(Mutation::RefuseOnAnOldState, &["answered is seen"]);
+}
+
+#[test]
+fn a_repetition_that_is_refused_for_good_is_noticed() {
+    caught(Mutation::RefuseARetry, &["refused is final", "clients see one history"]);
 }

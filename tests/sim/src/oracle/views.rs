@@ -94,7 +94,7 @@ fn remembered(world: &World) -> Result<u64, Violation> {
     Ok(checks)
 }
 
-/// What was refused at the first try never happens.
+/// What was refused for good never happens.
 fn never(world: &World, places: &BTreeMap<Hash, Place>) -> Result<u64, Violation> {
     let mut checks = 0;
     for operation in &world.history.operations {
@@ -104,7 +104,7 @@ fn never(world: &World, places: &BTreeMap<Hash, Place>) -> Result<u64, Violation
             checks += 1;
             if let Some((height, index)) = places.get(id) {
                 let code = code.name();
-                let what = format!("{id} was refused with {code} and never repeated, and executed at {height}/{index}");
+                let what = format!("{id} was refused with {code}, and executed at {height}/{index}");
                 return Err(Violation::new(NAME, what));
             }
         }

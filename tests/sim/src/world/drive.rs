@@ -60,7 +60,7 @@ impl World {
                 return self.catch_up(id);
             }
             Output::Refused { input, reason } => match *input {
-                Input::ReadIndex { context } => self.read_refused(id, context, reason.code),
+                Input::ReadIndex { context } => self.read_refused(id, context, reason),
                 input => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
             },
             Output::Behind { first_index, .. } => return self.behind(id, first_index),

@@ -70,9 +70,10 @@ impl World {
         let mut answers = Vec::new();
         for ((index, transaction), result) in (0u32..).zip(&block.outcome.ids).zip(&block.outcome.results) {
             let Some(waiting) = running.waiters.remove(transaction) else { continue };
-            let known = match result.code() {
-                Code::Duplicate => running.ledger.transaction(transaction).ok().flatten(),
-                _ => None,
+            // Only a verdict that took the id is the transaction's own (`src/waiters.rs`).
+            let known = match result.not_after {
+                None => running.ledger.transaction(transaction).ok().flatten(),
+                Some(_) => None,
             };
             let (height, index, code, response) = match known {
                 Some(record) => (record.height, record.index, record.result.code(), record.result.response),
