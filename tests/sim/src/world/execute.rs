@@ -5,7 +5,7 @@ use crate::invariant::{Check, Executed};
 use crate::node::Answer;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Hash, Ledger, Outcome};
+use ledger::{Bytes, Hash, Ledger, Outcome};
 use ledger_raft::Input;
 
 impl World {
