@@ -74,7 +74,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let salma = network.enrol_user("Salma", &["Turtlebot4", "Husky"]).await?;
     let farhad = network.enrol_user("Farhad", &["Turtlebot4"]).await?;
     say("Org2's admin registers Turtlebot4, Husky and OptiTrack");
-    set_up(&network.owner, "exclusive").await?;
+    set_up(&network.owner).await?;
 
     let refused = must_fail(acquire(&farhad, "Husky").await, Code::MissingAttribute, "Farhad acquired the Husky")?;
     say(&format!("Farhad asks for the Husky and is refused: {}", refused.message));
@@ -106,7 +106,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     network.check()?;
 
     say(&format!("open: the owner lets both publish, for {} s (the paper's comparison)", seconds.as_secs()));
-    set_up(&network.owner, "open").await?;
+    set_mode(&network.owner, "open").await?;
     robot.take();
     let first_farhad = farhad_node.next_number();
     let (first, times, times_farhad) = publish_both(&mut salma_node, &mut farhad_node, seconds).await?;
@@ -117,7 +117,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     network.check()?;
 
     say("exclusive again: Salma takes the robot, releases it (the robot gets a stop message), Farhad acquires it");
-    set_up(&network.owner, "exclusive").await?;
+    set_mode(&network.owner, "exclusive").await?;
     acquire(&salma, SERVICE).await?;
     robot.take();
     salma.invoke("abac", "release", vec![SERVICE.into()]).await?;
@@ -133,10 +133,16 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     Ok(summary)
 }
 
-/// The owner registers the paper's robots, or changes how many may hold them.
-async fn set_up(owner: &Client, mode: &str) -> Result<(), Rejection> {
-    let specs = paper_robots(mode).into_iter().map(|(_, spec)| Bytes::from(spec.to_string())).collect();
+/// The owner registers the paper's robots.
+async fn set_up(owner: &Client) -> Result<(), Rejection> {
+    let specs = paper_robots("exclusive").into_iter().map(|(_, spec)| Bytes::from(spec.to_string())).collect();
     owner.invoke("abac", "setup", specs).await.map(drop)
+}
+
+/// The owner changes how many may drive the robot.
+async fn set_mode(owner: &Client, mode: &str) -> Result<(), Rejection> {
+    let settings = serde_json::json!({ "mode": mode }).to_string();
+    owner.invoke("abac", "configure", vec![SERVICE.into(), settings.into()]).await.map(drop)
 }
 
 async fn acquire(user: &Client, service: &str) -> Result<(), Rejection> {

@@ -1,6 +1,6 @@
 //! What this node refused before it was ordered: counted by code, and the last ones kept for an admin to see.
 
-use ledger::Refusal;
+use ledger::{Refusal, Rejection};
 use ledger_api::v1::Denial;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, PoisonError};
@@ -27,7 +27,7 @@ impl Denials {
     pub(crate) fn record(&self, now: u64, refusal: &Refusal) {
         let body = refusal.transaction.as_ref().map(ledger::transaction::Transaction::body);
         let subject = body.and_then(|body| body.args.first()).filter(|arg| arg.len() <= SUBJECT_BYTES_MAX);
-        let denial = Denial {
+        self.count(Denial {
             time: now,
             who: refusal.who.clone().unwrap_or_default(),
             chaincode: body.map(|body| body.chaincode.clone()).unwrap_or_default(),
@@ -35,9 +35,27 @@ impl Denials {
             subject: subject.map(|arg| String::from_utf8_lossy(arg).into_owned()).unwrap_or_default(),
             verdict: Some((&refusal.rejection).into()),
             count: 1,
-        };
+        });
+    }
+
+    /// Takes down that a subscription was refused, or ended because of this, at the node's time, microseconds.
+    pub(crate) fn record_subscription(&self, now: u64, who: String, chaincode: &str, subject: &str, why: &Rejection) {
+        self.count(Denial {
+            time: now,
+            who,
+            chaincode: chaincode.to_owned(),
+            function: "subscribe".to_owned(),
+            subject: Some(subject).filter(|subject| subject.len() <= SUBJECT_BYTES_MAX).unwrap_or_default().to_owned(),
+            verdict: Some(why.into()),
+            count: 1,
+        });
+    }
+
+    fn count(&self, denial: Denial) {
         let mut kept = self.kept.lock().unwrap_or_else(PoisonError::into_inner);
-        *kept.counts.entry(refusal.rejection.code.number().into()).or_default() += 1;
+        let code = denial.verdict.as_ref().map_or(0, |verdict| verdict.code);
+        *kept.counts.entry(code).or_default() += 1;
+        let now = denial.time;
         if let Some(last) = kept.latest.iter_mut().rev().take(8).find(|last| alike(last, &denial)) {
             last.count += 1;
             last.time = now;

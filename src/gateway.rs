@@ -1,5 +1,6 @@
 //! The gateway: the gRPC API of the node for clients and bridges (crates/api/proto/ledgerd/v1/gateway.proto).
 
+mod audience;
 mod current;
 mod held;
 mod line;
@@ -20,6 +21,7 @@ use crate::orderer::{Executed, Seat};
 use crate::peers::{Directory, Member, Peers};
 use crate::waiters::Waiters;
 use crate::witness::Witness;
+pub(crate) use audience::Audience;
 pub(crate) use current::Current;
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
@@ -34,12 +36,11 @@ pub(crate) use retries::Retries;
 pub(crate) use share::{Place, Shares};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use submit::Verdicts;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
-use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status, Streaming};
 
 /// The gateway of a node; cheap to clone.
@@ -80,8 +81,8 @@ pub(crate) struct NodeView {
     pub retries: Retries,
     /// Longest time that data waits until it is looked at.
     pub wait_max: Duration,
-    /// Open subscriptions.
-    pub subscribers: Arc<AtomicU64>,
+    /// Who has subscriptions.
+    pub audience: Arc<Audience>,
     /// Is there too little space to promise anything?
     pub disk_full: Arc<AtomicBool>,
     /// Compares what others attest.
@@ -124,7 +125,8 @@ impl Gateway for GatewayService {
         let (answers, mut answer) = mpsc::unbounded_channel();
         self.node.submit_one(request.into_inner(), &share, &answers).await;
         drop(answers);
-        answer.recv().await.ok_or_else(|| Status::unavailable("the node is stopping"))?.map(Response::new)
+        let stopping = || status(&ledger::Rejection::new(Code::ShuttingDown, "the node is stopping"));
+        answer.recv().await.ok_or_else(stopping)?.map(Response::new)
     }
 
     type SubmitStreamStream = Verdicts;
@@ -146,7 +148,7 @@ impl Gateway for GatewayService {
 
     async fn subscribe(&self, request: Request<SubscribeRequest>) -> Result<Response<Self::SubscribeStream>, Status> {
         let caller = self.caller(&request)?;
-        let deliveries: ReceiverStream<_> = subscribe::start(Arc::clone(&self.node), caller, request.into_inner())?;
+        let deliveries = subscribe::start(Arc::clone(&self.node), caller, request.into_inner()).await?;
         Ok(Response::new(Box::pin(deliveries)))
     }
 

@@ -10,7 +10,7 @@ use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::{self, EnrolmentService};
-use crate::gateway::{Current, GatewayService, NodeView, Retries, Shares};
+use crate::gateway::{Audience, Current, GatewayService, NodeView, Retries, Shares};
 use crate::housekeeping::Housekeeping;
 use crate::identity::{Joined, own_membership, removed};
 use crate::listen::accept;
@@ -37,7 +37,7 @@ use ledger_raft::{Input, PEER_MESSAGE_BYTES_MAX};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -200,6 +200,7 @@ impl Node {
         };
 
         let current = Current::new(reads, Arc::clone(&seat), Arc::clone(&blocks));
+        let audience = Audience::new(config.limits.subscribers_max, me.organisation.clone());
         let view = Arc::new(NodeView {
             me,
             label: genesis.label.clone(),
@@ -216,7 +217,7 @@ impl Node {
             shares: Shares::new(count(config.limits.in_flight_max), workers),
             retries: Retries::default(),
             wait_max: Duration::from_millis(config.order.wait_ms),
-            subscribers: Arc::new(AtomicU64::new(0)),
+            audience,
             disk_full,
             witness,
             awake: Arc::clone(&awake),

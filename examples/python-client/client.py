@@ -42,14 +42,7 @@ class Client:
         self.network = bytes.fromhex(settings["network"])
         self.key = load_pem_private_key(key, None)
         self.certificate = x509.load_pem_x509_certificate(chain).public_bytes(Encoding.DER)
-        node = settings["nodes"][0]
-        # Names do not matter between nodes and clients, but this library insists: take the one that the node shows.
-        shown = ssl.get_server_certificate(tuple(node.rsplit(":", 1)))
-        names = x509.load_pem_x509_certificate(shown.encode()).extensions
-        name = names.get_extension_for_class(x509.SubjectAlternativeName).value.get_values_for_type(x509.DNSName)[0]
-        credentials = grpc.ssl_channel_credentials(roots(context), key, chain)
-        channel = grpc.secure_channel(node, credentials, [("grpc.ssl_target_name_override", name)])
-        self.gateway = services.GatewayStub(channel)
+        self.gateway = services.GatewayStub(channel(context, key, chain))
 
     def call(self, chaincode: str, function: str, *args: bytes) -> api.SubmitResponse:
         """Signs a call, submits it, and waits for its verdict."""
@@ -91,6 +84,17 @@ class Client:
             return self.key.sign(message)
         r, s = utils.decode_dss_signature(self.key.sign(message, ec.ECDSA(hashes.SHA256())))
         return utils.encode_dss_signature(r, min(s, P256_ORDER - s))
+
+
+def channel(context: Path, key: bytes | None, chain: bytes | None) -> grpc.Channel:
+    """A connection to the first node of a context, as whom the certificate names, or as nobody."""
+    node = tomllib.loads((context / "context.toml").read_text())["nodes"][0]
+    # Names do not matter between nodes and clients, but this library insists: take the one that the node shows.
+    shown = ssl.get_server_certificate(tuple(node.rsplit(":", 1)))
+    names = x509.load_pem_x509_certificate(shown.encode()).extensions
+    name = names.get_extension_for_class(x509.SubjectAlternativeName).value.get_values_for_type(x509.DNSName)[0]
+    credentials = grpc.ssl_channel_credentials(roots(context), key, chain)
+    return grpc.secure_channel(node, credentials, [("grpc.ssl_target_name_override", name)])
 
 
 def roots(context: Path) -> bytes:

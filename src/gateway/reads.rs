@@ -9,7 +9,6 @@ use ledger_api::v1::{
     Block, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse, TransactionRecord,
     Verdict,
 };
-use std::sync::atomic::Ordering;
 use tonic::Status;
 
 /// Refusals that are answered if the caller names no limit.
@@ -87,7 +86,7 @@ impl NodeView {
             refused: self.denials.counts(),
             executed: self.executed.counts(),
             peers: peers.collect(),
-            subscribers: self.subscribers.load(Ordering::Relaxed),
+            subscribers: self.audience.len(),
             payload_bytes_max: self.limits.payload_bytes_max,
             resident_bytes: resident_bytes(),
             first_height: self.blocks.first_height(),

@@ -1,14 +1,17 @@
 //! Subscriptions: events from a height on, decided one by one whether this caller may read them.
+//!
+//! Who asks for what they may not read is refused, and who loses the right is told so: silence would look as if nothing
+//! happened.
 
+use super::audience::Listener;
 use super::{NodeView, status};
 use crate::blocks::Interest;
 use ledger::identity::Identity;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Hash, Outcome, Rejection};
+use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use std::collections::HashSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::{Instant, timeout_at};
@@ -23,9 +26,11 @@ const HEARTBEAT_MIN: Duration = Duration::from_millis(50);
 const FILTER_MAX: usize = 1024;
 /// After this many blocks without a matching event, a subscriber that catches up is told how far it is.
 const BLOCKS_PER_PROGRESS: u64 = 1024;
+/// A subscriber to whom nothing is sent learns at the latest after this that it may read no more.
+const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// Checks the request and starts delivering.
-pub(super) fn start(
+pub(super) async fn start(
     node: Arc<NodeView>,
     reader: Arc<Identity>,
     request: SubscribeRequest,
@@ -37,29 +42,39 @@ pub(super) fn start(
                 .wanted(format!("at most {FILTER_MAX} of each")),
         ));
     }
-    if node.subscribers.load(Ordering::Relaxed) >= node.limits.subscribers_max {
-        return Err(status(
-            &Rejection::new(Code::Overloaded, "the node has as many subscribers as it accepts")
-                .wanted(format!("at most {} (limits.subscribers_max)", node.limits.subscribers_max))
-                .next("subscribe at another node"),
-        ));
+    let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms } = request;
+    let wanted = Wanted::new(chaincode, subjects, names);
+    if let Err(refused) = node.may_follow(&reader, &wanted).await {
+        return Err(node.refuse_reader(&reader, &wanted, &refused));
     }
-    let next = match request.from_height {
+    let listener = match node.audience.enter(&reader) {
+        Ok(listener) => listener,
+        Err(refused) => return Err(node.refuse_reader(&reader, &wanted, &refused)),
+    };
+    let next = match from_height {
         0 => node.ledger.tip().height + 1,
         height => height,
     };
-    let heartbeat = match request.heartbeat_ms {
+    let heartbeat = match heartbeat_ms {
         0 => None,
         ms => Some(Duration::from_millis(ms.into()).max(HEARTBEAT_MIN)),
     };
     let (deliveries, stream) = mpsc::channel(WAITING_MAX);
-    let counted = Counted::new(Arc::clone(&node.subscribers));
-    let interest = node.blocks.interest(request.subjects.clone());
-    let SubscribeRequest { chaincode, subjects, names, .. } = request;
-    let wanted = Wanted { chaincode, subjects: subjects.into_iter().collect(), names: names.into_iter().collect() };
-    let (sent, shown) = (Instant::now(), HashSet::new());
-    let subscription =
-        Subscription { node, reader, wanted, interest, next, deliveries, sent, shown, _counted: counted };
+    let interest = node.blocks.interest(wanted.subjects.clone());
+    let (sent, checked, shown) = (Instant::now(), Instant::now(), HashSet::new());
+    let subscription = Subscription {
+        node,
+        reader,
+        wanted,
+        interest,
+        next,
+        deliveries,
+        sent,
+        checked,
+        unread: false,
+        shown,
+        _place: listener,
+    };
     tokio::spawn(subscription.run(heartbeat));
     Ok(ReceiverStream::new(stream))
 }
@@ -67,8 +82,47 @@ pub(super) fn start(
 /// Which events are delivered. What is empty admits all.
 struct Wanted {
     chaincode: String,
-    subjects: HashSet<String>,
-    names: HashSet<String>,
+    /// Sorted, each once.
+    subjects: Vec<String>,
+    /// Sorted, each once.
+    names: Vec<String>,
+}
+
+impl Wanted {
+    fn new(chaincode: String, mut subjects: Vec<String>, mut names: Vec<String>) -> Self {
+        for list in [&mut subjects, &mut names] {
+            list.sort_unstable();
+            list.dedup();
+        }
+        Self { chaincode, subjects, names }
+    }
+
+    fn admits(&self, event: &Event) -> bool {
+        let listed = |list: &[String], name: &String| list.is_empty() || list.binary_search(name).is_ok();
+        (self.chaincode.is_empty() || self.chaincode == event.chaincode)
+            && listed(&self.subjects, &event.subject)
+            && listed(&self.names, &event.name)
+    }
+}
+
+impl NodeView {
+    /// May this reader follow that? A refusal stands on a state that has everything that was committed when it was asked.
+    async fn may_follow(&self, reader: &Identity, wanted: &Wanted) -> Result<(), Rejection> {
+        let Wanted { chaincode, subjects, names } = wanted;
+        let ask = || self.ledger.may_follow(reader, chaincode, subjects, names);
+        if ask().is_ok() {
+            return Ok(());
+        }
+        self.current.reach().await?;
+        ask()
+    }
+
+    /// Takes down that a subscription was refused or ended; the answer.
+    fn refuse_reader(&self, reader: &Identity, wanted: &Wanted, refused: &Rejection) -> Status {
+        let subject = wanted.subjects.join(", ");
+        self.denials.record_subscription(self.clock.now(), reader.id(), &wanted.chaincode, &subject, refused);
+        status(refused)
+    }
 }
 
 struct Subscription {
@@ -82,17 +136,26 @@ struct Subscription {
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
     /// When something was sent last.
     sent: Instant,
+    /// When it was last made sure that the subscriber may read.
+    checked: Instant,
+    /// Something was wanted that the subscriber may not read.
+    unread: bool,
     /// Creators whose certificate this stream has shown.
     shown: HashSet<Hash>,
-    _counted: Counted,
+    _place: Listener,
 }
 
 impl Subscription {
     async fn run(mut self, heartbeat: Option<Duration>) {
         loop {
             let going_on = match self.catch_up().await {
-                // Also while blocks come, if nothing in them is wanted.
-                Ok(true) if heartbeat.is_some_and(|period| self.sent.elapsed() >= period) => self.beat().await,
+                Ok(true) => match self.check() {
+                    // Also while blocks come, if nothing in them is wanted.
+                    Ok(()) if heartbeat.is_some_and(|period| self.sent.elapsed() >= period) => {
+                        Ok(self.progress().await)
+                    }
+                    checked => checked.map(|()| true),
+                },
                 going_on => going_on,
             };
             match going_on {
@@ -103,14 +166,10 @@ impl Subscription {
                     return;
                 }
             }
-            let woken = async {
-                match heartbeat {
-                    Some(period) => drop(timeout_at(self.sent + period, self.interest.wait()).await),
-                    None => self.interest.wait().await,
-                }
-            };
+            let check = self.checked + CHECK_EVERY;
+            let due = heartbeat.map_or(check, |period| check.min(self.sent + period));
             tokio::select! {
-                () = woken => {}
+                _ = timeout_at(due, self.interest.wait()) => {}
                 () = self.deliveries.closed() => return,
             }
         }
@@ -152,16 +211,23 @@ impl Subscription {
         }
     }
 
-    /// The heartbeat: nothing was sent for a while. False if the subscriber is gone.
-    async fn beat(&mut self) -> Result<bool, Status> {
+    /// Makes sure, now and then and whenever something could not be shown, that the subscriber may still read.
+    fn check(&mut self) -> Result<(), Status> {
+        if !std::mem::take(&mut self.unread) && self.checked.elapsed() < CHECK_EVERY {
+            return Ok(());
+        }
+        self.checked = Instant::now();
         self.node.check(&self.reader)?;
-        Ok(self.progress().await)
+        let Wanted { chaincode, subjects, names } = &self.wanted;
+        let may = self.node.ledger.may_follow(&self.reader, chaincode, subjects, names);
+        may.map_err(|refused| self.node.refuse_reader(&self.reader, &self.wanted, &refused))
     }
 
+    /// Tells how far this node is. False if the subscriber is gone.
     async fn progress(&mut self) -> bool {
-        let delivery =
-            Delivery { height: self.next.saturating_sub(1), time: self.node.ledger.tip().time, ..Delivery::default() };
-        self.send(delivery).await
+        // Who waits for a height that is yet to come has not seen what is before it.
+        let height = self.next.saturating_sub(1).min(self.node.blocks.height());
+        self.send(Delivery { height, time: self.node.ledger.tip().time, ..Delivery::default() }).await
     }
 
     async fn send(&mut self, delivery: Delivery) -> bool {
@@ -172,15 +238,11 @@ impl Subscription {
 
     /// What of a block this subscriber wants and may read.
     fn delivery(&mut self, outcome: &Outcome) -> Option<Delivery> {
-        let wanted = outcome.events.iter().filter(|emitted| {
-            let event = &emitted.event;
-            let Wanted { chaincode, subjects, names } = &self.wanted;
-            (chaincode.is_empty() || *chaincode == event.chaincode)
-                && (subjects.is_empty() || subjects.contains(&event.subject))
-                && (names.is_empty() || names.contains(&event.name))
-                && self.node.ledger.may_read(&self.reader, event).is_ok()
-        });
-        let wanted: Vec<_> = wanted.cloned().collect();
+        let wanted = outcome.events.iter().filter(|emitted| self.wanted.admits(&emitted.event));
+        let (wanted, unread): (Vec<_>, Vec<_>) =
+            wanted.partition(|emitted| self.node.ledger.may_read(&self.reader, &emitted.event).is_ok());
+        self.unread |= !unread.is_empty();
+        let wanted: Vec<_> = wanted.into_iter().cloned().collect();
         if wanted.is_empty() {
             return None;
         }
@@ -224,21 +286,5 @@ impl Subscription {
             return Bytes::new();
         }
         self.node.ledger.certificate(&creator).ok().flatten().unwrap_or_default()
-    }
-}
-
-/// Counts a subscription while it lives.
-struct Counted(Arc<AtomicU64>);
-
-impl Counted {
-    fn new(count: Arc<AtomicU64>) -> Self {
-        count.fetch_add(1, Ordering::Relaxed);
-        Self(count)
-    }
-}
-
-impl Drop for Counted {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::Relaxed);
     }
 }

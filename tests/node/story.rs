@@ -179,8 +179,7 @@ fn a_holder_that_dies_frees_the_robot_when_block_time_passes_the_lease() {
 fn in_open_mode_both_publish_and_everybody_hears_both() {
     let dev = Dev::start();
     let users: Vec<Ctl> = ["Salma", "Farhad"].iter().map(|name| dev.user(name, &["Turtlebot4"], "ed25519")).collect();
-    let service = "/cmd_vel=geometry_msgs/msg/Twist,mode=open";
-    dev.owner().run(&["robot", "add", "Turtlebot4", "--attr-required", "Turtlebot4", "--service", service]).ok();
+    dev.owner().run(&["robot", "set", "Turtlebot4", "mode=open"]).ok();
     let first = users[0].json(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST])["height"].to_string();
     users[1].run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
     let echo = ["echo", "Turtlebot4/cmd_vel", "--from", &first, "--count", "2", "-o", "json"];

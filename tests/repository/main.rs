@@ -3,5 +3,6 @@
 #![expect(clippy::panic, reason = "tests")]
 
 mod documents;
+mod events;
 mod layers;
 mod sources;

@@ -8,7 +8,7 @@ use crate::policies;
 use crate::policy::{Answer, Engine, Question, Resource, User, Verdict};
 use crate::publish;
 use crate::records::Records;
-use crate::service::{self, Offered, Target};
+use crate::service::{self, Offered, Target, direction_name};
 use crate::store;
 use ledger::identity::{Identity, Role};
 use ledger::{Bytes, Code, Context, Event, Hash, Rejection};
@@ -19,6 +19,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 /// Most decisions that are remembered; when they are more, all are forgotten.
 const DECISIONS_MAX: usize = 16 * 1024;
+/// The name of the event of what was published.
+const MESSAGE: &str = "message";
 
 /// What somebody wants to do with a service; each is an action of the schema.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -323,12 +325,45 @@ pub(crate) fn caller(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejecti
 /// network may know.
 pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> Result<(), Rejection> {
     let submitter = ctx.submitter()?;
-    if event.name != "message" {
+    if event.name != MESSAGE {
         return Ok(());
     }
     let principal = Principal::of(submitter);
     let target = decider.target(ctx, &event.subject)?;
     decider.decide(ctx, &principal, &target, Action::Subscribe)
+}
+
+/// May the submitter follow these events? Who asks for the messages of services needs the right to subscribe to each.
+///
+/// A service that does not exist is refused, unless the events of its robot are asked for as well: they tell when it comes.
+pub(crate) fn may_follow(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    subjects: &[String],
+    names: &[String],
+) -> Result<(), Rejection> {
+    if !names.iter().any(|name| name == MESSAGE) {
+        return Ok(());
+    }
+    let principal = Principal::of(ctx.submitter()?);
+    let (messages_only, waits) = (names.len() == 1, names.iter().any(|name| name == "robot"));
+    for subject in subjects.iter().filter(|subject| messages_only || !service::split(subject).1.is_empty()) {
+        match decider.target(ctx, subject) {
+            Ok(target) if target.id == *subject => decider.decide(ctx, &principal, &target, Action::Subscribe)?,
+            Ok(target) => {
+                return Err(Rejection::new(
+                    Code::UnknownService,
+                    format!("{subject} is a robot and sends no messages"),
+                )
+                .found(shown(subject))
+                .wanted(format!("a service, {}", target.id))
+                .next(format!("subscribe to {}", target.id)));
+            }
+            Err(unknown) if waits && matches!(unknown.code, Code::UnknownRobot | Code::UnknownService) => {}
+            Err(unknown) => return Err(unknown),
+        }
+    }
+    Ok(())
 }
 
 /// Why policies deny: what somebody can do something about comes first.
@@ -380,12 +415,4 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
         .found(format!("role {}, attribute {attribute}={value}", principal.role))
         .wanted("a policy that permits it")
         .next(format!("{ask_owner}, or read the policies: ledgerctl query abac policies"))
-}
-
-/// The name of a direction, as in JSON and policies.
-fn direction_name(direction: Direction) -> &'static str {
-    match direction {
-        Direction::Command => "command",
-        Direction::Feed => "feed",
-    }
 }

@@ -3,7 +3,7 @@
 use crate::arguments::Arguments;
 use crate::authorize::{self, Decider};
 use crate::nearest::did_you_mean;
-use crate::{grant, policies, publish, revoke, robot, service, store};
+use crate::{grant, policies, publish, revoke, robot, service, settings, store};
 use ledger::{Bytes, Chaincode, Context, Event, Foretold, Rejection, Revocation};
 
 /// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
@@ -12,6 +12,8 @@ use ledger::{Bytes, Chaincode, Context, Event, Foretold, Rejection, Revocation};
 /// | function | who | answer |
 /// |---|---|---|
 /// | `setup ROBOT_JSON...` | an admin of the owner | the assets |
+/// | `configure ROBOT[/TOPIC] SETTINGS_JSON` | an admin of the owner | [`crate::RobotChange`] |
+/// | `replace ROBOT_JSON...` | an admin of the owner | a [`crate::RobotChange`] each |
 /// | `remove ROBOT` | an admin of the owner | the grants it ended |
 /// | `acquire SERVICE [LEASE_MS]` | whom policies permit | [`crate::Grant`] |
 /// | `renew SERVICE [LEASE_MS]` | the holder | [`crate::Grant`] |
@@ -38,22 +40,27 @@ pub struct AccessControl {
 pub(crate) const NAME: &str = "abac";
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 14] = [
+const FUNCTIONS: [&str; 16] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
+    "configure",
     "grants",
     "policies",
     "policy",
     "release",
     "remove",
     "renew",
+    "replace",
     "robot",
     "robots",
     "service",
     "set",
     "setup",
 ];
+
+/// The names of its events.
+const EVENTS: [&str; 6] = ["granted", "message", "policy", "released", "renewed", "robot"];
 
 impl AccessControl {
     /// The chaincode, with the thread on which it evaluates policies.
@@ -90,6 +97,8 @@ impl Chaincode for AccessControl {
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),
             "setup" => robot::setup(ctx, decider, args),
+            "configure" => settings::configure(ctx, decider, args),
+            "replace" => settings::replace(ctx, decider, args),
             "remove" => robot::remove(ctx, args),
             "robots" => robot::list(ctx, args),
             "robot" => robot::show(ctx, args),
@@ -129,6 +138,14 @@ impl Chaincode for AccessControl {
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
         let _ = revoke::organisation_removed(ctx, organisation);
+    }
+
+    fn events(&self) -> &'static [&'static str] {
+        &EVENTS
+    }
+
+    fn may_follow(&self, ctx: &Context<'_>, subjects: &[String], names: &[String]) -> Result<(), Rejection> {
+        authorize::may_follow(ctx, &self.decider, subjects, names)
     }
 
     fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {

@@ -283,18 +283,20 @@ pub(crate) fn release(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     let whose = if args.has(1) { Some(args.text(1, "HOLDER")?) } else { None };
     let is_own = whose.is_none_or(|holder| holder == principal.id());
     let takes_back = principal.role == Role::Admin && principal.organisation == target.robot.organisation;
-    let missing = match own(ctx, &principal, &target) {
-        Ok(own) if is_own => return store::json(&[end(ctx, &own, Reason::Released)?]),
-        Ok(_) => not_holder(&target, &principal.id(), &live(ctx, &target.id)?),
-        Err(rejection) => rejection,
-    };
-    if !takes_back {
-        return Err(missing);
+    if is_own && let Ok(own) = own(ctx, &principal, &target) {
+        return store::json(&[end(ctx, &own, Reason::Released)?]);
     }
-    let mut taken = live(ctx, &target.id)?;
+    let holders = live(ctx, &target.id)?;
+    if !takes_back {
+        return Err(match whose.filter(|_| !is_own) {
+            Some(holder) => not_yours_to_take(&principal, &target, holder),
+            None => nothing_to_release(&principal.id(), &target, &holders),
+        });
+    }
+    let mut taken = holders.clone();
     taken.retain(|holding| whose.is_none_or(|holder| holder == holding.grant.holder));
     if let (Some(holder), true) = (whose, taken.is_empty()) {
-        return Err(Rejection::new(Code::NotHolder, format!("{} holds no grant of {}", shown(holder), target.id)));
+        return Err(nothing_to_release(&shown(holder), &target, &holders).wanted("one who holds it"));
     }
     store::json(&revoke::end_all(ctx, taken.into_iter().map(|holding| (holding, Reason::Taken)).collect())?)
 }
@@ -334,16 +336,46 @@ pub(crate) fn own(ctx: &Context<'_>, principal: &Principal, target: &Target) -> 
 
 fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
     let id = &target.id;
-    let found = match holders {
-        [] => "held by nobody".to_owned(),
-        [holding] if holding.grant.holder == who => "acquired with another certificate".to_owned(),
-        [holding] => format!("held by {} until {}", holding.grant.holder, until(&holding.grant)),
-        many => format!("{} other holders", many.len()),
-    };
     Rejection::new(Code::NotHolder, format!("{who} holds no grant of {id}"))
-        .found(found)
+        .found(holders_of(who, holders))
         .wanted(format!("a grant of {id} to {who}"))
         .next(format!("ledgerctl acquire {id}"))
+}
+
+fn nothing_to_release(who: &str, target: &Target, holders: &[Holding]) -> Rejection {
+    let (id, owner) = (&target.id, &target.robot.organisation);
+    let next = match holders {
+        [] => format!("there is nothing to release; ledgerctl robot show {} tells who holds what", target.robot.name),
+        [holding] if holding.grant.holder == who => {
+            format!("it ends by itself; to end it now: ledgerctl acquire {id}, then release it")
+        }
+        _ => format!("only the holder, or an admin of {owner}, can release it"),
+    };
+    Rejection::new(Code::NotHolder, format!("{who} holds no grant of {id}"))
+        .found(holders_of(who, holders))
+        .wanted("a grant to release")
+        .next(next)
+}
+
+fn not_yours_to_take(principal: &Principal, target: &Target, holder: &str) -> Rejection {
+    let (id, owner) = (&target.id, &target.robot.organisation);
+    let code = if principal.organisation == *owner { Code::NotAdmin } else { Code::NotOwner };
+    Rejection::new(code, format!("{} may not take {id} back from {}", principal.id(), shown(holder)))
+        .found(format!("role {} of {}", principal.role, principal.organisation))
+        .wanted(format!("an admin of {owner}, which owns {}", target.robot.name))
+        .next(format!("ask an admin of {owner}, or release your own grant: ledgerctl release {id}"))
+}
+
+/// Who holds a service, told to one who does not.
+fn holders_of(who: &str, holders: &[Holding]) -> String {
+    match holders {
+        [] => "held by nobody".to_owned(),
+        [holding] if holding.grant.holder == who => {
+            format!("acquired with another certificate, until {}", until(&holding.grant))
+        }
+        [holding] => format!("held by {} until {}", holding.grant.holder, until(&holding.grant)),
+        many => format!("{} other holders", many.len()),
+    }
 }
 
 fn held(target: &Target, grant: &Grant) -> Rejection {

@@ -26,7 +26,7 @@
 //! | module | what is there |
 //! |---|---|
 //! | `contract` | the function table and the hooks |
-//! | `robot`, `service` | what is registered; the paper's asset |
+//! | `robot`, `service`, `settings` | what is registered; the paper's asset; changing it |
 //! | `grant`, `conflict` | who holds what, and who wins |
 //! | `authorize`, `publish` | who may, and `set` |
 //! | `policy`, `policies` | Cedar: limits, parsing, evaluation; the policies on the ledger |
@@ -47,6 +47,7 @@ mod records;
 mod revoke;
 mod robot;
 mod service;
+mod settings;
 mod store;
 mod timestamp;
 
@@ -54,7 +55,7 @@ pub use authorize::{Authorization, Caller};
 pub use contract::AccessControl;
 pub use ledger_contract::{
     Direction, Grant, MessageEvent, Mode, PolicyChange, PolicyEntry, Published, Reason, Released, RobotAsset,
-    RobotEvent, RobotSpec, ServiceSpec, ServiceState,
+    RobotChange, RobotEvent, RobotSettings, RobotSpec, ServiceSpec, ServiceState, SettingChange,
 };
 pub use policy::{DEFAULT_POLICY, POLICY_BYTES_MAX, SCHEMA};
 pub use publish::MESSAGES_PER_CALL_MAX;

@@ -121,7 +121,7 @@ pub(crate) fn robot_changed(
     decider: &Decider,
     before: &Robot,
     after: &Robot,
-) -> Result<(), Rejection> {
+) -> Result<Vec<Released>, Rejection> {
     let mut ending = Vec::new();
     for service in &before.services {
         match after.services.iter().find(|kept| kept.topic == service.topic) {
@@ -132,10 +132,11 @@ pub(crate) fn robot_changed(
             }
         }
     }
-    end_all(ctx, ending).map(drop)
+    end_all(ctx, ending)
 }
 
-/// The live grants of a service that policies deny now, or that its mode has no room for: the oldest stay.
+/// The live grants of a service that policies deny now, or that its mode has no room for: the oldest stay. Those that stay
+/// are renewed by no more than the service now allows.
 fn unfit(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<Vec<(Holding, Reason)>, Rejection> {
     let mut stay: Vec<Holding> = Vec::new();
     let mut ending = Vec::new();
@@ -146,9 +147,10 @@ fn unfit(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<Ve
         } else if matches!(conflict::rule(target.service.mode).resolve(&holding.principal, &grants), Outcome::Held(_)) {
             ending.push((holding, Reason::Taken));
         } else {
-            if holding.grant.mode != target.service.mode {
-                let mut changed = holding.clone();
-                changed.grant.mode = target.service.mode;
+            let mut changed = holding.clone();
+            changed.grant.mode = target.service.mode;
+            changed.grant.lease_ms = holding.grant.lease_ms.min(target.service.lease_ms_max);
+            if changed != holding {
                 grant::replace(ctx, &holding, &changed)?;
             }
             stay.push(holding);

@@ -9,7 +9,7 @@ use crate::service::{Service, Target};
 use crate::store;
 use ledger::identity::{Identity, Role};
 use ledger::{Bytes, Code, Context, Hash, Rejection};
-use ledger_contract::{Direction, Reason, RobotAsset, RobotEvent, RobotSpec, ServiceSpec};
+use ledger_contract::{Direction, Reason, Released, RobotAsset, RobotEvent, RobotSpec, ServiceSpec};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -26,7 +26,7 @@ const TRUSTED_MAX: usize = 256;
 /// Longest JSON of one robot in `setup`, in bytes.
 const SPEC_BYTES_MAX: usize = 256 * 1024;
 /// Most robots of one `setup`.
-const ROBOTS_PER_SETUP_MAX: usize = 64;
+pub(crate) const ROBOTS_PER_SETUP_MAX: usize = 64;
 
 /// A registered robot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -117,20 +117,47 @@ pub(crate) fn show(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
     store::json(&find(ctx, args.text(0, "NAME")?)?.asset(ctx)?)
 }
 
-/// `setup ROBOT_JSON...`: registers or updates robots; by an admin of their owner.
+/// Reads a description from one argument.
+pub(crate) fn read_spec(args: Arguments<'_>, index: usize) -> Result<RobotSpec, Rejection> {
+    let text = args.document(index, "ROBOT_JSON", SPEC_BYTES_MAX)?;
+    serde_json::from_str(text).map_err(|fault| {
+        args.bad(index, "ROBOT_JSON", fault.to_string(), "JSON of a robot: name, attribute_required, services")
+    })
+}
+
+/// `setup ROBOT_JSON...`: registers robots; by an admin of their owner. What exists is refused: see `settings`.
 pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("setup ROBOT_JSON...", args, 1, ROBOTS_PER_SETUP_MAX)?;
     let admin = admin(ctx, "register robots")?;
     let mut assets = Vec::new();
     for index in 0..args.rest(0).len() {
-        let text = args.document(index, "ROBOT_JSON", SPEC_BYTES_MAX)?;
-        let spec: RobotSpec = serde_json::from_str(text).map_err(|fault| {
-            args.bad(index, "ROBOT_JSON", fault.to_string(), "JSON of a robot: name, attribute_required, services")
-        })?;
-        let robot = register(ctx, decider, admin, spec)?;
+        let spec = read_spec(args, index)?;
+        if let Some(existing) = registered(ctx, &spec.name)? {
+            check_owner(&existing, admin)?;
+            return Err(exists(ctx, &existing)?);
+        }
+        let robot = describe(ctx, &admin.organisation, spec, None)?;
+        put(ctx, decider, None, robot.clone())?;
         assets.push(robot.asset(ctx)?);
     }
     store::json(&assets)
+}
+
+fn exists(ctx: &Context<'_>, robot: &Robot) -> Result<Rejection, Rejection> {
+    let mut services = Vec::new();
+    for service in &robot.services {
+        let holders: Vec<_> = grant::live(ctx, &robot.service_id(service))?;
+        let holders: Vec<_> = holders.iter().map(|holding| holding.grant.holder.as_str()).collect();
+        let held = if holders.is_empty() { String::new() } else { format!(", held by {}", holders.join(", ")) };
+        services.push(format!("{} ({}{held})", robot.service_id(service), grant::mode_name(service.mode)));
+    }
+    let name = &robot.name;
+    Ok(Rejection::new(Code::AlreadyExists, format!("robot {name} is registered already"))
+        .found(format!("robot of {} with {}", robot.organisation, services.join(", ")))
+        .wanted("a name that no robot has")
+        .next(format!(
+            "to change it: ledgerctl robot set {name} KEY=VALUE; to replace all of it: ledgerctl robot add {name} --replace …"
+        )))
 }
 
 /// `remove ROBOT`: takes a robot out of service; by an admin of its owner. Its epochs are kept.
@@ -155,39 +182,52 @@ pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Hold
     Ok(ending)
 }
 
-fn register(ctx: &mut Context<'_>, decider: &Decider, admin: &Identity, spec: RobotSpec) -> Result<Robot, Rejection> {
-    check_name(&spec.name)?;
-    let existing: Option<Robot> = store::read(ctx, &store::robot_key(&spec.name))?;
-    match &existing {
-        Some(robot) => check_owner(robot, admin)?,
-        None if ctx.range(b"robot/", ROBOTS_MAX).len() >= ROBOTS_MAX => {
-            return Err(Rejection::new(Code::LimitExceeded, "the network has no room for another robot")
-                .found(format!("{ROBOTS_MAX} robots"))
-                .wanted(format!("at most {ROBOTS_MAX}")));
-        }
-        None => {}
-    }
+/// The robot of that name, if there is one.
+pub(crate) fn registered(ctx: &Context<'_>, name: &str) -> Result<Option<Robot>, Rejection> {
+    check_name(name)?;
+    store::read(ctx, &store::robot_key(name))
+}
+
+/// Checks a description and fills in what it leaves out. Without another word a robot trusts whom it trusted before.
+pub(crate) fn describe(
+    ctx: &mut Context<'_>,
+    organisation: &str,
+    spec: RobotSpec,
+    before: Option<&Robot>,
+) -> Result<Robot, Rejection> {
     let services = check_services(&spec.name, spec.services)?;
-    let trusted = match (spec.trusted, &existing) {
+    let trusted = match (spec.trusted, before) {
         (Some(trusted), _) => check_trusted(ctx, trusted)?,
         (None, Some(robot)) => robot.trusted.clone(),
         (None, None) => organisations(ctx)?,
     };
-    let mut robot = Robot {
+    Ok(Robot {
         name: spec.name,
-        organisation: admin.organisation.clone(),
+        organisation: organisation.to_owned(),
         attribute_required: check_attribute(&spec.attribute_required)?,
         trusted,
         services,
         version: Hash::ZERO,
-    };
+    })
+}
+
+/// Enters a robot, new or in the place of what it was before; answers with the grants that end by it.
+pub(crate) fn put(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    before: Option<&Robot>,
+    mut robot: Robot,
+) -> Result<Vec<Released>, Rejection> {
+    if before.is_none() && ctx.range(b"robot/", ROBOTS_MAX).len() >= ROBOTS_MAX {
+        return Err(Rejection::new(Code::LimitExceeded, "the network has no room for another robot")
+            .found(format!("{ROBOTS_MAX} robots"))
+            .wanted(format!("at most {ROBOTS_MAX}")));
+    }
+    robot.version = Hash::ZERO;
     robot.version = Hash::of(&[&store::json(&robot)?]);
     store::write(ctx, &store::robot_key(&robot.name), &robot)?;
-    tell(ctx, &robot, if existing.is_some() { "updated" } else { "registered" })?;
-    if let Some(before) = existing {
-        revoke::robot_changed(ctx, decider, &before, &robot)?;
-    }
-    Ok(robot)
+    tell(ctx, &robot, if before.is_some() { "updated" } else { "registered" })?;
+    before.map_or(Ok(Vec::new()), |before| revoke::robot_changed(ctx, decider, before, &robot))
 }
 
 /// Tells that a robot was registered, updated or removed.
@@ -213,7 +253,11 @@ pub(crate) fn admin<'a>(ctx: &Context<'a>, what: &str) -> Result<&'a Identity, R
         .next(format!("ask an admin of {}", submitter.organisation)))
 }
 
-fn check_owner(robot: &Robot, admin: &Identity) -> Result<(), Rejection> {
+/// Refuses who is no admin of the robot's owner.
+///
+/// # Errors
+/// [`Code::NotOwner`].
+pub(crate) fn check_owner(robot: &Robot, admin: &Identity) -> Result<(), Rejection> {
     if robot.organisation == admin.organisation {
         return Ok(());
     }
@@ -233,7 +277,7 @@ fn check_name(name: &str) -> Result<(), Rejection> {
         .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\"")))
 }
 
-fn check_attribute(required: &str) -> Result<String, Rejection> {
+pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
     let (key, value) = required.split_once('=').unwrap_or((required, "true"));
     if key.is_empty() || required.len() > ATTRIBUTE_BYTES_MAX || required.chars().any(char::is_control) {
         return Err(Rejection::new(Code::BadArgument, "attribute_required is not usable")
@@ -260,7 +304,7 @@ fn check_services(robot: &str, specs: Vec<ServiceSpec>) -> Result<Vec<Service>, 
     Ok(services)
 }
 
-fn check_trusted(ctx: &mut Context<'_>, trusted: Vec<String>) -> Result<Vec<String>, Rejection> {
+pub(crate) fn check_trusted(ctx: &mut Context<'_>, trusted: Vec<String>) -> Result<Vec<String>, Rejection> {
     let members = organisations(ctx)?;
     if trusted.len() > TRUSTED_MAX {
         return Err(Rejection::new(Code::LimitExceeded, "too many trusted organisations")

@@ -30,6 +30,14 @@ const STOP_BYTES_MAX: usize = 64 * 1024;
 const _: () = assert!(LEASE_MS_MIN < LEASE_MS_DEFAULT && LEASE_MS_DEFAULT < LEASE_MS_MAX_DEFAULT);
 const _: () = assert!(LEASE_MS_MAX_DEFAULT < LEASE_MS_MAX && AGE_MS_DEFAULT < AGE_MS_MAX);
 
+/// The name of a direction, as in JSON and policies.
+pub(crate) fn direction_name(direction: Direction) -> &'static str {
+    match direction {
+        Direction::Command => "command",
+        Direction::Feed => "feed",
+    }
+}
+
 /// A registered service: a [`ServiceSpec`] with every default filled in.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Service {
@@ -62,7 +70,8 @@ impl Service {
         let lease_ms = spec.lease_ms.or(spec.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));
         let lease_ms = within("lease_ms", lease_ms.unwrap_or(LEASE_MS_DEFAULT), LEASE_MS_MIN, LEASE_MS_MAX)?;
         let longest = spec.lease_ms_max.unwrap_or(LEASE_MS_MAX_DEFAULT.max(lease_ms));
-        let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX)?;
+        let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX)
+            .map_err(|refused| refused.next(format!("lease_ms is {lease_ms} ms, and lease_ms_max is never shorter")))?;
         if let Some(stop) = &spec.stop_hex {
             let length = hex::decode(stop).map(|bytes| bytes.len()).unwrap_or_default();
             if !(4..=STOP_BYTES_MAX).contains(&length) {

@@ -38,7 +38,7 @@ pub use connect::Credentials;
 pub use context::{Context, home};
 pub use enrol::Enrolment;
 pub use renew::{Renewal, renewal_due};
-pub use report::{accepted, from_status, report, to_status};
+pub use report::{ERROR_DOMAIN, accepted, from_status, report, to_status};
 
 /// Types generated from `proto/ledgerd/v1`.
 #[expect(

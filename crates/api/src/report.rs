@@ -2,9 +2,15 @@
 
 use crate::v1;
 use ledger::{Code, Rejection};
-use prost::Message;
+use std::collections::HashMap;
 use std::error::Error as _;
 use tonic::Status;
+use tonic_types::{ErrorDetails, StatusExt};
+
+/// The domain of the `google.rpc.ErrorInfo` of every refusal.
+pub const ERROR_DOMAIN: &str = "ledgerd";
+/// Most bytes of each text of a refusal in a status, which travels in headers: clients commonly take 8 KiB of them.
+const STATUS_TEXT_BYTES_MAX: usize = 384;
 
 /// Column at which the code of a one-line message is printed, if the message leaves room.
 const CODE_COLUMN: usize = 88;
@@ -65,8 +71,10 @@ pub fn accepted(verdict: Option<&v1::Verdict>) -> Result<(), Rejection> {
         .next(verdict.next.clone()))
 }
 
-/// A refusal of a whole call as gRPC carries it: readable text for clients in any language, and the same as an encoded
-/// `Verdict` in the details.
+/// A refusal of a whole call as gRPC carries it: readable text for people, and a `google.rpc.Status` with a
+/// `google.rpc.ErrorInfo` for programs in any language. Its reason is the name of the code, its domain
+/// [`ERROR_DOMAIN`]; its metadata are `code` (`LGR-3005`), `found`, `wanted` and `try`, without those that are empty.
+/// Long texts are cut.
 pub fn to_status(rejection: &Rejection) -> Status {
     use ledger::Class;
     let code = match rejection.code.class() {
@@ -78,17 +86,32 @@ pub fn to_status(rejection: &Rejection) -> Status {
         Class::Unreachable => tonic::Code::Unavailable,
         Class::Conflict => tonic::Code::FailedPrecondition,
     };
-    let details = v1::Verdict::from(rejection).encode_to_vec();
-    Status::with_details(code, rejection.to_string(), details.into())
+    let rejection = Rejection::new(rejection.code, cut(&rejection.message))
+        .found(cut(&rejection.found))
+        .wanted(cut(&rejection.wanted))
+        .next(cut(&rejection.next));
+    let mut metadata = HashMap::from([("code".to_owned(), rejection.code.to_string())]);
+    for (name, text) in [("found", &rejection.found), ("wanted", &rejection.wanted), ("try", &rejection.next)] {
+        if !text.is_empty() {
+            metadata.insert(name.to_owned(), text.clone());
+        }
+    }
+    let details = ErrorDetails::with_error_info(rejection.code.name(), ERROR_DOMAIN, metadata);
+    Status::with_error_details(code, rejection.to_string(), details)
+}
+
+fn cut(text: &str) -> String {
+    if text.len() <= STATUS_TEXT_BYTES_MAX {
+        return text.to_owned();
+    }
+    let end = text.floor_char_boundary(STATUS_TEXT_BYTES_MAX - '…'.len_utf8());
+    format!("{}…", text.get(..end).unwrap_or_default())
 }
 
 /// The refusal in the status of a failed call to the node at `address`. A broken connection is
 /// [`Code::Unreachable`].
 pub fn from_status(address: &str, status: &Status) -> Rejection {
-    if !status.details().is_empty()
-        && let Ok(verdict) = v1::Verdict::decode(status.details())
-        && let Err(rejection) = accepted(Some(&verdict))
-    {
+    if let Some(rejection) = detailed(status) {
         return rejection;
     }
     if let Some(rejection) = parse(status.message()) {
@@ -113,6 +136,21 @@ pub fn from_status(address: &str, status: &Status) -> Rejection {
     Rejection::new(code, format!("the call to {address} failed")).found(said).next(next)
 }
 
+/// The refusal in the details of a status, if a node made them.
+fn detailed(status: &Status) -> Option<Rejection> {
+    let info = status.get_details_error_info().filter(|info| info.domain == ERROR_DOMAIN)?;
+    let text = |name: &str| info.metadata.get(name).cloned().unwrap_or_default();
+    let first = status.message().lines().next().unwrap_or_default();
+    let verdict = v1::Verdict {
+        code: text("code").strip_prefix("LGR-")?.parse().ok()?,
+        message: first.rsplit_once(" [LGR-").map_or(first, |(message, _)| message).to_owned(),
+        found: text("found"),
+        wanted: text("wanted"),
+        next: text("try"),
+    };
+    accepted(Some(&verdict)).err()
+}
+
 /// Reads back what `Rejection` prints: for nodes that send the text only.
 fn parse(text: &str) -> Option<Rejection> {
     let mut lines = text.lines();
@@ -133,6 +171,7 @@ fn parse(text: &str) -> Option<Rejection> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
 
     fn example() -> Rejection {
         Rejection::new(Code::Untrusted, "cannot join network \"fleet\"")
@@ -160,6 +199,37 @@ mod tests {
         let status = to_status(&example());
         assert_eq!(from_status("node:1", &status), example());
         assert_eq!(from_status("node:1", &Status::new(status.code(), status.message())), example());
+    }
+
+    #[test]
+    fn programs_find_the_code_and_the_four_lines_in_the_details_of_any_status() {
+        let refused = Rejection::new(Code::NotFound, "there is no block 9").wanted("a height from 0 to 4");
+        let status = to_status(&refused);
+        let info = status.get_details_error_info();
+        let told = info.map(|info| (info.reason, info.domain, info.metadata.into_iter().collect::<BTreeMap<_, _>>()));
+        let metadata = [("code", "LGR-1013"), ("wanted", "a height from 0 to 4")];
+        let metadata = metadata.map(|(name, text)| (name.to_owned(), text.to_owned())).into();
+        assert_eq!(told, Some(("NOT_FOUND".to_owned(), "ledgerd".to_owned(), metadata)));
+        assert_eq!(status.code(), tonic::Code::NotFound);
+    }
+
+    #[test]
+    fn a_long_text_fits_into_the_headers_that_clients_take() {
+        let long = "Ä".repeat(10_000);
+        let status = to_status(&Rejection::new(Code::Held, &long).found(&long).wanted(&long).next(&long));
+        // Percent signs take three bytes for one, base64 four for three.
+        let bytes = status.message().len() * 3 + status.details().len() * 4 / 3;
+        assert!(bytes < 10 * 1024, "{bytes} bytes");
+        let read = from_status("node:1", &status);
+        assert!(read.code == Code::Held && read.found.ends_with('…') && read.next.starts_with("ÄÄ"), "{read}");
+    }
+
+    #[test]
+    fn details_of_somebody_else_are_not_taken_for_a_refusal_of_a_node() {
+        let details =
+            ErrorDetails::with_error_info("HELD", "example.org", [("code".to_owned(), "LGR-3005".to_owned())]);
+        let status = Status::with_error_details(tonic::Code::Unavailable, "a proxy", details);
+        assert_eq!(from_status("node:1", &status).code, Code::Unreachable);
     }
 
     #[test]

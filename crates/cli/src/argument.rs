@@ -3,4 +3,5 @@
 pub(crate) mod attribute;
 pub(crate) mod bytes;
 pub(crate) mod service;
+pub(crate) mod setting;
 pub(crate) mod span;

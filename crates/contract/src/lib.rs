@@ -15,9 +15,11 @@ mod message;
 mod policy;
 mod robot;
 mod service;
+mod settings;
 
 pub use grant::{Grant, Reason, Released};
 pub use message::{MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};
 pub use robot::{RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, Mode, ServiceSpec, ServiceState};
+pub use settings::{RobotChange, RobotSettings, SettingChange};

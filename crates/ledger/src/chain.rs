@@ -1,6 +1,7 @@
 //! The ledger of a node: the chain executed so far, and the questions that can be asked of it.
 
 mod admission;
+mod readers;
 mod storage;
 
 pub use admission::{Admission, Ground, Refusal, Step};
@@ -8,7 +9,7 @@ pub use admission::{Admission, Ground, Refusal, Step};
 use crate::Hash;
 use crate::block::{Header, Payload, leaf};
 use crate::certificate::Certificate;
-use crate::chaincode::{Context, Environment, Event, Overlay, Registry, StateRead};
+use crate::chaincode::{Context, Environment, Overlay, Registry, StateRead};
 use crate::code::Code;
 use crate::entry::Entry;
 use crate::execution::{Execution, Executor, genesis};
@@ -278,20 +279,6 @@ impl Ledger {
     /// A fault of the store.
     pub fn is_revoked(&self, issuer: &Hash, serial: &[u8]) -> Result<bool, Rejection> {
         Ok(self.state.get(&revoked_key(&[&issuer.0, serial].concat()))?.is_some())
-    }
-
-    /// May this identity see this event? Decided on the committed state.
-    ///
-    /// # Errors
-    /// The reason why not.
-    pub fn may_read(&self, reader: &Identity, event: &Event) -> Result<(), Rejection> {
-        check_organisation(reader, &self.msps())?;
-        let mut overlay = self.overlay();
-        check_revoked(reader, &overlay)?;
-        let chaincode = self.registry.find(&event.chaincode)?;
-        let tip = self.tip();
-        let environment = self.environment(Some(reader), &tip, tip.time);
-        chaincode.may_read(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), event)
     }
 
     /// The earliest block time at which a chaincode has something to do without being called, microseconds.

@@ -83,6 +83,21 @@ pub trait Chaincode: Send + Sync {
     /// what it owned, end in the same block.
     fn organisation_removed(&self, _ctx: &mut Context<'_>, _organisation: &str) {}
 
+    /// The names of all events that it emits, so that who subscribes to another one is told. Empty: it does not say.
+    fn events(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// May the submitter of `ctx` follow events of these names about these subjects? No names, or no subjects, stand for
+    /// all that they may read. Asked when somebody subscribes, and again while the subscription lasts: without an answer
+    /// here, who asks for what they may not read would hear nothing and never learn why.
+    ///
+    /// # Errors
+    /// The reason why not; the subscription is then refused, or ends with it.
+    fn may_follow(&self, _ctx: &Context<'_>, _subjects: &[String], _names: &[String]) -> Result<(), Rejection> {
+        Ok(())
+    }
+
     /// May the submitter of `ctx` see this event? Asked for each event at delivery, so it should be quick.
     ///
     /// # Errors

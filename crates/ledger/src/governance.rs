@@ -78,6 +78,23 @@ const FUNCTIONS: [(&str, &str); 16] = [
     ("withdraw", "ID"),
 ];
 
+/// The names of its events.
+const EVENTS: [&str; 13] = [
+    "approved",
+    "attested",
+    "executed",
+    "invited",
+    "joined",
+    "moved",
+    "organisation_joined",
+    "organisation_removed",
+    "organisation_updated",
+    "proposed",
+    "revoked",
+    "role_changed",
+    "withdrawn",
+];
+
 /// The chaincode; every node installs it.
 pub struct Governance;
 
@@ -89,6 +106,10 @@ impl Chaincode for Governance {
     /// Everything but attestations, which nobody waits for.
     fn urgent(&self, function: &str) -> bool {
         function != "attest"
+    }
+
+    fn events(&self) -> &'static [&'static str] {
+        &EVENTS
     }
 
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {

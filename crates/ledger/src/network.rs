@@ -12,7 +12,9 @@ pub const GENESIS_BYTES_MAX: usize = 1024 * 1024;
 /// Blocks between two snapshots at least, unless the network's founder chose otherwise.
 pub const SNAPSHOT_EVERY_DEFAULT: u64 = 10_000;
 /// The version of the rules by which blocks are executed.
-pub const RULES_VERSION: u32 = 1;
+///
+/// 2: fields that a transaction does not have are refused, and `abac setup` refuses a robot that exists.
+pub const RULES_VERSION: u32 = 2;
 
 /// The genesis block, height 0. Its hash names the network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -92,7 +94,11 @@ impl Genesis {
         }
         let genesis: Self = serde_json::from_slice(bytes).map_err(|error| wrong(error.to_string()))?;
         if genesis.rules != RULES_VERSION {
-            return Err(wrong(format!("rules version {} instead of {RULES_VERSION}", genesis.rules)));
+            let message = "genesis is not usable: the network was founded for other rules of execution";
+            return Err(Rejection::new(Code::Malformed, message)
+                .found(format!("rules version {}", genesis.rules))
+                .wanted(format!("rules version {RULES_VERSION}"))
+                .next("start it with the version of ledgerd that founded the network"));
         }
         let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();
         if names.is_empty() || names.len() != genesis.organisations.len() {

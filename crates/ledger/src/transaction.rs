@@ -105,6 +105,8 @@ impl Transaction {
         }
         let envelope = Envelope::decode(encoded.clone()).map_err(|error| malformed(&error.to_string()))?;
         let body = Body::decode(envelope.body.clone()).map_err(|error| malformed(&error.to_string()))?;
+        check_encoding("Transaction", &envelope, encoded.len())?;
+        check_encoding("TransactionBody", &body, envelope.body.len())?;
         check_form(&body)?;
         Ok(Self { id: Hash::of(&[&envelope.body]), body, envelope, encoded })
     }
@@ -205,6 +207,18 @@ fn malformed(what: &str) -> Rejection {
         .wanted("an encoded ledgerd.v1.Transaction (transaction.proto)")
 }
 
+/// Refuses bytes that the message does not account for: a field that it does not have, one that stands twice, a number that
+/// is longer than it must be. Whoever signed such a field meant something by it, and it would be left out in silence.
+fn check_encoding(name: &str, message: &impl Message, found: usize) -> Result<(), Rejection> {
+    let wanted = message.encoded_len();
+    if found == wanted {
+        return Ok(());
+    }
+    Err(malformed(&format!("{name} has fields that it should not have, or has one twice"))
+        .found(format!("{found} bytes, of which its fields account for {wanted}"))
+        .wanted(format!("the fields of {name} in transaction.proto and no others, in canonical encoding")))
+}
+
 fn check_form(body: &Body) -> Result<(), Rejection> {
     for (name, found, wanted) in [
         ("network", body.network.len(), 32),
@@ -226,4 +240,56 @@ fn check_form(body: &Body) -> Result<(), Rejection> {
             .wanted(format!("at most {ARGUMENTS_MAX}")));
     }
     Ok(())
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::key::KeyKind;
+    use ring::rand::SystemRandom;
+
+    fn body() -> Body {
+        Body {
+            network: vec![1; 32].into(),
+            creator: vec![2; 32].into(),
+            nonce: vec![3; 16].into(),
+            not_after: 0,
+            chaincode: "abac".into(),
+            function: "acquire".into(),
+            args: vec![Bytes::new(), "Husky".into()],
+        }
+    }
+
+    /// The same call, signed as these bytes.
+    fn signed(body: Vec<u8>, beyond: &[u8]) -> Result<Transaction, Rejection> {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let signature = key.sign(&signed_bytes(&body)).into();
+        let envelope = Envelope { body: body.into(), signature, certificate: Bytes::new() };
+        Transaction::decode([&envelope.encode_to_vec(), beyond].concat().into())
+    }
+
+    #[test]
+    fn fields_that_a_transaction_does_not_have_are_refused_wherever_they_stand() {
+        let encoded = body().encode_to_vec();
+        signed(encoded.clone(), &[]).unwrap();
+        // Field 9: a number, a fixed one of eight bytes, a text, an empty group.
+        for unknown in [&[0x48, 7][..], &[0x49, 0, 0, 0, 0, 0, 0, 0, 0], &[0x4a, 1, b'x'], &[0x4b, 0x4c]] {
+            for body in [[&encoded, unknown].concat(), [unknown, &encoded].concat()] {
+                let refused = signed(body, &[]).unwrap_err();
+                assert_eq!(refused.code, Code::Malformed, "{refused}");
+                assert!(refused.message.contains("TransactionBody has fields"), "{refused}");
+            }
+            assert!(signed(encoded.clone(), unknown).unwrap_err().message.contains("Transaction has fields"));
+        }
+    }
+
+    #[test]
+    fn a_call_has_one_encoding_but_for_the_order_of_its_fields() {
+        let encoded = body().encode_to_vec();
+        // The function again; not_after although it is zero; a number of two bytes that fits into one.
+        for other in [&[0x32, 1, b'x'][..], &[0x20, 0], &[0x20, 0x81, 0x00]] {
+            assert_eq!(signed([&encoded, other].concat(), &[]).unwrap_err().code, Code::Malformed);
+        }
+    }
 }

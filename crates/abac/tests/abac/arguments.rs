@@ -3,16 +3,18 @@
 use crate::fleet::{Fleet, TURTLEBOT, bytes, owner};
 use ledger::{Bytes, Class, Code};
 
-const FUNCTIONS: [&str; 14] = [
+const FUNCTIONS: [&str; 16] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
+    "configure",
     "grants",
     "policies",
     "policy",
     "release",
     "remove",
     "renew",
+    "replace",
     "robot",
     "robots",
     "service",

@@ -230,6 +230,13 @@ impl Fleet {
         self.look(Some(who), |ctx, abac| abac.may_read(ctx, event))
     }
 
+    /// May that identity follow events of these names about these subjects?
+    pub(crate) fn may_follow(&self, who: &Identity, subjects: &[&str], names: &[&str]) -> Result<(), Rejection> {
+        let [subjects, names] =
+            [subjects, names].map(|list| list.iter().map(|text| (*text).to_owned()).collect::<Vec<_>>());
+        self.look(Some(who), |ctx, abac| abac.may_follow(ctx, &subjects, &names))
+    }
+
     /// Names and subjects of the events of the last block.
     pub(crate) fn told(&self, since: usize) -> Vec<(&str, &str)> {
         self.events[since..].iter().map(|event| (event.name.as_str(), event.subject.as_str())).collect()

@@ -40,7 +40,7 @@ fn only_the_exact_value_of_an_attribute_counts() {
     almost.attributes.insert("Husky".into(), "TRUE".into());
     fleet.refused(&almost, Code::MissingAttribute, "acquire", &[HUSKY]);
     let named = robot("Husky", "exclusive").replace("\"Husky\",\n", "\"level=3\",\n");
-    fleet.ok(&owner(), "setup", &[&named]);
+    fleet.ok(&owner(), "replace", &[&named]);
     fleet.refused(&salma(), Code::MissingAttribute, "acquire", &[HUSKY]);
     almost.fingerprint = [10; 32];
     almost.attributes.insert("level".into(), "3".into());
@@ -56,7 +56,7 @@ fn epochs_grow_with_every_grant_and_survive_release_update_and_removal() {
         match round {
             0 | 1 => fleet.ok(&salma(), "release", &[TURTLEBOT]),
             2 => {
-                fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "exclusive")]);
+                fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "exclusive")]);
                 fleet.ok(&salma(), "release", &[TURTLEBOT]);
             }
             3 => {
@@ -155,10 +155,11 @@ fn only_the_holder_releases_and_the_owners_admin_takes_back() {
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
     fleet.refused(&farhad(), Code::NotHolder, "release", &[TURTLEBOT]);
     fleet.refused(&admin1(), Code::NotHolder, "release", &[TURTLEBOT]);
-    fleet.refused(&farhad(), Code::NotHolder, "release", &[TURTLEBOT, "Org1/Salma"]);
+    fleet.refused(&farhad(), Code::NotOwner, "release", &[TURTLEBOT, "Org1/Salma"]);
     fleet.refused(&owner(), Code::NotHolder, "release", &[TURTLEBOT, "Org1/Farhad"]);
     let member = identity("Org2", "Maria", Role::Member, &[], 40);
     fleet.refused(&member, Code::NotHolder, "release", &[TURTLEBOT]);
+    fleet.refused(&member, Code::NotAdmin, "release", &[TURTLEBOT, "Org1/Salma"]);
     let taken: Vec<Released> = fleet.get(&owner(), "release", &[TURTLEBOT]);
     assert_eq!((taken.len(), taken[0].reason, taken[0].epoch), (1, Reason::Taken, 1));
     assert_eq!(fleet.newest::<Released>("released"), taken[0]);
@@ -211,12 +212,26 @@ fn the_robots_of_an_organisation_are_taken_out_of_service_in_the_block_that_remo
 }
 
 #[test]
+fn who_has_nothing_to_release_is_not_told_to_acquire() {
+    let mut fleet = Fleet::of_the_paper();
+    let refusal = fleet.refused(&salma(), Code::NotHolder, "release", &[TURTLEBOT]);
+    assert!(refusal.next.starts_with("there is nothing to release"), "{refusal}");
+    fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
+    let refusal = fleet.refused(&salma(), Code::NotHolder, "release", &[TURTLEBOT]);
+    assert_eq!(refusal.next, "only the holder, or an admin of Org2, can release it");
+    let refusal = fleet.refused(&owner(), Code::NotHolder, "release", &[TURTLEBOT, "Org1/Salma"]);
+    assert!(refusal.found.starts_with("held by Org1/Farhad") && refusal.wanted == "one who holds it", "{refusal}");
+    let refusal = fleet.refused(&salma(), Code::NotHolder, "renew", &[TURTLEBOT]);
+    assert_eq!(refusal.next, "ledgerctl acquire Turtlebot4/cmd_vel");
+}
+
+#[test]
 fn a_new_certificate_of_the_same_person_fences_off_the_old_one() {
     let mut fleet = Fleet::of_the_paper();
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
     let renewed = identity("Org1", "Salma", Role::Member, &["Turtlebot4"], 100);
     let refusal = fleet.set_refused(&renewed, Code::NotHolder, TURTLEBOT, 1, 1);
-    assert_eq!(refusal.found, "acquired with another certificate");
+    assert!(refusal.found.starts_with("acquired with another certificate, until 20"), "{refusal}");
     assert_eq!(fleet.get::<Grant>(&renewed, "acquire", &[TURTLEBOT]).epoch, 2);
     fleet.set_refused(&salma(), Code::StaleEpoch, TURTLEBOT, 1, 1);
     fleet.set_refused(&salma(), Code::NotHolder, TURTLEBOT, 2, 1);

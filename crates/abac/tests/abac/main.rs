@@ -9,6 +9,7 @@
 
 mod arguments;
 mod fleet;
+mod following;
 mod grants;
 mod open;
 mod paper;
@@ -17,3 +18,4 @@ mod properties;
 mod publishing;
 mod reads;
 mod robots;
+mod settings;

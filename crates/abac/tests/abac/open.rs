@@ -50,7 +50,7 @@ fn a_service_that_becomes_exclusive_keeps_its_oldest_holder() {
     let mut fleet = open();
     fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
     fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
-    fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "exclusive")]);
+    fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "exclusive")]);
     let released: Released = fleet.newest("released");
     assert_eq!((released.holder.as_str(), released.reason), ("Org1/Salma", Reason::Taken));
     let grants: Vec<Grant> = fleet.get(&salma(), "grants", &[TURTLEBOT]);

@@ -1,6 +1,6 @@
 //! Plays the paper: Salma and Farhad of Org1, three robots of Org2.
 
-use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, robot, salma};
+use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, salma};
 use ledger::{Code, Event};
 use ledger_abac::{Authorization, Caller, Grant, Mode, Reason, Released, RobotAsset};
 use serde_json::{Value, json};
@@ -39,7 +39,7 @@ fn the_experiment_of_the_paper_runs_as_told() {
     assert_eq!(husky.operator, "Org1/Salma");
 
     // The paper's comparison: in open mode the messages of both are published.
-    fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "open")]);
+    fleet.ok(&owner(), "configure", &[TURTLEBOT, r#"{"mode":"open"}"#]);
     fleet.set(&salma, TURTLEBOT, 0, 1, 1).unwrap();
     fleet.set(&farhad, TURTLEBOT, 0, 1, 1).unwrap();
     assert_eq!(fleet.events.iter().filter(|event| event.name == "message").count(), 13);

@@ -28,7 +28,7 @@ fn step() -> impl Strategy<Value = Step> {
         (who.clone(), prop_oneof![4 => Just("acquire"), 1 => Just("renew"), 2 => Just("release")], service.clone())
             .prop_map(|(who, function, service)| Step::Call(who, function, vec![service.to_owned()]));
     let setup = (prop_oneof![Just("Turtlebot4"), Just("Husky")], prop_oneof![Just("open"), Just("exclusive")])
-        .prop_map(|(name, mode)| Step::Call(3, "setup", vec![robot(name, mode)]));
+        .prop_map(|(name, mode)| Step::Call(3, "replace", vec![robot(name, mode)]));
     let policy = prop_oneof![
         Just(vec!["put".to_owned(), "p".to_owned(), DEFAULT_POLICY.to_owned()]),
         Just(vec!["put".to_owned(), "p".to_owned(), "permit (principal, action, resource);".to_owned()]),

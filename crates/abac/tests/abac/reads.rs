@@ -79,7 +79,7 @@ fn what_is_remembered_of_robots_and_grants_never_decides_against_the_state() {
     fleet.set(&salma(), TURTLEBOT, 1, 1, 1).unwrap();
     fleet.ok(&salma(), "release", &[TURTLEBOT]);
     assert!(fleet.set(&salma(), TURTLEBOT, 1, 2, 1).is_err());
-    fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "open")]);
+    fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "open")]);
     fleet.set(&salma(), TURTLEBOT, 0, 3, 1).unwrap();
     fleet.ok(&owner(), "remove", &["Turtlebot4"]);
     assert!(fleet.set(&salma(), TURTLEBOT, 0, 4, 1).is_err());

@@ -46,10 +46,10 @@ fn an_organisation_that_joins_later_is_not_trusted_until_the_owner_says_so() {
     let refusal = fleet.refused(&mallory, Code::DeniedByPolicy, "acquire", &[HUSKY]);
     assert_eq!((refusal.found.as_str(), refusal.wanted.as_str()), ("organisation Org3", "one of Org1, Org2"));
     // Updating the robot does not let it in by accident.
-    fleet.ok(&owner(), "setup", &[&robot("Husky", "exclusive")]);
+    fleet.ok(&owner(), "replace", &[&robot("Husky", "exclusive")]);
     fleet.refused(&mallory, Code::DeniedByPolicy, "acquire", &[HUSKY]);
     let trusting = robot("Husky", "exclusive").replacen('{', r#"{"trusted":["Org3"],"#, 1);
-    fleet.ok(&owner(), "setup", &[&trusting]);
+    fleet.ok(&owner(), "replace", &[&trusting]);
     fleet.ok(&mallory, "acquire", &[HUSKY]);
     fleet.ok(&mallory, "release", &[HUSKY]);
     fleet.refused(&salma(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
@@ -67,10 +67,10 @@ fn a_trusted_organisation_must_exist() {
 fn a_stricter_robot_ends_the_grants_it_no_longer_permits() {
     let mut fleet = Fleet::of_the_paper();
     fleet.ok(&salma(), "acquire", &[HUSKY]);
-    fleet.ok(&owner(), "setup", &[&robot("Husky", "exclusive")]);
+    fleet.ok(&owner(), "replace", &[&robot("Husky", "exclusive")]);
     fleet.set(&salma(), HUSKY, 1, 1, 1).unwrap();
     let stricter = robot("Husky", "exclusive").replace("\"Husky\",\n", "\"licence\",\n");
-    fleet.ok(&owner(), "setup", &[&stricter]);
+    fleet.ok(&owner(), "replace", &[&stricter]);
     assert_eq!(fleet.newest::<Released>("released").reason, Reason::Policy);
     fleet.set_refused(&salma(), Code::MissingAttribute, HUSKY, 1, 2);
 }
@@ -79,7 +79,7 @@ fn a_stricter_robot_ends_the_grants_it_no_longer_permits() {
 fn a_service_that_is_gone_ends_its_grants() {
     let mut fleet = Fleet::of_the_paper();
     fleet.ok(&salma(), "acquire", &[HUSKY]);
-    fleet.ok(&owner(), "setup", &[&robot("Husky", "exclusive").replace("/cmd_vel", "/arm")]);
+    fleet.ok(&owner(), "replace", &[&robot("Husky", "exclusive").replace("/cmd_vel", "/arm")]);
     assert_eq!(fleet.newest::<Released>("released").reason, Reason::RobotRemoved);
     let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &[HUSKY]);
     assert_eq!(refusal.wanted, "one of Husky/arm");
@@ -103,7 +103,7 @@ fn the_name_of_a_robot_stands_for_its_only_service() {
     let mut fleet = Fleet::of_the_paper();
     let two = r#"{"name":"Husky","attribute_required":"Husky","services":[
         {"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"},{"topic":"/arm/joint","type":"std_msgs/msg/Float64"}]}"#;
-    fleet.ok(&owner(), "setup", &[two]);
+    fleet.ok(&owner(), "replace", &[two]);
     let refusal = fleet.refused(&salma(), Code::UnknownService, "acquire", &["Husky"]);
     assert_eq!(refusal.wanted, "one of Husky/cmd_vel, Husky/arm/joint");
     fleet.ok(&salma(), "acquire", &["Husky/arm/joint"]);

@@ -6,7 +6,7 @@ use super::session::{Up, is_final};
 use crate::v1;
 use ledger::{Code, Rejection};
 use std::time::Duration;
-use tokio::time::{sleep, timeout};
+use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tonic::Streaming;
 
 /// Heartbeats that may be missing before the connection counts as broken.
@@ -105,6 +105,30 @@ impl EventStream {
             self.open = None;
             sleep(RETRY_AFTER).await;
         }
+    }
+
+    /// Subscribes now, so that a refusal is heard before anything else. Without this the first [`EventStream::next`] does
+    /// it, and goes on trying for as long as it takes.
+    ///
+    /// # Errors
+    /// Why no node accepts it: at once if waiting does not cure it, otherwise when the client's deadline has passed.
+    pub async fn open(&mut self) -> Result<(), Rejection> {
+        let deadline = Instant::now() + self.client.session.options.deadline;
+        let mut last = None;
+        while self.open.is_none() {
+            let refused = match timeout_at(deadline, self.subscribe()).await {
+                Ok(Ok(open)) => {
+                    self.open = Some(open);
+                    break;
+                }
+                Ok(Err(refused)) if is_final(&refused) => return Err(refused),
+                Ok(Err(refused)) => last.insert(refused),
+                Err(_) => return Err(last.unwrap_or_else(|| self.client.session.no_connection())),
+            };
+            tracing::debug!(reason = %refused.message, "subscription is tried again");
+            sleep(RETRY_AFTER).await;
+        }
+        Ok(())
     }
 
     /// The height from which this stream would be resumed: one after the last delivery.

@@ -1,13 +1,11 @@
 //! A service on the command line: `TOPIC=TYPE[,mode=…][,direction=…][,lease=…][,lease-max=…][,max-age=…][,stop=HEX]`.
 
-use super::span::Milliseconds;
-use ledger_contract::{Direction, Mode, ServiceSpec};
+use super::setting::{self, Key};
+use ledger_contract::{RobotSettings, ServiceSpec};
 
 /// What a service looks like, for messages.
 const WANTED: &str = "TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m]\
                       [,max-age=500ms][,stop=HEX], such as /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive";
-/// The options behind the type.
-const OPTIONS: [&str; 6] = ["mode", "direction", "lease", "lease-max", "max-age", "stop"];
 
 /// Reads one `--service`. A missing leading slash of the topic is added; names are checked by the chaincode.
 pub(crate) fn parse(text: &str) -> Result<ServiceSpec, String> {
@@ -17,61 +15,34 @@ pub(crate) fn parse(text: &str) -> Result<ServiceSpec, String> {
         .and_then(|first| first.split_once('='))
         .filter(|(topic, type_name)| !topic.is_empty() && !type_name.is_empty())
         .ok_or_else(|| format!("wanted {WANTED}"))?;
-    let mut spec = ServiceSpec {
-        topic: if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") },
-        type_name: type_name.to_owned(),
-        mode: None,
-        direction: Direction::Command,
-        max_age_ms: None,
-        lease_ms: None,
-        lease_ms_max: None,
-        stop_hex: None,
-    };
-    let mut given = Vec::new();
+    let (mut settings, mut given) = (RobotSettings::default(), Vec::new());
     for option in parts {
         let (name, value) = option.split_once('=').ok_or_else(|| format!("option {option:?}: wanted {WANTED}"))?;
-        if given.contains(&name) {
+        // The type stands behind the topic.
+        let key = setting::find(name, |key: &Key| key.of_service && key.name != "type")?;
+        if given.contains(&key.name) {
             return Err(format!("option {name:?} is given twice"));
         }
-        given.push(name);
-        let span = || value.parse::<Milliseconds>().map(|m| Some(m.0)).map_err(|e| format!("{name}={value}: {e}"));
-        match name {
-            "mode" => spec.mode = Some(choice(name, value, &[("open", Mode::Open), ("exclusive", Mode::Exclusive)])?),
-            "direction" => {
-                spec.direction = choice(name, value, &[("command", Direction::Command), ("feed", Direction::Feed)])?;
-            }
-            "lease" => spec.lease_ms = span()?,
-            "lease-max" => spec.lease_ms_max = span()?,
-            "max-age" => spec.max_age_ms = span()?,
-            "stop" => {
-                let bytes = super::bytes::from_hex(value)
-                    .map_err(|rejection| format!("stop: found {}, wanted {}", rejection.found, rejection.wanted))?;
-                spec.stop_hex = Some(hex::encode(bytes));
-            }
-            _ => return Err(unknown(name)),
-        }
+        given.push(key.name);
+        key.read(&mut settings, value)?;
     }
-    Ok(spec)
-}
-
-fn choice<T: Copy>(name: &str, value: &str, choices: &[(&str, T)]) -> Result<T, String> {
-    choices.iter().find(|(word, _)| *word == value).map(|(_, choice)| *choice).ok_or_else(|| {
-        let words: Vec<_> = choices.iter().map(|(word, _)| *word).collect();
-        format!("{name}={value}: wanted {}", words.join(" or "))
+    Ok(ServiceSpec {
+        topic: if topic.starts_with('/') { topic.to_owned() } else { format!("/{topic}") },
+        type_name: type_name.to_owned(),
+        mode: settings.mode,
+        direction: settings.direction.unwrap_or_default(),
+        max_age_ms: settings.max_age_ms,
+        lease_ms: settings.lease_ms,
+        lease_ms_max: settings.lease_ms_max,
+        stop_hex: settings.stop_hex,
     })
-}
-
-fn unknown(name: &str) -> String {
-    let near = OPTIONS.iter().max_by(|a, b| strsim::jaro(a, name).total_cmp(&strsim::jaro(b, name)));
-    let near = near.filter(|near| strsim::jaro(near, name) > 0.7);
-    let hint = near.map(|near| format!(" (did you mean {near}?)")).unwrap_or_default();
-    format!("unknown option {name:?}{hint}; wanted {WANTED}")
 }
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use ledger_contract::{Direction, Mode};
 
     #[test]
     fn topic_and_type_are_enough() {

@@ -1,4 +1,6 @@
-//! `robot add|list|show|remove`: what organisations registered.
+//! `robot add|set|list|show|remove`: what organisations registered.
+
+mod change;
 
 use crate::answer;
 use crate::argument::service;
@@ -7,7 +9,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::{json, time};
-use ledger::{Bytes, Code, Rejection};
+use ledger::Bytes;
 use ledger_contract::{Released, RobotAsset, RobotSpec, ServiceSpec};
 use serde::Serialize;
 use serde_json::value::RawValue;
@@ -17,12 +19,15 @@ use std::io::{self, Write};
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Robot {
     Add(Add),
+    Set(change::Set),
     List(List),
     Show(Show),
     Remove(Remove),
 }
 
-/// Register a robot of your organisation, or change it; for admins.
+/// Register a robot of your organisation; for admins.
+///
+/// A name that is registered already is refused: `robot set` changes settings of that robot, `--replace` all of it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -47,6 +52,9 @@ pub(crate) struct Add {
     /// An organisation whose attributes count; otherwise all that are members now
     #[arg(long = "trust", value_name = "ORG")]
     trusted: Vec<String>,
+    /// Put this description in the place of the robot's present one; grants that it does not allow end
+    #[arg(long)]
+    replace: bool,
 }
 
 /// List the robots and who operates them.
@@ -75,12 +83,16 @@ impl Robot {
         let session = Session::open(global).await?;
         match self {
             Self::Add(add) => {
-                let spec = serde_json::to_string(&add.into_spec()).map_err(|error| {
-                    Rejection::new(Code::Internal, "the robot cannot be written as JSON").found(error.to_string())
-                })?;
-                let done = session.call(ABAC, "setup", vec![Bytes::from(spec)]).await?;
+                let (name, replace) = (add.name.clone(), add.replace);
+                let spec = change::argument(&add.into_spec())?;
+                if replace {
+                    return change::replace(&session, &name, spec, output).await;
+                }
+                let done =
+                    session.call(ABAC, "setup", vec![spec]).await.map_err(change::in_words_of_the_command_line)?;
                 output.show(&Robots(answer::parse(&done.response, "robots")?, time::now()))
             }
+            Self::Set(set) => set.run(&session, output).await,
             Self::List(_) => {
                 let response = session.ask(ABAC, "robots", vec![]).await?;
                 output.show(&Robots(answer::parse(&response, "robots")?, time::now()))

@@ -56,6 +56,32 @@ impl Registry {
         })
     }
 
+    /// The chaincodes that may emit an event of one of these names: of this chaincode or, if it is empty, of all. No names
+    /// stand for any.
+    ///
+    /// # Errors
+    /// [`Code::UnknownChaincode`]; [`Code::BadArgument`] with the names that exist.
+    pub(crate) fn emitting(&self, chaincode: &str, names: &[String]) -> Result<Vec<&dyn Chaincode>, Rejection> {
+        let asked: Vec<&dyn Chaincode> = match chaincode {
+            "" => self.iter().collect(),
+            name => vec![self.find(name)?],
+        };
+        let may_emit = |chaincode: &dyn Chaincode, name: &str| {
+            let events = chaincode.events();
+            events.is_empty() || events.contains(&name)
+        };
+        if let Some(name) = names.iter().find(|name| !asked.iter().any(|chaincode| may_emit(*chaincode, name))) {
+            let known: Vec<_> = asked.iter().flat_map(|chaincode| chaincode.events().iter().copied()).collect();
+            return Err(Rejection::new(Code::BadArgument, format!("there are no events {name:?}"))
+                .found(format!("{name:?}"))
+                .wanted(format!("some of {}", known.join(", ")))
+                .next("subscribe to one of these, or to all by naming none"));
+        }
+        let of_concern =
+            |chaincode: &&dyn Chaincode| names.is_empty() || names.iter().any(|name| may_emit(*chaincode, name));
+        Ok(asked.into_iter().filter(of_concern).collect())
+    }
+
     /// All installed chaincodes in order of their names.
     pub fn iter(&self) -> impl Iterator<Item = &dyn Chaincode> {
         self.chaincodes.values().map(AsRef::as_ref)
@@ -101,5 +127,50 @@ impl Registry {
             Ok(Bytes::new())
         })
         .map(drop)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    struct Emitter(&'static str, &'static [&'static str]);
+
+    impl Chaincode for Emitter {
+        fn name(&self) -> &'static str {
+            self.0
+        }
+
+        fn invoke(&self, _: &mut Context<'_>, _: &str, _: &[Bytes]) -> Result<Bytes, Rejection> {
+            Ok(Bytes::new())
+        }
+
+        fn events(&self) -> &'static [&'static str] {
+            self.1
+        }
+    }
+
+    #[test]
+    fn a_name_that_no_event_has_is_refused_unless_somebody_does_not_say() {
+        let mut registry = Registry::new();
+        registry.install(Arc::new(Emitter("a", &["granted", "message"]))).unwrap();
+        registry.install(Arc::new(Emitter("b", &["moved"]))).unwrap();
+        let emitting = |registry: &Registry, chaincode: &str, names: &[&str]| {
+            let names: Vec<_> = names.iter().map(|name| (*name).to_owned()).collect();
+            let found = registry.emitting(chaincode, &names)?;
+            Ok::<_, Rejection>(found.iter().map(|chaincode| chaincode.name()).collect::<Vec<_>>())
+        };
+        assert_eq!(emitting(&registry, "", &[]).unwrap(), ["a", "b"]);
+        assert_eq!(emitting(&registry, "", &["message", "moved"]).unwrap(), ["a", "b"]);
+        assert_eq!(emitting(&registry, "", &["moved"]).unwrap(), ["b"]);
+        assert_eq!(emitting(&registry, "c", &[]).unwrap_err().code, Code::UnknownChaincode);
+        for (chaincode, names) in [("a", &["mesage"][..]), ("a", &["message", "moved"]), ("", &["mesage"])] {
+            let refused = emitting(&registry, chaincode, names).unwrap_err();
+            assert!(refused.code == Code::BadArgument && refused.wanted.contains("message"), "{refused}");
+        }
+        registry.install(Arc::new(Emitter("c", &[]))).unwrap();
+        assert_eq!(emitting(&registry, "", &["mesage"]).unwrap(), ["c"]);
+        assert_eq!(emitting(&registry, "a", &["mesage"]).unwrap_err().code, Code::BadArgument);
     }
 }

@@ -81,7 +81,7 @@ impl Call {
                 ("abac", "set", head.into_iter().chain([Bytes::from_static(MESSAGE)]).collect())
             }
             Self::Read { service, .. } => ("abac", "service", vec![text(service)]),
-            Self::Setup { open } => ("abac", "setup", robots(*open).iter().map(|robot| text(robot)).collect()),
+            Self::Setup { open } => ("abac", "replace", robots(*open).iter().map(|robot| text(robot)).collect()),
             Self::Put(policy) => ("abac", "policy", vec![text("put"), text(policy.id()), text(&policy.text())]),
             Self::Remove(policy) => ("abac", "policy", vec![text("remove"), text(policy.id())]),
             Self::Revoke { issuer, serial } => ("msp", "revoke", vec![text(issuer), text(serial)]),

@@ -40,7 +40,7 @@ impl DeniedByDefault {
             let uses = body.chaincode == "abac" && matches!(&*body.function, "acquire" | "renew" | "set");
             let rules = matches!(
                 (&*body.chaincode, &*body.function),
-                ("abac", "setup" | "remove" | "policy") | ("msp", "revoke")
+                ("abac", "setup" | "replace" | "configure" | "remove" | "policy") | ("msp", "revoke")
             );
             if (uses && has_no_right(person)) || (rules && person.identity.role != Role::Admin) {
                 return Err(Violation::new(

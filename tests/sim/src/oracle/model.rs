@@ -180,14 +180,14 @@ impl Model {
                 let (epoch, seq) = (number(text(1))?.unwrap_or(0), number(text(2))?.unwrap_or(0));
                 self.set(who, &first, epoch, seq, time)
             }
-            ("abac", "setup") => self.setup(who, &body.args, time),
+            ("abac", "replace") => self.replace(who, &body.args, time),
             ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
             ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default()),
             (chaincode, function) => panic!("the model does not know {chaincode} {function}"),
         }
     }
 
-    fn setup(&mut self, who: &Person, robots: &[Bytes], time: u64) -> Verdict {
+    fn replace(&mut self, who: &Person, robots: &[Bytes], time: u64) -> Verdict {
         only_admins(who)?;
         for robot in robots {
             let mut robot: Robot = serde_json::from_slice(robot).map_err(|_| Code::BadArgument)?;

@@ -33,9 +33,9 @@ pub(crate) struct Echo {
     /// The service; the robot alone is enough if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
-    /// Begin at this height; otherwise with the next block
-    #[arg(long, value_name = "HEIGHT", default_value_t = 0, hide_default_value = true)]
-    from: u64,
+    /// Begin at this height, 0 for the first block that there is; otherwise with the next one
+    #[arg(long, value_name = "HEIGHT")]
+    from: Option<u64>,
     /// End after so many messages
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
@@ -75,12 +75,23 @@ impl Echo {
         let response = session.ask(ABAC, "service", vec![Bytes::from(self.service)]).await?;
         let service: ServiceState = answer::parse(&response, "a service")?;
         let mut stream = session.client.subscribe(Subscription {
-            from_height: self.from,
+            // To the node 0 means the next block. The genesis, block 0, has no messages.
+            from_height: self.from.map_or(0, |height| height.max(1)),
             chaincode: ABAC.to_owned(),
             subjects: vec![service.service],
             names: vec!["message".to_owned()],
             heartbeat: HEARTBEAT_MS,
         });
+        // Who may not read hears it now.
+        stream.open().await?;
+        if let Some(from) = self.from {
+            let node = session.client.status().await?;
+            if from > node.height {
+                output.note(&format!("the last block is {}: waiting for block {from}", node.height));
+            } else if from > 0 && from < node.first_height {
+                output.note(&format!("this node keeps no blocks before {}", node.first_height));
+            }
+        }
         let mut senders = Senders::new(&session);
         let mut left = self.count.unwrap_or(u64::MAX);
         loop {

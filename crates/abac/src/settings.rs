@@ -1,0 +1,147 @@
+//! Changing a robot: some of its settings (`configure`), or its whole description (`replace`). Both answer with what changed
+//! and what ended; a grant that the new settings still allow goes on.
+
+use crate::arguments::Arguments;
+use crate::authorize::Decider;
+use crate::grant::mode_name;
+use crate::robot::{self, Robot};
+use crate::service::{self, Service, direction_name};
+use crate::store;
+use ledger::{Bytes, Context, Rejection};
+use ledger_contract::{RobotChange, RobotSettings, ServiceSpec, SettingChange};
+
+/// Longest JSON of settings, in bytes: a stop message of 64 KiB in hexadecimal digits, and the rest.
+const SETTINGS_BYTES_MAX: usize = 256 * 1024;
+
+/// The name of a setting, and its value for people.
+type Setting<T> = (&'static str, fn(&T) -> String);
+
+/// The settings of a service.
+const OF_SERVICE: [Setting<Service>; 7] = [
+    ("type", |service| service.type_name.clone()),
+    ("mode", |service| mode_name(service.mode).to_owned()),
+    ("direction", |service| direction_name(service.direction).to_owned()),
+    ("max_age_ms", |service| service.max_age_ms.to_string()),
+    ("lease_ms", |service| service.lease_ms.to_string()),
+    ("lease_ms_max", |service| service.lease_ms_max.to_string()),
+    ("stop_hex", |service| service.stop_hex.clone().unwrap_or_default()),
+];
+
+/// The settings of a robot.
+const OF_ROBOT: [Setting<Robot>; 2] =
+    [("attribute_required", |robot| robot.attribute_required.clone()), ("trusted", |robot| robot.trusted.join(", "))];
+
+fn is_of_service(settings: &RobotSettings) -> bool {
+    let of_robot = RobotSettings {
+        attribute_required: settings.attribute_required.clone(),
+        trusted: settings.trusted.clone(),
+        ..RobotSettings::default()
+    };
+    *settings != of_robot
+}
+
+/// The service as it is to be.
+fn apply(settings: &RobotSettings, service: Service) -> ServiceSpec {
+    let Service { topic, type_name, mode, direction, max_age_ms, lease_ms, lease_ms_max, stop_hex } = service;
+    ServiceSpec {
+        topic,
+        type_name: settings.type_name.clone().unwrap_or(type_name),
+        mode: Some(settings.mode.unwrap_or(mode)),
+        direction: settings.direction.unwrap_or(direction),
+        max_age_ms: Some(settings.max_age_ms.unwrap_or(max_age_ms)),
+        lease_ms: Some(settings.lease_ms.unwrap_or(lease_ms)),
+        lease_ms_max: Some(settings.lease_ms_max.unwrap_or(lease_ms_max)),
+        stop_hex: settings.stop_hex.clone().or(stop_hex).filter(|digits| !digits.is_empty()),
+    }
+}
+
+/// `configure ROBOT[/TOPIC] SETTINGS_JSON`: changes some settings; by an admin of the robot's owner.
+pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("configure ROBOT[/TOPIC] SETTINGS_JSON", args, 2, 2)?;
+    let admin = robot::admin(ctx, "change robots")?;
+    let id = args.text(0, "ROBOT[/TOPIC]")?;
+    let wanted = "JSON of some of attribute_required, trusted, type, mode, direction, max_age_ms, lease_ms, lease_ms_max, \
+                  stop_hex";
+    let bad = |found: String| args.bad(1, "SETTINGS_JSON", found, wanted);
+    let settings: RobotSettings = serde_json::from_str(args.document(1, "SETTINGS_JSON", SETTINGS_BYTES_MAX)?)
+        .map_err(|fault| bad(fault.to_string()))?;
+    if settings == RobotSettings::default() {
+        return Err(bad("nothing to change".to_owned()));
+    }
+    let (name, topic) = service::split(id);
+    let before = robot::find(ctx, name)?;
+    robot::check_owner(&before, admin)?;
+    let mut after = before.clone();
+    if is_of_service(&settings) || !topic.is_empty() {
+        let target = service::resolve(ctx, id)?;
+        for service in after.services.iter_mut().filter(|service| service.topic == target.service.topic) {
+            *service = Service::check(apply(&settings, service.clone()))?;
+        }
+    }
+    if let Some(required) = &settings.attribute_required {
+        after.attribute_required = robot::check_attribute(required)?;
+    }
+    if let Some(trusted) = settings.trusted {
+        after.trusted = robot::check_trusted(ctx, trusted)?;
+    }
+    store::json(&change(ctx, decider, Some(before), after)?)
+}
+
+/// `replace ROBOT_JSON...`: as `setup`, also for robots that exist; by an admin of their owner.
+pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("replace ROBOT_JSON...", args, 1, robot::ROBOTS_PER_SETUP_MAX)?;
+    let admin = robot::admin(ctx, "change robots")?;
+    let mut changes = Vec::new();
+    for index in 0..args.rest(0).len() {
+        let spec = robot::read_spec(args, index)?;
+        let before = robot::registered(ctx, &spec.name)?;
+        if let Some(robot) = &before {
+            robot::check_owner(robot, admin)?;
+        }
+        let after = robot::describe(ctx, &admin.organisation, spec, before.as_ref())?;
+        changes.push(change(ctx, decider, before, after)?);
+    }
+    store::json(&changes)
+}
+
+/// Puts the robot in the place of what it was. Nothing happens if it is the same.
+fn change(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    before: Option<Robot>,
+    after: Robot,
+) -> Result<RobotChange, Rejection> {
+    let changed = before.as_ref().map_or_else(Vec::new, |before| differences(before, &after));
+    let ended = match &before {
+        Some(_) if changed.is_empty() => Vec::new(),
+        before => robot::put(ctx, decider, before.as_ref(), after.clone())?,
+    };
+    Ok(RobotChange { robot: robot::find(ctx, &after.name)?.asset(ctx)?, changed, ended })
+}
+
+fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
+    let mut changes = Vec::new();
+    let mut note = |topic: &str, setting: &str, before: String, after: String| {
+        if before != after {
+            changes.push(SettingChange { topic: topic.to_owned(), setting: setting.to_owned(), before, after });
+        }
+    };
+    for (setting, value) in OF_ROBOT {
+        note("", setting, value(before), value(after));
+    }
+    let same = |services: &[Service], topic: &str| services.iter().find(|service| service.topic == topic).cloned();
+    for service in &before.services {
+        match same(&after.services, &service.topic) {
+            Some(now) => OF_SERVICE
+                .iter()
+                .for_each(|(setting, value)| note(&service.topic, setting, value(service), value(&now))),
+            None => note(&service.topic, "service", service.type_name.clone(), String::new()),
+        }
+    }
+    for service in &after.services {
+        if same(&before.services, &service.topic).is_none() {
+            note(&service.topic, "service", String::new(), service.type_name.clone());
+        }
+    }
+    changes
+}

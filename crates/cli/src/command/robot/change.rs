@@ -1,0 +1,200 @@
+//! `robot set`, `robot add --replace`: changing what is registered, with a summary of what changed and what ended.
+
+use crate::answer;
+use crate::argument::setting::{self, KEYS, Setting};
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::{ABAC, Session};
+use crate::time;
+use ledger::{Bytes, Code, Rejection};
+use ledger_contract::{Reason, RobotChange, SettingChange};
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// Change settings of a robot of your organisation; for admins.
+///
+/// What is not named stays as it is, and so do the grants that the new settings still allow. A summary tells what changed
+/// and which grants ended.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Settings of a service:
+  mode=open|exclusive, direction=command|feed, lease=10s, lease-max=10m, max-age=500ms, stop=HEX, type=PACKAGE/msg/NAME
+Settings of the robot:
+  attr-required=KEY[=VALUE], trust=ORG[,ORG]
+
+Example:
+  ledgerctl robot set Turtlebot4/cmd_vel mode=open max-age=500ms
+  ledgerctl robot set Husky trust=Org1,Org2 --dry-run")]
+pub(crate) struct Set {
+    /// The service; the robot alone is enough if it offers exactly one, and for the robot's own settings
+    #[arg(value_name = "ROBOT[/TOPIC]")]
+    target: String,
+    /// What to change, such as mode=open
+    #[arg(value_name = "KEY=VALUE", required = true)]
+    settings: Vec<Setting>,
+    /// Only tell what would change and which grants would end
+    #[arg(long)]
+    dry_run: bool,
+}
+
+impl Set {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let settings = setting::collect(&self.settings).map_err(|problem| {
+            Rejection::new(Code::BadArgument, "the settings cannot be read")
+                .found(problem)
+                .wanted(format!("each of these at most once: {}", setting::listed(|_| true)))
+                .next("ledgerctl robot set --help")
+        })?;
+        let args = vec![Bytes::from(self.target.clone()), argument(&settings)?];
+        let response = match self.dry_run {
+            true => session.ask(ABAC, "configure", args).await,
+            false => session.call(ABAC, "configure", args).await.map(|done| done.response),
+        };
+        let response = response.map_err(in_words_of_the_command_line)?;
+        let change = answer::parse(&response, "a change of a robot")?;
+        output.show(&Changed { name: self.target, change, dry_run: self.dry_run })
+    }
+}
+
+/// The JSON of an argument.
+pub(super) fn argument(value: &impl Serialize) -> Result<Bytes, Rejection> {
+    serde_json::to_vec(value)
+        .map(Bytes::from)
+        .map_err(|error| Rejection::new(Code::Internal, "the robot cannot be written as JSON").found(error.to_string()))
+}
+
+/// Puts a whole description in the place of a robot's present one.
+pub(super) async fn replace(session: &Session, name: &str, spec: Bytes, output: &mut Output) -> Result<(), Failure> {
+    let done = session.call(ABAC, "replace", vec![spec]).await.map_err(in_words_of_the_command_line)?;
+    let changes: Vec<RobotChange> = answer::parse(&done.response, "changes of robots")?;
+    for change in changes {
+        output.show(&Changed { name: name.to_owned(), change, dry_run: false })?;
+    }
+    Ok(())
+}
+
+/// The refusal with the names that people type where the ledger has others.
+pub(super) fn in_words_of_the_command_line(refused: Rejection) -> Rejection {
+    let typed = |text: String| {
+        // The longer name first: it begins with the shorter one.
+        let mut keys: Vec<_> = KEYS.iter().filter(|key| key.name != key.field).collect();
+        keys.sort_by_key(|key| std::cmp::Reverse(key.field.len()));
+        keys.iter().fold(text, |text, key| text.replace(key.field, key.name))
+    };
+    let Rejection { code, message, found, wanted, next } = refused;
+    Rejection { code, message: typed(message), found: typed(found), wanted: typed(wanted), next: typed(next) }
+}
+
+#[derive(Serialize)]
+struct Changed {
+    #[serde(skip)]
+    name: String,
+    #[serde(flatten)]
+    change: RobotChange,
+    dry_run: bool,
+}
+
+impl Facts for Changed {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Self { name, change: RobotChange { robot, changed, ended }, dry_run } = self;
+        if changed.is_empty() {
+            return writeln!(out, "{name} is as it was: it has these settings already");
+        }
+        writeln!(out, "{} {}", robot.name, if *dry_run { "would change" } else { "is changed" })?;
+        let mut table = Table::pairs();
+        for SettingChange { topic, setting, before, after } in changed {
+            let (before, after) = (shown(setting, before), shown(setting, after));
+            table.row([topic.clone(), typed(setting).to_owned(), before, "->".to_owned(), after]);
+        }
+        table.write(out, 2)?;
+        if ended.is_empty() {
+            return writeln!(out, "no grant {}", if *dry_run { "would end" } else { "ended by it" });
+        }
+        for grant in ended {
+            let end = if *dry_run { "would end" } else { "ended" };
+            let (service, holder, epoch) = (&grant.service, &grant.holder, grant.epoch);
+            writeln!(out, "{end}: the grant of {service} to {holder} (epoch {epoch}): {}", why(grant.reason))?;
+        }
+        Ok(())
+    }
+}
+
+/// The name that people type.
+fn typed(setting: &str) -> &str {
+    KEYS.iter().find(|key| key.field == setting).map_or(setting, |key| key.name)
+}
+
+fn shown(setting: &str, value: &str) -> String {
+    match value.parse::<u64>() {
+        Ok(ms) if setting.contains("_ms") => time::span(ms.saturating_mul(1000)),
+        _ if value.is_empty() => "none".to_owned(),
+        _ => value.to_owned(),
+    }
+}
+
+fn why(reason: Reason) -> &'static str {
+    match reason {
+        Reason::Policy => "the robot no longer permits this holder",
+        Reason::Taken => "the mode has no room for this holder",
+        Reason::RobotRemoved => "the robot no longer offers this service",
+        Reason::Released => "its holder gave it back",
+        Reason::Expired => "its lease ran out",
+        Reason::Revoked => "its holder's certificate is revoked",
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use ledger_contract::{Released, RobotAsset};
+
+    fn text(changed: Vec<SettingChange>, ended: Vec<Released>, dry_run: bool) -> String {
+        let robot: RobotAsset = serde_json::from_str(
+            r#"{"Name":"Husky","SubTopic":"/cmd_vel","PubTopic":"","owner":"","UnderOp":false,"organisation":"Org2",
+                "attribute_required":"Husky=true","trusted":["Org1"],"services":[]}"#,
+        )
+        .unwrap();
+        let mut out = Vec::new();
+        let change = RobotChange { robot, changed, ended };
+        Changed { name: "Husky".into(), change, dry_run }.text(&mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    fn setting(topic: &str, setting: &str, before: &str, after: &str) -> SettingChange {
+        SettingChange { topic: topic.into(), setting: setting.into(), before: before.into(), after: after.into() }
+    }
+
+    #[test]
+    fn a_change_says_what_is_different_and_what_ended_and_why() {
+        let changed =
+            vec![setting("/cmd_vel", "lease_ms", "10000", "20000"), setting("", "trusted", "Org1, Org2", "Org2")];
+        let ended = vec![Released {
+            service: "Husky/cmd_vel".into(),
+            holder: "Org1/Salma".into(),
+            epoch: 3,
+            reason: Reason::Policy,
+        }];
+        assert_eq!(
+            text(changed, ended, false),
+            "Husky is changed\n  /cmd_vel  lease  10 s        ->  20 s\n            trust  Org1, Org2  ->  Org2\n\
+             ended: the grant of Husky/cmd_vel to Org1/Salma (epoch 3): the robot no longer permits this holder\n"
+        );
+    }
+
+    #[test]
+    fn nothing_that_changes_is_said_too() {
+        assert_eq!(text(vec![], vec![], false), "Husky is as it was: it has these settings already\n");
+        let dry = text(vec![setting("/cmd_vel", "stop_hex", "00010000", "")], vec![], true);
+        assert_eq!(dry, "Husky would change\n  /cmd_vel  stop  00010000  ->  none\nno grant would end\n");
+    }
+
+    #[test]
+    fn refusals_name_what_people_type() {
+        let refused = Rejection::new(Code::BadArgument, "lease_ms_max of service /cmd_vel is out of range")
+            .next("lease_ms is 20 ms, and lease_ms_max is never shorter");
+        let refused = in_words_of_the_command_line(refused);
+        assert_eq!(refused.message, "lease-max of service /cmd_vel is out of range");
+        assert_eq!(refused.next, "lease is 20 ms, and lease-max is never shorter");
+    }
+}

@@ -1,0 +1,52 @@
+//! Who may read what: asked when somebody subscribes, and again for every event.
+
+use super::{Context, Ledger, check_organisation, check_revoked};
+use crate::chaincode::Event;
+use crate::identity::Identity;
+use crate::rejection::Rejection;
+
+impl Ledger {
+    /// May this identity see this event? Decided on the committed state.
+    ///
+    /// # Errors
+    /// The reason why not.
+    pub fn may_read(&self, reader: &Identity, event: &Event) -> Result<(), Rejection> {
+        check_organisation(reader, &self.msps())?;
+        let mut overlay = self.overlay();
+        check_revoked(reader, &overlay)?;
+        let chaincode = self.registry.find(&event.chaincode)?;
+        let tip = self.tip();
+        let environment = self.environment(Some(reader), &tip, tip.time);
+        chaincode.may_read(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), event)
+    }
+
+    /// May this identity follow events of these names about these subjects, of one chaincode or, if it is empty, of any?
+    /// Decided on the committed state.
+    ///
+    /// # Errors
+    /// The reason why not; [`Code::UnknownChaincode`], [`Code::BadArgument`] for a name that no event has.
+    pub fn may_follow(
+        &self,
+        reader: &Identity,
+        chaincode: &str,
+        subjects: &[String],
+        names: &[String],
+    ) -> Result<(), Rejection> {
+        check_organisation(reader, &self.msps())?;
+        let mut overlay = self.overlay();
+        check_revoked(reader, &overlay)?;
+        let emitting = self.registry.emitting(chaincode, names)?;
+        let tip = self.tip();
+        let mut refused = Ok(());
+        for chaincode in emitting {
+            let environment = self.environment(Some(reader), &tip, tip.time);
+            let mut none = Vec::new();
+            let ctx = Context::new(environment, chaincode.name(), &mut overlay, &mut none);
+            match chaincode.may_follow(&ctx, subjects, names) {
+                Ok(()) => return Ok(()),
+                reason => refused = refused.and(reason),
+            }
+        }
+        refused
+    }
+}
