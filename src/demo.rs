@@ -3,6 +3,7 @@
 mod graph;
 mod measure;
 mod network;
+mod picture;
 mod process;
 mod summary;
 
@@ -13,9 +14,10 @@ use ledger::{Bytes, Code, Rejection};
 use ledger_api::Client;
 use measure::{Phase, RosToRos};
 use network::Network;
-use std::io::IsTerminal;
+use picture::Picture;
 use std::time::{Duration, Instant};
 use summary::Summary;
+use tokio::time::interval;
 
 /// The rate of the paper's experiment.
 const HZ: u32 = 50;
@@ -30,7 +32,7 @@ pub(crate) struct Options {
     /// Length of each of the two phases, in seconds.
     #[arg(long, value_name = "N", default_value_t = 15, value_parser = clap::value_parser!(u64).range(1..=3600))]
     seconds: u64,
-    /// Print the result as one line of JSON at the end.
+    /// Print the result as one line of JSON, and nothing else on standard output.
     #[arg(long)]
     json: bool,
 }
@@ -50,10 +52,7 @@ pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
             print_line(&summary::failure(rejection));
         }
     })?;
-    print_line(&summary.table());
-    if options.json {
-        print_line(&summary.json()?);
-    }
+    print_line(&if options.json { summary.json()? } else { summary.table() });
     summary.check()
 }
 
@@ -61,7 +60,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let started = Instant::now();
     let say = |what: &str| {
         let stamp = format!("{:>5.1} s", started.elapsed().as_secs_f64());
-        match std::io::stderr().is_terminal() {
+        match picture::is_coloured() {
             true => eprint_line(&format!("\x1b[2m{stamp}\x1b[0m  {what}")),
             false => eprint_line(&format!("{stamp}  {what}")),
         }
@@ -99,7 +98,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     ));
     let mut ros_to_ros = RosToRos::default();
     robot.take();
-    let (first, times, _) = publish_both(&mut salma_node, &mut farhad_node, seconds).await?;
+    let (first, times, _) = publish_both(&robot, &mut salma_node, &mut farhad_node, seconds).await?;
     let received = robot.take();
     ros_to_ros.add(Operator::Salma, first, &times, &received);
     summary.controlled = Phase::count(&received, seconds, Some(Operator::Farhad));
@@ -109,7 +108,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     set_mode(&network.owner, "open").await?;
     robot.take();
     let first_farhad = farhad_node.next_number();
-    let (first, times, times_farhad) = publish_both(&mut salma_node, &mut farhad_node, seconds).await?;
+    let (first, times, times_farhad) = publish_both(&robot, &mut salma_node, &mut farhad_node, seconds).await?;
     let received = robot.take();
     ros_to_ros.add(Operator::Salma, first, &times, &received);
     ros_to_ros.add(Operator::Farhad, first_farhad, &times_farhad, &received);
@@ -159,14 +158,24 @@ fn must_fail(outcome: Result<(), Rejection>, code: Code, otherwise: &str) -> Res
     }
 }
 
-/// Both publish at once. Answers with Salma's first number, and when each message of either was published.
+/// Both publish at once, and it is drawn. Answers with Salma's first number, and when each message of either was published.
 async fn publish_both(
+    robot: &Robot,
     salma: &mut Publisher,
     farhad: &mut Publisher,
     how_long: Duration,
 ) -> Result<(usize, Vec<Instant>, Vec<Instant>), Rejection> {
     let first = salma.next_number();
-    let (times, times_farhad) = tokio::try_join!(salma.publish(HZ, how_long), farhad.publish(HZ, how_long))?;
+    let mut picture = Picture::new(robot, [salma.published(), farhad.published()]);
+    let mut published =
+        std::pin::pin!(async { tokio::try_join!(salma.publish(HZ, how_long), farhad.publish(HZ, how_long)) });
+    let mut frames = interval(picture::EVERY);
+    let (times, times_farhad) = loop {
+        tokio::select! {
+            done = &mut published => break done?,
+            _ = frames.tick() => picture.draw(),
+        }
+    };
     tokio::time::sleep(SETTLE).await;
     Ok((first, times, times_farhad))
 }

@@ -8,6 +8,7 @@ use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;
 use ros_bridge::queue::Limits;
 use ros_bridge::sample::{CDR_LE, Sample};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::task::JoinHandle;
@@ -53,7 +54,8 @@ pub(super) struct Publisher {
     _participant: Participant,
     writer: Writer,
     operator: Operator,
-    next: usize,
+    /// How much it has published, which is the number of the next message.
+    published: Arc<AtomicUsize>,
 }
 
 impl Publisher {
@@ -63,7 +65,7 @@ impl Publisher {
         let name = format!("{operator:?}_teleop").to_lowercase();
         let participant = Participant::open(domain, &name).await.map_err(|error| failed(&error))?;
         let writer = participant.writer(&topic, &kind, &Qos::default()).map_err(|error| failed(&error))?;
-        Ok(Self { _participant: participant, writer, operator, next: 0 })
+        Ok(Self { _participant: participant, writer, operator, published: Arc::default() })
     }
 
     /// Waits until somebody listens.
@@ -84,17 +86,22 @@ impl Publisher {
         let mut times = Vec::with_capacity(count);
         for _ in 0..count {
             schedule.tick().await;
-            let sample = twist(0.2, self.next, self.operator)?;
+            let sample = twist(0.2, self.next_number(), self.operator)?;
             times.push(Instant::now());
             self.writer.write(&sample).map_err(|error| failed(&error))?;
-            self.next += 1;
+            self.published.fetch_add(1, Ordering::Relaxed);
         }
         Ok(times)
     }
 
     /// The number that the next message will have.
     pub(super) fn next_number(&self) -> usize {
-        self.next
+        self.published.load(Ordering::Relaxed)
+    }
+
+    /// How much it has published, for whoever watches.
+    pub(super) fn published(&self) -> Arc<AtomicUsize> {
+        Arc::clone(&self.published)
     }
 }
 
@@ -132,6 +139,12 @@ impl Robot {
             .await
             .map(drop)
             .map_err(|_| nobody_there("the robot's bridge"))
+    }
+
+    /// How many of an operator's messages were received since the last [`Robot::take`].
+    pub(super) fn received_from(&self, operator: Operator) -> usize {
+        let received = self.received.lock().unwrap_or_else(PoisonError::into_inner);
+        received.iter().filter(|message| message.operator == Some(operator)).count()
     }
 
     /// What was received so far; starts anew.

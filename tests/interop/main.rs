@@ -5,6 +5,7 @@
 mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
+mod codec;
 mod python;
 mod telling;
 mod world;

@@ -25,6 +25,7 @@ mod join;
 mod languages;
 mod leadership;
 mod members;
+mod messages;
 mod network;
 mod overload;
 mod readers;

@@ -63,14 +63,15 @@ fn two_users_share_a_robot_as_in_the_paper() {
     let sent = salma.json(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]);
     farhad.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).refused(2, &["LGR-3006"]);
     let height = sent["height"].to_string();
-    let from_stdin = salma.run_with(&["publish", "Turtlebot4/cmd_vel", "--stdin"], &[0, 1, 0, 0, 7]).ok();
-    assert!(from_stdin.stdout.contains("published 5 bytes"), "{from_stdin:?}");
+    let twist = hex::decode(TWIST).unwrap();
+    let from_stdin = salma.run_with(&["publish", "Turtlebot4/cmd_vel", "--stdin"], &twist).ok();
+    assert!(from_stdin.stdout.contains("published 52 bytes"), "{from_stdin:?}");
     let echo = ["echo", "Turtlebot4/cmd_vel", "--from", &height, "--count", "2", "-o", "json"];
     let heard = lines(&salma.run(&echo).ok().stdout);
     assert_eq!(heard.len(), 2);
     assert_eq!((&heard[0]["payload"], &heard[0]["sender"]), (&TWIST.into(), &"Org1/Salma".into()));
     assert_eq!(heard[0]["transaction"], sent["transaction"]);
-    assert_eq!(heard[1]["payload"], "0001000007");
+    assert_eq!(heard[1]["payload"], TWIST);
     assert!(heard[0]["seq"].as_u64() < heard[1]["seq"].as_u64());
 
     // Where it stands on the chain.

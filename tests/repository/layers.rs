@@ -18,7 +18,7 @@ const LAYERS: [(&str, &[&str]); 11] = [
     ("ros-bridge", &["ledger", "ledger-api", "ros-message"]),
     // Never abac: whoever only talks to nodes needs neither Cedar nor a world state.
     ("ledgerctl", &["ledger", "ledger-contract", "ledger-api", "ros-message"]),
-    ("ledgerd", &["ledger", "ledger-raft", "ledger-abac", "ledger-api", "ros-bridge"]),
+    ("ledgerd", &["ledger", "ledger-raft", "ledger-abac", "ledger-api", "ros-bridge", "ros-message"]),
     ("inventory", &["ledger", "ledger-api", "ledgerd"]),
     // The simulation drives what a node drives, without a node.
     ("ledgerd-sim", &["ledger", "ledger-raft", "ledger-abac"]),

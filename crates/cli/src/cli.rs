@@ -180,6 +180,7 @@ mod tests {
             "ledgerctl publish T/cmd_vel --hex 00010000",
             "ledgerctl publish T/cmd_vel --file f",
             "ledgerctl publish T/cmd_vel --stdin",
+            "ledgerctl publish T/cmd_vel '{linear: {x: 0.5}}' --msg a/msg/B=f --msg p/msg/C.msg --count 2",
             "ledgerctl echo T/cmd_vel --from 1 --count 2 -o json",
             "ledgerctl invoke inventory add -5 - @f hex:00 -o json --context x",
             "ledgerctl query abac robots",
@@ -191,9 +192,7 @@ mod tests {
 
     #[test]
     fn publish_wants_exactly_one_source() {
-        for line in
-            ["ledgerctl publish T", "ledgerctl publish T --stdin --hex 00", "ledgerctl publish T --file a --hex b"]
-        {
+        for line in ["ledgerctl publish T", "ledgerctl publish T --stdin --hex 00", "ledgerctl publish T {} --hex b"] {
             assert!(Cli::try_parse_from(words(line)).is_err(), "{line}");
         }
     }

@@ -189,6 +189,8 @@ codes! {
     BadName = 6001 "BAD_NAME" Invalid;
     /// A ROS 2 middleware failed.
     MiddlewareFailed = 6002 "MIDDLEWARE_FAILED" Failure;
+    /// A message does not fit its ROS 2 type.
+    BadMessage = 6003 "BAD_MESSAGE" Invalid;
 
     /// The configuration is wrong.
     BadConfiguration = 7001 "BAD_CONFIGURATION" Invalid;

@@ -19,6 +19,7 @@ use crate::{
     count::{Counters, RouteSummary},
     domain::{Domain, ROS_DOMAIN_ID},
     door::Door,
+    fit::Fit,
     gate::Settings,
     gateway::Gateway,
     mark::Mark,
@@ -112,7 +113,14 @@ impl Bridge {
                     let counted = Counters::new(route, inlet.matched(), Some(door));
                     counted.lock().live.needs_grant = service.needs_grant() && is_command;
                     counters.push(counted.clone());
-                    let opened = ToLedger::open(gateway, &route.service, inlet, route.batch_max, counted).await?;
+                    let opened = ToLedger::open(
+                        gateway,
+                        &route.service,
+                        (inlet, Fit::of(&route.message)),
+                        route.batch_max,
+                        counted,
+                    )
+                    .await?;
                     routes.push(Box::pin(opened.run(told.clone())));
                 }
                 Direction::FromLedger => {

@@ -51,6 +51,7 @@ pub mod dds;
 pub mod domain;
 pub mod door;
 pub mod error;
+mod fit;
 #[cfg(test)]
 mod fixture;
 pub mod gate;

@@ -20,6 +20,7 @@ use super::{Clocks, Stop, local::Inlet, stopped};
 use crate::{
     config::HEARTBEAT_MS,
     count::{Complaint, Counters, count, line},
+    fit::Fit,
     gateway::{ABAC, Gateway, ask},
     queue::Incoming,
     service::{Authorization, Caller, Grant, Released, read},
@@ -99,6 +100,7 @@ pub(crate) struct ToLedger {
     inlet: Inlet,
     batch_max: usize,
     counters: Counters,
+    fit: Fit,
     clocks: Clocks,
     publishing: Publishing,
     /// Where the subscription begins.
@@ -124,7 +126,7 @@ impl ToLedger {
     pub(crate) async fn open(
         gateway: Arc<dyn Gateway>,
         service: &str,
-        inlet: Inlet,
+        (inlet, fit): (Inlet, Fit),
         batch_max: usize,
         counters: Counters,
     ) -> Result<Self, Rejection> {
@@ -139,6 +141,7 @@ impl ToLedger {
             inlet,
             batch_max,
             counters,
+            fit,
             clocks: Clocks::start(),
             publishing,
             from_height: height.saturating_add(1),
@@ -196,7 +199,8 @@ impl ToLedger {
                     }
                 }
                 incoming = self.inlet.next(), if has_room => match incoming {
-                    Some(incoming) => under_way.push(self.submit(incoming)),
+                    Some(incoming) if self.fits(&incoming) => under_way.push(self.submit(incoming)),
+                    Some(_) => {}
                     None => {
                         tracing::error!(service = self.publishing.service, "the local topic ended");
                         break;
@@ -220,6 +224,9 @@ impl ToLedger {
         let mut samples = vec![first];
         while samples.len() < self.batch_max && bytes < BATCH_BYTES_MAX {
             let Some(next) = self.inlet.try_next() else { break };
+            if !self.fits(&next) {
+                continue;
+            }
             bytes = bytes.saturating_add(next.sample.wire().len());
             samples.push(next);
         }
@@ -238,6 +245,23 @@ impl ToLedger {
         }
         self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
         verdict.map(move |verdict| Outcome { received, bytes, verdict }).boxed()
+    }
+
+    /// Can the sample be a message of the route's type? One that cannot is counted as refused here and never submitted.
+    fn fits(&mut self, incoming: &Incoming) -> bool {
+        let Err(refused) = self.fit.check(&incoming.sample) else { return true };
+        let mut counts = self.counters.lock();
+        let now = Instant::now();
+        counts.summary.samples_in += 1;
+        count(&mut counts.summary.refused, refused.code.name(), 1);
+        counts.live.came = Some(now);
+        counts.live.refused = Some((refused.code.name(), line(&refused), now));
+        drop(counts);
+        if let Some(not_logged) = self.complaint.worth(refused.code.name(), now) {
+            let service = &self.publishing.service;
+            tracing::warn!(service, reason = line(&refused), not_logged, "samples are no messages of the type");
+        }
+        false
     }
 
     /// Counts an outcome. True if the own grant seems to be another than is known.

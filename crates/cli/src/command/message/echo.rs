@@ -1,9 +1,10 @@
 //! `echo`: print the messages of a service as they are committed.
 
 use crate::answer;
+use crate::argument::message::Definitions;
 use crate::cli::Global;
 use crate::failure::Failure;
-use crate::output::{Facts, Output};
+use crate::output::{Facts, Output, printable};
 use crate::session::{ABAC, Session};
 use crate::{context, time};
 use ledger::identity::Identity;
@@ -11,23 +12,28 @@ use ledger::transaction::Transaction;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::{Subscription, v1};
 use ledger_contract::{MessageEvent, ServiceState};
+use ros_message::{Message as Type, Value};
 use serde::Serialize;
 use std::collections::HashMap;
 use std::io::{self, Write};
 
 /// How often the node says that it is alive while there is nothing to print, in milliseconds.
 const HEARTBEAT_MS: u32 = 2_000;
+/// Most elements of an array and characters of a text that are shown, unless all are asked for: as `ros2 topic echo`.
+const LENGTH_MAX: usize = 128;
 /// Arguments of `set` before the messages: service, epoch, sequence number.
 const ARGS_BEFORE_PAYLOADS: usize = 3;
 
 /// Print the messages of a service as they are committed, until Ctrl-C.
 ///
-/// One line for each message: height, time, sender, epoch, sequence number, and the message in hexadecimal digits.
-/// The sender's signature is checked. With `-o json` each line is an object.
+/// Each message is YAML as `ros2 topic echo` prints it, behind a comment with block, time, sender, epoch and sequence number,
+/// and ends with `---`. The sender's signature is checked. A type without a definition is shown in hexadecimal digits. With
+/// `-o json` each line is an object.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl echo Turtlebot4/cmd_vel
+  ledgerctl echo Arm/grip --msg arm_msgs/msg/Grip=Grip.msg
   ledgerctl echo Turtlebot4/cmd_vel --from 1 --count 10 -o json")]
 pub(crate) struct Echo {
     /// The service; the robot alone is enough if it offers exactly one
@@ -39,6 +45,22 @@ pub(crate) struct Echo {
     /// End after so many messages
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     count: Option<u64>,
+    /// Print the bytes in hexadecimal digits, one line for each message
+    #[arg(long, conflicts_with = "full_length")]
+    hex: bool,
+    /// Print all of long arrays and texts, not only the first 128 elements
+    #[arg(long)]
+    full_length: bool,
+    #[command(flatten)]
+    definitions: Definitions,
+}
+
+/// How messages are shown.
+struct Shown {
+    /// None if they are shown as bytes.
+    kind: Option<Type>,
+    type_name: String,
+    length_max: Option<usize>,
 }
 
 /// One message.
@@ -51,14 +73,45 @@ struct Message {
     sender: String,
     epoch: u64,
     seq: u64,
+    #[serde(rename = "type")]
+    type_name: String,
+    /// What it says; left out where that is not known.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    message: Option<Value>,
+    /// Why it is not known although the type is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    fault: Option<String>,
     payload: String,
     transaction: Hash,
+    #[serde(skip)]
+    length_max: Option<usize>,
 }
 
 impl Facts for Message {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Self { height, sender, epoch, seq, payload, .. } = self;
-        writeln!(out, "{height}  {}  {sender}  epoch {epoch}  seq {seq}  {payload}", time::time_of_day(self.time))
+        let time = time::time_of_day(self.time);
+        if let Some(fault) = &self.fault {
+            writeln!(out, "# {}", printable(fault))?;
+        }
+        match &self.message {
+            None => writeln!(out, "{height}  {time}  {sender}  epoch {epoch}  seq {seq}  {payload}"),
+            Some(message) => {
+                writeln!(out, "# block {height}, {time}, {sender}, epoch {epoch}, sequence {seq}")?;
+                writeln!(out, "{}---", message.to_yaml(self.length_max))
+            }
+        }
+    }
+}
+
+impl Shown {
+    /// The message of these bytes, or why they are none; neither if the type is not known.
+    fn read(&self, payload: &[u8]) -> (Option<Value>, Option<String>) {
+        match self.kind.as_ref().map(|kind| kind.decode(payload)) {
+            None => (None, None),
+            Some(Ok(message)) => (Some(message), None),
+            Some(Err(fault)) => (None, Some(format!("{} (found {})", fault.message, fault.found))),
+        }
     }
 }
 
@@ -70,10 +123,29 @@ impl Echo {
         }
     }
 
+    /// How messages of this type are shown; says so where that is not what was hoped for.
+    fn shown(&self, type_name: &str, output: &Output) -> Shown {
+        let kind = match self.definitions.message(type_name) {
+            _ if self.hex => None,
+            Ok(kind) => Some(kind),
+            Err(unknown) => {
+                output.note(&format!(
+                    "{}: messages are shown in hexadecimal digits; --msg {type_name}=FILE.msg shows their fields",
+                    unknown.message
+                ));
+                None
+            }
+        };
+        let length_max = if self.full_length { None } else { Some(LENGTH_MAX) };
+        Shown { kind, type_name: type_name.to_owned(), length_max }
+    }
+
     async fn follow(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        self.definitions.library()?;
         let session = Session::open(global).await?;
-        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service)]).await?;
+        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await?;
         let service: ServiceState = answer::parse(&response, "a service")?;
+        let shown = self.shown(&service.type_name, output);
         let mut stream = session.client.subscribe(Subscription {
             // To the node 0 means the next block. The genesis, block 0, has no messages.
             from_height: self.from.map_or(0, |height| height.max(1)),
@@ -97,7 +169,7 @@ impl Echo {
         loop {
             let delivery = stream.next().await?;
             for event in &delivery.events {
-                for message in messages(&delivery, event, &mut senders)? {
+                for message in messages(&delivery, event, &mut senders, &shown)? {
                     output.show(&message)?;
                     left -= 1;
                     if left == 0 {
@@ -114,6 +186,7 @@ fn messages(
     delivery: &v1::Delivery,
     event: &v1::EventRecord,
     senders: &mut Senders<'_>,
+    shown: &Shown,
 ) -> Result<Vec<Message>, Rejection> {
     let details: MessageEvent = answer::parse(&event.payload, "an event of messages")?;
     let transaction = Transaction::decode(event.transaction.clone())?;
@@ -124,7 +197,8 @@ fn messages(
     let payloads = body.args.iter().skip(ARGS_BEFORE_PAYLOADS).filter(|_| is_set);
     Ok((details.first_seq..)
         .zip(payloads)
-        .map(|(seq, payload)| Message {
+        .map(|(seq, payload)| (seq, payload, shown.read(payload)))
+        .map(|(seq, payload, (message, fault))| Message {
             height: delivery.height,
             time: delivery.time,
             index: event.index,
@@ -132,8 +206,12 @@ fn messages(
             sender: sender.clone(),
             epoch: details.epoch,
             seq,
+            type_name: shown.type_name.clone(),
+            message,
+            fault,
             payload: hex::encode(payload),
             transaction: transaction.id(),
+            length_max: shown.length_max,
         })
         .collect())
 }

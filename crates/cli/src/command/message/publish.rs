@@ -2,6 +2,7 @@
 
 use crate::answer;
 use crate::argument::bytes;
+use crate::argument::message::{Definitions, refused};
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
@@ -9,7 +10,8 @@ use crate::session::{ABAC, Session};
 use crate::time;
 use ledger::{Bytes, Hash, Rejection};
 use ledger_api::Call;
-use ledger_contract::Grant;
+use ledger_contract::{Grant, ServiceState};
+use ros_message::{ByteOrder, Message, Time, Written};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::PathBuf;
@@ -22,20 +24,25 @@ const COMMAND_TTL: Duration = Duration::from_secs(2);
 
 /// Publish a message on a service, under the grant that you hold.
 ///
-/// The bytes are one ROS 2 message in CDR, with its encapsulation header of four bytes in front, such as 00 01 00 00
-/// for little endian. On a service in open mode no grant is needed.
+/// The message is YAML or JSON, as after `ros2 topic pub`; fields that are left out are zero, and `now` or `auto` is the
+/// time of a stamp or a header. Or it is bytes: CDR, with its header of four bytes in front, such as 00 01 00 00 for little
+/// endian. On a service in open mode no grant is needed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
+  ledgerctl publish Turtlebot4/cmd_vel '{linear: {x: 0.5}, angular: {z: 0.1}}'
+  ledgerctl publish Turtlebot4/cmd_vel '{linear: {x: 0.1}}' --count 100 --rate 50
+  ledgerctl publish Arm/grip '{force: 2.5}' --msg arm_msgs/msg/Grip=Grip.msg
   ledgerctl publish Turtlebot4/cmd_vel --file twist.cdr
-  ledgerctl publish Turtlebot4/cmd_vel --hex 000100009a9999999999b93f00000000000000000000000000000000000000000000000000000000000000000000000000000000
-  ledgerctl publish Turtlebot4/cmd_vel --stdin --count 100 --rate 50")]
+  ledgerctl publish Turtlebot4/cmd_vel --hex 000100009a9999999999b93f00000000000000000000000000000000000000000000000000000000000000000000000000000000")]
 pub(crate) struct Publish {
     /// The service; the robot alone is enough if it offers exactly one
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
     #[command(flatten)]
     source: Source,
+    #[command(flatten)]
+    definitions: Definitions,
     /// Publish it so many times
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
     count: u64,
@@ -47,13 +54,16 @@ pub(crate) struct Publish {
 #[derive(Debug, clap::Args)]
 #[group(required = true, multiple = false)]
 struct Source {
-    /// The message in hexadecimal digits
+    /// The message as YAML or JSON, in quotes; {} is all zeros
+    #[arg(value_name = "MESSAGE")]
+    message: Option<String>,
+    /// The message as bytes, in hexadecimal digits
     #[arg(long, value_name = "BYTES")]
     hex: Option<String>,
-    /// The message is the content of this file
+    /// The message is the bytes of this file
     #[arg(long, value_name = "FILE")]
     file: Option<PathBuf>,
-    /// The message is read from standard input
+    /// The message is the bytes on standard input
     #[arg(long)]
     stdin: bool,
 }
@@ -65,12 +75,34 @@ fn rate(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("wanted messages per second, above 0 and at most {RATE_HZ_MAX}"))
 }
 
+/// What is to be published, before the type of the service is known.
+enum Content {
+    Written(Written),
+    Bytes(Bytes),
+}
+
 impl Source {
-    fn read(&self) -> Result<Bytes, Rejection> {
-        match (&self.hex, &self.file) {
-            (Some(digits), _) => bytes::from_hex(digits),
-            (None, Some(path)) => bytes::from_file(path),
-            (None, None) => bytes::from_stdin(),
+    fn read(&self) -> Result<Content, Rejection> {
+        match (&self.message, &self.hex, &self.file) {
+            (Some(text), ..) => Written::parse(text).map(Content::Written).map_err(refused),
+            (None, Some(digits), _) => bytes::from_hex(digits).map(Content::Bytes),
+            (None, None, Some(path)) => bytes::from_file(path).map(Content::Bytes),
+            (None, None, None) => bytes::from_stdin().map(Content::Bytes),
+        }
+    }
+}
+
+impl Content {
+    /// The bytes to publish at this moment. What is written needs the type; bytes are compared with it if it is known.
+    fn payload(&self, message: &Result<Message, Rejection>, now: u64) -> Result<Bytes, Rejection> {
+        match (self, message) {
+            (Self::Written(_), Err(unknown)) => Err(unknown.clone()),
+            (Self::Written(written), Ok(message)) => {
+                let encoded = message.encode(written, ByteOrder::Little, Time::from_micros(now));
+                encoded.map(Bytes::from).map_err(refused)
+            }
+            (Self::Bytes(bytes), Ok(message)) => message.check(bytes).map(|()| bytes.clone()).map_err(refused),
+            (Self::Bytes(bytes), Err(_)) => Ok(bytes.clone()),
         }
     }
 }
@@ -95,20 +127,27 @@ impl Facts for Sent {
 
 impl Publish {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let payload = self.source.read()?;
+        let content = self.source.read()?;
+        self.definitions.library()?;
         let session = Session::open(global).await?;
-        let response = session.ask(ABAC, "grants", vec![Bytes::from(self.service.clone())]).await?;
-        let grants: Vec<Grant> = answer::parse(&response, "grants")?;
+        let named = || vec![Bytes::from(self.service.clone())];
+        let (service, grants) =
+            tokio::try_join!(session.ask(ABAC, "service", named()), session.ask(ABAC, "grants", named()))?;
+        let service: ServiceState = answer::parse(&service, "a service")?;
+        let grants: Vec<Grant> = answer::parse(&grants, "grants")?;
+        let message = self.definitions.message(&service.type_name);
+        content.payload(&message, time::now())?;
         let me = session.identity()?.id();
         let grant = grants.into_iter().find(|grant| grant.holder == me);
         // Without a grant the epoch is 0: right in open mode, and otherwise the node says what is missing.
-        let (service, epoch, mut next_seq) =
-            grant.map_or((self.service, 0, 0), |grant| (grant.service, grant.epoch, grant.next_seq));
+        let (epoch, mut next_seq) = grant.map_or((0, 0), |grant| (grant.epoch, grant.next_seq));
+        let service = service.service;
 
         let mut ticks = tokio::time::interval(Duration::from_secs_f64(1.0 / self.rate));
         for _ in 0..self.count {
             ticks.tick().await;
             let seq = next_seq.max(time::now());
+            let payload = content.payload(&message, time::now())?;
             let text = |number: u64| Bytes::from(number.to_string());
             let args = vec![Bytes::from(service.clone()), text(epoch), text(seq), payload.clone()];
             let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
