@@ -2,10 +2,10 @@
 //! receive, `ledgerd` carries the messages through a real ledger.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
+mod codec;
 mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
-mod codec;
 mod python;
 mod telling;
 mod world;
