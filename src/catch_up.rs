@@ -29,6 +29,7 @@ mod trust;
 pub(crate) use look::{Ballot, Look};
 pub(crate) use serve::Source;
 
+use crate::join::REJOIN;
 use crate::orderer::{Seat, Shared};
 use crate::peers::{Dialer, Member};
 use ask::{Answers, Offer};
@@ -111,7 +112,7 @@ impl CatchUp {
                     "node {me}, removed, by the block of height {} or before",
                     self.shared.ledger.tip().height
                 ))
-                .next("join again with an empty data directory and a new token: it comes back as a new node")),
+                .next(format!("to bring it in again as a new node: {REJOIN}"))),
         }
     }
 

@@ -39,6 +39,8 @@ enum Command {
     Init(setup::InitOptions),
     /// Brings a node into a network, with a token from one of its admins.
     Join(join::JoinOptions),
+    /// Brings a node back whose blocks are damaged or lost, under a new number; needs its certificate, and no token.
+    Rejoin(join::RejoinOptions),
     /// Joins a ROS 2 graph to the ledger through a remote gateway.
     Bridge(WithConfig),
     /// Checks the chain of a stopped node or of an archive: every hash, every signature, every verdict executed again.
@@ -106,6 +108,10 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Join(options) => {
             block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
             if options.run { execute(Command::Run(WithConfig { config: options.config }), builder) } else { Ok(()) }
+        }
+        Command::Rejoin(options) => {
+            let config = load(&options.config)?;
+            block_on(async { join::rejoin(&options, &config).await.map(|text| print_line(&text)) })
         }
         Command::Bridge(WithConfig { config }) => {
             telemetry::start(&bridge_log(&config)?);

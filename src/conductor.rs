@@ -59,7 +59,7 @@ impl Conductor {
 
     async fn run(mut self, mut far_behind: bool) -> Result<(), Rejection> {
         let mut stopping = self.catch_up.stopping.clone();
-        let mut told = false;
+        let (mut told, mut helpless) = (false, false);
         loop {
             if far_behind {
                 if self.catch_up.run(None).await? == Caught::Snapshot {
@@ -67,6 +67,9 @@ impl Conductor {
                     return Ok(());
                 }
                 if self.catch_up.is_known()? {
+                    if told {
+                        tracing::warn!("this node knows the network as it is by now");
+                    }
                     self.start_engine()?;
                     far_behind = false;
                 } else if !std::mem::replace(&mut told, true) {
@@ -87,16 +90,23 @@ impl Conductor {
             let Some(behind) = behind else { continue };
             self.end_engine(behind).await?;
             match self.catch_up.run(Some(behind)).await? {
-                Caught::Up => {}
+                Caught::Up => {
+                    if std::mem::take(&mut helpless) {
+                        tracing::warn!("another node has helped this one to catch up");
+                    }
+                }
                 Caught::Snapshot => {
                     (self.catch_up.shared.start_again)();
                     return Ok(());
                 }
                 Caught::Nothing => {
-                    tracing::warn!(
-                        wanted = behind.first_index - 1,
-                        "nobody could help this node to catch up; trying on"
-                    );
+                    // Once, not twice a second.
+                    if !std::mem::replace(&mut helpless, true) {
+                        tracing::warn!(
+                            wanted = behind.first_index - 1,
+                            "nobody could help this node to catch up; trying on"
+                        );
+                    }
                     let _stopping = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
                 }
             }

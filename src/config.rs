@@ -13,7 +13,7 @@ use crate::ca::durable;
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::retention::Retention;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
-use ledger::{Code, Rejection};
+use ledger::{Code, Hash, Rejection};
 use reader::{Reader, Section};
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -32,10 +32,14 @@ const ELECTION_MS_MIN: u64 = 100;
 /// The configuration of a node.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Config {
+    /// The file, for commands that are told.
+    pub file: PathBuf,
     /// `data`: the directory with everything that the node keeps.
     pub data: PathBuf,
     /// `listen`: `HOST:PORT` at which it accepts connections.
     pub listen: String,
+    /// `[member]`
+    pub member: MemberOf,
     /// `[limits]`
     pub limits: Limits,
     /// `[storage]`
@@ -48,6 +52,17 @@ pub struct Config {
     pub log: Log,
     /// `[bridge]`, read by the bridge itself; none if the node runs no bridge.
     pub bridge: Option<toml::Table>,
+}
+
+/// Which node of which network this configuration is for, as `ledgerd init` and `ledgerd join` write it; empty = not said.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct MemberOf {
+    /// Name of the network: 64 hexadecimal digits.
+    pub network: String,
+    /// The node, `ORGANISATION/NAME`.
+    pub node: String,
+    /// `HOST:PORT` at which the others reach it.
+    pub address: String,
 }
 
 /// What a node accepts at most.
@@ -117,8 +132,10 @@ pub enum LogFormat {
 impl Default for Config {
     fn default() -> Self {
         Self {
+            file: PathBuf::from("ledgerd.toml"),
             data: PathBuf::from("data"),
             listen: "127.0.0.1:7450".into(),
+            member: MemberOf::default(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
             order: Order { tick_ms: 50, election_ticks: 10, wait_ms: 200, attest_ms: 10_000, awake_us: 2000 },
@@ -201,7 +218,7 @@ impl Config {
     /// # Errors
     /// As [`Config::load`].
     pub fn parse(text: &str, path: &Path) -> Result<Self, Vec<Fault>> {
-        let mut config = Self::default();
+        let mut config = Self { file: path.to_owned(), ..Self::default() };
         let mut reader = Reader::parse(text, path);
         reader.root(|root| config.read(root));
         let directory = path.parent().unwrap_or(Path::new(""));
@@ -219,10 +236,23 @@ impl Config {
 
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>) {
-        let Self { data, listen, limits, storage, order, ca, log, bridge } = self;
+        let Self { file: _, data, listen, member, limits, storage, order, ca, log, bridge } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
             is_address(text).then(|| text.to_owned())
+        });
+        root.section("member", |s| {
+            let network = |text: &str| (text.is_empty() || Hash::from_hex(text).is_some()).then(|| text.to_owned());
+            s.text(
+                "network",
+                "64 hexadecimal digits, as ledgerd init or join wrote them",
+                &mut member.network,
+                network,
+            );
+            let node = |text: &str| (text.is_empty() || text.split('/').count() == 2).then(|| text.to_owned());
+            s.text("node", "ORGANISATION/NAME", &mut member.node, node);
+            let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
+            s.text("address", "HOST:PORT as the others use it", &mut member.address, address);
         });
         root.section("limits", |s| {
             s.integer("payload_bytes_max", 1024..=TRANSACTION_BYTES_MAX as u64, &mut limits.payload_bytes_max);

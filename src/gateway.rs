@@ -19,12 +19,14 @@ use crate::denials::Denials;
 use crate::listen::Caller;
 use crate::orderer::{Executed, Seat};
 use crate::peers::{Directory, Member, Peers};
+use crate::space::Space;
 use crate::waiters::Waiters;
 use crate::witness::Witness;
 pub(crate) use audience::Audience;
 pub(crate) use current::Current;
 use ledger::identity::Identity;
 use ledger::{Code, Ledger};
+use ledger_api::tls::TlsIdentity;
 pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
@@ -36,7 +38,6 @@ pub(crate) use retries::Retries;
 pub(crate) use share::{Place, Shares};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use submit::Verdicts;
 use tokio::sync::mpsc;
@@ -83,8 +84,10 @@ pub(crate) struct NodeView {
     pub wait_max: Duration,
     /// Who has subscriptions.
     pub audience: Arc<Audience>,
-    /// Is there too little space to promise anything?
-    pub disk_full: Arc<AtomicBool>,
+    /// What the disk still has room for.
+    pub space: Arc<Space>,
+    /// This node's certificate, for when it ends.
+    pub identity: TlsIdentity,
     /// Compares what others attest.
     pub witness: Arc<Witness>,
     /// Keeps the processors awake.

@@ -3,12 +3,10 @@
 
 use crate::gateway::NodeView;
 use crate::retention::Pruner;
-use ledger::Code;
 use ledger::block_store::BlockStore;
+use ledger::{Code, Rejection};
 use std::io;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -24,8 +22,6 @@ const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
 const PRUNE_PERIOD: Duration = Duration::from_secs(10);
 /// Waiters are looked at this often.
 const SWEEP_PERIOD: Duration = Duration::from_secs(1);
-/// With less space than this left, nothing more is accepted: what was accepted must still fit.
-const FREE_BYTES_MIN: u64 = 16 * 1024 * 1024;
 
 /// The threads.
 pub(crate) struct Housekeeping {
@@ -39,8 +35,15 @@ impl Housekeeping {
     /// # Errors
     /// If the operating system gives no thread.
     pub(crate) fn start(node: Arc<NodeView>, pruner: Pruner) -> io::Result<Self> {
-        let (store, data) = (Arc::clone(&pruner.store), pruner.data.clone());
-        let mut keeper = Keeper { node: Arc::clone(&node), pruner, flushed: Instant::now(), pruned: Instant::now() };
+        let store = Arc::clone(&pruner.store);
+        let mut keeper = Keeper {
+            node: Arc::clone(&node),
+            pruner,
+            flushed: Instant::now(),
+            pruned: Instant::now(),
+            storing: Trouble::with("store the world state"),
+            dropping: Trouble::with("drop old blocks"),
+        };
         let (stop_storing, stopped) = mpsc::channel();
         let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
             while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
@@ -50,7 +53,7 @@ impl Housekeeping {
         })?;
         let (stop_rounds, stopped) = mpsc::channel();
         let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
-            let mut rounds = Rounds { node, store, data, swept: None };
+            let mut rounds = Rounds { node, store, swept: None };
             while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
                 rounds.round();
             }
@@ -75,6 +78,8 @@ struct Keeper {
     pruner: Pruner,
     flushed: Instant,
     pruned: Instant,
+    storing: Trouble,
+    dropping: Trouble,
 }
 
 impl Keeper {
@@ -85,24 +90,51 @@ impl Keeper {
         }
         if self.pruned.elapsed() >= PRUNE_PERIOD {
             self.pruned = Instant::now();
-            if let Err(fault) = self.pruner.prune() {
-                tracing::error!(%fault, "cannot drop old blocks");
-            }
+            self.dropping.note(self.pruner.prune());
         }
     }
 
     fn flush(&mut self) {
         self.flushed = Instant::now();
-        if self.node.disk_full.load(Ordering::Relaxed) {
+        if self.node.space.is_full() {
             // The blocks have it; what the log still has to write goes first.
             return;
         }
         let durable = self.pruner.store.durable_index();
         match self.node.ledger.flush_up_to(durable, Some(&self.pruner.snapshots)) {
-            Ok(()) => {}
-            Err(fault) if fault.code == Code::DiskFull => set_full(&self.node, true),
+            Err(fault) if fault.code == Code::DiskFull => self.node.space.look(),
             // Nothing is lost: the blocks have it, and the next start rebuilds what is missing.
-            Err(fault) => tracing::error!(%fault, "cannot store the world state"),
+            stored => self.storing.note(stored),
+        }
+    }
+}
+
+/// Something that is tried again and again: that it fails is said once for each reason, that it works again, too.
+struct Trouble {
+    what: &'static str,
+    /// Why it failed last; empty if it did not.
+    reason: String,
+}
+
+impl Trouble {
+    fn with(what: &'static str) -> Self {
+        Self { what, reason: String::new() }
+    }
+
+    fn note(&mut self, result: Result<(), Rejection>) {
+        match result {
+            Ok(()) if self.reason.is_empty() => {}
+            Ok(()) => {
+                self.reason.clear();
+                tracing::error!("can {} again", self.what);
+            }
+            Err(fault) => {
+                let reason = fault.to_string();
+                if reason != self.reason {
+                    tracing::error!(%fault, "cannot {}; trying on", self.what);
+                    self.reason = reason;
+                }
+            }
         }
     }
 }
@@ -110,14 +142,16 @@ impl Keeper {
 struct Rounds {
     node: Arc<NodeView>,
     store: Arc<BlockStore>,
-    data: PathBuf,
     swept: Option<Instant>,
 }
 
 impl Rounds {
     fn round(&mut self) {
-        self.watch_disk();
-        if let Err(error) = self.store.prepare() {
+        self.node.space.look();
+        // What is left on a full disk is for what ends control, not for zeros.
+        if !self.node.space.is_full()
+            && let Err(error) = self.store.prepare()
+        {
             tracing::debug!(%error, "cannot zero the log ahead");
         }
         if self.swept.is_none_or(|swept| swept.elapsed() >= SWEEP_PERIOD) {
@@ -125,25 +159,4 @@ impl Rounds {
             self.node.waiters.sweep();
         }
     }
-
-    fn watch_disk(&self) {
-        match free_bytes(&self.data) {
-            Ok(free) => set_full(&self.node, free < FREE_BYTES_MIN),
-            Err(error) => tracing::debug!(%error, "cannot ask how much space is left"),
-        }
-    }
-}
-
-fn set_full(node: &NodeView, full: bool) {
-    if node.disk_full.swap(full, Ordering::Relaxed) != full {
-        match full {
-            true => tracing::error!("the disk is almost full; nothing more is accepted"),
-            false => tracing::info!("there is space on the disk again"),
-        }
-    }
-}
-
-fn free_bytes(path: &Path) -> io::Result<u64> {
-    let found = rustix::fs::statvfs(path)?;
-    Ok(found.f_bavail.saturating_mul(found.f_frsize))
 }

@@ -5,6 +5,7 @@
 
 use crate::ca::durable;
 use crate::clock::wall;
+use crate::join::REJOIN;
 use crate::peers::{Member, Part};
 use ledger::governance::{self, NodeRole};
 use ledger::identity::Role;
@@ -81,7 +82,13 @@ pub(crate) fn own_membership(
     joined: Option<&Joined>,
 ) -> Result<Member, Rejection> {
     let (organisation, name) = verified(tls, ledger, joined)?;
-    let own = joined.filter(|joined| joined.organisation == organisation && joined.name == name);
+    if let Some(joined) = joined.filter(|joined| joined.organisation != organisation || joined.name != name) {
+        return Err(Rejection::new(Code::BadFile, "node.pem and node.json are of two nodes")
+            .found(format!("the certificate of {organisation}/{name} in node.pem"))
+            .wanted(format!("that of {}/{}, which node.json names", joined.organisation, joined.name))
+            .next("put the files of one node together again, each node in a data directory of its own"));
+    }
+    let own = joined;
     let expected = own.map(|own| own.id).or_else(|| genesis.node(&organisation, &name).map(|node| node.id));
     let records = governance::nodes(&**ledger.state())?;
     if records.iter().any(|record| Some(record.id) == expected && record.role == NodeRole::Removed) {
@@ -119,7 +126,7 @@ pub(crate) async fn removed(me: Member, mut members: watch::Receiver<Arc<[Member
 
 fn no_member(name: &str) -> Rejection {
     Rejection::new(Code::NotAMember, format!("{name} was removed from the network"))
-        .next("bring it in as a new node: ledgerctl network invite --node NAME, then ledgerd join TOKEN with an empty data directory")
+        .next(format!("to bring it in again as a new node: {REJOIN}"))
 }
 
 impl From<&Joined> for Member {
@@ -135,7 +142,8 @@ fn verified(tls: &TlsIdentity, ledger: &Ledger, joined: Option<&Joined>) -> Resu
     let own = tls.own();
     let (certificate, presented) =
         own.chain.split_first().ok_or_else(|| Rejection::new(Code::BadFile, "node.pem holds no certificate"))?;
-    let newcomer = joined.filter(|joined| ledger.msps().get(&joined.organisation).is_none());
+    let stranger = |_: &&Joined| ledger.msps().verify_for(Usage::Server, certificate, presented, wall()).is_err();
+    let newcomer = joined.filter(|joined| ledger.msps().get(&joined.organisation).is_none()).filter(stranger);
     let identity = match newcomer {
         Some(joined) => {
             let mut msps = Msps::new();

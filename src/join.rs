@@ -12,11 +12,16 @@
 //! | a new organisation: sign its authorities with the key of the invitation | the organisation on the ledger |
 //! | submit `msp join_node` as the node | its record on the ledger, `node.json` |
 
+mod again;
+mod comeback;
 mod identity;
 mod place;
 
+pub(crate) use again::{RejoinOptions, rejoin};
+pub(crate) use comeback::{REJOIN, advised, check_member, nothing_here, way_back};
+
 use crate::clock::wall;
-use crate::config::Config;
+use crate::config::{Config, MemberOf};
 use crate::identity::Joined;
 use crate::setup::{Settings, public_address};
 use ledger::governance::NAME as MSP;
@@ -27,11 +32,16 @@ use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Credentials, Enrolment, Options};
 use place::Place;
 use serde::Deserialize;
+use std::io::ErrorKind;
 use std::net::TcpListener;
 use std::path::PathBuf;
+use std::time::Duration;
 
 /// Most microseconds that this machine's clock may differ from the network's: certificates begin five minutes early.
 const CLOCK_DIFFERENCE_MAX: u64 = 4 * 60 * 1_000_000;
+
+/// Time in which somebody who listens accepts a connection.
+const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 
 /// The arguments of `ledgerd join`.
 #[derive(Clone, Debug, clap::Args)]
@@ -45,7 +55,7 @@ pub(crate) struct JoinOptions {
     /// The data directory, if the configuration is made; beside it if left out.
     #[arg(long, value_name = "DIR")]
     data: Option<PathBuf>,
-    /// Where clients and other nodes reach the node; the setting `listen` if left out.
+    /// Where clients and other nodes reach the node; as before for a node that comes back, else the setting `listen`.
     #[arg(long, value_name = "HOST:PORT")]
     address: Option<String>,
     /// Where the node listens, if the configuration is made; where the address leads if left out.
@@ -68,14 +78,16 @@ pub(crate) struct JoinOptions {
 pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
     let token: JoinToken = options.token.parse()?;
     let (address, listen) = (options.address.as_deref(), options.listen.as_deref());
-    let settings = Settings::of(&options.config, address, listen, options.data.as_deref())?;
-    let config = &settings.config;
-    let address = public_address(address, &config.listen, "ledgerd join TOKEN")?;
+    let mut settings = Settings::of(&options.config, address, listen, options.data.as_deref())?;
+    let config = &settings.config.clone();
+    check_own(config, &token)?;
+    let before = Some(config.member.address.as_str()).filter(|before| !before.is_empty());
+    let address = public_address(address.or(before), &config.listen, "ledgerd join TOKEN")?;
     let place = Place::open(&config.data, &token)?;
     if place.is_joined() {
         return come_back(&place, &token, options, config).await;
     }
-    check_address(&token, &address, &config.listen)?;
+    check_address(&token, &address, &config.listen).await?;
     let contact = Contact::find(&token).await?;
     let (genesis, document) = (&contact.genesis, &contact.document);
     place.keep_genesis(document)?;
@@ -99,6 +111,7 @@ pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
         ca: token.ca,
     };
     place.finish(&joined)?;
+    settings.name(joined.network, &format!("{}/{}", joined.organisation, joined.name), &joined.address);
     settings.write(&options.config)?;
     told(&joined, &genesis.label, &token, options, config)
 }
@@ -148,21 +161,48 @@ fn check_clock(theirs: u64, address: &str) -> Result<(), Rejection> {
         .next("set the clock of this machine, for example with NTP, and type the same command again"))
 }
 
-/// That the address is somebody else's is better told before anything is used up.
-fn check_address(token: &JoinToken, address: &str, listen: &str) -> Result<(), Rejection> {
-    let taken = |found: String| {
-        Err(Rejection::new(Code::BadConfiguration, "another process uses this address")
-            .found(found)
+/// A configuration that is another node's already is not taken for this one.
+fn check_own(config: &Config, token: &JoinToken) -> Result<(), Rejection> {
+    let MemberOf { network, node, .. } = &config.member;
+    let wanted = format!("{}/{}", token.organisation, token.node);
+    let other_network = !network.is_empty() && *network != token.network.to_string();
+    if !other_network && (node.is_empty() || *node == wanted) {
+        return Ok(());
+    }
+    let file = config.file.display();
+    Err(Rejection::new(Code::BadConfiguration, format!("{file} is the configuration of another node"))
+        .found(format!("node {node} of network {network}, in the section [member]"))
+        .wanted(format!("node {wanted} of network {}, as the token says", token.network))
+        .next("choose another file with --config, or ask for a token for that node"))
+}
+
+/// That the address is somebody else's is better told before anything is used up. What the token names as an address of
+/// the network may be that of a node that is gone, and whose place this one takes: what counts is who listens there.
+async fn check_address(token: &JoinToken, address: &str, listen: &str) -> Result<(), Rejection> {
+    let next = "stop that process, or choose another address: ledgerd join TOKEN --address HOST:PORT";
+    if let Err(error) = TcpListener::bind(listen) {
+        let what = match error.kind() {
+            ErrorKind::AddrInUse => format!("another process uses the address {listen}"),
+            _ => format!("this node cannot listen at {listen}"),
+        };
+        return Err(Rejection::new(Code::BadConfiguration, what)
+            .found(error.to_string())
+            .wanted("an address and port of this machine, for this node alone")
+            .next(next));
+    }
+    if token.addresses.iter().any(|theirs| theirs == address) && answers(address).await {
+        return Err(Rejection::new(Code::BadConfiguration, "a node of the network answers at this address")
+            .found(address)
             .wanted("an address and port for this node alone")
-            .next("ledgerd join TOKEN --address HOST:PORT"))
-    };
-    if token.addresses.iter().any(|theirs| theirs == address) {
-        return taken(format!("{address}, a node of the network"));
+            .next(next));
     }
-    match TcpListener::bind(listen) {
-        Err(error) => taken(format!("{listen}: {error}")),
-        Ok(_) => Ok(()),
-    }
+    Ok(())
+}
+
+/// Does somebody listen there?
+async fn answers(address: &str) -> bool {
+    let connected = tokio::time::timeout(ANSWER_TIME_MAX, tokio::net::TcpStream::connect(address)).await;
+    matches!(connected, Ok(Ok(_)))
 }
 
 /// A node on the ledger, as far as it matters here: the answers of `msp nodes` and `msp join_node`.
@@ -171,7 +211,14 @@ struct Record {
     id: u64,
     name: String,
     organisation: String,
+    address: String,
     role: String,
+}
+
+impl Record {
+    fn full_name(&self) -> String {
+        format!("{}/{}", self.organisation, self.name)
+    }
 }
 
 #[derive(Deserialize)]
@@ -180,9 +227,6 @@ struct Records {
 }
 
 /// Submits `msp join_node` as the new node; answers with its number.
-///
-/// A node of this name that is on the ledger already has lost its disk: with its number would come back a voter that
-/// has forgotten its votes. So it gets a new one; unless the number is from an earlier try of this very join.
 async fn join_node(
     place: &Place,
     token: &JoinToken,
@@ -192,19 +236,53 @@ async fn join_node(
 ) -> Result<u64, Rejection> {
     let credentials = Credentials::new(token.network, identity.clone(), ServerTrust::Fingerprint(token.ca.0))?;
     let client = Client::connect_with(vec![node.to_owned()], credentials, Options::default()).await?;
+    enter(&client, (&token.organisation, &token.node), address, |present| place.id_before(present)).await
+}
+
+/// Enters a node in the ledger, as that node; answers with its number. `before` is told the number that the ledger has for
+/// it, 0 for none, and answers with the one that it had at the first try.
+///
+/// A node of this name that is on the ledger already has lost its disk: with its number would come back a voter that
+/// has forgotten its votes. So it gets a new one; unless the number is from an earlier try of this very join.
+async fn enter(
+    client: &Client,
+    (organisation, name): (&str, &str),
+    address: &str,
+    before: impl FnOnce(u64) -> Result<u64, Rejection>,
+) -> Result<u64, Rejection> {
     let unreadable = |function: &str, error: serde_json::Error| {
         Rejection::new(Code::Internal, format!("the answer of msp {function} cannot be read")).found(error.to_string())
     };
     let answer = client.query(MSP, "nodes", Vec::new()).await?.response;
     let records: Records = serde_json::from_slice(&answer).map_err(|error| unreadable("nodes", error))?;
-    let own = |record: &&Record| {
-        record.organisation == token.organisation && record.name == token.node && record.role != "removed"
-    };
-    let present = records.nodes.iter().find(own).map_or(0, |record| record.id);
-    let before = place.id_before(present)?;
-    let replace = present != 0 && before == present;
-    let argument = serde_json::json!({ "address": address, "replace": replace }).to_string();
-    let done = client.invoke(MSP, "join_node", vec![argument.into()]).await?;
+    let live = || records.nodes.iter().filter(|record| record.role != "removed");
+    let own = live().find(|record| record.organisation == organisation && record.name == name);
+    let before = before(own.map_or(0, |record| record.id))?;
+    let replaced = own.filter(|own| own.id == before);
+    if let Some(running) = replaced.filter(|own| own.address != address)
+        && answers(&running.address).await
+    {
+        return Err(Rejection::new(Code::AlreadyExists, format!("node {} runs elsewhere", running.full_name()))
+            .found(format!("node {}, which answers at {}", running.id, running.address))
+            .wanted("a node that is gone, whose place is taken, or another name")
+            .next(format!(
+                "stop that node, or invite one of another name: ledgerctl network invite --node NAME; or remove it first: \
+                 ledgerctl network remove {}",
+                running.full_name()
+            )));
+    }
+    let argument = serde_json::json!({ "address": address, "replace": replaced.is_some() }).to_string();
+    let done = client.invoke(MSP, "join_node", vec![argument.into()]).await.map_err(|refused| {
+        match live().find(|record| record.address == address && record.full_name() != format!("{organisation}/{name}"))
+        {
+            Some(other) if refused.code == Code::AlreadyExists => refused.next(format!(
+                "if {0} is gone for good, an admin types ledgerctl network remove {0}; then type the same command \
+                 again. Else choose another address: --address HOST:PORT",
+                other.full_name()
+            )),
+            _ => refused,
+        }
+    })?;
     let record: Record = serde_json::from_slice(&done.response).map_err(|error| unreadable("join_node", error))?;
     Ok(record.id)
 }
@@ -231,7 +309,7 @@ async fn come_back(
     told(&joined, &label, token, options, config)
 }
 
-/// What the user reads in the end.
+/// What the user reads in the end: what has happened, and every command that is still to be typed.
 fn told(
     joined: &Joined,
     label: &str,
@@ -245,17 +323,28 @@ fn told(
          address  {address}, data in {}\n",
         config.data.display()
     );
-    let mut next = format!("  ledgerd run --config {}\n", options.config.display());
-    if token.kind == JoinKind::Organisation
-        && let Some((fingerprint, secret)) = identity::admin_secret(token, &options.admin, config, wall())?
-    {
-        let admin = &options.admin;
-        let days = config.ca.secret_days;
-        facts += &format!(
-            "CA       {organisation}, sha256 {fingerprint}\nadmin    {organisation}/{admin}, to enrol within {days} days\n"
-        );
-        next +=
-            &format!("  ledgerctl enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n");
+    let mut next = String::new();
+    if !options.run {
+        next += &format!("  ledgerd run --config {}\n", options.config.display());
     }
-    Ok(format!("{facts}\nnext:\n{next}  ledgerctl network promote {name}      (lets it vote, once it has caught up)"))
+    let mut context = String::new();
+    if token.kind == JoinKind::Organisation {
+        // Several organisations may have an admin of this name, and one person may be several of them.
+        context = format!("--context {organisation}-{} ", options.admin);
+        if let Some((fingerprint, secret)) = identity::admin_secret(token, &options.admin, config, wall())? {
+            let admin = &options.admin;
+            let days = config.ca.secret_days;
+            facts += &format!(
+                "CA       {organisation}, sha256 {fingerprint}\nadmin    {organisation}/{admin}, to enrol within {days} days\n"
+            );
+            next += &format!(
+                "  ledgerctl {context}enroll {admin} --node {address} --ca-fingerprint {fingerprint} --secret {secret}\n"
+            );
+        }
+    }
+    Ok(format!(
+        "{facts}\nnext:\n{next}  ledgerctl {context}network promote {organisation}/{name}\n\
+         The last one lets the node vote, once it has caught up. With several organisations it prints what an admin of \
+         another\none types to approve."
+    ))
 }

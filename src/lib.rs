@@ -34,6 +34,7 @@
 //! | `setup`, `join` | founding a network; bringing a node into one |
 //! | `verify` | checking a chain offline |
 //! | `housekeeping`, `scrub` | what is done beside the work; reading old blocks to find damage |
+//! | `space` | how full the disk is, and what is still accepted |
 //! | `awake`, `slice`, `memory` | processors that may not sleep yet; short turns on them; memory that goes back |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
@@ -66,6 +67,7 @@ mod scrub;
 pub mod setup;
 mod signer;
 mod slice;
+mod space;
 mod stores;
 mod telemetry;
 mod verify;

@@ -13,6 +13,7 @@ use crate::enrolment::{self, EnrolmentService};
 use crate::gateway::{Audience, Current, GatewayService, NodeView, Retries, Shares};
 use crate::housekeeping::Housekeeping;
 use crate::identity::{Joined, own_membership, removed};
+use crate::join::{advised, check_member, nothing_here};
 use crate::listen::accept;
 use crate::orderer::{Executed, Reads, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
@@ -20,6 +21,7 @@ use crate::renewal::{self, Keeper};
 use crate::retention::Pruner;
 use crate::scrub::Scrub;
 use crate::signer::Signer;
+use crate::space::Space;
 use crate::stores::Stores;
 use crate::waiters::Waiters;
 use crate::witness::{Testimony, Witness};
@@ -35,9 +37,7 @@ use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
 use ledger_raft::{Input, PEER_MESSAGE_BYTES_MAX};
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
-use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::{Duration, Instant};
 use tokio::net::TcpListener;
 use tokio::sync::watch;
@@ -91,7 +91,7 @@ impl NodeBuilder {
     /// # Errors
     /// What is missing or wrong, in words for the operator.
     pub async fn start(&self, config: &Config) -> Result<Node, Rejection> {
-        Node::start(self.registry()?, config).await
+        Node::start(self.registry()?, config).await.map_err(|reason| advised(reason, config))
     }
 }
 
@@ -128,11 +128,12 @@ impl Node {
 
     async fn start(registry: Registry, config: &Config) -> Result<Self, Rejection> {
         let started = Instant::now();
-        let genesis_bytes = read(&config.data.join(GENESIS_FILE))?;
+        let genesis_bytes =
+            std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         let Stores { genesis, ledger, store, snapshots } = Stores::open(config, &genesis_bytes, registry)?;
         let trust: Arc<dyn TrustSource> = Arc::new(Trust { ledger: Arc::clone(&ledger) });
         let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
-            .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
+            .map_err(|error| Rejection::new(Code::BadFile, error.to_string()).next("restore the file from a copy"))?;
         let directory = Arc::new(Directory::read(&ledger));
         let mut authorities = CertificateAuthority::open_all(&config.data)?;
         for authority in &mut authorities {
@@ -141,15 +142,16 @@ impl Node {
         renewal::revive(&config.data, &tls, &mut authorities, &ledger.msps())?;
         let joined = Joined::load(&config.data)?;
         let me = own_membership(&tls, &ledger, &genesis, &directory.members(), joined.as_ref())?;
+        check_member(config, ledger.network(), &me)?;
         let listener = listen(&config.listen).await?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
 
         let clock = Clock::starting_at(ledger.tip().time);
         let (failed, ended) = watch::channel(None);
-        let again = failed.clone();
+        let (again, told) = (failed.clone(), config.clone());
         let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
         let waiters = Arc::new(Waiters::default());
-        let disk_full = Arc::new(AtomicBool::new(false));
+        let space = Arc::new(Space::open(&config.data));
         let dialer = Dialer {
             me: me.id,
             organisation: me.organisation.clone(),
@@ -176,11 +178,12 @@ impl Node {
             clock: clock.clone(),
             behind: watch::Sender::new(None),
             fatal: Box::new(move |reason| {
+                let reason = advised(reason, &told);
                 tracing::error!(%reason, "the node cannot go on");
                 failed.send_replace(Some(Ended::Failed(reason)));
             }),
             start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
-            disk_full: Arc::clone(&disk_full),
+            space: Arc::clone(&space),
             executed: Arc::clone(&executed),
             denials: Arc::clone(&denials),
             witness: Arc::clone(&witness),
@@ -218,7 +221,8 @@ impl Node {
             retries: Retries::default(),
             wait_max: Duration::from_millis(config.order.wait_ms),
             audience,
-            disk_full,
+            space,
+            identity: tls.clone(),
             witness,
             awake: Arc::clone(&awake),
             clock,
@@ -367,15 +371,6 @@ fn reachable(mut address: SocketAddr) -> SocketAddr {
 /// A number of the configuration as a count of things in memory.
 pub(crate) fn count(number: u64) -> usize {
     usize::try_from(number).unwrap_or(usize::MAX)
-}
-
-/// Reads a file of the data directory.
-fn read(path: &Path) -> Result<Vec<u8>, Rejection> {
-    std::fs::read(path).map_err(|error| {
-        Rejection::new(Code::BadFile, format!("cannot read {}: {error}", path.display()))
-            .wanted("the data directory of a node")
-            .next("ledgerd init --config ledgerd.toml makes one; ledgerd dev needs none")
-    })
 }
 
 async fn listen(address: &str) -> Result<TcpListener, Rejection> {

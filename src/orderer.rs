@@ -33,6 +33,7 @@ use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::peers::{Directory, Peers};
+use crate::space::Space;
 use crate::waiters::Waiters;
 use crate::witness::Witness;
 use execute::Execute;
@@ -78,8 +79,8 @@ pub(crate) struct Shared {
     pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
     /// Called once when the node must start again, on a snapshot that it took.
     pub start_again: Box<dyn Fn() + Send + Sync>,
-    /// Set while the log cannot be written for lack of space.
-    pub disk_full: Arc<AtomicBool>,
+    /// What the disk still has room for.
+    pub space: Arc<Space>,
     /// What was executed, by number of the verdict's code.
     pub executed: Arc<Executed>,
     /// What was refused, here also by ordering.

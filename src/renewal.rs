@@ -18,6 +18,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+/// A day, microseconds.
+const DAY: u64 = 86_400_000_000;
 /// Longest time until the clock is looked at again: it may have been set meanwhile.
 const LOOK_MAX: Duration = Duration::from_secs(3600);
 /// Pause after a renewal that failed: a tenth of what is left, within these bounds.
@@ -42,13 +44,14 @@ pub(crate) struct Keeper {
 impl Keeper {
     /// Renews whenever it is time. Never ends.
     pub(crate) async fn keep(self) {
+        let mut failed = false;
         loop {
             let pause = match validity(&self.identity) {
                 Ok((not_before, not_after)) => {
                     let now = wall();
                     match renewal_due(not_before, not_after).checked_sub(now).filter(|early| *early > 0) {
                         Some(early) => Duration::from_micros(early).min(LOOK_MAX),
-                        None => self.try_renewal(not_after.saturating_sub(now)).await,
+                        None => self.try_renewal(not_after.saturating_sub(now), &mut failed).await,
                     }
                 }
                 Err(reason) => {
@@ -61,14 +64,20 @@ impl Keeper {
     }
 
     /// Renews once; answers with the time to wait before the next look. `left` in microseconds.
-    async fn try_renewal(&self, left: u64) -> Duration {
+    async fn try_renewal(&self, left: u64, failed: &mut bool) -> Duration {
         match self.renew().await {
             Ok(not_after) => {
-                tracing::info!(not_after, "the node's certificate is renewed");
+                let until = format!("{} days", not_after.saturating_sub(wall()) / DAY);
+                // The end of an outage has the level of the outage.
+                match std::mem::take(failed) {
+                    true => tracing::warn!(until, "the node's certificate is renewed after all"),
+                    false => tracing::info!(until, "the node's certificate is renewed"),
+                }
                 RETRY_PAUSE.0
             }
             Err(reason) => {
-                let days = left / 86_400_000_000;
+                *failed = true;
+                let days = left / DAY;
                 tracing::warn!(%reason, "the node's certificate cannot be renewed; it ends in {days} days, trying on");
                 Duration::from_micros(left / 10).clamp(RETRY_PAUSE.0, RETRY_PAUSE.1)
             }

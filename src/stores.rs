@@ -1,6 +1,7 @@
 //! Opening what a node keeps: blocks, which are the truth, and the world state, which is rebuilt if there is any doubt.
 
 use crate::config::Config;
+use crate::join::REJOIN;
 use crate::random;
 use crate::witness::DIVERGED_FILE;
 use ledger::archive::SNAPSHOTS_DIRECTORY;
@@ -125,7 +126,7 @@ fn open_ledger(
                 reached.height
             ))
             .wanted(format!("blocks up to height {}", reached.height))
-            .next("restore the directory blocks/ from a copy, or join the network again as a new node"));
+            .next(format!("{REJOIN}: it comes back as a new node and fetches them from the others")));
     }
     if reached.height + 1 < store.first_index() {
         return Err(Rejection::new(Code::Corrupt, "the world state ends before the first block that is kept")
@@ -158,7 +159,7 @@ fn fill(kept: &SledStore, results: &ResultStore, store: &BlockStore, snapshots: 
     let Some(snapshot) = usable else {
         return Err(Rejection::new(Code::ChainInvalid, "the world state cannot be rebuilt: older blocks were dropped")
             .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
-            .next("empty the data directory but for genesis.json, node.pem, node.key and node.json; the node fetches everything again"));
+            .next(format!("{REJOIN}: it comes back as a new node and fetches everything again")));
     };
     tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "world state begins with a snapshot");
     snapshot.fill(kept, results)

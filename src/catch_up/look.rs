@@ -12,6 +12,7 @@
 
 use super::ask::{Answers, Offer, longest_first};
 use super::{ASK_TIME_MAX, CatchUp};
+use crate::join::REJOIN;
 use crate::orderer::Shared;
 use crate::peers::Member;
 use futures::StreamExt;
@@ -132,10 +133,7 @@ fn check_kept(shared: &Shared, offer: &Offer) -> Result<(), Rejection> {
     Err(Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had before")
         .found(format!("blocks up to height {last}"))
         .wanted(format!("at least height {known}, which {} knows it to have had", offer.member.full_name()))
-        .next(
-            "restore the directory blocks/; or remove this node from the network, empty its data directory \
-             and join again: it comes back as a new node, because this one must not vote any more",
-        ))
+        .next(format!("{REJOIN}: it comes back as a new node, because this one must not vote any more")))
 }
 
 #[cfg(test)]

@@ -35,7 +35,7 @@ fn the_shipped_file_lists_every_setting_with_its_default() {
     assert_eq!(parse(&uncommented).unwrap(), Config::default());
 
     // Settings that exist are those that an unknown one is compared with.
-    for section in ["", "limits", "storage", "order", "ca", "log"] {
+    for section in ["", "member", "limits", "storage", "order", "ca", "log"] {
         let text = if section.is_empty() { "zzz = 1".into() } else { format!("{section}.zzz = 1") };
         let told = fault(&text);
         let known = told.lines().find_map(|line| line.trim().strip_prefix("wanted  one of ")).unwrap();

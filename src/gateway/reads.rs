@@ -2,12 +2,13 @@
 
 use super::{NodeView, status};
 use crate::waiters::verdict_of;
+use ledger::certificate::Certificate;
 use ledger::identity::{Identity, Role};
 use ledger::result::{BlockKind, EmittedEvent};
 use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
 use ledger_api::v1::{
-    Block, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse, TransactionRecord,
-    Verdict,
+    Block, CertificateStatus, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse,
+    TransactionRecord, Verdict,
 };
 use tonic::Status;
 
@@ -48,6 +49,7 @@ impl NodeView {
             (_, Some(me)) if me.votes() => "follower",
             (_, Some(me)) => me.role(),
         };
+        let voters = || members.iter().filter(|member| member.votes()).map(|member| member.id);
         let matched = |id| {
             let peers = ordering.iter().flat_map(|ordering| &ordering.peers);
             peers.filter(|peer| peer.node == id).map(|peer| peer.matched).next().unwrap_or_default()
@@ -97,7 +99,32 @@ impl NodeView {
             in_flight_max: self.limits.in_flight_max,
             waiting_control: ordering.as_ref().map_or(0, |ordering| ordering.control.transactions as u64),
             waiting_data: ordering.as_ref().map_or(0, |ordering| ordering.data.transactions as u64),
+            data_directory: self.space.data().display().to_string(),
+            disk_free_bytes: self.space.measured().free,
+            disk_total_bytes: self.space.measured().total,
+            disk_accepts: self.space.accepts().word().into(),
+            certificates: self.certificates(),
+            voters: u32::try_from(voters().count()).unwrap_or(u32::MAX),
+            voters_connected: u32::try_from(voters().filter(|id| self.is_connected(*id)).count()).unwrap_or(u32::MAX),
         })
+    }
+
+    fn is_connected(&self, id: u64) -> bool {
+        id == self.me.id || self.peers.connected(id)
+    }
+
+    /// The certificates that this node depends on. One that cannot be read is left out: then the node does not run.
+    fn certificates(&self) -> Vec<CertificateStatus> {
+        let status = |kind: &str, name: Option<String>, der: &[u8]| {
+            let Certificate { subject, not_before, not_after, .. } = Certificate::parse(der).ok()?;
+            Some(CertificateStatus { kind: kind.to_owned(), name: name.unwrap_or(subject), not_before, not_after })
+        };
+        let own = self.identity.own();
+        let msps = self.ledger.msps();
+        let msp = msps.get(&self.me.organisation);
+        let authorities = msp.into_iter().flat_map(|msp| msp.roots().chain(msp.intermediates()));
+        let authorities = authorities.filter_map(|der| status("ca", None, der));
+        status("node", Some(self.me.full_name()), own.certificate()).into_iter().chain(authorities).collect()
     }
 
     pub(super) fn block(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {

@@ -14,7 +14,6 @@ use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::{Input, Lane};
 use std::pin::{Pin, pin};
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
 use tokio::sync::{Semaphore, mpsc};
@@ -259,18 +258,15 @@ impl NodeView {
                 .next("send less at once, or raise the limit in the node's configuration");
             return Err(unread(rejection));
         }
-        if self.disk_full.load(Ordering::Relaxed) {
-            let rejection =
-                Rejection::new(Code::DiskFull, "the node's disk is almost full, so it accepts nothing more")
-                    .next("free space on the node's disk; it goes on by itself");
-            return Err(unread(rejection));
-        }
         let transaction = Transaction::decode(encoded)
             .map_err(|rejection| Refusal { who: None, transaction: None, rejection, ground: Ground::Bytes })
             .map_err(|refusal| self.refuse(first_attempt, &refusal))?;
         let body = transaction.body();
-        let urgent =
-            self.ledger.registry().find(&body.chaincode).is_ok_and(|chaincode| chaincode.urgent(&body.function));
+        let chaincode = self.ledger.registry().find(&body.chaincode).ok();
+        if let Err(rejection) = self.space.check(|| chaincode.is_some_and(|called| called.ends(&body.function))) {
+            return Err(self.refuse(first_attempt, &Refusal::of_node(None, Some(transaction), rejection)));
+        }
+        let urgent = chaincode.is_some_and(|called| called.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
         match share.place(lane, transaction.encoded().len()) {
             Ok(place) => Ok(Arrived { transaction, min_height, first_attempt, lane, since: Instant::now(), place }),

@@ -19,6 +19,11 @@ const BEFORE_FILE: &str = "before";
 /// Largest such file, in bytes.
 const NUMBER_BYTES_MAX: usize = 32;
 
+/// What the name of a directory ends with in which a node is prepared; digits follow.
+const STAGED: &str = ".joining-";
+/// What a file system of its own may hold from the beginning.
+const LOST_AND_FOUND: &str = "lost+found";
+
 /// Where a node's files are while it joins, and where they go.
 pub(super) struct Place {
     /// The directory that is in use now.
@@ -29,14 +34,23 @@ pub(super) struct Place {
 impl Place {
     /// The data directory if it exists, else the directory that an earlier try left, else a new one.
     pub(super) fn open(data: &Path, token: &JoinToken) -> Result<Self, Rejection> {
-        if fs::symlink_metadata(data).is_ok() {
-            return Ok(Self { current: data.to_owned(), data: data.to_owned() });
-        }
         // Another token for the same node goes on with the same key, a token for another node does not.
         let whose = Hash::of(&[&token.network.0, token.organisation.as_bytes(), b"/", token.node.as_bytes()]);
-        let mut staged = data.as_os_str().to_owned();
-        staged.push(format!(".joining-{}", hex::encode(whose.0.get(..4).unwrap_or_default())));
-        let current = PathBuf::from(staged);
+        let staged = format!("{STAGED}{}", hex::encode(whose.0.get(..4).unwrap_or_default()));
+        let current = if fs::symlink_metadata(data).is_ok() {
+            let inside = data.join(&staged);
+            if inside.exists() && data.join(JOINED_FILE).exists() {
+                move_out(&inside, data)?;
+            }
+            if !is_free(data) {
+                return Ok(Self { current: data.to_owned(), data: data.to_owned() });
+            }
+            inside
+        } else {
+            let mut beside = data.as_os_str().to_owned();
+            beside.push(staged);
+            PathBuf::from(beside)
+        };
         durable::create_directory(&current)?;
         Ok(Self { current, data: data.to_owned() })
     }
@@ -81,13 +95,15 @@ impl Place {
     /// The node has joined: all that is prepared becomes its data directory.
     pub(super) fn finish(&self, joined: &Joined) -> Result<(), Rejection> {
         durable::stage(&self.path(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?.publish()?;
+        if self.current.parent() == Some(&self.data) {
+            return move_out(&self.current, &self.data);
+        }
         if fs::symlink_metadata(&self.data).is_ok() {
             return Err(durable::failed("make directory", &self.data, &std::io::ErrorKind::AlreadyExists.into()));
         }
         fs::rename(&self.current, &self.data).map_err(|error| durable::failed("make directory", &self.data, &error))?;
         durable::sync_directory(self.data.parent().unwrap_or_else(|| Path::new(".")))?;
-        // Of no use any more; that it stays does no harm.
-        let _ = fs::remove_file(self.data.join(BEFORE_FILE));
+        forget_noted(&self.data);
         Ok(())
     }
 
@@ -140,4 +156,41 @@ impl Place {
         let certificate = Certificate::parse(identity.own().certificate())?;
         Ok(now >= renewal_due(certificate.not_before, certificate.not_after))
     }
+}
+
+/// The number is of no use any more; that it stays after a crash does no harm.
+fn forget_noted(directory: &Path) {
+    let _ = fs::remove_file(directory.join(BEFORE_FILE));
+}
+
+/// May a node be put here: is it a directory with nothing in it but what joins leave? A new disk is mounted so.
+fn is_free(data: &Path) -> bool {
+    let Ok(entries) = fs::read_dir(data) else { return false };
+    entries.filter_map(Result::ok).all(|entry| {
+        let name = entry.file_name();
+        let name = name.to_string_lossy();
+        name == LOST_AND_FOUND || name.starts_with(STAGED)
+    })
+}
+
+/// Moves what was prepared inside of the data directory to its place. `node.json` goes first: with it there, the next try
+/// moves the rest; `genesis.json` last: without it no node starts.
+fn move_out(inside: &Path, data: &Path) -> Result<(), Rejection> {
+    let failed = |error: std::io::Error| durable::failed("move", inside, &error);
+    let mut names = Vec::new();
+    for entry in fs::read_dir(inside).map_err(failed)? {
+        names.push(entry.map_err(failed)?.file_name());
+    }
+    names.sort_by_key(|name| match name.to_str() {
+        Some(JOINED_FILE) => 0,
+        Some(GENESIS_FILE) => 2,
+        _ => 1,
+    });
+    for name in names {
+        fs::rename(inside.join(&name), data.join(&name)).map_err(failed)?;
+        durable::sync_directory(data)?;
+    }
+    fs::remove_dir(inside).map_err(failed)?;
+    forget_noted(data);
+    durable::sync_directory(data)
 }

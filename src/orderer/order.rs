@@ -9,7 +9,9 @@ use ledger::block_store::StoreError;
 use ledger::entry::Entry;
 use ledger::transaction::Transaction;
 use ledger::{Code, Refusal, Rejection};
-use ledger_raft::{Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor};
+use ledger_raft::{
+    Change, Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor,
+};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -23,6 +25,9 @@ const MANY_INPUTS: usize = 8;
 const LEARNER_WRITE_DELAY: Duration = Duration::from_millis(2);
 /// Pause before a write is tried again that found no space.
 const FULL_DISK_PAUSE: Duration = Duration::from_millis(100);
+/// Pause before a leader with a full disk hands over again: where all voters have one disk, or all are full, the leadership
+/// must not go round and round.
+const LEAVE_AGAIN_PAUSE: Duration = Duration::from_secs(10);
 
 /// The order thread.
 pub(super) struct Order {
@@ -48,6 +53,8 @@ pub(super) struct Order {
     asked_for: (u64, u64),
     /// Another node leads than before: what waits is submitted again.
     submit_again: bool,
+    /// When the leadership was given away last because of a full disk.
+    left_full_disk: Option<Instant>,
     /// The members have changed: the next step towards what the ledger wants need not wait for a tick.
     reconcile: bool,
 }
@@ -63,7 +70,7 @@ impl Order {
         role: watch::Sender<RoleChange>,
     ) -> Self {
         let (leading, outputs, asked_for) = (false, Vec::new(), (0, 0));
-        let (submit_again, reconcile) = (false, false);
+        let (submit_again, reconcile, left_full_disk) = (false, false, None);
         Self {
             engine,
             stop,
@@ -80,6 +87,7 @@ impl Order {
             role,
             asked_for,
             submit_again,
+            left_full_disk,
             reconcile,
         }
     }
@@ -102,7 +110,7 @@ impl Order {
             self.reconcile();
             let wait = match self.flush {
                 _ if !self.committed.is_empty() => Duration::ZERO,
-                Some(_) if self.shared.disk_full.load(Ordering::Relaxed) => FULL_DISK_PAUSE,
+                Some(_) if self.shared.space.is_stuck() => FULL_DISK_PAUSE,
                 Some(_) => self.flush_due.saturating_duration_since(Instant::now()),
                 None => self.idle_time(next_tick),
             };
@@ -161,9 +169,11 @@ impl Order {
     /// A leader without space can promise nothing and answers nobody: another voter shall lead.
     fn leave_full_disk(&mut self) {
         if self.leading
-            && self.shared.disk_full.load(Ordering::Relaxed)
+            && self.shared.space.is_full()
+            && self.left_full_disk.is_none_or(|left| left.elapsed() >= LEAVE_AGAIN_PAUSE)
             && let Some(to) = successor(&self.engine.status())
         {
+            self.left_full_disk = Some(Instant::now());
             self.step(Input::TransferLeadership { to });
         }
     }
@@ -197,7 +207,7 @@ impl Order {
             return;
         }
         if let Some(step) = next_step(&self.shared.directory.desired(), &self.engine.status()) {
-            tracing::info!(?step, "leading the members to what the ledger wants");
+            tracing::info!(change = self.described(&step), "leading the members to what the ledger wants");
             self.step(step);
         }
     }
@@ -207,13 +217,16 @@ impl Order {
         let Some(ready) = self.flush.take_if(|_| self.flush_due <= Instant::now()) else { return true };
         match self.shared.store.flush() {
             Ok(_) => {
+                self.shared.space.room();
                 self.step(Input::Persisted { ready });
                 true
             }
             Err(StoreError::DiskFull { .. }) => {
                 // Nothing of it is on disk and nobody was told otherwise: it is tried again until there is space.
-                self.shared.disk_full.store(true, Ordering::Relaxed);
                 self.flush = Some(ready);
+                if self.shared.space.no_room() {
+                    return self.write();
+                }
                 true
             }
             Err(error) => {
@@ -259,13 +272,15 @@ impl Order {
             Output::Role(change) => {
                 self.leading = change.role == Role::Leader;
                 self.asked_for = (0, 0);
-                tracing::info!(role = ?change.role, leader = change.leader, term = change.term, "role");
+                self.tell_role(&change);
                 self.report();
                 self.role.send_replace(change);
                 self.submit_again = change.leader.is_some();
             }
             Output::Membership { height, membership } => {
-                tracing::info!(height, ?membership, "members changed");
+                let directory = &self.shared.directory;
+                let (voters, learners) = (directory.names(&membership.voters), directory.names(&membership.learners));
+                tracing::info!(height, voters, learners, "members changed");
                 // Whoever sees the change on the ledger must find it here, too.
                 self.report();
                 self.reconcile = true;
@@ -278,12 +293,47 @@ impl Order {
             Output::ReadReady { context, index } => self.shared.reads.answer(context, Ok(index)),
             Output::Refused { input, reason } => match *input {
                 Input::ReadIndex { context } => self.shared.reads.answer(context, Err(reason)),
-                input => tracing::warn!(?input, %reason, "ordering refused a request"),
+                input => tracing::warn!(request = self.described(&input), %reason, "ordering refused a request"),
             },
             Output::Behind { from, first_index } => {
+                let leader = self.shared.directory.name(from);
+                tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
                 self.shared.behind.send_replace(Some(Behind { from, first_index }));
             }
             Output::Failed(reason) => (self.shared.fatal)(reason),
+        }
+    }
+
+    /// Says who leads. That nobody does, and that somebody does again, have the same level.
+    fn tell_role(&self, change: &RoleChange) {
+        let term = change.term;
+        match (change.role, change.leader) {
+            (Role::Leader, _) => tracing::info!(term, "this node leads"),
+            (_, Some(leader)) => {
+                tracing::info!(term, leader = self.shared.directory.name(leader), "another node leads")
+            }
+            (Role::Candidate, None) => tracing::info!(term, "no leader is known; this node asks for votes"),
+            (Role::Follower, None) => tracing::info!(term, "no leader is known"),
+        }
+    }
+
+    /// A request to the engine, for people.
+    fn described(&self, input: &Input) -> String {
+        let name = |node: u64| self.shared.directory.name(node);
+        match input {
+            Input::TransferLeadership { to } => format!("hand the leadership over to {}", name(*to)),
+            Input::ChangeMembership(change) => {
+                let changes = change.changes().map(|change| match change {
+                    Change::AddVoter(node) => format!("{} votes", name(node)),
+                    Change::AddLearner(node) => format!("{} follows", name(node)),
+                    Change::Remove(node) => format!("{} leaves", name(node)),
+                });
+                changes.collect::<Vec<_>>().join(", ")
+            }
+            Input::ProposeEmpty => "an empty block".to_owned(),
+            Input::ReadIndex { .. } => "a read".to_owned(),
+            Input::Submit { .. } => "a transaction".to_owned(),
+            _ => "a message".to_owned(),
         }
     }
 

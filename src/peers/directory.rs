@@ -124,6 +124,17 @@ impl Directory {
         Arc::clone(&self.members.borrow())
     }
 
+    /// A node for people: `Org1/node1`, or its number if nothing else is known.
+    pub(crate) fn name(&self, id: u64) -> String {
+        let members = self.members();
+        members.iter().find(|member| member.id == id).map_or_else(|| format!("node {id}"), Member::full_name)
+    }
+
+    /// Several nodes for people.
+    pub(crate) fn names<'a>(&self, ids: impl IntoIterator<Item = &'a u64>) -> String {
+        ids.into_iter().map(|id| self.name(*id)).collect::<Vec<_>>().join(", ")
+    }
+
     /// The members that the ledger wants.
     pub(crate) fn desired(&self) -> Desired {
         let members = self.members();

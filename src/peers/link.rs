@@ -45,7 +45,13 @@ impl Way {
         while !messages.is_closed() {
             let reason = match dialer.channel(&member).await {
                 Ok(channel) => {
-                    tracing::debug!(peer = %member.name, address = %member.address, "connected");
+                    // An outage and its end at the same level; without one this is of no interest.
+                    match last_reason.is_empty() {
+                        true => tracing::debug!(peer = %member.full_name(), address = %member.address, "connected"),
+                        false => {
+                            tracing::info!(peer = %member.full_name(), address = %member.address, "connected again")
+                        }
+                    }
                     while messages.try_recv().is_ok() {}
                     let since = Instant::now();
                     connected.store(true, Ordering::Relaxed);
@@ -65,7 +71,7 @@ impl Way {
             }
             // The same reason once, not twice a second.
             if reason != last_reason {
-                tracing::info!(peer = %member.name, address = %member.address, %reason, "not connected; trying on");
+                tracing::info!(peer = %member.full_name(), address = %member.address, %reason, "not connected; trying on");
                 last_reason = reason;
             }
             if tokio::time::timeout(pause, wake.notified()).await.is_ok() {

@@ -4,10 +4,11 @@ use super::settings::{Settings, public_address};
 use super::{NetworkPlan, PlannedNode, PlannedOrganisation, found};
 use crate::ca::CertificateAuthority;
 use crate::clock::wall;
-use crate::config::Config;
+use crate::config::{Config, MemberOf};
+use crate::join::way_back;
 use ledger::identity::Role;
 use ledger::key::KeyKind;
-use ledger::{Code, Rejection};
+use ledger::{Code, Hash, Rejection};
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::PathBuf;
@@ -43,16 +44,46 @@ pub struct InitOptions {
 /// # Errors
 /// A fault of the configuration, an address that others cannot reach, and what [`found`] says. Nothing is left behind.
 pub fn init(options: &InitOptions) -> Result<String, Rejection> {
-    let settings = Settings::of(&options.config, options.address.as_deref(), None, None)?;
+    let mut settings = Settings::of(&options.config, options.address.as_deref(), None, None)?;
+    check_free(&settings.config)?;
     let written = settings.write(&options.config)?;
-    init_at(options, &settings.config, wall()).inspect_err(|_| {
+    let founded = init_at(options, &settings.config, wall()).inspect_err(|_| {
         if written {
             let _ = fs::remove_file(&options.config);
         }
-    })
+    })?;
+    let InitOptions { organisation, node, .. } = options;
+    settings.name(founded.network, &format!("{organisation}/{node}"), &founded.address);
+    settings.write_again(&options.config)?;
+    Ok(founded.told)
 }
 
-fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<String, Rejection> {
+/// A configuration of a node that has lost its data must not found another network by mistake.
+fn check_free(config: &Config) -> Result<(), Rejection> {
+    let MemberOf { network, node, .. } = &config.member;
+    if network.is_empty() && node.is_empty() {
+        return Ok(());
+    }
+    let file = config.file.display();
+    Err(Rejection::new(Code::BadConfiguration, format!("{file} belongs to a network that was founded before"))
+        .found(format!("node {node} of network {network}, in the section [member]"))
+        .wanted("a configuration of no network, because this founds another one")
+        .next(format!(
+            "to bring that node back: {}; to found another network, choose another file with --config",
+            way_back(config, node)
+        )))
+}
+
+/// A network that was founded.
+struct Begun {
+    network: Hash,
+    /// Where others reach its node.
+    address: String,
+    /// What the user reads.
+    told: String,
+}
+
+fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<Begun, Rejection> {
     let path = options.config.display();
     let address = public_address(options.address.as_deref(), &config.listen, "ledgerd init")?;
     let organisation = &options.organisation;
@@ -74,7 +105,7 @@ fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<String, R
     })?;
     let fingerprint = founded.authorities.first().map(|ca| ca.fingerprint).unwrap_or_default();
     let InitOptions { node, admin, .. } = options;
-    Ok(format!(
+    let told = format!(
         "network {:?} is founded: {}\n\
          node     {organisation}/{node} at {address}, data in {}\n\
          CA       {organisation}, sha256 {fingerprint}\n\
@@ -88,7 +119,8 @@ fn init_at(options: &InitOptions, config: &Config, now: u64) -> Result<String, R
         founded.network,
         config.data.display(),
         config.ca.secret_days,
-    ))
+    );
+    Ok(Begun { network: founded.network, address, told })
 }
 
 /// Registers the first admin; answers with the one-time secret.
@@ -162,7 +194,7 @@ mod tests {
         let options = options(place.path());
         fs::write(&options.config, "data = 'd'\n[ca]\nsecret_days = 2\n").unwrap();
         let config = Config::load(&options.config).unwrap();
-        let text = init_at(&options, &config, NOW).unwrap();
+        let text = init_at(&options, &config, NOW).unwrap().told;
         let secret = text.split_once("--secret ").unwrap().1.lines().next().unwrap();
         let mut ca = CertificateAuthority::open(&place.path().join("d").join(ca::DIRECTORY).join("Org1")).unwrap();
         let key = ledger::key::SigningKey::generate(KeyKind::P256, &ring::rand::SystemRandom::new()).unwrap();
@@ -199,6 +231,24 @@ mod tests {
         assert_eq!(init(&options).unwrap_err().code, Code::BadFile);
         assert_eq!(fs::read(place.path().join("data").join(super::super::GENESIS_FILE)).unwrap(), genesis);
         assert!(options.config.exists());
+    }
+
+    #[test]
+    fn the_configuration_of_a_node_whose_data_are_lost_founds_no_other_network() {
+        let place = TempDir::new().unwrap();
+        let options = options(place.path());
+        init(&options).unwrap();
+        let config = Config::load(&options.config).unwrap();
+        assert_eq!((config.member.node.as_str(), config.member.network.len()), ("Org1/node1", 64));
+        fs::remove_dir_all(&config.data).unwrap();
+        let refused = init(&options).unwrap_err();
+        assert_eq!(refused.code, Code::BadConfiguration);
+        assert!(refused.next.contains("ledgerctl network invite --node node1"), "{refused}");
+        assert!(
+            refused.next.contains(&format!("ledgerd join TOKEN --config {}", options.config.display())),
+            "{refused}"
+        );
+        assert!(!config.data.exists());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::config::{Config, is_address};
-use ledger::{Code, Rejection};
+use ledger::{Code, Hash, Rejection};
 use std::fs;
 use std::net::SocketAddr;
 use std::path::Path;
@@ -12,6 +12,8 @@ const SHIPPED_CONFIG: &str = include_str!("../../ledgerd.toml");
 /// The lines in it that say where to listen and where the data are.
 const SHIPPED_LISTEN: &str = "#listen = \"127.0.0.1:7450\"";
 const SHIPPED_DATA: &str = "#data = \"data\"";
+/// Those that say which node it is.
+const SHIPPED_MEMBER: [&str; 3] = ["#network = \"\"", "#node = \"\"", "#address = \"\""];
 
 /// The configuration of a node: the file, or what would be written in its place.
 pub(crate) struct Settings {
@@ -63,6 +65,24 @@ impl Settings {
         Ok(Self { config, text: Some(text) })
     }
 
+    /// Lets a file that is to be made say which node of which network it is for.
+    pub(crate) fn name(&mut self, network: Hash, node: &str, address: &str) {
+        if let Some(text) = &mut self.text {
+            for (line, value) in SHIPPED_MEMBER.into_iter().zip([network.to_string().as_str(), node, address]) {
+                *text = text.replace(line, &format!("{} = {value:?}", setting(line)));
+            }
+        }
+    }
+
+    /// Writes the file again that [`Settings::write`] has made.
+    ///
+    /// # Errors
+    /// As that; the file is then as it was.
+    pub(crate) fn write_again(&self, path: &Path) -> Result<(), Rejection> {
+        let Some(text) = &self.text else { return Ok(()) };
+        durable::stage(path, text.as_bytes(), PUBLIC_MODE)?.publish()
+    }
+
     /// Writes the file if there is none; true if it did.
     ///
     /// # Errors
@@ -74,6 +94,11 @@ impl Settings {
         }
         durable::create(path, text.as_bytes(), PUBLIC_MODE).map(|()| true)
     }
+}
+
+/// The name of a setting in a line that is commented out.
+fn setting(line: &str) -> &str {
+    line.trim_start_matches('#').split(' ').next().unwrap_or_default()
 }
 
 /// Where to listen so that an address leads here.

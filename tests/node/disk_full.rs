@@ -101,3 +101,70 @@ async fn a_full_disk_refuses_and_loses_nothing_and_space_ends_it() {
     node.signal(rustix::process::Signal::TERM);
     println!("disk_full: {rounds} times full, {} transactions acknowledged", acknowledged.len());
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_room() {
+    let fleet = Fleet::found(1);
+    let (owner, admin) = (fleet.owner(), fleet.issue("Org1", "Boss", Role::Admin, &[]));
+    let salma = fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4", "Husky"]);
+    let place = &fleet.nodes[0];
+    place.configure("[storage]\nsegment_mib = 4");
+    let disk = SmallDisk::under(place, fleet.path());
+    let mut node = Process::start("small", fleet.path(), disk.enter(&place.command()));
+    let auditor = connect(&owner).await;
+    register_robots(&auditor, "exclusive").await;
+    let (client, boss) = (connect(&salma).await, connect(&admin).await);
+    let acquire = |robot: &'static str| vec![robot.into(), PATIENCE.as_millis().to_string().into()];
+    client.invoke("abac", "acquire", acquire("Turtlebot4")).await.unwrap();
+    client.invoke("abac", "acquire", acquire("Husky")).await.unwrap();
+
+    // A message is under way that is larger than what is zeroed ahead of the log, and the disk is full to the last byte:
+    // what ends control must not wait behind it.
+    let ballast = disk.seen(&place.data).join("ballast");
+    fill(&ballast);
+    let channel = wire::channel(&salma, true).await;
+    let mut seq = 0;
+    let refusal = until("messages are refused", || {
+        seq += 1;
+        let args = message(1, seq, &vec![7; 900_000]);
+        let call = Call { chaincode: "abac".into(), function: "set".into(), args, ttl: PATIENCE };
+        let (channel, transaction) = (channel.clone(), client.prepare(call).unwrap());
+        let answer = tokio::spawn(async move { wire::submit(&channel, transaction.encoded().clone()).await.unwrap() });
+        // What is under way waits for space: so others go on.
+        async {
+            let answer = tokio::time::timeout(Duration::from_secs(1), answer).await.ok()?.unwrap();
+            (wire::code(&answer) != 0).then_some(answer)
+        }
+    })
+    .await;
+    assert_eq!(wire::code(&refusal), u32::from(Code::DiskFull.number()), "{refusal:?}");
+    let status = auditor.status().await.unwrap();
+    assert_eq!((status.disk_accepts.as_str(), status.data_directory), ("ends", place.data.display().to_string()));
+    assert!(status.disk_free_bytes < status.disk_total_bytes / 10, "{} free", status.disk_free_bytes);
+
+    client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap();
+    let held = || async {
+        let answer = auditor.query("abac", "grants", vec![]).await.unwrap().response;
+        String::from_utf8(answer.to_vec()).unwrap()
+    };
+    assert!(!held().await.contains("Turtlebot4") && held().await.contains("Husky"), "{}", held().await);
+    let refused = client.invoke("abac", "acquire", acquire("Turtlebot4")).await.unwrap_err();
+    assert_eq!(refused.code, Code::DiskFull, "{refused}");
+    let certificate = ledger::certificate::Certificate::parse(&salma.chain[0]).unwrap();
+    let issuer = hex::encode(ledger::Hash::of(&[&certificate.issuer_name]).0);
+    let revoked = vec![issuer.into(), hex::encode(&certificate.serial).into()];
+    boss.invoke("msp", "revoke", revoked).await.unwrap();
+    assert!(!held().await.contains("Husky"), "{}", held().await);
+
+    fs::remove_file(&ballast).unwrap();
+    until("everything is accepted again", || async {
+        (auditor.status().await.unwrap().disk_accepts == "all").then_some(())
+    })
+    .await;
+    node.check();
+    node.no_panic();
+    let log = node.stderr();
+    let warned = "less than a tenth of the disk is free";
+    let place = format!("path={}", place.data.display());
+    assert!(log.lines().any(|line| line.contains(warned) && line.contains(&place) && line.contains("MiB")), "{log}");
+}

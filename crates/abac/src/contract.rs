@@ -123,6 +123,11 @@ impl Chaincode for AccessControl {
         function != "set"
     }
 
+    /// Whoever releases must hold something, and acquiring is refused meanwhile.
+    fn ends(&self, function: &str) -> bool {
+        matches!(function, "release" | "remove")
+    }
+
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
         let _ = revoke::sweep(ctx);

@@ -14,6 +14,8 @@ const EXIT_USAGE: u8 = 64;
 pub(crate) enum Failure {
     /// Something was refused or went wrong; the rejection says what, and its class gives the exit code.
     Refused(Rejection),
+    /// The results were told, and are not as they should be: the exit code says so.
+    Told(u8),
     /// Nobody reads what we write any more (`ledgerctl robot list | head -1`). That is not an error.
     ReaderGone,
 }
@@ -58,6 +60,7 @@ impl Failure {
     pub(crate) fn report(&self, format: Format) -> ExitCode {
         match self {
             Self::ReaderGone => ExitCode::SUCCESS,
+            Self::Told(exit) => ExitCode::from(*exit),
             Self::Refused(rejection) => {
                 // Where standard error is closed too, the exit code is all that is left to tell.
                 let _ = writeln!(io::stderr(), "{}", render(rejection, format).trim_end());

@@ -9,6 +9,7 @@ mod cli;
 mod command;
 mod context;
 mod failure;
+mod health;
 mod json;
 mod output;
 mod session;

@@ -66,6 +66,12 @@ pub trait Chaincode: Send + Sync {
         false
     }
 
+    /// Do calls of this function only end control, so that they are accepted while the disk has no room for others? For
+    /// release and revoke. Somebody must not be able to call it often: what these calls have is a small reserve.
+    fn ends(&self, _function: &str) -> bool {
+        false
+    }
+
     /// Called at the start of every block, before its transactions, with the block's time: the place for what
     /// is due (leases, deadlines). There is no submitter.
     fn begin_block(&self, _ctx: &mut Context<'_>) {}

@@ -112,6 +112,11 @@ impl Chaincode for Governance {
         &EVENTS
     }
 
+    /// What takes rights away; for admins only.
+    fn ends(&self, function: &str) -> bool {
+        matches!(function, "revoke" | "set_node_role" | "remove_organisation" | "approve")
+    }
+
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),

@@ -10,9 +10,14 @@ use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
-/// Blocks of this time are kept in any case, microseconds: as long as a transaction may be repeated, its verdict is asked
-/// for, and more.
-pub const KEPT_MIN_US: u64 = 10 * 60 * 1_000_000;
+/// Shortest age that can be set, microseconds.
+pub const AGE_MIN_US: u64 = 10 * 60 * 1_000_000;
+
+/// Blocks of this time are kept in any case, however large, microseconds: twice as long as a transaction may be repeated,
+/// and its verdict asked for.
+pub const KEPT_MIN_US: u64 = 2 * crate::transaction::NOT_AFTER_AHEAD_MAX;
+
+const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
 
 /// Smallest limit of the size, bytes: several segments at their default size.
 pub const SIZE_MIN_BYTES: u64 = 64 << 20;
@@ -92,7 +97,7 @@ impl FromStr for Retention {
         let number = |factor: u64| number.parse::<u64>().ok().and_then(|number| number.checked_mul(factor));
         let find = |units: &[(&str, u64)]| units.iter().find(|(name, _)| *name == unit).and_then(|(_, f)| number(*f));
         match (find(&AGES), find(&SIZES)) {
-            (Some(age), _) if age >= KEPT_MIN_US => Ok(Self::Age(age)),
+            (Some(age), _) if age >= AGE_MIN_US => Ok(Self::Age(age)),
             (Some(_), _) => Err(refuse("at least 10min")),
             (_, Some(size)) if size >= SIZE_MIN_BYTES => Ok(Self::Size(size)),
             (_, Some(_)) => Err(refuse("at least 64MiB")),

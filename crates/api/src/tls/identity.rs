@@ -35,6 +35,22 @@ pub enum TlsError {
         /// Why not.
         reason: String,
     },
+    /// What a file holds cannot be used.
+    #[error("{path}: {reason}")]
+    In {
+        /// The file.
+        path: String,
+        /// Why not.
+        reason: Box<TlsError>,
+    },
+    /// Certificate and key in two files do not belong together.
+    #[error("{key} is not the private key of the certificate in {chain}; try the key that was made for it")]
+    FilesMismatch {
+        /// The file of the key.
+        key: String,
+        /// The file of the certificate.
+        chain: String,
+    },
     /// The text holds no usable certificate chain.
     #[error("found {found}, wanted a certificate chain in PEM (\"BEGIN CERTIFICATE\"), the own certificate first")]
     Chain {
@@ -107,9 +123,7 @@ impl TlsIdentity {
     /// # Errors
     /// As [`TlsIdentity::new`].
     pub fn from_pem(chain: &str, key: &str) -> Result<Self, TlsError> {
-        let chain: Vec<_> = CertificateDer::pem_slice_iter(chain.as_bytes())
-            .collect::<Result<_, _>>()
-            .map_err(|error| TlsError::Chain { found: format!("text that is not PEM ({error})") })?;
+        let chain = in_pem(chain)?;
         let first = SigningKey::from_pkcs8_pem(key)?;
         let wanted = own_key(&chain)?;
         let others = PrivatePkcs8KeyDer::pem_slice_iter(key.as_bytes())
@@ -121,11 +135,18 @@ impl TlsIdentity {
     /// Reads chain and key from PEM files.
     ///
     /// # Errors
-    /// [`TlsError::File`], and as [`TlsIdentity::new`].
+    /// [`TlsError::File`], [`TlsError::FilesMismatch`], and as [`TlsIdentity::new`] with the file that it is about.
     pub fn from_pem_files(chain: &Path, key: &Path) -> Result<Self, TlsError> {
-        let chain = read("certificate chain", chain, CHAIN_BYTES_MAX)?;
-        let key = read("private key", key, KEY_BYTES_MAX)?;
-        Self::from_pem(&chain, &key)
+        let named = |path: &Path| path.display().to_string();
+        let chain_text = read("certificate chain", chain, CHAIN_BYTES_MAX)?;
+        let key_text = read("private key", key, KEY_BYTES_MAX)?;
+        Self::from_pem(&chain_text, &key_text).map_err(|error| match error {
+            TlsError::KeyMismatch { .. } => TlsError::FilesMismatch { key: named(key), chain: named(chain) },
+            TlsError::Key(_) if in_pem(&chain_text).and_then(|chain| own_key(&chain)).is_ok() => {
+                TlsError::In { path: named(key), reason: error.into() }
+            }
+            other => TlsError::In { path: named(chain), reason: other.into() },
+        })
     }
 
     /// What is shown and signed with now.
@@ -145,6 +166,13 @@ impl Own {
     pub fn certificate(&self) -> &[u8] {
         self.chain.first().map(AsRef::as_ref).unwrap_or_default()
     }
+}
+
+/// The certificates of a text in PEM.
+fn in_pem(chain: &str) -> Result<Vec<CertificateDer<'static>>, TlsError> {
+    CertificateDer::pem_slice_iter(chain.as_bytes())
+        .collect::<Result<_, _>>()
+        .map_err(|error| TlsError::Chain { found: format!("text that is not PEM ({error})") })
 }
 
 /// The public key in the own certificate, the first of a chain.

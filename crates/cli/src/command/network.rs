@@ -42,7 +42,7 @@ impl Network {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = &Session::open(global).await?;
         match self {
-            Self::Status(_) => status::run(session, output).await,
+            Self::Status(command) => command.run(session, output).await,
             Self::Nodes(_) => output.show(&nodes::Known(nodes(session).await?)),
             Self::Organisations(_) => organisations::run(session, output).await,
             Self::Invite(command) => command.run(session, output).await,

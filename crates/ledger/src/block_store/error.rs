@@ -4,6 +4,10 @@ use crate::{Code, Rejection};
 use std::io;
 use std::sync::Arc;
 
+/// What an operator does about damage. A voter must not go on under its number with less than it has promised.
+const COME_BACK: &str = "keep a copy of the directory; then, if other nodes have the blocks, ledgerd rejoin --config FILE, \
+                         else restore the directory from a copy";
+
 /// An error of the block store.
 #[derive(Debug, Clone, thiserror::Error)]
 pub enum StoreError {
@@ -28,10 +32,7 @@ pub enum StoreError {
         wanted_bytes: u64,
     },
     /// The disk does not hold what was written to it, and what is damaged had been durable.
-    #[error(
-        "{file} is damaged at byte {offset} (entry {index} or what follows it): {what}; \
-         restore this file from a backup, or empty the directory and let the node fetch the chain from its peers"
-    )]
+    #[error("{file} is damaged at byte {offset} (entry {index} or what follows it): {what}")]
     Corrupt {
         /// Name of the file.
         file: String,
@@ -132,6 +133,10 @@ impl From<StoreError> for Rejection {
             | StoreError::Violation(_)
             | StoreError::Options(_) => Code::Internal,
         };
-        Self::new(code, error.to_string())
+        let rejection = Self::new(code, error.to_string());
+        match error {
+            StoreError::Corrupt { .. } => rejection.wanted("the bytes that were written").next(COME_BACK),
+            _ => rejection,
+        }
     }
 }

@@ -88,7 +88,7 @@ impl Disk for RealDisk {
         self.refuse_if_read_only()?;
         let mut options = OpenOptions::new();
         options.read(true).write(true).create(true).truncate(true);
-        Ok(Arc::new(RealFile(options.open(self.path.join(name))?)))
+        Ok(Arc::new(RealFile(options.open(self.path.join(name)).map_err(full)?)))
     }
 
     fn list(&self) -> io::Result<Vec<String>> {
@@ -144,11 +144,11 @@ impl DiskFile for RealFile {
     }
 
     fn write_at(&self, buf: &[u8], offset: u64) -> io::Result<()> {
-        self.0.write_all_at(buf, offset)
+        self.0.write_all_at(buf, offset).map_err(full)
     }
 
     fn sync_data(&self) -> io::Result<()> {
-        self.0.sync_data()
+        self.0.sync_data().map_err(full)
     }
 
     fn len(&self) -> io::Result<u64> {
@@ -158,6 +158,11 @@ impl DiskFile for RealFile {
     fn set_len(&self, bytes: u64) -> io::Result<()> {
         self.0.set_len(bytes)
     }
+}
+
+/// A quota that is used up is a full disk.
+fn full(error: io::Error) -> io::Error {
+    if error.kind() == ErrorKind::QuotaExceeded { ErrorKind::StorageFull.into() } else { error }
 }
 
 /// Turns a lock that somebody else holds into an error that says what to do.

@@ -46,7 +46,6 @@ impl Engine {
             tracing::debug!(from, first_index, "peer takes this node for far behind, which it is not");
             return;
         }
-        tracing::info!(from, first_index, committed, "this node is too far behind to be served by the leader's log");
         out.push(Output::Behind { from, first_index });
     }
 
@@ -80,7 +79,7 @@ impl Engine {
         let reason = Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had acknowledged")
             .found(format!("log that ends at height {last}"))
             .wanted(format!("at least height {committed}, which node {from} knows to be on this disk"))
-            .next("restore the disk; or take this node out and join again with a new id: it must not vote any more");
+            .next("ledgerd rejoin --config FILE: it comes back as a new node, because this one must not vote any more");
         self.fail(reason, out);
     }
 

@@ -3,6 +3,7 @@
 use super::code_text;
 use crate::cli::Global;
 use crate::failure::Failure;
+use crate::health::{Certificate, Check, Disk, Voters, attention};
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
@@ -12,14 +13,23 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 
 /// Show how the node and the network are.
+///
+/// Ends with 4 if the node knows no leader, so that nothing can be ordered.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl status")]
-pub(crate) struct Status {}
+#[command(after_help = "Example:\n  ledgerctl status\n  ledgerctl status --check")]
+pub(crate) struct Status {
+    #[command(flatten)]
+    check: Check,
+}
 
 impl Status {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let status = Session::open(global).await?.client.status().await?;
-        output.show(&Node::from(status))
+        let session = Session::open(global).await?;
+        let mut node = Node::from(session.client.status().await?);
+        node.certificates.push(Certificate::own(&session.identity()?));
+        node.look(time::now());
+        output.show(&node)?;
+        self.check.judge(node.quorum.quorum, &node.attention)
     }
 }
 
@@ -54,6 +64,17 @@ struct Node {
     in_flight_max: u64,
     waiting_control: u64,
     waiting_data: u64,
+    #[serde(flatten)]
+    quorum: Voters,
+    disk: Option<Disk>,
+    certificates: Vec<Certificate>,
+    #[serde(skip_serializing_if = "String::is_empty")]
+    divergence: String,
+    /// What somebody should look at.
+    attention: Vec<String>,
+    /// When it was asked.
+    #[serde(skip)]
+    now: u64,
 }
 
 #[derive(Serialize)]
@@ -73,7 +94,14 @@ fn counts(counts: impl IntoIterator<Item = (u32, u64)>) -> BTreeMap<String, u64>
 
 impl From<v1::StatusResponse> for Node {
     fn from(status: v1::StatusResponse) -> Self {
+        let led = status.leader_id != 0;
         Self {
+            quorum: Voters::new(status.voters.into(), status.voters_connected.into(), led),
+            disk: Disk::of(&status),
+            certificates: Certificate::of(&status),
+            divergence: status.divergence,
+            attention: Vec::new(),
+            now: 0,
             version: status.version,
             network: hex::encode(status.network),
             network_label: status.network_label,
@@ -106,6 +134,18 @@ impl From<v1::StatusResponse> for Node {
     }
 }
 
+impl Node {
+    /// Collects what needs attention.
+    fn look(&mut self, now: u64) {
+        let name = format!("{}/{}", self.organisation, self.node_name);
+        let differs = (!self.divergence.is_empty()).then(|| format!("{name}: {}", self.divergence));
+        let disk = self.disk.as_ref().and_then(|disk| disk.attention(&name));
+        let ending = self.certificates.iter().filter_map(|certificate| certificate.attention(now));
+        self.attention = self.quorum.attention().into_iter().chain(disk).chain(differs).chain(ending).collect();
+        self.now = now;
+    }
+}
+
 impl From<v1::PeerStatus> for Peer {
     fn from(peer: v1::PeerStatus) -> Self {
         Self {
@@ -132,6 +172,7 @@ impl Facts for Node {
         table.pair("version", &self.version);
         table.pair("network", format!("{} {}", self.network_label, self.network).trim_start());
         table.pair("leader", format!("{leader}, term {}", self.term));
+        table.pair("voters", self.quorum.text());
         table.pair("height", format!("{} of {} committed", self.height, self.committed));
         table.pair("block hash", &self.block_hash);
         table.pair("block time", time::moment(self.block_time));
@@ -144,9 +185,20 @@ impl Facts for Node {
         table.pair("subscribers", self.subscribers);
         table.pair("largest payload", format!("{} bytes", self.payload_bytes_max));
         table.pair("memory", format!("{} MiB", self.resident_bytes / (1024 * 1024)));
+        table.pair("disk", self.disk.as_ref().map_or_else(String::new, Disk::text));
+        for certificate in &self.certificates {
+            table.pair("certificate", certificate.text(self.now));
+        }
         table.pair("clock", time::moment(self.clock));
         table.pair("running for", time::span(self.uptime_ms.saturating_mul(1000)));
         table.write(out, 0)?;
+        self.peers(out)?;
+        attention(&self.attention, out)
+    }
+}
+
+impl Node {
+    fn peers(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.peers.is_empty() {
             return Ok(());
         }

@@ -3,8 +3,10 @@
 use super::nodes::{absent, actual};
 use super::{ask, current, nodes};
 use crate::failure::Failure;
-use crate::output::{Facts, Output, Table, printable};
+use crate::health::{Certificate, Check, Disk, Voters, attention};
+use crate::output::{Facts, Output, Table};
 use crate::session::Session;
+use crate::time;
 use ledger::governance::{AttestationRecord, NodeRecord, NodeRole, Nodes};
 use ledger::{Hash, Rejection};
 use ledger_api::{Client, Context, Credentials, Options, v1};
@@ -20,10 +22,16 @@ const PATIENCE: Duration = Duration::from_secs(3);
 /// Show how every node of the network is.
 ///
 /// Asks each node itself. IS is what it does in the ordering, SHALL BE what the ledger wants, ATTESTED the last height
-/// whose state it has signed.
+/// whose state it has signed. Ends with 4 if nothing can be ordered: no majority of the voters answers, or nobody leads.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl network status")]
-pub(crate) struct Status {}
+#[command(after_help = "\
+Example:
+  ledgerctl network status
+  ledgerctl network status --check")]
+pub(crate) struct Status {
+    #[command(flatten)]
+    check: Check,
+}
 
 /// The network as its nodes see it.
 #[derive(Serialize)]
@@ -35,9 +43,16 @@ struct Overview {
     term: u64,
     /// Greatest height that a node has executed.
     height: u64,
-    voters: usize,
-    voters_reachable: usize,
+    #[serde(flatten)]
+    quorum: Voters,
     nodes: Vec<Node>,
+    /// Those of the CAs, and the own one; each node has its own.
+    certificates: Vec<Certificate>,
+    /// What somebody should look at.
+    attention: Vec<String>,
+    /// When it was asked.
+    #[serde(skip)]
+    now: u64,
 }
 
 /// A node.
@@ -69,14 +84,22 @@ struct Node {
     matched: Option<u64>,
     /// Last height that it has attested.
     attested: Option<u64>,
+    disk: Option<Disk>,
+    certificate: Option<Certificate>,
 }
 
-pub(super) async fn run(session: &Session, output: &mut Output) -> Result<(), Failure> {
-    let known = nodes(session).await?;
-    let attestations: Vec<AttestationRecord> = ask(session, "attestations", vec![], "the attestations").await?;
-    let credentials = current(session).await?.credentials()?;
-    let answers = everybody(&known, &credentials).await;
-    output.show(&overview(session.context(), &known, &attestations, answers))
+impl Status {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let known = nodes(session).await?;
+        let attestations: Vec<AttestationRecord> = ask(session, "attestations", vec![], "the attestations").await?;
+        let credentials = current(session).await?.credentials()?;
+        let answers = everybody(&known, &credentials).await;
+        let mut overview = overview(session.context(), &known, &attestations, answers);
+        overview.certificates.push(Certificate::own(&session.identity()?));
+        overview.look(time::now());
+        output.show(&overview)?;
+        self.check.judge(overview.quorum.quorum, &overview.attention)
+    }
 }
 
 type Answers = BTreeMap<u64, Result<v1::StatusResponse, Rejection>>;
@@ -110,6 +133,10 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
     let matched: BTreeMap<u64, u64> =
         leader.map(|leader| leader.peers.iter().map(|peer| (peer.node_id, peer.matched)).collect()).unwrap_or_default();
     let height = answers.values().flatten().map(|status| status.height).max().unwrap_or_default();
+    let mut certificates: Vec<Certificate> =
+        answers.values().flatten().flat_map(Certificate::of).filter(|found| found.kind == "ca").collect();
+    certificates.sort();
+    certificates.dedup();
     let nodes = known.nodes.iter().filter(|node| shown(known, node)).map(|node| {
         let answer = answers.remove(&node.id);
         // Another node may have taken its address.
@@ -141,20 +168,26 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
                 Some(leader) if node.id == leader_id => Some(leader.last_index),
                 _ => matched.get(&node.id).copied().filter(|matched| *matched > 0),
             },
+            disk: said.and_then(Disk::of),
+            certificate: said.and_then(|said| Certificate::of(said).into_iter().find(|found| found.kind == "node")),
             attested: attestations.iter().find(|record| record.id == node.id).map(|record| record.latest.attest.height),
         }
     });
     let nodes: Vec<_> = nodes.collect();
     let voters = || nodes.iter().filter(|node| node.role == "voter");
+    let count = |count: usize| u64::try_from(count).unwrap_or(u64::MAX);
+    let reachable = voters().filter(|node| node.reachable).count();
     Overview {
         network: context.network,
         label: context.label.clone(),
         leader_id,
         term,
         height,
-        voters: voters().count(),
-        voters_reachable: voters().filter(|node| node.reachable).count(),
+        quorum: Voters::new(count(voters().count()), count(reachable), leader_id != 0),
         nodes,
+        certificates,
+        attention: Vec::new(),
+        now: 0,
     }
 }
 
@@ -175,6 +208,26 @@ impl Node {
     }
 }
 
+impl Overview {
+    /// Collects what needs attention.
+    fn look(&mut self, now: u64) {
+        let mut attention: Vec<String> = self.quorum.attention().into_iter().collect();
+        for node in &self.nodes {
+            let name = node.full_name();
+            match (node.reachable, node.divergence.is_empty()) {
+                (false, _) => attention.push(format!("{name}: {}", node.reason)),
+                (true, false) => attention.push(format!("{name}: {}", node.divergence)),
+                (true, true) => {}
+            }
+            attention.extend(node.disk.as_ref().and_then(|disk| disk.attention(&name)));
+            attention.extend(node.certificate.as_ref().and_then(|certificate| certificate.attention(now)));
+        }
+        attention.extend(self.certificates.iter().filter_map(|certificate| certificate.attention(now)));
+        self.attention = attention;
+        self.now = now;
+    }
+}
+
 impl Facts for Overview {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let leader = self.nodes.iter().find(|node| node.leader);
@@ -184,11 +237,25 @@ impl Facts for Overview {
         table.pair("network", format!("{} {}", self.label, self.network).trim_start());
         table.pair("leader", format!("{leader}, term {}", self.term));
         table.pair("height", self.height);
-        table.pair("voters", format!("{} reachable of {}", self.voters_reachable, self.voters));
+        table.pair("voters", self.quorum.text());
+        for certificate in &self.certificates {
+            table.pair("certificate", certificate.text(self.now));
+        }
         table.write(out, 0)?;
         writeln!(out)?;
-        let mut table =
-            Table::new(["NODE", "ID", "ADDRESS", "IS", "SHALL BE", "HEIGHT", "MATCHED", "ATTESTED", "STATE"]);
+        let mut table = Table::new([
+            "NODE",
+            "ID",
+            "ADDRESS",
+            "IS",
+            "SHALL BE",
+            "HEIGHT",
+            "MATCHED",
+            "ATTESTED",
+            "STATE",
+            "DISK FREE",
+            "CERTIFICATE",
+        ]);
         let number = |number: Option<u64>| number.map_or_else(|| "-".to_owned(), |number| number.to_string());
         for node in &self.nodes {
             table.row([
@@ -201,24 +268,11 @@ impl Facts for Overview {
                 number(node.matched),
                 number(node.attested),
                 node.state(),
+                node.disk.as_ref().map_or_else(|| "-".to_owned(), Disk::free),
+                node.certificate.as_ref().map_or_else(|| "-".to_owned(), |certificate| certificate.ends(self.now)),
             ]);
         }
         table.write(out, 0)?;
-        let told = |node: &Node, what: &str| printable(&format!("{}: {what}", node.full_name())).into_owned();
-        for node in self.nodes.iter().filter(|node| !node.reachable) {
-            writeln!(out, "{}", told(node, &node.reason))?;
-        }
-        for node in self.nodes.iter().filter(|node| !node.divergence.is_empty()) {
-            writeln!(out, "{}", told(node, &node.divergence))?;
-        }
-        let majority = self.voters / 2 + 1;
-        if self.voters_reachable < majority {
-            writeln!(
-                out,
-                "only {} of {} voters answer, and {majority} are needed to order",
-                self.voters_reachable, self.voters
-            )?;
-        }
-        Ok(())
+        attention(&self.attention, out)
     }
 }

@@ -1,0 +1,180 @@
+//! `ledgerd rejoin`: a node whose blocks are damaged or lost, but whose certificate is there, comes back as a new node.
+//!
+//! Its number must not vote again: others count on what it has promised, and it has forgotten that. So it asks the ledger
+//! for a new one, as itself, and fetches everything from the others. It needs no token and no CA: a node that carries
+//! the CA of its organisation comes back in the same way, and the CA stays where it is.
+//!
+//! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
+
+use super::{Records, enter};
+use crate::ca::durable::{self, PUBLIC_MODE};
+use crate::config::Config;
+use crate::identity::{JOINED_FILE, Joined};
+use crate::node::{CERTIFICATE_FILE, KEY_FILE};
+use crate::setup::public_address;
+use crate::witness::DIVERGED_FILE;
+use ledger::archive::SNAPSHOTS_DIRECTORY;
+use ledger::disk::RealDisk;
+use ledger::identity::{Identity, Role};
+use ledger::msp::{Msp, Msps, Usage};
+use ledger::network::{GENESIS_BYTES_MAX, Genesis};
+use ledger::results::RESULTS_DIRECTORY;
+use ledger::verify::{BLOCKS_DIRECTORY, GENESIS_FILE, STATE_DIRECTORY};
+use ledger::{Code, Hash, Rejection};
+use ledger_api::tls::{ServerTrust, TlsIdentity};
+use ledger_api::{Client, Credentials, Options};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What follows from the blocks, or is one of them.
+const SET_ASIDE: [&str; 5] = [BLOCKS_DIRECTORY, STATE_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, DIVERGED_FILE];
+
+/// The arguments of `ledgerd rejoin`.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RejoinOptions {
+    /// The node's configuration.
+    #[arg(long, value_name = "FILE", default_value = "ledgerd.toml")]
+    pub(crate) config: PathBuf,
+    /// Another node of the network; may be given several times. Those that let this node in are asked in any case.
+    #[arg(long, value_name = "HOST:PORT")]
+    node: Vec<String>,
+}
+
+/// Rejoins; answers with what to tell the user.
+///
+/// # Errors
+/// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other node
+/// answers; what the ledger says, for example that this is the last voter.
+pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<String, Rejection> {
+    let data = &config.data;
+    let blocks = data.join(BLOCKS_DIRECTORY);
+    // Held until the end, so that no node starts meanwhile.
+    let _stopped = RealDisk::open(&blocks).map_err(|error| {
+        Rejection::new(Code::BadFile, format!("cannot use {}", blocks.display()))
+            .found(error.to_string())
+            .wanted("the data directory of a node that is stopped")
+            .next("stop the node, and look who may write the directory")
+    })?;
+    let (genesis, network) = Genesis::from_bytes(
+        &durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
+            .map_err(|refused| refused.next(super::way_back(config, &config.member.node)))?,
+    )?;
+    let joined = Joined::load(data)?;
+    let tls = TlsIdentity::from_pem_files(&data.join(CERTIFICATE_FILE), &data.join(KEY_FILE)).map_err(|error| {
+        Rejection::new(Code::BadFile, error.to_string()).next(super::way_back(config, &config.member.node))
+    })?;
+    let msps = Arc::new(organisations(&genesis, &tls, joined.as_ref())?);
+    let me = own(&tls, &msps)?;
+    let founder = genesis.node(&me.organisation, &me.name);
+    let before = [
+        joined.as_ref().map(|joined| joined.address.clone()),
+        Some(config.member.address.clone()).filter(|address| !address.is_empty()),
+        founder.map(|founder| founder.address.clone()),
+    ];
+    let address = before.into_iter().flatten().next();
+    let address = public_address(address.as_deref(), &config.listen, "ledgerd join TOKEN")?;
+
+    let named = options.node.iter().cloned();
+    let let_in = joined.iter().flat_map(|joined| joined.bootstrap.iter().cloned());
+    let founders = genesis.nodes.iter().map(|node| node.address.clone());
+    let mut others: Vec<String> = named.chain(let_in).chain(founders).filter(|other| *other != address).collect();
+    let mut known = std::collections::BTreeSet::new();
+    others.retain(|other| known.insert(other.clone()));
+    if others.is_empty() {
+        return Err(Rejection::new(Code::Unreachable, "no other node of the network is known here")
+            .wanted("a node that has the blocks")
+            .next(format!(
+                "ledgerd rejoin --config {} --node HOST:PORT; without another node, restore {} from a copy",
+                config.file.display(),
+                data.display()
+            )));
+    }
+    let credentials = Credentials::new(network, tls.clone(), ServerTrust::Roots(Arc::clone(&msps)))?;
+    let client = Client::connect_with(others.clone(), credentials, Options::default()).await?;
+    // Whatever number is there, perhaps from a try that was interrupted: nobody knows what was done with it.
+    let id = enter(&client, (&me.organisation, &me.name), &address, Ok).await?;
+    let reached = reachable(&client, &msps, &address).await?;
+    let aside = set_aside(data)?;
+    let joined = Joined {
+        network,
+        id,
+        organisation: me.organisation.clone(),
+        name: me.name.clone(),
+        address,
+        bootstrap: reached.0,
+        ca: reached.1,
+    };
+    durable::stage(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?.publish()?;
+    Ok(format!(
+        "node {0} is node {id} of network {1:?} now, a learner\n\
+         set aside  {2}, for whoever looks into the damage; of no use to the node\n\n\
+         next:\n  ledgerd run --config {3}\n  ledgerctl network promote {0}\n\
+         The last one lets the node vote, once it has caught up. With several organisations it prints what an admin of \
+         another\none types to approve.",
+        me.id(),
+        genesis.label,
+        aside.display(),
+        config.file.display()
+    ))
+}
+
+/// The organisations of the genesis, and the own one.
+fn organisations(genesis: &Genesis, tls: &TlsIdentity, joined: Option<&Joined>) -> Result<Msps, Rejection> {
+    let mut msps = Msps::new();
+    for founder in &genesis.organisations {
+        msps.insert(Msp::new(&founder.name, &founder.roots, &founder.intermediates)?)?;
+    }
+    if let Some(joined) = joined.filter(|joined| msps.get(&joined.organisation).is_none()) {
+        let own = tls.own();
+        let roots = own.chain.get(1..).unwrap_or_default();
+        msps.insert(Msp::new(&joined.organisation, roots, &[] as &[&[u8]])?)?;
+    }
+    Ok(msps)
+}
+
+/// Who this node is by its certificate.
+fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
+    let own = tls.own();
+    let presented = own.chain.get(1..).unwrap_or_default();
+    let me = msps.verify_for(Usage::Server, own.certificate(), presented, crate::clock::wall())?;
+    if me.role == Role::Node {
+        return Ok(me);
+    }
+    Err(Rejection::new(Code::WrongRole, "the certificate in the data directory is not a node's")
+        .found(format!("{} with role {}", me.id(), me.role))
+        .wanted("role node"))
+}
+
+/// Whom the node asks when it starts: the nodes of one organisation, and its CA. The own organisation first.
+async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(Vec<String>, Hash), Rejection> {
+    let answer = client.query(super::MSP, "nodes", Vec::new()).await?.response;
+    let records: Records = serde_json::from_slice(&answer)
+        .map_err(|error| Rejection::new(Code::Internal, "the list of nodes cannot be read").found(error.to_string()))?;
+    let status = client.status().await?;
+    let of = |record: &&super::Record| {
+        record.organisation == status.organisation && record.role != "removed" && record.address != own_address
+    };
+    let addresses = records.nodes.iter().filter(of).map(|record| record.address.clone()).collect();
+    let root = msps.get(&status.organisation).and_then(|msp| msp.roots().next().map(|root| Hash::of(&[root])));
+    let ca = root.ok_or_else(|| {
+        Rejection::new(Code::Untrusted, format!("the CA of {} is not known here", status.organisation))
+            .next("name a node of the own organisation, or of a founding one, with --node HOST:PORT")
+    })?;
+    Ok((addresses, ca))
+}
+
+/// Moves what is damaged, and what follows from it, into a directory of its own.
+fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
+    let free = (1..u32::MAX).map(|number| data.join(format!("damaged-{number}"))).find(|path| !path.exists());
+    let aside = free.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
+    durable::create_directory(&aside)?;
+    for name in SET_ASIDE {
+        let from = data.join(name);
+        if fs::symlink_metadata(&from).is_ok() {
+            fs::rename(&from, aside.join(name)).map_err(|error| durable::failed("move", &from, &error))?;
+        }
+    }
+    durable::sync_directory(data)?;
+    Ok(aside)
+}
