@@ -61,7 +61,8 @@ pub fn init(options: &InitOptions) -> Result<String, Rejection> {
 /// A configuration of a node that has lost its data must not found another network by mistake.
 fn check_free(config: &Config) -> Result<(), Rejection> {
     let MemberOf { network, node, .. } = &config.member;
-    if network.is_empty() && node.is_empty() {
+    // Where there are data, that is what is told.
+    if (network.is_empty() && node.is_empty()) || config.data.exists() {
         return Ok(());
     }
     let file = config.file.display();
