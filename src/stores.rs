@@ -126,7 +126,7 @@ fn open_ledger(
                 reached.height
             ))
             .wanted(format!("blocks up to height {}", reached.height))
-            .next(format!("{REJOIN}: it comes back as a new node and fetches them from the others")));
+            .next(format!("{REJOIN}: it comes back as a new node and fetches them from the others; without others, restore blocks/ from a copy")));
     }
     if reached.height + 1 < store.first_index() {
         return Err(Rejection::new(Code::Corrupt, "the world state ends before the first block that is kept")

@@ -209,7 +209,7 @@ async fn a_voter_that_has_lost_its_blocks_does_not_vote_any_more() {
     let status = lost.wait();
     assert!(!status.success());
     let log = lost.stderr();
-    assert!(log.contains("LGR-5003") && log.contains("join again"), "{log}");
+    assert!(log.contains("LGR-5003") && log.contains("ledgerd rejoin --config "), "{log}");
     voters[0].check();
 }
 

@@ -237,10 +237,17 @@ async fn what_cannot_join_is_told_why() {
     let wrong = JoinToken { secret: "00".repeat(16), ..good.clone() };
     newcomer.join(&wrong.to_string()).refused(&["enrolment is refused", "ledgerctl network invite --node node2"]);
     let taken = Newcomer { address: fleet.nodes[0].address.clone(), ..Newcomer::new(&fleet, "taken") };
-    taken.join(&text).refused(&["another process uses this address", "--address"]);
+    taken.join(&text).refused(&["another process uses the address", "--address"]);
     std::fs::create_dir_all(newcomer.data()).unwrap();
+    std::fs::write(newcomer.data().join("photos"), "").unwrap();
     newcomer.join(&text).refused(&["exists already", "--data"]);
     // Nothing of all this has used up the secret.
-    std::fs::remove_dir(newcomer.data()).unwrap();
+    std::fs::remove_file(newcomer.data().join("photos")).unwrap();
+    // An empty directory, as a new disk is mounted, is free to be used.
+    std::fs::create_dir(newcomer.data().join("lost+found")).unwrap();
     newcomer.join(&text).ok();
+    assert_eq!(id(&newcomer.data()), 2);
+    let mut inside: Vec<_> = std::fs::read_dir(newcomer.data()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    inside.sort();
+    assert_eq!(inside, ["genesis.json", "lost+found", "node.json", "node.key", "node.pem"]);
 }

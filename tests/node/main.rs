@@ -12,6 +12,8 @@
     reason = "tests"
 )]
 
+#[path = "../support/own_network.rs"]
+mod own_network;
 #[path = "../support/mod.rs"]
 mod support;
 
@@ -33,6 +35,7 @@ mod rebuild;
 mod renewal;
 mod story;
 mod subscribing;
+mod three;
 mod two_nodes;
 mod verify;
 mod witness;

@@ -20,6 +20,7 @@ mod error;
 mod files;
 mod first;
 mod index;
+pub(crate) mod oldest;
 mod read;
 mod recent;
 mod recovery;
@@ -31,6 +32,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use ahead::{Ahead, Marks};
 use files::Files;
+use oldest::{Oldest, Place};
 use state::{Staged, State};
 use writer::{Failure, Writer, Written, lock};
 
@@ -79,8 +81,8 @@ impl Options {
 ///
 /// Locks are taken in the order of the fields; input and output happen under the first three only.
 pub struct BlockStore {
-    /// Held by the one who drops segments.
-    dropping: Mutex<()>,
+    /// Held by the one who drops segments, who notes first which one is the oldest then.
+    dropping: Mutex<Oldest>,
     /// The end of the log; held by the one who flushes.
     writer: Mutex<Writer>,
     /// What is zeroed ahead; held by the one who prepares, and by a flush that goes beyond the zeros.
@@ -111,6 +113,17 @@ impl BlockStore {
             )));
         }
         let found = recovery::recover(disk.as_ref(), &network, cache_bytes)?;
+        let mut oldest = Oldest::read(Arc::clone(&disk))?;
+        // A store that is made now begins with its first segment, whenever that comes.
+        let begins = found.segments.front().map_or(Place { sequence: 1, first_index: 1 }, |segment| Place {
+            sequence: segment.sequence,
+            first_index: segment.first_index,
+        });
+        match oldest.note(begins) {
+            // The next start notes it.
+            Err(StoreError::DiskFull { .. }) => {}
+            noted => noted?,
+        }
         let marks = Marks::default();
         marks.position.store(found.tail.end, Ordering::Release);
         marks.zeroed.store(found.length, Ordering::Release);
@@ -144,7 +157,7 @@ impl BlockStore {
             poison: None,
         };
         let store = Self {
-            dropping: Mutex::default(),
+            dropping: Mutex::new(oldest),
             writer: Mutex::new(writer),
             ahead: Mutex::new(ahead),
             state: Mutex::new(state),

@@ -10,7 +10,7 @@ mod begin;
 mod replay;
 
 use crate::Hash;
-use crate::block_store::StoreError;
+use crate::block_store::{StoreError, oldest};
 use crate::chaincode::Registry;
 use crate::code::Code;
 use crate::disk::RealDisk;
@@ -89,6 +89,7 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
     })?;
     let kept = (stored_state(&directory.join(STATE_DIRECTORY))?, stored_results(directory, network)?);
     let records = scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))?;
+    oldest::check(&disk, &records).map_err(|error| in_directory(&error))?;
     let beginning = Beginning::find(directory, &genesis, registry, records.base())?;
     let mut verification = Verification::begin(beginning, kept, Report { network, ..Report::default() })?;
     for found in records {

@@ -4,6 +4,7 @@ use std::io::ErrorKind;
 use std::sync::Arc;
 
 use super::files::StoredSegment;
+use super::oldest::Place;
 use super::state::{Staged, State};
 use super::writer::{Failure, lock};
 use super::{Base, BlockStore, StoreError};
@@ -40,12 +41,16 @@ impl BlockStore {
     /// A crash at any point leaves a log that begins somewhere between the old and the new first index. An error poisons
     /// the store, as one of a write does.
     pub fn prune(&self, keep_from: u64) -> Result<u64, StoreError> {
-        let _dropping = lock(&self.dropping);
-        let (dropped, first) = {
+        let mut dropping = lock(&self.dropping);
+        let (dropped, first, oldest) = {
             let mut state = self.state();
             state.writable()?;
-            (state.drop_before(keep_from), state.index.base().index + 1)
+            (state.drop_before(keep_from), state.index.base().index + 1, state.segments.front().cloned())
         };
+        if let Some(oldest) = oldest {
+            let place = Place { sequence: oldest.sequence, first_index: oldest.first_index };
+            dropping.note(place).map_err(|error| self.state().poison(error))?;
+        }
         for segment in dropped {
             self.remove(&segment)?;
             // One after the other, so that there is never a gap.
@@ -64,7 +69,7 @@ impl BlockStore {
     /// [`StoreError::NotBehind`] if that would lose entries that this node may have helped to commit: the log has the
     /// block of the snapshot, or is committed up to it.
     pub fn begin_after(&self, base: Base) -> Result<(), StoreError> {
-        let _dropping = lock(&self.dropping);
+        let mut dropping = lock(&self.dropping);
         let mut writer = lock(&self.writer);
         let hard_state = {
             let state = self.state();
@@ -82,6 +87,8 @@ impl BlockStore {
             Err(Failure::Fatal(error)) => return Err(self.state().poison(error)),
         };
         drop(writer);
+        let place = Place { sequence: segment.sequence, first_index: segment.first_index };
+        dropping.note(place).map_err(|error| self.state().poison(error))?;
         for void in self.state().begin_after(base, hard_state, segment) {
             self.remove(&void)?;
         }

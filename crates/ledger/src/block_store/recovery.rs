@@ -7,6 +7,7 @@ use super::StoreError;
 use super::ahead::write_zeros;
 use super::files::StoredSegment;
 use super::index::LogIndex;
+use super::oldest;
 use super::recent::Recent;
 use super::writer::Active;
 use crate::disk::{Disk, DiskFile};
@@ -71,6 +72,7 @@ struct Reading {
 /// ([`BlockStore::entries`](super::BlockStore::entries), [`BlockStore::check_finished`](super::BlockStore::check_finished)).
 pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -> Result<Recovered, StoreError> {
     let scan = scan(disk, Some(network))?;
+    oldest::check(disk, &scan)?;
     let base = scan.base();
     let mut report = Recovery { segments: scan.segments().len(), first_index: base.index + 1, ..Recovery::default() };
     let mut reading = Reading {
@@ -195,7 +197,7 @@ fn tidy(disk: &dyn Disk, scan: &Scan<'_>, report: &mut Recovery) -> Result<(), S
         sync()?;
         scan.void().iter().try_for_each(remove)?;
     }
-    for name in scan.ignored() {
+    for name in scan.ignored().iter().filter(|name| *name != oldest::FILE) {
         // Unfinished segments were never part of the log.
         if name.strip_suffix(".new").is_some_and(|number| number.len() == 10 && number.parse::<u32>().is_ok()) {
             remove(name)?;

@@ -89,7 +89,7 @@ pub enum EngineError {
     },
     /// The log lost what it knew to be committed.
     #[error(
-        "log has lost committed blocks: found last height {last}, wanted at least {commit}; restore the disk, or join again as a new node"
+        "log has lost committed blocks: found last height {last}, wanted at least {commit}; ledgerd rejoin --config FILE brings it back as a new node"
     )]
     LogLost {
         /// Last height of the log.
