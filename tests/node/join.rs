@@ -247,7 +247,8 @@ async fn what_cannot_join_is_told_why() {
     std::fs::create_dir(newcomer.data().join("lost+found")).unwrap();
     newcomer.join(&text).ok();
     assert_eq!(id(&newcomer.data()), 2);
-    let mut inside: Vec<_> = std::fs::read_dir(newcomer.data()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    let mut inside: Vec<_> =
+        std::fs::read_dir(newcomer.data()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
     inside.sort();
     assert_eq!(inside, ["genesis.json", "lost+found", "node.json", "node.key", "node.pem"]);
 }

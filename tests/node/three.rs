@@ -37,11 +37,14 @@ fn until_three_vote(terminal: &Terminal, context: &str) {
     eventually("three voters answer, and one may fail", || {
         let (code, status) = status(terminal, context)?;
         let organisations = status["nodes"].as_array()?.iter().filter(|node| node["role"] == "voter");
-        let organisations: std::collections::BTreeSet<_> = organisations.map(|node| node["organisation"].as_str()).collect();
+        let organisations: std::collections::BTreeSet<_> =
+            organisations.map(|node| node["organisation"].as_str()).collect();
         let well = status["voters"] == 3 && status["voters_reachable"] == 3 && status["failures_tolerated"] == 1;
         // The disk of whoever runs this test may be almost full, and monitoring is told so.
         let attention: Vec<_> = status["attention"].as_array()?.iter().map(|what| what.as_str().unwrap()).collect();
-        let well = well && code == i32::from(!attention.is_empty()) && attention.iter().all(|what| what.starts_with("disk of "));
+        let well = well
+            && code == i32::from(!attention.is_empty())
+            && attention.iter().all(|what| what.starts_with("disk of "));
         (well && organisations.len() == 2).then_some(())
     });
 }
@@ -101,7 +104,12 @@ fn a_voter_that_lost_its_disk_comes_back_at_its_address_by_what_the_messages_say
     fs::remove_dir_all(directory.path().join("b/data")).unwrap();
     fs::create_dir(directory.path().join("b/data")).unwrap();
     let told = failed(&terminal, run);
-    for word in ["node Org1/node2", "an empty directory", "ledgerctl network invite --node node2", "ledgerd join TOKEN --config b/ledgerd.toml"] {
+    for word in [
+        "node Org1/node2",
+        "an empty directory",
+        "ledgerctl network invite --node node2",
+        "ledgerd join TOKEN --config b/ledgerd.toml",
+    ] {
         assert!(told.contains(word), "{word:?} is missing in {told}");
     }
     assert!(!told.contains("ledgerd init"), "{told}");
@@ -150,7 +158,11 @@ fn a_voter_whose_blocks_are_damaged_comes_back_with_the_same_data_by_what_the_me
     };
     for height in 1..=height {
         let (ours, theirs) = (block("admin", height), block("Org2-admin", height));
-        assert_eq!((&ours["hash"], &ours["state_digest"]), (&theirs["hash"], &theirs["state_digest"]), "block {height}");
+        assert_eq!(
+            (&ours["hash"], &ours["state_digest"]),
+            (&theirs["hash"], &theirs["state_digest"]),
+            "block {height}"
+        );
     }
     // The CA is where it was.
     terminal.type_line("ledgerctl --context Org2-admin identity register Farhad");

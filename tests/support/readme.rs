@@ -124,6 +124,7 @@ impl Terminal {
 
 /// The commands that a text says to type next: its lines with nothing else on them.
 pub fn next_commands(text: &str) -> Vec<String> {
-    let lines = text.lines().map(str::trim).filter(|line| line.starts_with("ledgerd ") || line.starts_with("ledgerctl "));
+    let lines =
+        text.lines().map(str::trim).filter(|line| line.starts_with("ledgerd ") || line.starts_with("ledgerctl "));
     lines.map(str::to_owned).collect()
 }

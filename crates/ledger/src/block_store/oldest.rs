@@ -24,6 +24,8 @@ use crate::segment::Scan;
 
 /// Name of the file.
 pub(super) const FILE: &str = "oldest";
+/// Its name while it is made.
+pub(super) const PART_FILE: &str = "oldest.part";
 /// What a slot begins with.
 const MAGIC: &[u8; 8] = b"ledgold1";
 /// Bytes of a slot.
@@ -75,13 +77,12 @@ impl Oldest {
 
     /// Makes the file as a whole, with room for both slots.
     fn create(&self, write: &dyn Fn(&Arc<dyn DiskFile>) -> io::Result<()>) -> io::Result<()> {
-        let part = format!("{FILE}.part");
-        let file = self.disk.create(&part)?;
+        let file = self.disk.create(PART_FILE)?;
         for offset in SLOTS {
             file.write_at(&[0; SLOT_BYTES], offset)?;
         }
         write(&file)?;
-        self.disk.rename(&part, FILE)?;
+        self.disk.rename(PART_FILE, FILE)?;
         self.disk.sync_dir()
     }
 }

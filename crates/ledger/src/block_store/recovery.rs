@@ -199,7 +199,9 @@ fn tidy(disk: &dyn Disk, scan: &Scan<'_>, report: &mut Recovery) -> Result<(), S
     }
     for name in scan.ignored().iter().filter(|name| *name != oldest::FILE) {
         // Unfinished segments were never part of the log.
-        if name.strip_suffix(".new").is_some_and(|number| number.len() == 10 && number.parse::<u32>().is_ok()) {
+        if name == oldest::PART_FILE
+            || name.strip_suffix(".new").is_some_and(|number| number.len() == 10 && number.parse::<u32>().is_ok())
+        {
             remove(name)?;
         } else {
             report.ignored.push(name.clone());

@@ -1,5 +1,6 @@
 //! Logs that do not begin at 1: old segments dropped, or begun anew after a snapshot.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 
 use ledger::block_store::Base;
@@ -252,7 +253,8 @@ fn a_crash_while_the_log_begins_anew_leaves_the_old_or_the_new_one() {
             assert!(number != 0 || recovery.first_index == 51);
             let next = store.last_index() + 1;
             flush_entry(&store, plain(next, 9));
-            assert!(disk.list().unwrap().iter().all(|name| parse_name(name).is_some()), "nothing is left over");
+            let ours = |name: &String| name == "oldest" || parse_name(name).is_some();
+            assert!(disk.list().unwrap().iter().all(ours), "nothing is left over");
             drop(store);
             assert_eq!(open_with(&disk, SEGMENT_BYTES).unwrap().1.last_index, next);
         }
@@ -302,10 +304,13 @@ fn a_flush_under_way_and_dropping_do_not_disturb_each_other() {
     let disk = SimDisk::new(1);
     let store = Arc::new(OnceLock::new());
     assert!(store.set(filled(&disk, 60)).is_ok());
-    let during = Arc::clone(&store);
+    let (during, begun) = (Arc::clone(&store), AtomicBool::new(false));
     disk.before_sync(move || {
-        let store: &BlockStore = during.get().unwrap();
-        store.prune(45).unwrap();
+        // Dropping writes, too.
+        if !begun.swap(true, Ordering::Relaxed) {
+            let store: &BlockStore = during.get().unwrap();
+            store.prune(45).unwrap();
+        }
     });
     let store: &BlockStore = store.get().unwrap();
     store.append(&(61..=80).map(|index| plain(index, 8)).collect::<Vec<_>>(), None).unwrap();
@@ -345,4 +350,50 @@ fn no_more_than_a_bounded_number_of_segments_is_open() {
     let (store, _) = BlockStore::open(Arc::new(RealDisk::open(&path).unwrap()), options(600)).unwrap();
     assert!(open_files() <= 70, "{}", open_files());
     assert_eq!(store.entry(800).unwrap(), Some(plain(800, 1)));
+}
+
+#[test]
+fn a_deleted_oldest_segment_is_missed_at_the_next_start_and_dropped_ones_are_not() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("blocks");
+    let open = || BlockStore::open(Arc::new(RealDisk::open(&path).unwrap()), options(600));
+    let (store, _) = open().unwrap();
+    for index in 1..=100 {
+        flush_entry(&store, plain(index, 1));
+    }
+    store.set_committed(100);
+    let first = store.prune(40).unwrap();
+    assert!(first > 20, "{first}");
+    drop(store);
+    // What the store has dropped itself is not missed.
+    assert_eq!(open().unwrap().0.first_index(), first);
+    let oldest = on_disk(&path).into_iter().next().unwrap();
+    std::fs::remove_file(path.join(&oldest)).unwrap();
+    let Err(StoreError::Corrupt { index, what, .. }) = open().map(drop) else { panic!("{oldest} is not missed") };
+    assert_eq!(index, first);
+    assert!(what.contains("missing") && what.contains("somebody has deleted"), "{what}");
+    let again = open().map(drop).unwrap_err().to_string();
+    assert!(again.contains("missing"), "it is refused again and again: {again}");
+}
+
+#[test]
+fn the_first_segment_of_a_store_that_was_never_started_again_is_missed_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("blocks");
+    let open = || BlockStore::open(Arc::new(RealDisk::open(&path).unwrap()), options(600));
+    let (store, _) = open().unwrap();
+    for index in 1..=100 {
+        flush_entry(&store, plain(index, 1));
+    }
+    drop(store);
+    std::fs::remove_file(path.join(on_disk(&path).into_iter().next().unwrap())).unwrap();
+    assert!(matches!(open().map(drop), Err(StoreError::Corrupt { index: 1, .. })));
+}
+
+/// The names of the segments, oldest first.
+fn on_disk(path: &std::path::Path) -> Vec<String> {
+    let names = std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().file_name().into_string().unwrap());
+    let mut names: Vec<_> = names.filter(|name| name.ends_with(".seg")).collect();
+    names.sort();
+    names
 }
