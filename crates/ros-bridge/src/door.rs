@@ -4,16 +4,18 @@
 //! that takes it from there meet: each round signed anew, so never too old, and each of them a use of the grant.
 //!
 //! - **Bridges.** What a bridge of the same network has published is not taken in: it carries a [`Mark`].
-//! - **Others that pass messages on** (a relay, a multiplexer, a bridge between domains) carry none. So the door remembers
-//!   what was delivered to this graph: by this process, or by other bridges as far as it hears them. A publisher that never
-//!   sent anything but what had been delivered shortly before is one of those, and is not taken in either. Whoever has sent
-//!   something of their own once is a source, and may repeat itself, or others, as often as they like: constant commands
-//!   are the normal case.
+//! - **Others that pass messages on** (a relay, a bridge between domains) carry none. So the door remembers what was
+//!   delivered to this graph: by this process, or by other bridges as far as it hears them; and what it has let in. Each of
+//!   these explains one repetition of the same payload by another publisher, and what is explained is not taken in. Whoever
+//!   sends what nothing explains is a source, and from then on may repeat itself, or others, as often as they like: constant
+//!   commands are the normal case.
+//! - **A stop must not be lost.** The first sample of a publisher that was quiet is taken in, unless the same was delivered
+//!   just now: it may be somebody who stops the robot with one message. One sample makes no loop.
 //!
 //! A node that mixes its own commands with what the ledger delivered, under one publisher, cannot be told from a source.
 
 use std::{
-    collections::{BTreeSet, HashMap, HashSet, VecDeque},
+    collections::{BTreeMap, HashMap, HashSet, VecDeque},
     hash::{BuildHasher, RandomState},
     sync::{Arc, Mutex, MutexGuard, PoisonError, atomic::AtomicU64, atomic::Ordering},
     time::{Duration, Instant},
@@ -23,15 +25,19 @@ use crate::{count::Complaint, mark::Mark};
 
 /// A payload is remembered at least so long, also where messages grow old sooner: relays may be slow.
 const REMEMBERED_MIN: Duration = Duration::from_secs(1);
+/// Within this time a relay passes on what was delivered.
+const RELAYED_WITHIN: Duration = Duration::from_millis(250);
 /// Most payloads remembered, of all services; beyond it the oldest are forgotten.
 const PAYLOADS_MAX: usize = 16 * 1024;
-/// Most sources remembered by a door; beyond it all have to show themselves again.
-const SOURCES_MAX: usize = 4096;
+/// Most publishers remembered by a door; beyond it all have to show themselves again.
+const PUBLISHERS_MAX: usize = 1024;
+/// Most repetitions remembered of a publisher that is no source; beyond it they are forgotten.
+const REPETITIONS_MAX: usize = 256;
 
 /// Who published a sample: the GUID of a DDS writer, or the origin in shared memory.
 type Source = [u8; 16];
 
-/// What was delivered to the local graph, shared by all routes of a bridge.
+/// What was delivered to the local graph, and what came from it, shared by all routes of a bridge.
 #[derive(Debug, Default)]
 pub struct Delivered {
     window: Mutex<Window>,
@@ -44,8 +50,20 @@ struct Window {
     wanted: HashMap<Mark, Duration>,
     /// Services that some bridge delivers to this graph, as far as is known.
     delivering: HashSet<Mark>,
-    last: HashMap<(Mark, u64), Instant>,
+    /// By service and hash of the payload, in the order in which they came.
+    payloads: HashMap<(Mark, u64), VecDeque<Explanation>>,
     order: VecDeque<(Instant, Mark, u64)>,
+    /// Number of the newest explanation.
+    newest: u64,
+}
+
+/// What explains that a payload comes again.
+#[derive(Debug, Clone, Copy)]
+struct Explanation {
+    number: u64,
+    at: Instant,
+    /// Who sent it, if it came from the graph; none if it was delivered there.
+    from: Option<Source>,
 }
 
 impl Delivered {
@@ -61,29 +79,12 @@ impl Delivered {
 
     /// A payload was, or is about to be, delivered to the graph.
     pub fn note(&self, service: Mark, payload: &[u8], now: Instant) {
-        if !self.lock().wanted.contains_key(&service) {
-            return;
+        if self.lock().wanted.contains_key(&service) {
+            let hash = self.hasher.hash_one(payload);
+            let mut window = self.lock();
+            window.delivering.insert(service);
+            window.add(service, hash, None, now);
         }
-        let hash = self.hasher.hash_one(payload);
-        let mut window = self.lock();
-        window.delivering.insert(service);
-        window.last.insert((service, hash), now);
-        window.order.push_back((now, service, hash));
-        while window.order.len() > PAYLOADS_MAX || window.is_first_old(now) {
-            let Some((noted, service, hash)) = window.order.pop_front() else { break };
-            if window.last.get(&(service, hash)) == Some(&noted) {
-                window.last.remove(&(service, hash));
-            }
-        }
-    }
-
-    fn is_delivering(&self, service: Mark) -> bool {
-        self.lock().delivering.contains(&service)
-    }
-
-    fn holds(&self, service: Mark, hash: u64, remembered: Duration, now: Instant) -> bool {
-        let noted = self.lock().last.get(&(service, hash)).copied();
-        noted.is_some_and(|noted| now.saturating_duration_since(noted) <= remembered)
     }
 
     fn lock(&self) -> MutexGuard<'_, Window> {
@@ -92,11 +93,39 @@ impl Delivered {
 }
 
 impl Window {
+    fn add(&mut self, service: Mark, hash: u64, from: Option<Source>, at: Instant) {
+        self.newest = self.newest.saturating_add(1);
+        let explanation = Explanation { number: self.newest, at, from };
+        self.payloads.entry((service, hash)).or_default().push_back(explanation);
+        self.order.push_back((at, service, hash));
+        while self.order.len() > PAYLOADS_MAX || self.is_first_old(at) {
+            let Some((_, service, hash)) = self.order.pop_front() else { break };
+            if let Some(same) = self.payloads.get_mut(&(service, hash)) {
+                same.pop_front();
+                if same.is_empty() {
+                    self.payloads.remove(&(service, hash));
+                }
+            }
+        }
+    }
+
     fn is_first_old(&self, now: Instant) -> bool {
         self.order.front().is_some_and(|(noted, service, _)| {
             let remembered = self.wanted.get(service).copied().unwrap_or(REMEMBERED_MIN);
             now.saturating_duration_since(*noted) > remembered
         })
+    }
+
+    /// The first explanation after that number, and whether there is one of just now.
+    fn explain(&self, service: Mark, hash: u64, by: Source, after: u64, now: Instant) -> Option<(u64, bool)> {
+        let remembered = self.wanted.get(&service).copied().unwrap_or(REMEMBERED_MIN);
+        let same = self.payloads.get(&(service, hash))?;
+        let age = |known: &Explanation| now.saturating_duration_since(known.at);
+        let usable = |known: &&Explanation| known.from != Some(by) && age(known) <= remembered;
+        let unused = same.partition_point(|known| known.number <= after);
+        let first = same.range(unused..).find(usable)?;
+        let is_prompt = same.range(unused..).rev().find(usable).is_some_and(|last| age(last) <= RELAYED_WITHIN);
+        Some((first.number, is_prompt))
     }
 }
 
@@ -119,16 +148,21 @@ pub struct Door {
     remembered: Duration,
     delivered: Arc<Delivered>,
     returned: AtomicU64,
-    known: Mutex<Known>,
+    publishers: Mutex<BTreeMap<Source, Publisher>>,
+    complaint: Mutex<Complaint>,
 }
 
-#[derive(Debug, Default)]
-struct Known {
-    /// Who has sent something of their own.
-    sources: BTreeSet<Source>,
-    /// Who took a payload to the ledger last, and when.
-    taken: HashMap<u64, (Source, Instant)>,
-    complaint: Complaint,
+/// What is known of a publisher.
+#[derive(Debug)]
+enum Publisher {
+    /// It has sent something of its own.
+    Source,
+    /// All that it has sent was explained.
+    Repeats {
+        /// For each payload, the explanation that was used up last.
+        used: HashMap<u64, u64>,
+        last: Instant,
+    },
 }
 
 impl Door {
@@ -136,8 +170,8 @@ impl Door {
     pub fn new(mark: Mark, service: &str, max_age: Duration, delivered: Arc<Delivered>) -> Self {
         let remembered = max_age.max(REMEMBERED_MIN);
         delivered.want(mark, remembered);
-        let (service, known) = (service.to_owned(), Mutex::default());
-        Self { mark, service, remembered, delivered, returned: AtomicU64::new(0), known }
+        let (publishers, complaint) = (Mutex::default(), Mutex::default());
+        Self { mark, service: service.to_owned(), remembered, delivered, returned: AtomicU64::new(0), publishers, complaint }
     }
 
     /// The mark of the service.
@@ -161,57 +195,57 @@ impl Door {
     pub fn judge(&self, source: Source, mark: Option<Mark>, payload: &[u8], now: Instant) -> Entry {
         if let Some(mark) = mark.filter(|mark| mark.is_of_network_of(self.mark)) {
             self.delivered.note(mark, payload, now);
-            self.refuse("bridge", "a bridge of this network published it", now);
+            self.keep_out("bridge", "a bridge of this network published it", now);
             return Entry::FromBridge;
         }
-        if !self.delivered.is_delivering(self.mark) {
+        let mut publishers = self.publishers.lock().unwrap_or_else(PoisonError::into_inner);
+        if publishers.len() >= PUBLISHERS_MAX && !publishers.contains_key(&source) {
+            publishers.clear();
+        }
+        if !self.delivered.lock().delivering.contains(&self.mark) {
             // Nothing can come back: whoever publishes now is a source.
-            self.lock().add(source);
+            publishers.insert(source, Publisher::Source);
             return Entry::Admit;
         }
         let hash = self.delivered.hasher.hash_one(payload);
-        let was_delivered = self.delivered.holds(self.mark, hash, self.remembered, now);
-        let mut known = self.lock();
-        let was_taken = known
-            .taken
-            .get(&hash)
-            .is_some_and(|(taker, when)| *taker != source && now.saturating_duration_since(*when) <= self.remembered);
-        if (was_delivered || was_taken) && !known.sources.contains(&source) {
-            drop(known);
-            self.refuse("relay", "its publisher only passes on what came from the ledger", now);
-            return Entry::PassedOn;
-        }
-        known.add(source);
-        if known.taken.len() >= PAYLOADS_MAX {
-            known.taken.retain(|_, (_, when)| now.saturating_duration_since(*when) <= self.remembered);
-            if known.taken.len() >= PAYLOADS_MAX {
-                known.taken.clear();
+        let mut window = self.delivered.lock();
+        let (is_source, was_quiet, after) = match publishers.get(&source) {
+            Some(Publisher::Source) => (true, false, 0),
+            Some(Publisher::Repeats { used, last }) => {
+                let was_quiet = now.saturating_duration_since(*last) > self.remembered;
+                (false, was_quiet, used.get(&hash).copied().unwrap_or(0))
             }
+            None => (false, true, 0),
+        };
+        let explained = if is_source { None } else { window.explain(self.mark, hash, source, after, now) };
+        let Some((number, is_prompt)) = explained else {
+            publishers.insert(source, Publisher::Source);
+            window.add(self.mark, hash, Some(source), now);
+            return Entry::Admit;
+        };
+        let mut used = match publishers.remove(&source) {
+            Some(Publisher::Repeats { used, .. }) if used.len() < REPETITIONS_MAX => used,
+            _ => HashMap::new(),
+        };
+        used.insert(hash, number);
+        publishers.insert(source, Publisher::Repeats { used, last: now });
+        drop(publishers);
+        if was_quiet && !is_prompt {
+            window.add(self.mark, hash, Some(source), now);
+            return Entry::Admit;
         }
-        known.taken.insert(hash, (source, now));
-        Entry::Admit
+        drop(window);
+        self.keep_out("relay", "its publisher only passes on what came from the ledger", now);
+        Entry::PassedOn
     }
 
-    fn refuse(&self, kind: &'static str, reason: &str, now: Instant) {
+    fn keep_out(&self, kind: &'static str, reason: &str, now: Instant) {
         self.returned.fetch_add(1, Ordering::Relaxed);
-        let worth = self.lock().complaint.worth(kind, now);
+        let worth = self.complaint.lock().unwrap_or_else(PoisonError::into_inner).worth(kind, now);
         if let Some(not_logged) = worth {
             let service = &self.service;
             tracing::warn!(service, reason, not_logged, "a sample that came from the ledger is not taken in again");
         }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Known {
-    fn add(&mut self, source: Source) {
-        if self.sources.len() >= SOURCES_MAX && !self.sources.contains(&source) {
-            self.sources.clear();
-        }
-        self.sources.insert(source);
     }
 }
 

@@ -228,7 +228,7 @@ fn repaired_type(text: &str) -> Option<String> {
 }
 
 /// The text as it goes into a message: quoted, control characters escaped, never longer than a line.
-fn quoted(text: &str) -> String {
+pub(crate) fn quoted(text: &str) -> String {
     let short: String = text.chars().take(80).collect();
     if short.len() < text.len() { format!("{short:?}… ({} bytes)", text.len()) } else { format!("{short:?}") }
 }

@@ -64,12 +64,53 @@ fn a_relay_of_what_was_delivered_is_not_taken_in() {
 }
 
 #[test]
-fn a_relay_is_known_by_what_another_took_even_if_the_delivery_was_not_heard() {
+fn a_relay_that_lags_behind_is_not_taken_in_either() {
+    let (door, delivered, start) = door();
+    delivered.begins(mark("T/cmd_vel"));
+    for number in 0..500u64 {
+        let now = start + millis(20 * number);
+        assert_eq!(door.judge(SALMA, None, b"ahead", now), Entry::Admit);
+        delivered.note(mark("T/cmd_vel"), b"ahead", now + millis(5));
+        if number >= 20 {
+            assert_eq!(door.judge(RELAY, None, b"ahead", now + millis(6)), Entry::PassedOn, "sample {number}");
+        }
+    }
+}
+
+#[test]
+fn a_relay_is_known_by_what_another_sent_even_if_the_delivery_was_not_heard() {
     let (door, delivered, now) = door();
     delivered.begins(mark("T/cmd_vel"));
     assert_eq!(door.judge(SALMA, None, b"ahead", now), Entry::Admit);
     assert_eq!(door.judge(RELAY, None, b"ahead", now + millis(9)), Entry::PassedOn);
     assert_eq!(door.judge(RELAY, None, b"ahead", now + millis(1100)), Entry::Admit, "this is no echo any more");
+}
+
+#[test]
+fn one_message_of_a_quiet_publisher_passes_and_makes_no_loop() {
+    let (door, delivered, start) = door();
+    let service = mark("T/cmd_vel");
+    delivered.begins(service);
+    // Salma stood still for a moment and drives now; somebody else stops the robot with one message.
+    for (payload, at) in [(b"stop", 0), (b"fast", 400)] {
+        assert_eq!(door.judge(SALMA, None, payload, start + millis(at)), Entry::Admit);
+        delivered.note(service, payload, start + millis(at + 5));
+    }
+    assert_eq!(door.judge([6; 16], None, b"stop", start + millis(500)), Entry::Admit);
+    delivered.note(service, b"stop", start + millis(505));
+    // Had it been a relay, that were the end of the loop.
+    assert_eq!(door.judge([6; 16], None, b"stop", start + millis(506)), Entry::PassedOn);
+}
+
+#[test]
+fn who_repeats_more_often_than_deliveries_explain_is_a_source() {
+    let (door, delivered, now) = door();
+    delivered.begins(mark("T/cmd_vel"));
+    delivered.note(mark("T/cmd_vel"), b"stop", now);
+    assert_eq!(door.judge([6; 16], None, b"stop", now + millis(1)), Entry::PassedOn);
+    assert_eq!(door.judge([6; 16], None, b"stop", now + millis(2)), Entry::Admit);
+    delivered.note(mark("T/cmd_vel"), b"stop", now + millis(3));
+    assert_eq!(door.judge([6; 16], None, b"stop", now + millis(4)), Entry::Admit);
 }
 
 #[test]
@@ -93,15 +134,19 @@ fn two_nodes_may_send_the_same_where_nothing_is_delivered() {
 fn a_long_life_costs_bounded_memory() {
     let (door, delivered, start) = door();
     delivered.begins(mark("T/cmd_vel"));
-    for number in 0..3 * PAYLOADS_MAX as u64 {
-        let source = u128::from(number).to_le_bytes();
-        door.judge(source, None, &number.to_le_bytes(), start + Duration::from_nanos(number));
-        delivered.note(mark("T/cmd_vel"), &number.to_le_bytes(), start + Duration::from_nanos(number));
+    for number in 0..2 * PAYLOADS_MAX as u64 {
+        let (now, payload) = (start + Duration::from_nanos(number), number.to_le_bytes());
+        delivered.note(mark("T/cmd_vel"), &payload, now);
+        door.judge(u128::from(number % 2000).to_le_bytes(), None, &payload, now);
+        door.judge(RELAY, None, &payload, now);
     }
     let window = delivered.lock();
-    assert!(window.order.len() <= PAYLOADS_MAX && window.last.len() <= PAYLOADS_MAX);
-    let known = door.lock();
-    assert!(known.sources.len() <= SOURCES_MAX && known.taken.len() <= PAYLOADS_MAX);
+    assert!(window.order.len() <= PAYLOADS_MAX && window.payloads.len() <= PAYLOADS_MAX);
+    let publishers = door.publishers.lock().unwrap_or_else(PoisonError::into_inner);
+    assert!(publishers.len() <= PUBLISHERS_MAX);
+    for publisher in publishers.values() {
+        assert!(!matches!(publisher, Publisher::Repeats { used, .. } if used.len() > REPETITIONS_MAX));
+    }
 }
 
 #[test]
@@ -110,5 +155,5 @@ fn old_deliveries_are_forgotten() {
     for number in 0..100u64 {
         delivered.note(mark("T/cmd_vel"), &number.to_le_bytes(), start + Duration::from_secs(2 * number));
     }
-    assert_eq!(delivered.lock().last.len(), 1);
+    assert_eq!(delivered.lock().payloads.len(), 1);
 }

@@ -133,7 +133,10 @@ impl Neighbourhood {
         }
         let topic = neighbour.topic.strip_prefix("rt").and_then(|topic| TopicName::parse(topic).ok());
         let Some(topic) = topic else { return };
-        let qos = Qos { reliability: Reliability::BestEffort, ..Qos::default() };
+        // What is lost here would pass as a relay's own.
+        let is_reliable = neighbour.qos.is_reliable();
+        let reliability = if is_reliable { Reliability::Reliable } else { Reliability::BestEffort };
+        let qos = Qos { reliability, ..Qos::default() };
         let limits = Limits { sample_bytes_max: watched.route.sample_bytes_max, ..Limits::default() };
         match self.local.participant().reader(&topic, &watched.route.message, &qos, limits) {
             Ok(mut reader) => {

@@ -6,6 +6,7 @@ use crate::{
     config::Direction,
     count::Live,
     dds::{Neighbour, Role},
+    names::quoted,
 };
 
 /// What is not longer ago counts as now.
@@ -52,7 +53,7 @@ impl Surroundings {
     /// Counts an endpoint on the topic of a route.
     pub(crate) fn add(&mut self, neighbour: &Neighbour, wanted_type: &str, misfit: Option<String>, is_bridge: bool) {
         if neighbour.type_name != wanted_type {
-            self.other_type = Some(neighbour.type_name.clone());
+            self.other_type = Some(quoted(&neighbour.type_name));
         } else if is_bridge && neighbour.role == Role::Publisher {
             self.bridges += 1;
         } else if let Some(policy) = misfit {
