@@ -165,10 +165,12 @@ fn a_holder_who_is_killed_leaves_the_robot_stopped_and_free() {
     }
     world::run(async {
         let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
-        call(&world.salma, "acquire", &["Rover/cmd_vel", "1500"]).await;
         let bridges = world.start_bridges("/cmd_vel", "geometry_msgs/msg/Twist");
         let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "51", "0", "0", "60"]);
         assert_eq!((robot.line().unwrap(), robot.line().unwrap()), ("ready".to_owned(), "matched".to_owned()));
+        // Long enough for a publisher to start on a busy machine, short enough to be waited for.
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "8000"]).await;
+        world.line("Salma", &["grant held"]).await;
         let salma = Python::start("twist_publisher.py", &["1", "rt/cmd_vel", "50", "50", "0"]);
         for number in 0..50 {
             assert!(robot.line().is_some(), "message {number}");

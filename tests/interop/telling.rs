@@ -95,6 +95,22 @@ fn a_bridge_to_the_ledger_says_who_publishes_and_why_nothing_passes() {
 }
 
 #[test]
+fn a_bridge_waits_for_its_robot_and_says_so() {
+    if !network::isolated("telling::a_bridge_waits_for_its_robot_and_says_so") {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", TWIST).await;
+        let later = settings(1, "to_ledger", "").replace("Rover/cmd_vel", "Latecomer/cmd_vel");
+        let salma = world.start_bridge_as("Salma", &later, &[]);
+        world.line("Salma", &["WARN", "the bridge waits", "Latecomer", "UNKNOWN_ROBOT"]).await;
+        world.register("Latecomer", "/cmd_vel", TWIST).await;
+        world.line("Salma", &["route 1: /cmd_vel -> Latecomer/cmd_vel"]).await;
+        assert_eq!(salma.report()["routes"][0]["service"], "Latecomer/cmd_vel");
+    });
+}
+
+#[test]
 fn a_bridge_says_as_json_that_its_node_is_lost_and_back() {
     if !network::isolated("telling::a_bridge_says_as_json_that_its_node_is_lost_and_back") {
         return;

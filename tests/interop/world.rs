@@ -265,6 +265,13 @@ impl World {
         config
     }
 
+    /// Registers another robot, with one exclusive service.
+    pub(crate) async fn register(&self, robot: &str, topic: &str, kind: &str) {
+        let home = self.directory.path().join("home");
+        let owner = Client::connect(&Context::load(&home, Some("dev-org2-admin")).unwrap()).await.unwrap();
+        register(&owner, robot, topic, kind, "exclusive").await;
+    }
+
     /// The process of a node.
     pub(crate) fn node(&self) -> &Process {
         self.nodes.first().unwrap()
@@ -298,8 +305,12 @@ async fn enrol(
 }
 
 async fn register_rover(owner: &Client, topic: &str, kind: &str, mode: &str) -> u64 {
+    register(owner, "Rover", topic, kind, mode).await
+}
+
+async fn register(owner: &Client, robot: &str, topic: &str, kind: &str, mode: &str) -> u64 {
     let service = serde_json::json!({"topic": topic, "type": kind, "mode": mode, "max_age_ms": 5000, "lease_ms": 4000});
-    let spec = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "services": [service]});
+    let spec = serde_json::json!({"name": robot, "attribute_required": "Rover", "services": [service]});
     owner.invoke("abac", "setup", vec![Bytes::from(spec.to_string())]).await.unwrap().height
 }
 

@@ -9,14 +9,14 @@ use std::{
     time::Duration,
 };
 
-use ledger::{Code, Rejection};
+use ledger::{Class, Code, Rejection};
 use ledger_api::{Client, Context, home};
 use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
     config::{Config, Direction, IdentitySource, RouteConfig, all_faults, circle},
-    count::{Counters, RouteSummary},
+    count::{Counters, RouteSummary, line},
     domain::{Domain, ROS_DOMAIN_ID},
     door::Door,
     fit::Fit,
@@ -29,6 +29,9 @@ use crate::{
     route::{from_ledger::FromLedger, local::Local, to_ledger::ToLedger},
     service::Service,
 };
+
+/// Pause before a bridge that cannot start yet tries again.
+const RETRY_PAUSE: Duration = Duration::from_secs(2);
 
 /// What all routes of a bridge have done.
 #[derive(Clone, Debug, Serialize)]
@@ -51,16 +54,37 @@ pub struct Bridge {
 }
 
 /// Runs a bridge by itself until `stop` is ready, and then prints one line of JSON on standard output: the
-/// [`Summary`].
+/// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered.
 ///
 /// # Errors
-/// As [`Config::load`], [`Client::connect`] and [`Bridge::start`]; [`Code::MiddlewareFailed`] if the local graph is lost.
+/// As [`Config::load`], [`Client::connect`] and [`Bridge::start`], where waiting cannot help;
+/// [`Code::MiddlewareFailed`] if the local graph is lost.
 pub async fn run(config: &Path, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
     let config = Config::load(config).map_err(all_faults)?;
-    let client = Client::connect(&context_of(&config)?).await?;
-    let bridge = Bridge::start(config.clone(), client.clone()).await?;
+    let mut stop = std::pin::pin!(stop);
+    let mut told = String::new();
+    let (bridge, client) = loop {
+        let refused = tokio::select! {
+            () = &mut stop => return Ok(()),
+            started = start(&config) => match started {
+                Ok(started) => break started,
+                Err(refused) if is_to_come(&refused) => refused,
+                Err(refused) => return Err(refused),
+            },
+        };
+        // The same reason once, not every two seconds.
+        if told != refused.message {
+            let (code, reason) = (refused.code.name(), line(&refused));
+            tracing::warn!(code, reason, "the bridge waits: {}", refused.message);
+            told = refused.message;
+        }
+        tokio::select! {
+            () = &mut stop => return Ok(()),
+            () = tokio::time::sleep(RETRY_PAUSE) => {}
+        }
+    };
     let outcome = tokio::select! {
-        () = stop => Ok(()),
+        () = &mut stop => Ok(()),
         () = keep_renewed(&config, &client) => Ok(()),
         lost = bridge.ended() => Err(lost),
     };
@@ -196,6 +220,16 @@ fn no_circle(routes: &[RouteConfig], services: &[(Service, TopicName)]) -> Resul
         }
     }
     Ok(())
+}
+
+async fn start(config: &Config) -> Result<(Bridge, Client), Rejection> {
+    let client = Client::connect(&context_of(config)?).await?;
+    Ok((Bridge::start(config.clone(), client.clone()).await?, client))
+}
+
+/// May that which is missing still come, without anybody changing the bridge?
+fn is_to_come(refused: &Rejection) -> bool {
+    refused.code.class() == Class::Unreachable || matches!(refused.code, Code::UnknownRobot | Code::UnknownService)
 }
 
 /// The identity of a bridge towards the ledger, as its configuration names it.

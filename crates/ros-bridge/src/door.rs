@@ -171,7 +171,15 @@ impl Door {
         let remembered = max_age.max(REMEMBERED_MIN);
         delivered.want(mark, remembered);
         let (publishers, complaint) = (Mutex::default(), Mutex::default());
-        Self { mark, service: service.to_owned(), remembered, delivered, returned: AtomicU64::new(0), publishers, complaint }
+        Self {
+            mark,
+            service: service.to_owned(),
+            remembered,
+            delivered,
+            returned: AtomicU64::new(0),
+            publishers,
+            complaint,
+        }
     }
 
     /// The mark of the service.

@@ -14,7 +14,7 @@ use crate::{
     config::Direction,
     dds::{Change, Neighbour, Role},
     mark::Mark,
-    names::TopicName,
+    names::{TopicName, quoted},
     qos::{Qos, Reliability},
     queue::Limits,
     route::{local::Local, silence::Surroundings},
@@ -36,8 +36,15 @@ pub(super) struct Neighbourhood {
     listened: BTreeMap<[u8; 16], AbortHandle>,
     /// How many use each route's topic in shared memory, when last looked at.
     in_memory: Vec<usize>,
-    lines: u32,
-    window: Instant,
+    lines: Lines,
+    warnings: Lines,
+}
+
+/// Limits lines in their rate.
+#[derive(Debug)]
+struct Lines {
+    since: Instant,
+    count: u32,
     not_told: u64,
 }
 
@@ -45,7 +52,8 @@ impl Neighbourhood {
     pub(super) fn new(local: Local, routes: Arc<[Watched]>) -> Self {
         let in_memory = routes.iter().map(count_in_memory).collect();
         let (known, listened) = (BTreeMap::new(), BTreeMap::new());
-        Self { local, routes, known, listened, in_memory, lines: 0, window: Instant::now(), not_told: 0 }
+        let lines = || Lines { since: Instant::now(), count: 0, not_told: 0 };
+        Self { local, routes, known, listened, in_memory, lines: lines(), warnings: lines() }
     }
 
     /// Takes note of a change, and tells what it means.
@@ -64,8 +72,9 @@ impl Neighbourhood {
             }
         }
         for watched in Arc::clone(&self.routes).iter() {
-            if watched.topic.dds() == neighbour.topic && self.may_tell(now) {
-                tell(watched, &neighbour, came);
+            if watched.topic.dds() == neighbour.topic {
+                let line = meaning(watched, &neighbour, came);
+                self.tell(watched, &neighbour, line, now);
             }
         }
     }
@@ -87,9 +96,10 @@ impl Neighbourhood {
                 *before = count;
             }
         }
-        if self.not_told > 0 && now.saturating_duration_since(self.window) > LINES_IN {
-            let count = std::mem::take(&mut self.not_told);
-            tracing::info!(count, "{count} more publishers and subscribers have come or left");
+        for lines in [&mut self.lines, &mut self.warnings] {
+            if let Some(count) = lines.not_told(now) {
+                tracing::info!(count, "{count} more publishers and subscribers have come or left");
+            }
         }
     }
 
@@ -107,15 +117,22 @@ impl Neighbourhood {
         surroundings
     }
 
-    fn may_tell(&mut self, now: Instant) -> bool {
-        if now.saturating_duration_since(self.window) > LINES_IN {
-            (self.window, self.lines) = (now, 0);
+    /// Tells what somebody on a route's topic means. Warnings have a limit of their own: those who come and leave must
+    /// not hide them.
+    fn tell(&mut self, watched: &Watched, neighbour: &Neighbour, line: Option<Line>, now: Instant) {
+        let (service, topic, role) = (&watched.route.service, watched.topic.as_str(), neighbour.role.name());
+        let (guid, found) = (hex::encode(neighbour.guid), quoted(&neighbour.type_name));
+        match line {
+            Some(Line::Note(text)) if self.lines.may_tell(now) => {
+                let reliability = if neighbour.qos.is_reliable() { "reliable" } else { "best_effort" };
+                tracing::info!(service, topic, role, guid, reliability, "{text}");
+            }
+            Some(Line::Warning(text)) if self.warnings.may_tell(now) => {
+                let wanted = watched.route.message.dds();
+                tracing::warn!(service, topic, role, guid, found, wanted, "{text}");
+            }
+            Some(_) | None => {}
         }
-        self.lines = self.lines.saturating_add(1);
-        if self.lines > LINES_MAX {
-            self.not_told = self.not_told.saturating_add(1);
-        }
-        self.lines <= LINES_MAX
     }
 
     /// Hears what another bridge delivers of a service that a route of ours takes to the ledger from another topic.
@@ -191,69 +208,86 @@ fn misfit(watched: &Watched, neighbour: &Neighbour) -> Option<String> {
     offered.compliance_failure_wrt(requested).map(|policy| format!("{policy:?}").to_lowercase())
 }
 
-/// One line about somebody on a route's topic.
-fn tell(watched: &Watched, neighbour: &Neighbour, came: bool) {
-    let (service, topic, role) = (&watched.route.service, watched.topic.as_str(), neighbour.role.name());
-    let guid = hex::encode(neighbour.guid);
-    if !came {
-        tracing::info!(service, topic, role, guid, "a {role} on {topic} has left");
-        return;
-    }
-    let is_same_service = neighbour.mark == Some(watched.mark);
-    if neighbour.role != other_end(watched.route.direction) {
-        match watched.route.direction {
-            Direction::ToLedger if is_same_service => tracing::warn!(
-                service,
-                topic,
-                guid,
-                "another bridge takes {topic} to {service} too: each sample is submitted twice; stop one of both"
-            ),
-            Direction::FromLedger if is_same_service => tracing::warn!(
-                service,
-                topic,
-                guid,
-                "another bridge delivers {service} on {topic} too: each message arrives twice; stop one of both"
-            ),
-            Direction::FromLedger if watched.is_command => tracing::warn!(
-                service,
-                topic,
-                guid,
-                "a publisher beside this bridge on {topic}: what it sends goes around the ledger"
-            ),
-            _ => {}
+/// What is told.
+enum Line {
+    Note(String),
+    Warning(String),
+}
+
+impl Lines {
+    fn may_tell(&mut self, now: Instant) -> bool {
+        if now.saturating_duration_since(self.since) > LINES_IN {
+            (self.since, self.count) = (now, 0);
         }
-        return;
+        self.count = self.count.saturating_add(1);
+        let may = self.count <= LINES_MAX;
+        self.not_told = self.not_told.saturating_add(u64::from(!may));
+        may
     }
-    let (found, wanted) = (&neighbour.type_name, watched.route.message.dds());
-    if *found != wanted {
-        tracing::warn!(
-            service,
-            topic,
-            role,
-            guid,
-            found,
-            wanted,
-            "a {role} on {topic} has another type: nothing passes"
-        );
+
+    /// How many lines were left out, once there is room again.
+    fn not_told(&mut self, now: Instant) -> Option<u64> {
+        let has_room = now.saturating_duration_since(self.since) > LINES_IN;
+        (has_room && self.not_told > 0).then(|| std::mem::take(&mut self.not_told))
+    }
+}
+
+/// What it means for a route that somebody came to its topic, or left.
+fn meaning(watched: &Watched, neighbour: &Neighbour, came: bool) -> Option<Line> {
+    let (service, topic, role) = (&watched.route.service, watched.topic.as_str(), neighbour.role.name());
+    let is_same_service = neighbour.mark == Some(watched.mark);
+    let direction = watched.route.direction;
+    if neighbour.role != other_end(direction) {
+        let text = match direction {
+            _ if !came => return None,
+            Direction::ToLedger if is_same_service => {
+                format!(
+                    "another bridge takes {topic} to {service} too: each sample is submitted twice; stop one of both"
+                )
+            }
+            Direction::FromLedger if is_same_service => {
+                format!(
+                    "another bridge delivers {service} on {topic} too: each message arrives twice; stop one of both"
+                )
+            }
+            Direction::FromLedger if watched.is_command => {
+                format!("a publisher beside this bridge on {topic}: what it sends goes around the ledger")
+            }
+            Direction::ToLedger | Direction::FromLedger => return None,
+        };
+        return Some(Line::Warning(text));
+    }
+    if !came {
+        return Some(Line::Note(format!("a {role} on {topic} has left")));
+    }
+    Some(if neighbour.type_name != watched.route.message.dds() {
+        Line::Warning(format!("a {role} on {topic} has another type: nothing passes"))
     } else if neighbour.role == Role::Publisher && is_bridge(neighbour, watched.mark) {
-        tracing::warn!(
-            service,
-            topic,
-            guid,
+        Line::Warning(format!(
             "another bridge publishes on {topic} what came from the ledger, and this route takes {topic} to {service}: \
              this would be a circle, so what the bridge publishes is not taken in; give one of both another topic or domain"
-        );
+        ))
     } else if let Some(policy) = misfit(watched, neighbour) {
-        tracing::warn!(
-            service,
-            topic,
-            role,
-            guid,
-            policy,
-            "the qos of a {role} on {topic} does not fit: nothing passes"
-        );
+        Line::Warning(format!("the qos of a {role} on {topic} does not fit ({policy}): nothing passes"))
     } else {
-        let reliability = if neighbour.qos.is_reliable() { "reliable" } else { "best_effort" };
-        tracing::info!(service, topic, role, guid, reliability, "a {role} on {topic} has come");
+        Line::Note(format!("a {role} on {topic} has come"))
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_are_limited_and_those_left_out_are_counted() {
+        let start = Instant::now();
+        let mut lines = Lines { since: start, count: 0, not_told: 0 };
+        let told = (0..100).filter(|number| lines.may_tell(start + Duration::from_millis(*number))).count();
+        assert_eq!(told, LINES_MAX as usize);
+        assert_eq!(lines.not_told(start + Duration::from_secs(1)), None);
+        let later = start + LINES_IN + Duration::from_secs(1);
+        assert_eq!(lines.not_told(later), Some(80));
+        assert_eq!(lines.not_told(later), None);
+        assert!(lines.may_tell(later));
     }
 }
