@@ -93,8 +93,7 @@ async fn stopped(stopping: &mut watch::Receiver<bool>) {
 }
 
 async fn start(settings: ros_bridge::Config, address: String) -> Result<(Bridge, Client), Rejection> {
-    let mut context = ros_bridge::context_of(&settings)?;
-    context.nodes = vec![address];
-    let client = Client::connect(&context).await?;
+    let credentials = ros_bridge::context_of(&settings)?.credentials()?;
+    let client = Client::connect_to(vec![address], credentials).await?;
     Ok((Bridge::start(settings, client.clone()).await?, client))
 }

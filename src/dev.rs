@@ -1,5 +1,7 @@
 //! A network of one node for playing: both organisations of the paper, its three robots, contexts for the admins.
 
+mod ownership;
+
 use crate::ca::{self, CertificateAuthority};
 use crate::clock::wall;
 use crate::command::{print_line, stop_signal, until_stopped};
@@ -13,9 +15,11 @@ use ledger::verify::GENESIS_FILE;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::Client;
 use ledger_api::context::{Context, home};
+use ownership::Ownership;
 use serde::Serialize;
 use serde_json::json;
 use std::collections::BTreeMap;
+use std::io::ErrorKind;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
@@ -51,9 +55,13 @@ struct Facts {
     version: &'static str,
 }
 
-/// Starts the network, prints what a player needs, and ends it on Ctrl-C.
+/// Starts the network, prints what a player needs, and ends it on Ctrl-C. Whatever would make it fail is looked at before
+/// anything is made: another one may be running.
 pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
     telemetry::start(&Log { level: LevelFilter::WARN, ..Config::default().log });
+    let home = home()?;
+    let mut owned = Ownership::take(&home)?;
+    let listen = free_port(&options.listen)?;
     let temporary =
         match options.data {
             Some(_) => None,
@@ -66,29 +74,37 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
         (None, Some(temporary)) => temporary.path().join("node"),
         (None, None) => return Err(Rejection::new(Code::Internal, "no directory")),
     };
-    let listen = free_port(&options.listen)?;
+    owned.sign(&listen, &data);
     let fresh = !data.join(GENESIS_FILE).is_file();
     if fresh {
         found(&plan(&data, &listen), wall())?;
     }
     let config = Config { data: data.clone(), listen, ..Config::default() };
-    let home = home()?;
     // Before the node runs, which owns its CAs from then on.
     let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
-    let (contexts, network) = write_contexts(&data, &config.listen, &home)?;
+    let contexts = match write_contexts(&data, &config.listen, &home) {
+        Ok(written) => written,
+        Err((written, refused)) => {
+            if temporary.is_some() {
+                forget_contexts(&home, &written);
+            }
+            return Err(refused);
+        }
+    };
     let facts = Facts {
         address: config.listen.clone(),
         ca_fingerprint,
         data,
-        contexts: contexts.clone(),
-        network,
+        contexts: contexts.names.clone(),
+        network: contexts.network,
         robots: Vec::new(),
         version: env!("CARGO_PKG_VERSION"),
     };
     let played = play(builder, &config, facts, &home, (fresh, options.json, temporary.is_some())).await;
     if temporary.is_some() {
-        forget_contexts(&home, &contexts, network);
+        forget_contexts(&home, &contexts);
     }
+    drop(owned);
     played
 }
 
@@ -126,17 +142,24 @@ fn plan(data: &Path, address: &str) -> NetworkPlan {
     }
 }
 
-/// The genesis names the node's address, so a free port is chosen before it is written.
+/// The address to listen on. The genesis names it, so a free port is chosen before that is written; and one that somebody
+/// else uses is refused before anything is.
 fn free_port(listen: &str) -> Result<String, Rejection> {
-    if !listen.ends_with(":0") {
-        return Ok(listen.to_owned());
+    let bound = TcpListener::bind(listen).and_then(|listener| listener.local_addr());
+    match bound {
+        Ok(address) if listen.ends_with(":0") => Ok(address.to_string()),
+        Ok(_) => Ok(listen.to_owned()),
+        Err(error) => {
+            let next = match error.kind() {
+                ErrorKind::AddrInUse => "end the process that uses it, or take a free port: --listen 127.0.0.1:0",
+                _ => "choose another address with --listen",
+            };
+            Err(Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}"))
+                .found(error.to_string())
+                .wanted("an address of this machine that nobody listens on")
+                .next(next))
+        }
     }
-    TcpListener::bind(listen).and_then(|listener| listener.local_addr()).map(|address| address.to_string()).map_err(
-        |error| {
-            Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}: {error}"))
-                .next("choose another address with --listen")
-        },
-    )
 }
 
 fn authority(data: &Path, organisation: &str) -> Result<CertificateAuthority, Rejection> {
@@ -148,18 +171,33 @@ fn context_name(organisation: &str) -> String {
     format!("dev-{}-admin", organisation.to_lowercase())
 }
 
-/// A context for the admin of each organisation, made anew at each start; their names, and the network's.
-fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<(Vec<String>, Hash), Rejection> {
-    let (mut names, mut network) = (Vec::new(), Hash::ZERO);
+/// The contexts that were written, by name, and the network's name.
+#[derive(Default)]
+struct Written {
+    names: Vec<String>,
+    network: Hash,
+}
+
+/// A context for the admin of each organisation, made anew at each start. If one fails, those that were written come with
+/// the reason.
+fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<Written, (Written, Rejection)> {
+    let mut written = Written::default();
     for organisation in ORGANISATIONS {
         let admin = ("Admin", Role::Admin);
-        let mut context = issue(data, organisation, admin, BTreeMap::new(), address, wall())?;
-        context.name = context_name(organisation);
-        context.save(home)?;
-        network = context.network;
-        names.push(context.name);
+        let saved = issue(data, organisation, admin, BTreeMap::new(), address, wall()).and_then(|mut context| {
+            context.name = context_name(organisation);
+            context.save(home)?;
+            Ok(context)
+        });
+        match saved {
+            Ok(context) => {
+                written.network = context.network;
+                written.names.push(context.name);
+            }
+            Err(refused) => return Err((written, refused)),
+        }
     }
-    Ok((names, network))
+    Ok(written)
 }
 
 /// The robots of the paper, registered by their owner.
@@ -211,10 +249,10 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
     Ok(())
 }
 
-/// Removes the contexts of a network that is gone, unless they are another's by now.
-fn forget_contexts(home: &Path, contexts: &[String], network: Hash) {
-    for name in contexts {
-        if Context::load(home, Some(name)).is_ok_and(|context| context.network == network)
+/// Removes the contexts of a network that is gone, unless somebody has put another network's in their places.
+fn forget_contexts(home: &Path, written: &Written) {
+    for name in &written.names {
+        if Context::load(home, Some(name)).is_ok_and(|context| context.network == written.network)
             && let Err(rejection) = Context::remove(home, name)
         {
             tracing::warn!(%rejection, "a context stays behind");

@@ -13,6 +13,7 @@ pub(crate) use joining::{Carrier, carrier};
 
 use crate::ca::{CertificateAuthority, IssuedCertificate, Registered};
 use crate::listen::Caller;
+use crate::peers::Directory;
 use ledger::identity::{Identity, Role};
 use ledger::network::Genesis;
 use ledger::{Bytes, Code, Ledger, Rejection};
@@ -46,6 +47,7 @@ struct Shared {
     /// By organisation; most nodes carry one or none.
     authorities: BTreeMap<String, Mutex<CertificateAuthority>>,
     ledger: Arc<Ledger>,
+    surroundings: Surroundings,
     genesis: Genesis,
     /// The same, byte for byte.
     document: Bytes,
@@ -54,11 +56,20 @@ struct Shared {
     tries: Mutex<Tries>,
 }
 
+/// What the node knows of the network it is in.
+pub(crate) struct Surroundings {
+    /// Who belongs to the network now.
+    pub directory: Arc<Directory>,
+    /// Can this node have nothing ordered at the moment?
+    pub cut_off: Box<dyn Fn() -> bool + Send + Sync>,
+}
+
 impl EnrolmentService {
     /// The service of a node that carries these CAs.
     pub(crate) fn new(
         authorities: impl IntoIterator<Item = CertificateAuthority>,
         ledger: Arc<Ledger>,
+        surroundings: Surroundings,
         (genesis, document): (Genesis, Bytes),
         carrier: Carrier,
         clock: fn() -> u64,
@@ -70,6 +81,7 @@ impl EnrolmentService {
                 carrying: Semaphore::new(1),
                 authorities,
                 ledger,
+                surroundings,
                 genesis,
                 document,
                 clock,
@@ -176,16 +188,16 @@ impl Shared {
     fn network(&self) -> v1::NetworkResponse {
         let ders = |ders: &mut dyn Iterator<Item = &[u8]>| ders.map(Bytes::copy_from_slice).collect();
         let msps = self.ledger.msps();
+        let members = self.surroundings.directory.members();
         let organisations = msps.iter().map(|msp| v1::Organisation {
             name: msp.organisation().to_owned(),
             roots: ders(&mut msp.roots()),
             intermediates: ders(&mut msp.intermediates()),
-            addresses: self
-                .genesis
-                .nodes
+            // Those that leave are no longer worth asking.
+            addresses: members
                 .iter()
-                .filter(|node| node.organisation == msp.organisation())
-                .map(|node| node.address.clone())
+                .filter(|member| member.organisation == msp.organisation() && member.wanted.is_some())
+                .map(|member| member.address.clone())
                 .collect(),
         });
         v1::NetworkResponse {
@@ -193,6 +205,8 @@ impl Shared {
             label: self.genesis.label.clone(),
             organisations: organisations.collect(),
             clock: (self.clock)().max(self.ledger.tip().time),
+            cut_off: (self.surroundings.cut_off)(),
+            carries: self.authorities.keys().cloned().collect(),
         }
     }
 

@@ -9,7 +9,7 @@ use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
-use crate::enrolment::{self, EnrolmentService};
+use crate::enrolment::{self, EnrolmentService, Surroundings};
 use crate::gateway::{Audience, Current, GatewayService, NodeView, Retries, Shares};
 use crate::housekeeping::Housekeeping;
 use crate::identity::{Joined, own_membership, removed};
@@ -252,7 +252,10 @@ impl Node {
         let own_gateway = reachable(address).to_string();
         let carrier = enrolment::carrier(&own_gateway, ledger.network(), &tls, &trust);
         let document = (genesis, genesis_bytes.into());
-        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), document, carrier, wall);
+        let standing = Arc::clone(&view);
+        let surroundings =
+            Surroundings { directory: Arc::clone(&directory), cut_off: Box::new(move || standing.is_cut_off()) };
+        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), surroundings, document, carrier, wall);
         let keeper = Keeper {
             data: config.data.clone(),
             identity: tls.clone(),

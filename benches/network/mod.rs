@@ -59,7 +59,7 @@ impl Network {
     /// Height of a node, once it answers.
     pub(crate) async fn height(&self, node: usize) -> u64 {
         let nodes = vec![self.founding.nodes[node].1.clone()];
-        let client = Client::connect(&Context { nodes, ..self.founding.owner.clone() }).await;
+        let client = Client::connect_to(nodes, self.founding.owner.credentials().unwrap()).await;
         match client {
             Ok(client) => client.status().await.map_or(0, |status| status.height),
             Err(_) => 0,
@@ -182,7 +182,7 @@ impl Network {
     pub(crate) async fn connect(&self, context: &Context) -> Client {
         let deadline = Instant::now() + START_TIME_MAX;
         loop {
-            match Client::connect(context).await {
+            match Client::connect_to(context.nodes.clone(), context.credentials().unwrap()).await {
                 Ok(client) => return client,
                 Err(refused) if refused.code != Code::Unreachable || Instant::now() > deadline => {
                     let log = self.founding.nodes[0].0.with_extension("log");

@@ -119,7 +119,7 @@ impl Bridge {
 async fn connect(context: &Context) -> Client {
     let deadline = Instant::now() + START_TIME_MAX;
     loop {
-        match Client::connect(context).await {
+        match Client::connect_to(context.nodes.clone(), context.credentials().unwrap()).await {
             Ok(client) => return client,
             Err(refused) => {
                 assert!(refused.code == Code::Unreachable && Instant::now() < deadline, "{refused}");

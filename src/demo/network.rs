@@ -192,7 +192,7 @@ fn identity(data: &Path, organisation: &str, who: (&str, Role), address: &str) -
 async fn connect(context: &Context, nodes: &mut [Process]) -> Result<Client, Rejection> {
     let deadline = Instant::now() + START_TIME_MAX;
     loop {
-        match Client::connect(context).await {
+        match Client::connect_to(context.nodes.clone(), context.credentials()?).await {
             Ok(client) => return Ok(client),
             Err(rejection) if rejection.code != Code::Unreachable || Instant::now() > deadline => {
                 return Err(rejection);

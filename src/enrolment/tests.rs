@@ -49,7 +49,8 @@ fn fixture() -> Fixture {
         Box::pin(std::future::ready(if join.as_ref() == b"signed" { Ok(()) } else { Err(refused) }))
     });
     let document = (founded.genesis, founded.document);
-    let service = EnrolmentService::new(authorities, Arc::clone(&ledger), document, carrier, || NOW);
+    let surroundings = Surroundings { directory: Arc::new(Directory::read(&ledger)), cut_off: Box::new(|| false) };
+    let service = EnrolmentService::new(authorities, Arc::clone(&ledger), surroundings, document, carrier, || NOW);
     Fixture { _place: place, service, ledger, admin }
 }
 
@@ -100,6 +101,10 @@ async fn a_client_without_a_certificate_learns_the_network() {
     let [org1, org2] = network.organisations.as_slice() else { unreachable!("two organisations") };
     assert_eq!((org1.name.as_str(), org2.name.as_str()), ("Org1", "Org2"));
     assert_eq!((org1.addresses.as_slice(), org2.addresses.len()), (["node1:7450".to_owned()].as_slice(), 0));
+    assert_eq!(
+        (network.carries.as_slice(), network.cut_off),
+        (["Org1".to_owned(), "Org2".to_owned()].as_slice(), false)
+    );
     assert_eq!(org1.roots[0], f.ledger.msps().get("Org1").unwrap().roots().next().unwrap());
 }
 

@@ -43,5 +43,7 @@ pub fn issue(
         chain: chain.collect(),
         key: Arc::new(issued.key),
         msps: Arc::new(msps),
+        renew: ledger_api::context::RenewalRule::default(),
+        memory: ledger_api::context::Memory::default(),
     })
 }

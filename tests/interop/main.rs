@@ -6,6 +6,10 @@ mod codec;
 mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
+mod nodes_die;
+#[expect(clippy::expect_used, unreachable_pub, reason = "tests")]
+#[path = "../support/programs.rs"]
+mod programs;
 mod python;
 mod telling;
 mod world;

@@ -26,6 +26,22 @@ pub(crate) fn run(body: impl Future<Output = ()>) {
 pub(crate) struct Process(Child);
 
 impl Process {
+    /// One that was started.
+    pub(crate) fn new(child: Child) -> Self {
+        Self(child)
+    }
+
+    /// Does it still run?
+    pub(crate) fn is_running(&mut self) -> bool {
+        self.0.try_wait().unwrap().is_none()
+    }
+
+    /// Sends a signal.
+    pub(crate) fn signal(&self, signal: rustix::process::Signal) {
+        let pid = rustix::process::Pid::from_raw(i32::try_from(self.0.id()).unwrap()).unwrap();
+        rustix::process::kill_process(pid, signal).unwrap();
+    }
+
     /// Stops the process and lets it go on, as a debugger would, until it ends; answers with its exit code.
     pub(crate) async fn pause_until_it_ends(mut self) -> Option<i32> {
         let pid = rustix::process::Pid::from_raw(i32::try_from(self.0.id()).unwrap()).unwrap();
@@ -285,7 +301,7 @@ impl World {
     }
 }
 
-fn route(direction: &str, topic: &str, kind: &str) -> String {
+pub(crate) fn route(direction: &str, topic: &str, kind: &str) -> String {
     format!("[[route]]\nservice = \"Rover{topic}\"\ndirection = {direction:?}\ntopic = {topic:?}\ntype = {kind:?}\n")
 }
 

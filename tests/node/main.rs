@@ -19,6 +19,7 @@ mod support;
 
 mod catch_up;
 mod config;
+mod contexts;
 mod crash;
 mod disk_full;
 mod footprint;

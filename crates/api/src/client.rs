@@ -3,6 +3,8 @@
 //! ```text
 //! client          the calls that a program makes
 //!   session       the one connection, and its replacement by another when it breaks
+//!     dialer      finding a node that serves
+//!     learning    which nodes there are, as the network tells it
 //!     in_flight   transactions without a verdict yet; survives the connection
 //!     fresh       which of them no node has seen
 //!     clock       the node's clock
@@ -12,10 +14,12 @@
 //! ```
 
 mod clock;
+mod dialer;
 mod events;
 mod fresh;
 mod in_flight;
 mod leadership;
+mod learning;
 mod reads;
 mod session;
 
@@ -28,6 +32,7 @@ use crate::connect::Credentials;
 use crate::context::Context;
 use crate::tls::TlsIdentity;
 use in_flight::Patience;
+use learning::Nodes;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger::{Bytes, Code, Hash, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
@@ -90,16 +95,19 @@ pub struct Client {
 }
 
 impl Client {
-    /// Connects as a stored identity.
+    /// Connects as a stored identity, to whichever node of its network serves. Which nodes there are is learnt from
+    /// them while the client lives, and kept in the context if that was loaded from a disk that can be written.
     ///
     /// # Errors
     /// [`Code::Unreachable`] if no node answers; what a node says if it refuses the identity, or we its certificate;
     /// [`Code::WrongNetwork`].
     pub async fn connect(context: &Context) -> Result<Self, Rejection> {
-        Self::connect_to(context.nodes.clone(), context.credentials()?).await
+        let trusted = context.trusted();
+        let credentials = context.credentials_with(&trusted)?;
+        Self::over(Nodes::of(context, trusted), credentials, Options::default()).await
     }
 
-    /// Connects to the first of these nodes (`HOST:PORT`) that answers; the others are for when it fails.
+    /// Connects to one of these nodes (`HOST:PORT`), the first if it answers, and never to another one.
     ///
     /// # Errors
     /// As [`Client::connect`].
@@ -116,6 +124,10 @@ impl Client {
         credentials: Credentials,
         options: Options,
     ) -> Result<Self, Rejection> {
+        Self::over(Nodes::fixed(nodes), credentials, options).await
+    }
+
+    async fn over(nodes: Nodes, credentials: Credentials, options: Options) -> Result<Self, Rejection> {
         let session = Session::start(nodes, &credentials, options).await?;
         Ok(Self { session, credentials: Arc::new(credentials), random: SystemRandom::new() })
     }

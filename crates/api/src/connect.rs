@@ -1,6 +1,9 @@
 //! Connections to a node: TCP, mutual TLS, HTTP/2, and clear words when one of them fails.
 
+mod diagnosis;
 mod stream;
+
+pub(crate) use diagnosis::{Expected, explain, explain_clock, way_back};
 
 use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
 use hyper_util::rt::TokioIo;
@@ -19,8 +22,10 @@ use tokio_rustls::TlsConnector;
 use tonic::transport::{Channel, Endpoint};
 use tonic::{Status, codegen::http::Uri};
 
-/// How often a silent connection is probed, and how long the answer may take.
-const KEEP_ALIVE: Duration = Duration::from_secs(2);
+/// How often a silent connection is probed, and how long the answer may take. Together they bound how long a node that
+/// was stopped keeps a client waiting.
+const KEEP_ALIVE_EVERY: Duration = Duration::from_secs(1);
+const KEEP_ALIVE_ANSWER_MAX: Duration = Duration::from_millis(1500);
 /// How much a node may send ahead on one stream and on a connection, in bytes.
 const STREAM_WINDOW_BYTES: u32 = 1024 * 1024;
 const CONNECTION_WINDOW_BYTES: u32 = 4 * 1024 * 1024;
@@ -37,6 +42,8 @@ pub struct Credentials {
     pub identity: TlsIdentity,
     /// The settings of every connection.
     pub(crate) tls: Arc<ClientConfig>,
+    /// The organisation of the identity, if it is known.
+    pub(crate) organisation: Option<String>,
 }
 
 impl Credentials {
@@ -46,7 +53,12 @@ impl Credentials {
     /// [`Code::BadFile`] if certificate and key cannot be used.
     pub fn new(network: Hash, identity: TlsIdentity, trust: ServerTrust) -> Result<Self, Rejection> {
         let tls = client_config(Some(identity.clone()), trust).map_err(|error| unusable(&error))?;
-        Ok(Self { network, identity, tls: Arc::new(tls) })
+        Ok(Self { network, identity, tls: Arc::new(tls), organisation: None })
+    }
+
+    /// The same, of an identity of this organisation: its CA is found by that name.
+    pub(crate) fn of(self, organisation: &str) -> Self {
+        Self { organisation: Some(organisation.to_owned()), ..self }
     }
 }
 
@@ -111,8 +123,8 @@ impl Connection {
         let channel = Endpoint::from(origin)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES)
-            .http2_keep_alive_interval(KEEP_ALIVE)
-            .keep_alive_timeout(KEEP_ALIVE)
+            .http2_keep_alive_interval(KEEP_ALIVE_EVERY)
+            .keep_alive_timeout(KEEP_ALIVE_ANSWER_MAX)
             .keep_alive_while_idle(true)
             .connect_with_connector(connector)
             .await
@@ -143,7 +155,7 @@ pub(crate) fn unreachable(address: &str, reason: &str) -> Rejection {
         ))
 }
 
-fn origin(address: &str) -> Result<Uri, Rejection> {
+pub(crate) fn origin(address: &str) -> Result<Uri, Rejection> {
     let wrong = || {
         Rejection::new(Code::BadArgument, "an address of a node cannot be read")
             .found(format!("{address:?}"))

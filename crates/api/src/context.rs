@@ -2,28 +2,36 @@
 //!
 //! ```text
 //! <home>/current                       name of the selected context
-//! <home>/contexts/<NAME>/context.toml  name, organisation, network, label, nodes
+//! <home>/.lock                         locked while contexts are read or changed
+//! <home>/contexts/<NAME>/context.toml  name, organisation, network, label, nodes, renew
 //!                        certificate.pem  the own certificate, then its issuers
 //!                        key.pem          PKCS#8, readable by its owner only
 //!                        msps.json        all organisations of the network with their roots
+//!                        nodes.json       what was learnt since: the nodes, the one that served last, other roots
+//! <home>/contexts/.<NAME>.renewing     locked by whoever renews the certificate
 //! ```
 //! `<home>` is `$LEDGERD_HOME`, else `$XDG_CONFIG_HOME/ledgerd`, else `~/.config/ledgerd`.
 
 mod files;
 mod home;
+mod known;
+mod lock;
 mod organisations;
+mod renewal;
 
 pub use home::home;
+pub use known::{ADDRESS_BYTES_MAX, KNOWN_NODES_MAX, KnownNode, Memory};
+pub use renewal::{RenewalRule, Renewed, WARNING_DAYS, warning_due};
 
-use crate::connect::Credentials;
-use crate::renew::Renewal;
-use crate::tls::{ServerTrust, TlsIdentity};
+use crate::connect::{self, Credentials};
+use crate::tls::{ServerTrust, TlsIdentity, Trusted};
 use crate::v1;
 use files::bad_file;
 use ledger::certificate::Certificate;
 use ledger::key::SigningKey;
 use ledger::msp::Msps;
 use ledger::{Code, Hash, Rejection};
+use lock::Lock;
 use rustls_pki_types::CertificateDer;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
@@ -51,6 +59,10 @@ pub struct Context {
     pub key: Arc<SigningKey>,
     /// All organisations of the network, as they were at enrolment.
     pub msps: Arc<Msps>,
+    /// Is the certificate renewed at use?
+    pub renew: RenewalRule,
+    /// What was learnt of the network since.
+    pub memory: Memory,
 }
 
 /// What `context.toml` holds.
@@ -63,6 +75,8 @@ struct Settings {
     #[serde(default)]
     label: String,
     nodes: Vec<String>,
+    #[serde(default, skip_serializing_if = "RenewalRule::is_default")]
+    renew: RenewalRule,
 }
 
 impl Context {
@@ -71,6 +85,12 @@ impl Context {
     /// # Errors
     /// [`Code::NoContext`] if there is none, with the nearest name; [`Code::BadFile`] with the file and its fault.
     pub fn load(home: &Path, name: Option<&str>) -> Result<Self, Rejection> {
+        let _whole = Lock::shared(home);
+        Self::read(home, name)
+    }
+
+    /// As [`Context::load`], under a lock that is held already.
+    fn read(home: &Path, name: Option<&str>) -> Result<Self, Rejection> {
         let name = match name {
             Some(name) => name.to_owned(),
             None => Self::current(home)?.ok_or_else(|| home::none_selected(home))?,
@@ -95,8 +115,9 @@ impl Context {
         // That the key belongs to the certificate is known here, not at the first connection.
         let key = Arc::new(key);
         TlsIdentity::new(chain.clone(), Arc::clone(&key)).map_err(|error| bad_file(&chain_path, error.to_string()))?;
-        let Settings { name, organisation, network, label, nodes } = settings;
-        Ok(Self { name, organisation, network, label, nodes, chain, key, msps: Arc::new(msps) })
+        let Settings { name, organisation, network, label, nodes, renew } = settings;
+        let memory = Memory::read(&directory);
+        Ok(Self { name, organisation, network, label, nodes, chain, key, msps: Arc::new(msps), renew, memory })
     }
 
     /// Writes the context below `home`, replacing one of the same name: all of it or nothing, and the key is never
@@ -106,27 +127,50 @@ impl Context {
     /// [`Code::BadFile`] if something cannot be written, [`Code::NoContext`] if the name is not usable.
     pub fn save(&self, home: &Path) -> Result<(), Rejection> {
         home::check_name(&self.name)?;
+        files::create_directories(&home.join(home::CONTEXTS))?;
+        let _alone = Lock::exclusive(home)?;
+        self.write(home)
+    }
+
+    /// Changes a stored context as it is now, whatever other programs do meanwhile.
+    ///
+    /// # Errors
+    /// As [`Context::load`] and [`Context::save`], and what `change` says; then nothing is changed.
+    pub fn change(
+        home: &Path,
+        name: &str,
+        change: impl FnOnce(&mut Self) -> Result<(), Rejection>,
+    ) -> Result<Self, Rejection> {
+        home::directory_of(home, name)?;
+        let _alone = Lock::exclusive(home)?;
+        let mut context = Self::read(home, Some(name))?;
+        change(&mut context)?;
+        context.write(home)?;
+        Ok(context)
+    }
+
+    /// As [`Context::save`], under a lock that is held already.
+    fn write(&self, home: &Path) -> Result<(), Rejection> {
         let settings = Settings {
             name: self.name.clone(),
             organisation: self.organisation.clone(),
             network: self.network,
             label: self.label.clone(),
             nodes: self.nodes.clone(),
+            renew: self.renew,
         };
         let settings = toml::to_string(&settings)
             .map_err(|error| Rejection::new(Code::Internal, format!("context.toml cannot be written: {error}")))?;
-        files::replace_directory(
-            &home.join(home::CONTEXTS),
-            &self.name,
-            &[
-                (files::SETTINGS, settings),
-                (files::CERTIFICATE, files::pem(&self.chain)),
-                (files::KEY, self.key.to_pkcs8_pem()),
-                (files::MSPS, organisations::to_json(&self.msps)?),
-            ],
-        )?;
+        let mut content = vec![
+            (files::SETTINGS, settings),
+            (files::CERTIFICATE, files::pem(&self.chain)),
+            (files::KEY, self.key.to_pkcs8_pem()),
+            (files::MSPS, organisations::to_json(&self.msps)?),
+        ];
+        content.extend(self.memory.to_json()?.map(|known| (files::NODES, known)));
+        files::replace_directory(&home.join(home::CONTEXTS), &self.name, &content)?;
         if Self::current(home)?.is_none() {
-            Self::select(home, &self.name)?;
+            Self::select_alone(home, &self.name)?;
         }
         Ok(())
     }
@@ -136,7 +180,17 @@ impl Context {
     /// # Errors
     /// [`Code::BadFile`] if certificate and key do not belong together.
     pub fn credentials(&self) -> Result<Credentials, Rejection> {
-        Credentials::new(self.network, self.identity()?, ServerTrust::Roots(Arc::clone(&self.msps)))
+        self.credentials_with(&self.trusted())
+    }
+
+    pub(crate) fn credentials_with(&self, trusted: &Arc<Trusted>) -> Result<Credentials, Rejection> {
+        let credentials = Credentials::new(self.network, self.identity()?, ServerTrust::Learnt(Arc::clone(trusted)))?;
+        Ok(credentials.of(&self.organisation))
+    }
+
+    /// The organisations whose nodes are talked to.
+    pub(crate) fn trusted(&self) -> Arc<Trusted> {
+        Arc::new(Trusted::new(Arc::clone(&self.msps), self.learnt_organisations().cloned()))
     }
 
     /// Certificate and key, as connections and signatures need them.
@@ -148,17 +202,6 @@ impl Context {
             .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))
     }
 
-    /// The same context with a renewed certificate and a new key, by the CA of the organisation; store it with
-    /// [`Context::save`]. The present certificate must still be valid.
-    ///
-    /// # Errors
-    /// As [`Renewal::ask`](crate::Renewal::ask).
-    pub async fn renewed(&self) -> Result<Self, Rejection> {
-        let renewal = Renewal::begin(&self.identity()?)?;
-        let renewed = renewal.ask(&self.nodes, &self.credentials()?, &self.msps).await?.own();
-        Ok(Self { chain: renewed.chain.clone(), key: Arc::clone(&renewed.key), ..self.clone() })
-    }
-
     /// What the own certificate says: name, role, attributes, validity. Nothing of it is verified.
     ///
     /// # Errors
@@ -167,9 +210,18 @@ impl Context {
         Ok(Certificate::parse(self.chain.first().map(AsRef::as_ref).unwrap_or_default())?)
     }
 
+    /// What its owner does once the certificate has expired.
+    pub fn way_back(&self) -> String {
+        match self.certificate() {
+            Ok(own) => connect::way_back(&own, Some(&self.organisation)),
+            Err(refused) => refused.next,
+        }
+    }
+
     /// SHA-256 of the first root of an organisation: what `ledgerctl enroll --ca-fingerprint` wants.
     pub fn ca_fingerprint(&self, organisation: &str) -> Option<Hash> {
-        self.msps.get(organisation)?.roots().next().map(|root| Hash::of(&[root]))
+        let msp = self.msps.get(organisation).or_else(|| self.learnt_organisations()?.get(organisation));
+        msp?.roots().next().map(|root| Hash::of(&[root]))
     }
 }
 

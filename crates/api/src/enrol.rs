@@ -1,7 +1,7 @@
 //! Enrolment: a one-time secret becomes a certificate, with a key that never leaves this machine.
 
-use crate::connect::Connection;
-use crate::context::{Context, msps_of};
+use crate::connect::{Connection, explain_clock};
+use crate::context::{Context, Memory, RenewalRule, msps_of};
 use crate::report::accepted;
 use crate::tls::{ServerTrust, client_config};
 use crate::v1;
@@ -140,6 +140,8 @@ impl Enrolment {
             chain: std::iter::once(&answer.certificate).chain(&answer.chain).map(der).collect(),
             key: Arc::new(key),
             msps: Arc::new(msps),
+            renew: RenewalRule::default(),
+            memory: Memory::default(),
         })
     }
 
@@ -157,7 +159,10 @@ impl Enrolment {
     }
 
     async fn connect(&self) -> Result<Connection, Rejection> {
-        Connection::open(&self.node, self.tls()?, &Bytes::new(), CONNECT_MAX).await
+        match Connection::open(&self.node, self.tls()?, &Bytes::new(), CONNECT_MAX).await {
+            Err(refused) => Err(explain_clock(refused, &self.node, CONNECT_MAX).await),
+            opened => opened,
+        }
     }
 
     fn tls(&self) -> Result<Arc<ClientConfig>, Rejection> {

@@ -90,6 +90,14 @@ impl Renewal {
     /// # Errors
     /// [`Code::Untrusted`] if it is something else.
     pub fn finish(&self, certificate: &[u8], msps: &Msps) -> Result<TlsIdentity, Rejection> {
+        self.finish_at(certificate, msps, crate::enrol::now())
+    }
+
+    /// As [`Renewal::finish`], by a clock that need not be this machine's: microseconds since the UNIX epoch.
+    ///
+    /// # Errors
+    /// As [`Renewal::finish`].
+    pub fn finish_at(&self, certificate: &[u8], msps: &Msps, now: u64) -> Result<TlsIdentity, Rejection> {
         let unfit = |found: String| {
             Rejection::new(Code::Untrusted, "the CA certified something else than was asked")
                 .found(found)
@@ -97,7 +105,6 @@ impl Renewal {
                 .next("tell the admin of the organisation; the present certificate stays in use")
         };
         let own = self.present.own();
-        let now = crate::enrol::now();
         let renewed = msps.verify(certificate, own.chain.get(1..).unwrap_or_default(), now)?;
         let before = Certificate::parse(own.certificate())?;
         if renewed.public_key != self.key.public_key() {

@@ -10,6 +10,7 @@
 //! ```text
 //! server_config(node, trust)                    any client of the network, or one without a certificate
 //! client_config(me, ServerTrust::Roots(msps))   any node of the network
+//! client_config(me, ServerTrust::Learnt)       the same, as its nodes have told since
 //! client_config(None, ServerTrust::Fingerprint) first contact: any node below the CA with this fingerprint
 //! ```
 
@@ -21,7 +22,8 @@ mod trust;
 pub use identity::{Own, TlsError, TlsIdentity};
 pub use refusal::{Refusal, refusal};
 pub use server::server_config;
-pub use trust::{ServerTrust, TrustSource, client_config, client_config_expecting, client_identity};
+pub(crate) use trust::unverified_config;
+pub use trust::{ServerTrust, TrustSource, Trusted, client_config, client_config_expecting, client_identity};
 
 use rustls::SupportedProtocolVersion;
 use rustls::crypto::{CryptoProvider, ring};

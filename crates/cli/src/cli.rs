@@ -6,6 +6,7 @@ use crate::command::{
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
+use crate::upkeep::Upkeep;
 use ::ledger::{Code, Rejection};
 use clap::{Parser, Subcommand};
 
@@ -41,6 +42,9 @@ pub(crate) struct Global {
     #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "table|json")]
     #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
     pub(crate) output: Format,
+    /// What is done for the context beside the command
+    #[arg(skip)]
+    pub(crate) upkeep: Upkeep,
 }
 
 #[derive(Debug, Subcommand)]
@@ -90,10 +94,10 @@ impl Cli {
     async fn dispatch(self) -> Result<(), Failure> {
         let global = &self.global;
         let output = &mut Output::stdout(global.output);
-        match self.command {
+        let outcome = match self.command {
             Command::Enroll(command) => command.run(global, output).await,
             Command::Whoami(command) => command.run(global, output).await,
-            Command::Context(command) => command.run(global, output),
+            Command::Context(command) => command.run(global, output).await,
             Command::Identity(command) => command.run(global, output).await,
             Command::Network(command) => command.run(global, output).await,
             Command::Robot(command) => command.run(global, output).await,
@@ -111,8 +115,11 @@ impl Cli {
             Command::Denials(command) => command.run(global, output).await,
             Command::Ledger(command) => command.run(output),
             Command::Explain(command) => command.run(output),
-            Command::Completions(command) => command.run(output),
-        }
+            // For a shell, which shows whatever it is told.
+            Command::Completions(command) => return command.run(output),
+        };
+        global.upkeep.finish(global).await;
+        outcome
     }
 }
 

@@ -14,6 +14,7 @@ mod json;
 mod output;
 mod session;
 mod time;
+mod upkeep;
 
 use clap::Parser;
 use std::process::ExitCode;

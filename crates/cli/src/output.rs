@@ -62,6 +62,21 @@ impl Output {
     }
 }
 
+/// Tells people and programs on standard error what they should do something about, though the command went on.
+pub(crate) fn warn(format: Format, message: &str, next: &str) {
+    #[derive(Serialize)]
+    struct Warning<'a> {
+        warning: &'a str,
+        r#try: &'a str,
+    }
+    let text = match format {
+        Format::Table => format!("warning: {}\n  try     {}", printable(message), printable(next)),
+        Format::Json => serde_json::to_string(&Warning { warning: message, r#try: next }).unwrap_or_default(),
+    };
+    // Where standard error is closed, nobody wants to know.
+    let _ = writeln!(io::stderr(), "{text}");
+}
+
 /// Columns of text, each as wide as its widest cell.
 pub(crate) struct Table {
     rows: Vec<Vec<String>>,

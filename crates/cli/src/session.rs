@@ -21,10 +21,12 @@ pub(crate) struct Session {
 impl Session {
     /// Connects as the context that the command line, the environment or `context use` selects.
     pub(crate) async fn open(global: &Global) -> Result<Self, Rejection> {
-        Self::connect(context::selected(global)?).await
+        let session = Self::connect(context::selected(global)?).await?;
+        global.upkeep.begin(global.output, &session.context, &session.client);
+        Ok(session)
     }
 
-    /// Connects as this context, to the first of its nodes that answers within three seconds.
+    /// Connects as this context, to whichever of its nodes serves.
     pub(crate) async fn connect(context: Context) -> Result<Self, Rejection> {
         Ok(Self { client: Client::connect(&context).await?, context })
     }
@@ -54,7 +56,7 @@ impl Session {
         self.context.ca_fingerprint(organisation).ok_or_else(|| {
             Rejection::new(Code::NotFound, format!("the context does not know the CA of {organisation}"))
                 .wanted(format!("a root certificate of {organisation}"))
-                .next("enrol again: the context was made before that organisation joined")
+                .next("learn the organisations of the network, then try again: ledgerctl context refresh")
         })
     }
 }

@@ -61,6 +61,8 @@ impl Machine {
             chain: vec![certificate.der().clone()],
             key: Arc::new(SigningKey::from_pkcs8_der(&key.serialize_der()).unwrap()),
             msps: Arc::new(msps),
+            renew: ledger_api::context::RenewalRule::default(),
+            memory: ledger_api::context::Memory::default(),
         };
         context.save(self.home.path()).unwrap();
     }

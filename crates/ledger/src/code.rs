@@ -127,6 +127,8 @@ codes! {
     NotInvited = 2010 "NOT_INVITED" Denied;
     /// The node is none of this network's, or no longer.
     NotAMember = 2011 "NOT_A_MEMBER" Denied;
+    /// The clocks of this machine and of a node differ so much that good certificates look expired.
+    ClockOff = 2020 "CLOCK_OFF" Failure;
 
     /// The caller's certificate lacks an attribute that the robot requires.
     MissingAttribute = 3001 "MISSING_ATTRIBUTE" Denied;

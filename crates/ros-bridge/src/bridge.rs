@@ -3,11 +3,7 @@
 #[cfg(test)]
 mod tests;
 
-use std::{
-    path::{Path, PathBuf},
-    sync::Arc,
-    time::Duration,
-};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use ledger::{Class, Code, Rejection};
 use ledger_api::{Client, Context, home};
@@ -253,16 +249,6 @@ pub fn context_of(config: &Config) -> Result<Context, Rejection> {
                     .next("ledgerctl enroll makes one below LEDGERD_HOME")),
             }
         }
-    }
-}
-
-/// Where that context is stored: the directory above `contexts`.
-pub(crate) fn home_of(config: &Config) -> Result<PathBuf, Rejection> {
-    match &config.identity {
-        IdentitySource::Directory(path) => {
-            path.parent().and_then(Path::parent).map(Path::to_owned).map_or_else(home, Ok)
-        }
-        IdentitySource::Selected | IdentitySource::Context(_) => home(),
     }
 }
 

@@ -1,11 +1,11 @@
 //! A bridge runs for years, its certificate does not: it is renewed in time, in the context it was loaded from.
 
-use crate::bridge::{context_of, home_of};
+use crate::bridge::context_of;
 use crate::config::Config;
 use ledger::Rejection;
-use ledger::certificate::Certificate;
+use ledger_api::context::{RenewalRule, Renewed};
 use ledger_api::{Client, renewal_due};
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::time::Duration;
 
 /// Time between two looks at the certificate, also after a renewal that failed.
 const LOOK: Duration = Duration::from_secs(3600);
@@ -22,13 +22,14 @@ pub async fn keep_renewed(config: &Config, client: &Client) {
 
 async fn look(config: &Config, client: &Client) -> Result<(), Rejection> {
     let mut context = context_of(config)?;
-    let own = context.identity()?;
-    let certificate = Certificate::parse(own.own().certificate())?;
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-    let now = u64::try_from(now.as_micros()).unwrap_or(u64::MAX);
-    if now >= renewal_due(certificate.not_before, certificate.not_after) {
-        context = context.renewed().await?;
-        context.save(&home_of(config)?)?;
+    let certificate = context.certificate()?;
+    if context.renew == RenewalRule::Auto && client.now() >= renewal_due(certificate.not_before, certificate.not_after)
+    {
+        // Through any node of the network: the one that the bridge works through need not reach the CA.
+        let asking = Client::connect(&context).await?;
+        if let Renewed::Yes(renewed) = context.renew_if_due(&asking).await? {
+            context = *renewed;
+        }
     }
     let current = context.identity()?;
     if current.own().creator != client.creator() {

@@ -1,8 +1,9 @@
 //! Subscriptions that resume where they were cut off.
 
 use super::Client;
+use super::dialer::is_final;
 use super::in_flight::RETRY_AFTER;
-use super::session::{Up, is_final};
+use super::session::Up;
 use crate::v1;
 use ledger::{Code, Rejection};
 use std::time::Duration;

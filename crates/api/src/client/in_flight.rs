@@ -4,8 +4,9 @@
 //! that breaks and the next one, which sends all of them again in their order.
 
 use super::Committed;
+use super::dialer::is_final;
 use super::fresh::Fresh;
-use super::session::{Session, is_final};
+use super::session::Session;
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
 use crate::v1::SubmitResponse;
@@ -14,6 +15,7 @@ use ledger::{Bytes, Class, Code, Hash, Rejection};
 use std::collections::HashMap;
 use std::collections::hash_map;
 use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::{Duration, Instant};
@@ -78,7 +80,7 @@ pub(super) struct InFlight {
     /// How long a transaction is tried.
     patience: Duration,
     /// Is there another node to go to?
-    several: bool,
+    several: AtomicBool,
 }
 
 #[derive(Default)]
@@ -137,8 +139,13 @@ impl InFlight {
             identity,
             introduced: Mutex::default(),
             patience,
-            several,
+            several: AtomicBool::new(several),
         }
+    }
+
+    /// Is there another node to go to, by now?
+    pub(super) fn set_several(&self, several: bool) {
+        self.several.store(several, Ordering::Relaxed);
     }
 
     /// Is the ledger known to have this creator's certificate?
@@ -247,7 +254,7 @@ impl InFlight {
             && answer.height == 0
         {
             // A full disk, or a long way behind the others, is one node's trouble.
-            let own = self.several && matches!(refused.code, Code::DiskFull | Code::Behind);
+            let own = self.several.load(Ordering::Relaxed) && matches!(refused.code, Code::DiskFull | Code::Behind);
             // What may have been executed already is asked for until that is known.
             let stale = refused.code == Code::Overloaded && entry.patience == Patience::Command && !entry.uncertain;
             if (own || refused.code.class() == Class::Unreachable) && !stale {

@@ -1,8 +1,9 @@
 //! Calls that change nothing, and so may be repeated; and registrations.
 
 use super::Client;
+use super::dialer::is_final;
 use super::in_flight::{ATTEMPT_MAX, RETRY_AFTER};
-use super::session::{Up, is_final};
+use super::session::Up;
 use crate::report::accepted;
 use crate::v1;
 use ledger::identity::Role;
@@ -11,6 +12,15 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 use tokio::time::{sleep, timeout, timeout_at};
 use tonic::{Response, Status};
+
+/// Who is asked.
+#[derive(Clone, Copy)]
+enum Whom {
+    /// The node that the client is connected to.
+    Anybody,
+    /// A node that carries the CA of the own organisation.
+    Carrier,
+}
 
 /// What a query answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -123,7 +133,7 @@ impl Client {
             let request = v1::ListIdentitiesRequest { name: name.into() };
             async move { up.enrolment().list_identities(request).await }
         };
-        Ok(self.ask(ask, |answer| accepted(answer.verdict.as_ref())).await?.identities)
+        Ok(self.ask_of(Whom::Carrier, ask, |answer| accepted(answer.verdict.as_ref())).await?.identities)
     }
 
     /// Registers a name with its role and attributes, as an admin of the organisation. Not repeated if the connection
@@ -153,7 +163,7 @@ impl Client {
 
     async fn register_once(&self, request: v1::RegisterRequest) -> Result<Registered, Rejection> {
         let name = request.name.clone();
-        let up = timeout(self.session.options.deadline, self.session.up());
+        let up = timeout(self.session.options.deadline, self.session.carrier());
         let up = up.await.map_err(|_| self.session.no_connection())??;
         let mut enrolment = up.enrolment();
         let unknown = |found: String| {
@@ -174,6 +184,15 @@ impl Client {
         Ok(Registered { secret: answer.secret, organisation: answer.organisation })
     }
 
+    /// Has a key certified by the CA of the own organisation, by what proves who we are: the present certificate.
+    pub(crate) async fn certify(&self, request: Bytes) -> Result<Bytes, Rejection> {
+        let ask = |up: Up| {
+            let request = v1::RenewRequest { request: request.clone() };
+            async move { up.enrolment().renew(request).await }
+        };
+        Ok(self.ask_of(Whom::Carrier, ask, |answer| accepted(answer.verdict.as_ref())).await?.certificate)
+    }
+
     /// Asks until a node answers, or the deadline has passed. `check` finds the verdict in an answer.
     pub(super) async fn ask<R, F, A>(
         &self,
@@ -184,10 +203,29 @@ impl Client {
         F: Fn(Up) -> A,
         A: Future<Output = Result<Response<R>, Status>>,
     {
+        self.ask_of(Whom::Anybody, call, check).await
+    }
+
+    async fn ask_of<R, F, A>(
+        &self,
+        whom: Whom,
+        call: F,
+        check: impl Fn(&R) -> Result<(), Rejection>,
+    ) -> Result<R, Rejection>
+    where
+        F: Fn(Up) -> A,
+        A: Future<Output = Result<Response<R>, Status>>,
+    {
         let deadline = Instant::now() + self.session.options.deadline;
         let mut last = None;
         while Instant::now() < deadline {
-            let Ok(up) = timeout_at(deadline.into(), self.session.up()).await else { break };
+            let up = async {
+                match whom {
+                    Whom::Anybody => self.session.up().await,
+                    Whom::Carrier => self.session.carrier().await,
+                }
+            };
+            let Ok(up) = timeout_at(deadline.into(), up).await else { break };
             let up = up?;
             let (number, connection) = (up.number, up.connection.clone());
             let until = deadline.min(Instant::now() + ATTEMPT_MAX);
@@ -202,7 +240,7 @@ impl Client {
                 Ok(Err(status)) => {
                     let refused = connection.refusal(&status);
                     // Cut off from the leader, or behind: another node may be neither.
-                    let own = self.session.several && matches!(refused.code, Code::NoLeader | Code::Behind);
+                    let own = self.session.several() && matches!(refused.code, Code::NoLeader | Code::Behind);
                     let leave = own || refused.code == Code::ShuttingDown;
                     (refused, leave)
                 }

@@ -1,27 +1,26 @@
 //! The one connection of a client, and its replacement when it breaks.
 //!
 //! One task owns the connection: it takes the answers to transactions, and when the connection breaks, or is found
-//! wanting, opens another one to the next node. A second task wakes ten times a second for deadlines and retries.
+//! wanting, opens another one to the next node. It looks around now and then: nodes join and go, and the one that we
+//! have may be cut off from the others. A second task wakes ten times a second for deadlines and retries.
 
 use super::Options;
 use super::clock::{Clock, middle};
-use super::in_flight::{Effect, InFlight, Patience, Pending, Sent};
+use super::dialer::{Dialer, Opened, is_final};
+use super::in_flight::{Effect, InFlight, Patience, Pending};
+use super::learning::{LOOK_EVERY, Look, Nodes, look_around};
 use crate::connect::{Connection, Credentials};
-use crate::tls::TlsIdentity;
 use crate::v1::enrolment_client::EnrolmentClient;
 use crate::v1::gateway_client::GatewayClient;
-use crate::v1::{NetworkRequest, SubmitRequest, SubmitResponse};
+use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Class, Code, Hash, Rejection};
-use rustls::ClientConfig;
-use std::pin::pin;
+use ledger::{Code, Rejection};
+use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};
 use std::time::{Duration, Instant};
-use tokio::sync::{OwnedSemaphorePermit, mpsc, watch};
-use tokio::time::{MissedTickBehavior, interval, sleep, timeout};
-use tokio_stream::StreamExt;
-use tokio_stream::wrappers::UnboundedReceiverStream;
+use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::time::{MissedTickBehavior, interval, interval_at, sleep, timeout};
 use tonic::Streaming;
 use tonic::transport::Channel;
 
@@ -43,8 +42,8 @@ pub(super) struct Session {
     link: watch::Sender<Link>,
     /// Number of the newest connection that somebody found wanting.
     unwanted: watch::Sender<u64>,
-    /// Is there another node to go to?
-    pub(super) several: bool,
+    dialer: Dialer,
+    nodes: Arc<Nodes>,
     /// Largest height seen in an answer or delivery.
     seen: Arc<AtomicU64>,
 }
@@ -54,6 +53,8 @@ struct Link {
     /// Counts connections, so that nobody complains about a new one for the faults of the old one.
     number: u64,
     connection: Connection,
+    /// The organisations whose CA its node carries.
+    carries: Vec<String>,
     /// Why it is not usable, if it is not.
     broken: Option<Rejection>,
 }
@@ -75,36 +76,32 @@ impl Up {
 }
 
 impl Session {
-    /// Connects to the first node that answers and starts the tasks.
+    /// Connects to a node and starts the tasks.
     pub(super) async fn start(
-        nodes: Vec<String>,
+        nodes: Nodes,
         credentials: &Credentials,
         options: Options,
     ) -> Result<Arc<Self>, Rejection> {
-        let mut dialer = Dialer {
-            nodes,
-            at: 0,
-            tls: Arc::clone(&credentials.tls),
-            identity: credentials.identity.clone(),
-            network: credentials.network,
-            patience: options.connect,
-            seen: Arc::default(),
-        };
-        let opened = dialer.round().await?;
-        let (link, _) = watch::channel(Link { number: 0, connection: opened.connection.clone(), broken: None });
+        let dialer = Dialer::new(credentials, options.connect);
+        let opened = dialer.reach(&nodes.all()).await?;
+        if nodes.learn(&opened.told, &opened.connection.address) {
+            nodes.note().await;
+        }
         let (unwanted, complaints) = watch::channel(0);
-        let several = dialer.nodes.len() > 1;
+        let connection = opened.connection.clone();
+        let (link, _) = watch::channel(Link { number: 0, connection, carries: Vec::new(), broken: None });
         let session = Arc::new(Self {
-            in_flight: InFlight::new(credentials.identity.clone(), options.deadline, several),
+            in_flight: InFlight::new(credentials.identity.clone(), options.deadline, nodes.are_several()),
             clock: Clock::new(),
             options,
             link,
             unwanted,
-            several,
             seen: Arc::clone(&dialer.seen),
+            dialer,
+            nodes: Arc::new(nodes),
         });
         let answers = session.install(1, opened);
-        let keeper = Keeper { session: Arc::downgrade(&session), dialer, complaints };
+        let keeper = Keeper { session: Arc::downgrade(&session), complaints };
         tokio::spawn(keeper.run(answers));
         tokio::spawn(sweep(Arc::downgrade(&session)));
         Ok(session)
@@ -132,6 +129,29 @@ impl Session {
             Some(reason) => Err(reason.clone()),
             None => Ok(Up { number: state.number, connection: state.connection.clone() }),
         }
+    }
+
+    /// A connection to a node that carries the CA of our organisation: ours if it does, another one if one does.
+    ///
+    /// # Errors
+    /// As [`Session::up`].
+    pub(super) async fn carrier(&self) -> Result<Up, Rejection> {
+        let up = self.up().await?;
+        let Some(own) = self.dialer.organisation() else { return Ok(up) };
+        let carries = |carried: &[String]| carried.iter().any(|organisation| organisation == own);
+        if carries(&self.link.borrow().carries) || !self.several() {
+            return Ok(up);
+        }
+        match self.dialer.race(&self.nodes.all(), |opened| carries(&opened.told.carries), None).await {
+            Ok(Opened { connection, .. }) => Ok(Up { number: 0, connection }),
+            // The node that we have knows best why not.
+            Err(_) => Ok(up),
+        }
+    }
+
+    /// Is there another node to go to?
+    pub(super) fn several(&self) -> bool {
+        self.nodes.are_several()
     }
 
     /// Why there is no connection now.
@@ -187,11 +207,27 @@ impl Session {
 
     /// Puts a new connection into use; what waits goes out over it.
     fn install(&self, number: u64, opened: Opened) -> Streaming<SubmitResponse> {
-        let Opened { connection, requests, answers, clock, at } = opened;
-        self.clock.learn(clock, at);
+        let Opened { connection, requests, answers, told, at } = opened;
+        self.clock.learn(told.clock, at);
+        self.in_flight.set_several(self.several());
         self.in_flight.attach(requests);
-        self.link.send_replace(Link { number, connection, broken: None });
+        self.link.send_replace(Link { number, connection, carries: told.carries, broken: None });
         answers
+    }
+
+    /// Takes note of what the node says while it serves.
+    fn take_note(&self, told: Option<NetworkResponse>) {
+        let Some(told) = told else { return };
+        let news = self.nodes.learn(&told, &self.address());
+        self.in_flight.set_several(self.several());
+        self.link.send_if_modified(|link| {
+            link.carries = told.carries;
+            false
+        });
+        if news {
+            let nodes = Arc::clone(&self.nodes);
+            tokio::spawn(async move { nodes.note().await });
+        }
     }
 
     /// The connection broke.
@@ -204,155 +240,118 @@ impl Session {
     fn answer(&self, answer: SubmitResponse, number: u64) {
         self.see(answer.height);
         match self.in_flight.answer(answer) {
-            Effect::Leave if self.several => self.leave(number),
+            Effect::Leave if self.several() => self.leave(number),
             Effect::Nothing | Effect::Leave => {}
             Effect::DoubtClock => self.clock.doubt(),
         }
     }
 }
 
-/// Is it a reason that waiting does not cure?
-pub(super) fn is_final(reason: &Rejection) -> bool {
-    reason.code.class() != Class::Unreachable
-}
-
-/// Opens connections, one node after the other.
-struct Dialer {
-    nodes: Vec<String>,
-    /// Index of the node to try next.
-    at: usize,
-    tls: Arc<ClientConfig>,
-    identity: TlsIdentity,
-    network: Hash,
-    patience: Duration,
-    /// Largest height seen: a node that is behind it waits before it looks at a transaction.
-    seen: Arc<AtomicU64>,
-}
-
-/// A connection with its stream of transactions.
-struct Opened {
-    connection: Connection,
-    requests: mpsc::UnboundedSender<Sent>,
-    answers: Streaming<SubmitResponse>,
-    /// What the node's clock showed at a moment.
-    clock: u64,
-    at: Instant,
-}
-
-impl Dialer {
-    /// Tries each node once, beginning after the last one that was tried.
-    async fn round(&mut self) -> Result<Opened, Rejection> {
-        let mut refusals = Vec::new();
-        for _ in 0..self.nodes.len() {
-            let at = self.at % self.nodes.len();
-            self.at = at + 1;
-            let Some(address) = self.nodes.get(at) else { continue };
-            match self.open(address).await {
-                Ok(opened) => return Ok(opened),
-                Err(refused) => refusals.push(refused),
-            }
-        }
-        Err(summary(refusals))
-    }
-
-    async fn open(&self, address: &str) -> Result<Opened, Rejection> {
-        let certificate = Bytes::copy_from_slice(self.identity.own().certificate());
-        let connection = Connection::open(address, Arc::clone(&self.tls), &certificate, self.patience).await?;
-        let late =
-            || crate::connect::unreachable(address, &format!("no answer within {} ms", self.patience.as_millis()));
-        let up = Up { number: 0, connection };
-        let asked = Instant::now();
-        let network = timeout(self.patience, up.enrolment().network(NetworkRequest {})).await.map_err(|_| late())?;
-        let network = network.map_err(|status| up.connection.refusal(&status))?.into_inner();
-        let (clock, at) = (network.clock, middle(asked));
-        if network.network != self.network.as_ref() {
-            return Err(Rejection::new(Code::WrongNetwork, format!("the node at {address} is of another network"))
-                .found(format!("network {} {:?}", hex::encode(&network.network), network.label))
-                .wanted(format!("network {}", self.network))
-                .next("check the address, or select the context of that network"));
-        }
-        let (requests, outgoing) = mpsc::unbounded_channel();
-        let seen = Arc::clone(&self.seen);
-        let outgoing = UnboundedReceiverStream::new(outgoing).map(move |Sent { transaction, first_attempt }| {
-            SubmitRequest { transaction, min_height: seen.load(Ordering::Relaxed), first_attempt }
-        });
-        let mut gateway = up.gateway();
-        let answers = timeout(self.patience, gateway.submit_stream(outgoing)).await;
-        let answers = answers.map_err(|_| late())?.map_err(|status| up.connection.refusal(&status))?.into_inner();
-        Ok(Opened { connection: up.connection, requests, answers, clock, at })
-    }
-}
-
-/// One refusal for those of all nodes: final only if each of them is.
-fn summary(refusals: Vec<Rejection>) -> Rejection {
-    let found: Vec<_> = refusals.iter().map(|refused| format!("{} ({})", refused.message, refused.found)).collect();
-    let count = refusals.len();
-    let hopeless = refusals.iter().all(is_final);
-    match refusals.into_iter().next() {
-        None => Rejection::new(Code::BadArgument, "there is no node to connect to")
-            .wanted("at least one address, HOST:PORT")
-            .next("add one to `nodes` in context.toml"),
-        Some(first) if count == 1 || hopeless => first,
-        Some(first) => Rejection::new(Code::Unreachable, format!("none of {count} nodes can be reached"))
-            .found(found.join("; "))
-            .wanted(first.wanted)
-            .next(first.next),
-    }
-}
-
 /// Owns the connection as long as anybody has the client.
 struct Keeper {
     session: Weak<Session>,
-    dialer: Dialer,
     complaints: watch::Receiver<u64>,
+}
+
+/// Why a connection is replaced, and by which one if that is known.
+struct End {
+    reason: Rejection,
+    better: Option<Opened>,
+}
+
+impl From<Rejection> for End {
+    fn from(reason: Rejection) -> Self {
+        Self { reason, better: None }
+    }
 }
 
 impl Keeper {
     async fn run(mut self, mut answers: Streaming<SubmitResponse>) {
         for number in 1.. {
             let since = Instant::now();
-            let Some(reason) = self.serve(&mut answers, number).await else { return };
+            let Some(End { reason, better }) = self.serve(&mut answers, number).await else { return };
             let Some(session) = self.session.upgrade() else { return };
+            let (dialer, nodes) = (session.dialer.clone(), Arc::clone(&session.nodes));
+            nodes.avoid(&session.address());
             session.uninstall(reason);
             drop(session);
-            if since.elapsed() < SHORT_LIFE {
-                sleep(PAUSE_MIN).await;
-            }
-            let Some(opened) = self.reopen().await else { return };
+            let opened = match better {
+                Some(opened) => opened,
+                None => {
+                    if since.elapsed() < SHORT_LIFE {
+                        sleep(PAUSE_MIN).await;
+                    }
+                    let Some(opened) = self.reopen(&dialer, &nodes).await else { return };
+                    opened
+                }
+            };
+            let news = nodes.learn(&opened.told, &opened.connection.address);
             let Some(session) = self.session.upgrade() else { return };
             answers = session.install(number + 1, opened);
+            if news {
+                tokio::spawn(async move { nodes.note().await });
+            }
         }
     }
 
     /// Takes answers until the connection breaks or is found wanting; says why. `None` if the client is gone.
-    async fn serve(&mut self, answers: &mut Streaming<SubmitResponse>, number: u64) -> Option<Rejection> {
+    async fn serve(&mut self, answers: &mut Streaming<SubmitResponse>, number: u64) -> Option<End> {
         let mut complaint = pin!(self.complaints.wait_for(|unwanted| *unwanted >= number));
+        let mut looks = interval_at(tokio::time::Instant::now() + LOOK_EVERY, LOOK_EVERY);
+        looks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let mut look: Option<Pin<Box<dyn Future<Output = Look> + Send>>> = None;
         loop {
+            let idle = look.is_none();
+            let looking = async {
+                match &mut look {
+                    Some(look) => look.await,
+                    None => std::future::pending().await,
+                }
+            };
             let answer = tokio::select! {
                 biased;
                 answer = answers.message() => answer,
                 complaint = &mut complaint => {
                     complaint.ok()?;
                     let address = self.session.upgrade()?.address();
-                    return Some(crate::connect::unreachable(&address, "the node could not serve, another one is tried"));
+                    let reason = crate::connect::unreachable(&address, "the node could not serve, another one is tried");
+                    return Some(reason.into());
+                }
+                Look { told, better } = looking => {
+                    look = None;
+                    self.session.upgrade()?.take_note(told);
+                    if better.is_some() {
+                        let address = self.session.upgrade()?.address();
+                        let reason = crate::connect::unreachable(&address, "another node serves better");
+                        return Some(End { reason, better });
+                    }
+                    continue;
+                }
+                _ = looks.tick(), if idle => {
+                    let session = self.session.upgrade()?;
+                    let up = Up { number, connection: session.link.borrow().connection.clone() };
+                    look = Some(Box::pin(look_around(up, session.dialer.clone(), Arc::clone(&session.nodes))));
+                    continue;
                 }
             };
             let session = self.session.upgrade()?;
             match answer {
                 Ok(Some(answer)) => session.answer(answer, number),
                 Ok(None) => {
-                    return Some(crate::connect::unreachable(&session.address(), "the node closed the connection"));
+                    return Some(
+                        crate::connect::unreachable(&session.address(), "the node closed the connection").into(),
+                    );
                 }
-                Err(status) => return Some(session.link.borrow().connection.refusal(&status)),
+                Err(status) => return Some(session.link.borrow().connection.refusal(&status).into()),
             }
         }
     }
 
     /// Opens the next connection, however long it takes. `None` if the client is gone.
-    async fn reopen(&mut self) -> Option<Opened> {
+    async fn reopen(&mut self, dialer: &Dialer, nodes: &Nodes) -> Option<Opened> {
         let mut pause = PAUSE_MIN;
         loop {
-            match self.dialer.round().await {
+            match dialer.reach(&nodes.all()).await {
                 Ok(opened) => return Some(opened),
                 Err(reason) => self.session.upgrade()?.link.send_modify(|link| link.broken = Some(reason)),
             }

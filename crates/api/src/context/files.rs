@@ -1,9 +1,11 @@
 //! Reading and replacing the files of contexts.
 //!
-//! A context is written as a new directory `.NAME.new`, synced, and then renamed into place; the one it replaces
-//! waits as `.NAME.old` in between. Whatever a crash leaves behind, [`finish_replacement`] sees one complete context.
+//! A context is written as a new directory `.NAME.new`, synced, and then changes places with the old one in one step.
+//! Where the file system knows no such step, the old one waits as `.NAME.old` in between: whatever a crash leaves behind,
+//! [`finish_replacement`] sees one complete context. One program at a time does this: see [`super::lock`].
 
 use ledger::{Code, Rejection};
+use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 use std::fs::{self, DirBuilder, File, OpenOptions};
@@ -15,6 +17,8 @@ pub(super) const SETTINGS: &str = "context.toml";
 pub(super) const CERTIFICATE: &str = "certificate.pem";
 pub(super) const KEY: &str = "key.pem";
 pub(super) const MSPS: &str = "msps.json";
+/// What was learnt since the enrolment; may be missing.
+pub(super) const NODES: &str = "nodes.json";
 
 /// Largest file of a context that is read, in bytes.
 const FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
@@ -85,10 +89,14 @@ pub(super) fn finished_name(entry: &str) -> Option<&str> {
 /// Brings a context back whose replacement was cut off between the two renames.
 pub(super) fn finish_replacement(contexts: &Path, name: &str) -> Result<(), Rejection> {
     let (current, old) = (contexts.join(name), contexts.join(format!(".{name}.old")));
-    if !current.exists() && old.exists() {
-        fs::rename(&old, &current).map_err(|error| bad_file(&old, error.to_string()))?;
+    if current.exists() || !old.exists() {
+        return Ok(());
     }
-    Ok(())
+    match fs::rename(&old, &current) {
+        // Somebody else was quicker.
+        Err(_) if current.exists() => Ok(()),
+        done => done.map_err(|error| bad_file(&old, error.to_string())),
+    }
 }
 
 /// Writes the directory `name` below `contexts` with these files: all of them or none.
@@ -97,7 +105,6 @@ pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, Str
         let path = path.to_owned();
         move |error: std::io::Error| unwritable(&path, &error)
     };
-    create_directories(contexts)?;
     finish_replacement(contexts, name)?;
     let current = contexts.join(name);
     let (new, old) = (contexts.join(format!(".{name}.new")), contexts.join(format!(".{name}.old")));
@@ -105,11 +112,18 @@ pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, Str
         remove_directory(leftover)?;
     }
     DirBuilder::new().mode(DIRECTORY_MODE).create(&new).map_err(at(&new))?;
-    for (file, content) in files {
-        write_new(&new.join(file), content)?;
+    let written = files.iter().try_for_each(|(file, content)| write_new(&new.join(file), content));
+    if let Err(refused) = written.and_then(|()| sync_directory(&new)) {
+        // A full disk gets back what the half of a context took.
+        let _kept = remove_directory(&new);
+        return Err(refused);
     }
-    sync_directory(&new)?;
     if current.exists() {
+        // Other programs see the one or the other, never none.
+        if renameat_with(CWD, &new, CWD, &current, RenameFlags::EXCHANGE).is_ok() {
+            sync_directory(contexts)?;
+            return remove_directory(&new);
+        }
         fs::rename(&current, &old).map_err(at(&current))?;
     }
     fs::rename(&new, &current).map_err(at(&current))?;
@@ -120,12 +134,19 @@ pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, Str
 /// Writes one file: the new content or the old one, never a part.
 pub(super) fn replace_file(directory: &Path, name: &str, content: &str) -> Result<(), Rejection> {
     create_directories(directory)?;
+    replace_file_in(directory, name, content)
+}
+
+/// As [`replace_file`], in a directory that must exist: one that was removed meanwhile does not come back.
+pub(super) fn replace_file_in(directory: &Path, name: &str, content: &str) -> Result<(), Rejection> {
     let (new, path) = (directory.join(format!(".{name}.new")), directory.join(name));
     match fs::remove_file(&new) {
         Err(error) if error.kind() != ErrorKind::NotFound => return Err(unwritable(&new, &error)),
         _ => {}
     }
-    write_new(&new, content)?;
+    write_new(&new, content).inspect_err(|_| {
+        let _gone = fs::remove_file(&new);
+    })?;
     fs::rename(&new, &path).map_err(|error| unwritable(&path, &error))?;
     sync_directory(directory)
 }
@@ -144,7 +165,7 @@ fn write_new(path: &Path, content: &str) -> Result<(), Rejection> {
         .map_err(|error| unwritable(path, &error))
 }
 
-fn create_directories(path: &Path) -> Result<(), Rejection> {
+pub(super) fn create_directories(path: &Path) -> Result<(), Rejection> {
     DirBuilder::new().recursive(true).mode(DIRECTORY_MODE).create(path).map_err(|error| unwritable(path, &error))
 }
 
@@ -159,7 +180,7 @@ fn sync_directory(path: &Path) -> Result<(), Rejection> {
     File::open(path).and_then(|directory| directory.sync_all()).map_err(|error| unwritable(path, &error))
 }
 
-fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
+pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
     Rejection::new(Code::BadFile, format!("cannot write {}", path.display()))
         .found(error.to_string())
         .wanted("a place to store a context")

@@ -3,6 +3,7 @@
 use super::CONTEXT_NAME_BYTES_MAX;
 use super::Context;
 use super::files::{self, bad_file};
+use super::lock::Lock;
 use ledger::{Code, Rejection};
 use std::fs;
 use std::io::ErrorKind;
@@ -72,6 +73,12 @@ impl Context {
     /// # Errors
     /// [`Code::NoContext`] if there is none of this name, [`Code::BadFile`].
     pub fn select(home: &Path, name: &str) -> Result<(), Rejection> {
+        let _alone = Lock::exclusive(home)?;
+        Self::select_alone(home, name)
+    }
+
+    /// As [`Context::select`], under a lock that is held already.
+    pub(super) fn select_alone(home: &Path, name: &str) -> Result<(), Rejection> {
         directory_of(home, name)?;
         files::replace_file(home, CURRENT, &format!("{name}\n"))
     }
@@ -82,12 +89,24 @@ impl Context {
     /// [`Code::NoContext`] if there is none of this name, [`Code::BadFile`].
     pub fn remove(home: &Path, name: &str) -> Result<(), Rejection> {
         let directory = directory_of(home, name)?;
+        let _alone = Lock::exclusive(home)?;
         if Self::current(home)?.as_deref() == Some(name) {
             let path = home.join(CURRENT);
             fs::remove_file(&path).map_err(|error| bad_file(&path, error.to_string()))?;
         }
-        fs::remove_dir_all(&directory).map_err(|error| bad_file(&directory, error.to_string()))
+        // Gone in one step: a command that reads it now must not see the half of it.
+        let leaving = directory.with_file_name(format!(".{name}.new"));
+        let _leftover = fs::remove_dir_all(&leaving);
+        let removed = fs::rename(&directory, &leaving).and_then(|()| fs::remove_dir_all(&leaving));
+        removed.map_err(|error| bad_file(&directory, error.to_string()))?;
+        let _renewed = fs::remove_file(renewing(home, name));
+        Ok(())
     }
+}
+
+/// The file that whoever renews the certificate of a context holds locked.
+pub(super) fn renewing(home: &Path, name: &str) -> PathBuf {
+    home.join(CONTEXTS).join(format!(".{name}.renewing"))
 }
 
 /// The directory of an existing context.

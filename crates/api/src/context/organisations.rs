@@ -12,41 +12,56 @@ use serde::{Deserialize, Serialize};
 const ORGANISATIONS_MAX: usize = 256;
 
 /// One organisation in `msps.json`; certificates are PEM texts.
-#[derive(Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Stored {
+pub(super) struct Stored {
     organisation: String,
     roots: Vec<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     intermediates: Vec<String>,
 }
 
-pub(super) fn to_json(msps: &Msps) -> Result<String, Rejection> {
+/// The organisations as they are stored.
+pub(super) fn store(msps: &Msps) -> Vec<Stored> {
     let pem = |der: &[u8]| files::pem(&[CertificateDer::from(der)]);
-    let stored: Vec<_> = msps
-        .iter()
-        .map(|msp| Stored {
-            organisation: msp.organisation().to_owned(),
-            roots: msp.roots().map(pem).collect(),
-            intermediates: msp.intermediates().map(pem).collect(),
-        })
-        .collect();
-    serde_json::to_string_pretty(&stored)
-        .map_err(|error| Rejection::new(Code::Internal, format!("msps.json cannot be written: {error}")))
+    let stored = msps.iter().map(|msp| Stored {
+        organisation: msp.organisation().to_owned(),
+        roots: msp.roots().map(pem).collect(),
+        intermediates: msp.intermediates().map(pem).collect(),
+    });
+    stored.collect()
+}
+
+pub(super) fn to_json(msps: &Msps) -> Result<String, Rejection> {
+    pretty(&store(msps), files::MSPS)
+}
+
+/// A file as JSON that people can read.
+pub(super) fn pretty(content: &impl Serialize, file: &str) -> Result<String, Rejection> {
+    serde_json::to_string_pretty(content)
+        .map_err(|error| Rejection::new(Code::Internal, format!("{file} cannot be written: {error}")))
 }
 
 /// Reads `msps.json`; the error is the reason alone.
 pub(super) fn from_json(text: &str) -> Result<Msps, String> {
     let stored: Vec<Stored> = serde_json::from_str(text).map_err(|error| error.to_string())?;
+    read(&stored)
+}
+
+/// Organisations that were stored; the error is the reason alone.
+pub(super) fn read(stored: &[Stored]) -> Result<Msps, String> {
+    if stored.len() > ORGANISATIONS_MAX {
+        return Err(format!("{} organisations, more than {ORGANISATIONS_MAX}", stored.len()));
+    }
     let ders = |texts: &[String]| {
         texts.iter().map(|text| CertificateDer::from_pem_slice(text.as_bytes())).collect::<Result<Vec<_>, _>>()
     };
     let mut msps = Msps::new();
     for Stored { organisation, roots, intermediates } in stored {
         let wrong = |error: String| format!("organisation {organisation:?}: {error}");
-        let roots = ders(&roots).map_err(|error| wrong(error.to_string()))?;
-        let intermediates = ders(&intermediates).map_err(|error| wrong(error.to_string()))?;
-        let msp = Msp::new(&organisation, &roots, &intermediates).map_err(|error| wrong(error.to_string()))?;
+        let roots = ders(roots).map_err(|error| wrong(error.to_string()))?;
+        let intermediates = ders(intermediates).map_err(|error| wrong(error.to_string()))?;
+        let msp = Msp::new(organisation, &roots, &intermediates).map_err(|error| wrong(error.to_string()))?;
         msps.insert(msp).map_err(|error| wrong(error.to_string()))?;
     }
     Ok(msps)

@@ -4,7 +4,7 @@ use super::identity::{TlsError, TlsIdentity};
 use super::refusal::Refusal;
 use super::{ALPN, VERSIONS, provider};
 use ledger::Hash;
-use ledger::identity::{Identity, Role};
+use ledger::identity::{Identity, IdentityError, Role};
 use ledger::msp::{Msp, Msps, Usage};
 use rustls::client::Resumption;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
@@ -12,7 +12,7 @@ use rustls::crypto::{CryptoProvider, verify_tls13_signature};
 use rustls::pki_types::{CertificateDer, ServerName, UnixTime};
 use rustls::{ClientConfig, DigitallySignedStruct, PeerIncompatible, SignatureScheme};
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, PoisonError, RwLock};
 
 /// What stands for the organisation while only the fingerprint of its CA is known.
 const UNKNOWN_ORGANISATION: &str = "unknown organisation";
@@ -28,11 +28,42 @@ pub trait TrustSource: Send + Sync {
     fn revoked(&self, identity: &Identity) -> bool;
 }
 
+/// The organisations of a network as one machine knows them: as they were at its enrolment, and as nodes of these have
+/// told since. Clones of the [`Arc`] share it, so that connections which are made later know what was learnt.
+#[derive(Debug)]
+pub struct Trusted {
+    enrolled: Arc<Msps>,
+    learnt: RwLock<Option<Arc<Msps>>>,
+}
+
+impl Trusted {
+    /// What is known from enrolment, and what was learnt.
+    pub fn new(enrolled: Arc<Msps>, learnt: Option<Arc<Msps>>) -> Self {
+        Self { enrolled, learnt: RwLock::new(learnt) }
+    }
+
+    /// Replaces what was learnt.
+    pub fn learn(&self, learnt: Option<Arc<Msps>>) {
+        *self.learnt.write().unwrap_or_else(PoisonError::into_inner) = learnt;
+    }
+
+    fn verify(&self, own: &[u8], presented: &[CertificateDer<'_>], now: u64) -> Result<Identity, IdentityError> {
+        let verified = self.enrolled.verify_for(Usage::Server, own, presented, now);
+        let learnt = self.learnt.read().unwrap_or_else(PoisonError::into_inner).clone();
+        match (verified, learnt) {
+            (Err(refused), Some(learnt)) => learnt.verify_for(Usage::Server, own, presented, now).map_err(|_| refused),
+            (verified, _) => verified,
+        }
+    }
+}
+
 /// Which servers a client accepts. All of them must have the role node.
 #[derive(Clone)]
 pub enum ServerTrust {
     /// Nodes of these organisations, at the wall clock of the machine.
     Roots(Arc<Msps>),
+    /// Nodes of the network as this machine knows it by now, at the wall clock of the machine.
+    Learnt(Arc<Trusted>),
     /// Nodes of the network as it is at each handshake, without revoked ones: between nodes.
     Network(Arc<dyn TrustSource>),
     /// First contact: nodes that present, and are verified by, a CA with this SHA-256 fingerprint of its DER.
@@ -50,6 +81,7 @@ impl ServerTrust {
         let (own, presented) = chain.split_first().ok_or(Refusal::NoCertificate)?;
         let identity = match self {
             Self::Roots(msps) => msps.verify_for(Usage::Server, own, presented, now)?,
+            Self::Learnt(trusted) => trusted.verify(own, presented, now)?,
             Self::Network(source) => {
                 let found = source.msps().verify_for(Usage::Server, own, presented, source.now())?;
                 if source.revoked(&found) {
@@ -81,6 +113,7 @@ impl fmt::Debug for ServerTrust {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Roots(_) => f.write_str("Roots"),
+            Self::Learnt(_) => f.write_str("Learnt"),
             Self::Network(_) => f.write_str("Network"),
             Self::Fingerprint(wanted) => write!(f, "Fingerprint({})", Hash(*wanted)),
         }
@@ -94,6 +127,20 @@ impl fmt::Debug for ServerTrust {
 /// [`TlsError`] if rustls refuses the certificate or key.
 pub fn client_config(identity: Option<TlsIdentity>, trust: ServerTrust) -> Result<ClientConfig, TlsError> {
     configure(identity, trust, None)
+}
+
+/// The settings of a client that shows nothing and accepts anybody: to hear from a server that was refused what it says
+/// of itself. What is heard is good for advice, and for nothing else.
+pub(crate) fn unverified_config() -> Result<ClientConfig, TlsError> {
+    let provider = provider();
+    let builder = ClientConfig::builder_with_provider(Arc::clone(&provider))
+        .with_protocol_versions(VERSIONS)?
+        .dangerous()
+        .with_custom_certificate_verifier(Arc::new(Anybody { provider }));
+    let mut config = builder.with_no_client_auth();
+    config.alpn_protocols = vec![ALPN.to_vec()];
+    config.resumption = Resumption::disabled();
+    Ok(config)
 }
 
 /// As [`client_config`], but accepts only the node `Org1/node1`; or `node1` of any organisation, for first contact.
@@ -171,6 +218,47 @@ impl ServerCertVerifier for ServerVerifier {
             }
             _ => Ok(ServerCertVerified::assertion()),
         }
+    }
+
+    fn verify_tls12_signature(
+        &self,
+        _message: &[u8],
+        _certificate: &CertificateDer<'_>,
+        _signature: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        Err(PeerIncompatible::Tls12NotOfferedOrEnabled.into())
+    }
+
+    fn verify_tls13_signature(
+        &self,
+        message: &[u8],
+        certificate: &CertificateDer<'_>,
+        signature: &DigitallySignedStruct,
+    ) -> Result<HandshakeSignatureValid, rustls::Error> {
+        verify_tls13_signature(message, certificate, signature, &self.provider.signature_verification_algorithms)
+    }
+
+    fn supported_verify_schemes(&self) -> Vec<SignatureScheme> {
+        self.provider.signature_verification_algorithms.supported_schemes()
+    }
+}
+
+/// Accepts every certificate.
+#[derive(Debug)]
+struct Anybody {
+    provider: Arc<CryptoProvider>,
+}
+
+impl ServerCertVerifier for Anybody {
+    fn verify_server_cert(
+        &self,
+        _own: &CertificateDer<'_>,
+        _presented: &[CertificateDer<'_>],
+        _host: &ServerName<'_>,
+        _ocsp_response: &[u8],
+        _now: UnixTime,
+    ) -> Result<ServerCertVerified, rustls::Error> {
+        Ok(ServerCertVerified::assertion())
     }
 
     fn verify_tls12_signature(

@@ -78,9 +78,28 @@ impl Authority {
         self.context_at(nodes.iter().map(|node| node.address()).collect(), &params("Salma", "member"))
     }
 
+    /// A context of Salma at these addresses.
+    pub(crate) fn context_of(&self, nodes: Vec<String>) -> Context {
+        self.context_at(nodes, &params("Salma", "member"))
+    }
+
     /// A context whose certificate has expired.
     pub(crate) fn expired(&self, nodes: &[&Fake]) -> Context {
         let mut params = params("Salma", "member");
+        params.not_after = date_time_ymd(2021, 1, 1);
+        self.context_at(nodes.iter().map(|node| node.address()).collect(), &params)
+    }
+
+    /// A context whose certificate has this validity, in years.
+    pub(crate) fn valid(&self, nodes: &[&Fake], (from, to): (i32, i32)) -> Context {
+        let mut params = params("Salma", "member");
+        (params.not_before, params.not_after) = (date_time_ymd(from, 1, 1), date_time_ymd(to, 1, 1));
+        self.context_at(nodes.iter().map(|node| node.address()).collect(), &params)
+    }
+
+    /// The same for an admin.
+    pub(crate) fn expired_admin(&self, nodes: &[&Fake]) -> Context {
+        let mut params = params("Amal", "admin");
         params.not_after = date_time_ymd(2021, 1, 1);
         self.context_at(nodes.iter().map(|node| node.address()).collect(), &params)
     }
@@ -96,6 +115,8 @@ impl Authority {
             chain: vec![own],
             key: Arc::new(key),
             msps: self.msps(),
+            renew: ledger_api::context::RenewalRule::default(),
+            memory: ledger_api::context::Memory::default(),
         }
     }
 

@@ -11,6 +11,7 @@ use std::sync::Arc;
 async fn a_secret_becomes_a_context_that_connects_with_either_kind_of_key() {
     let authority = Arc::new(Authority::new());
     let node = Fake::start(&authority).await;
+    *node.node.addresses.lock().unwrap() = vec!["node2.example:7450".into()];
     for kind in [KeyKind::Ed25519, KeyKind::P256] {
         let enrolment = Enrolment::new(node.address(), authority.fingerprint());
         let context = enrolment.enrol("Salma", "secret", kind).await.unwrap();

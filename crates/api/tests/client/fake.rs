@@ -12,7 +12,7 @@ use ledger_api::{to_status, v1};
 use std::collections::BTreeMap;
 use std::io;
 use std::pin::Pin;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::task::{Context, Poll};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -82,6 +82,18 @@ pub(crate) struct Node {
     pub(crate) certificate: Mutex<Option<Bytes>>,
     /// Certifies this name whatever is asked.
     pub(crate) name: Mutex<Option<String>>,
+    /// Addresses that it tells of its organisation.
+    pub(crate) addresses: Mutex<Vec<String>>,
+    /// Does it give secrets?
+    pub(crate) secrets: Mutex<bool>,
+    /// How often somebody asked for a renewal.
+    pub(crate) renewals: AtomicU64,
+    /// Why nobody's certificate is renewed.
+    pub(crate) no_renewal: Mutex<Option<Rejection>>,
+    /// Can it have nothing ordered?
+    pub(crate) cut_off: AtomicBool,
+    /// The organisations whose CA it carries.
+    pub(crate) carries: Mutex<Vec<String>>,
 }
 
 pub(crate) fn wall_clock() -> u64 {
@@ -118,6 +130,12 @@ impl Fake {
             network: Mutex::new(NETWORK),
             certificate: Mutex::default(),
             name: Mutex::default(),
+            addresses: Mutex::default(),
+            secrets: Mutex::new(true),
+            renewals: AtomicU64::new(0),
+            no_renewal: Mutex::default(),
+            cut_off: AtomicBool::new(false),
+            carries: Mutex::new(vec!["Org1".into()]),
         });
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -306,9 +324,11 @@ impl Node {
                 name: "Org1".into(),
                 roots: vec![self.authority.der()],
                 intermediates: Vec::new(),
-                addresses: vec!["node2.example:7450".into()],
+                addresses: self.addresses.lock().unwrap().clone(),
             }],
             clock: self.clock(),
+            cut_off: self.cut_off.load(Ordering::SeqCst),
+            carries: self.carries.lock().unwrap().clone(),
         }
     }
 }
@@ -440,13 +460,26 @@ impl Enrolment for Shared {
     }
 
     async fn register(&self, request: Request<v1::RegisterRequest>) -> Result<Response<v1::RegisterResponse>, Status> {
+        if !*self.0.secrets.lock().unwrap() {
+            return Err(to_status(&Rejection::new(Code::NotFound, "this node does not carry the CA")));
+        }
         let secret = format!("secret of {}", request.into_inner().name);
         let verdict = Some(v1::Verdict::default());
         Ok(Response::new(v1::RegisterResponse { verdict, secret, organisation: "Org1".into() }))
     }
 
-    async fn renew(&self, _: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
-        Err(Status::unimplemented("renewal"))
+    async fn renew(&self, request: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
+        self.0.renewals.fetch_add(1, Ordering::SeqCst);
+        if let Some(refused) = &*self.0.no_renewal.lock().unwrap() {
+            let verdict = Some(v1::Verdict::from(refused));
+            return Ok(Response::new(v1::EnrolResponse { verdict, ..Default::default() }));
+        }
+        Ok(Response::new(v1::EnrolResponse {
+            verdict: Some(v1::Verdict::default()),
+            certificate: self.0.authority.certify("Salma", &request.into_inner().request),
+            organisation: "Org1".into(),
+            ..Default::default()
+        }))
     }
 
     async fn genesis(&self, _: Request<v1::GenesisRequest>) -> Result<Response<v1::GenesisResponse>, Status> {

@@ -5,6 +5,8 @@ mod authority;
 mod contexts;
 mod enrolment;
 mod fake;
+mod nodes;
 mod reading;
+mod renewing;
 mod submitting;
 mod subscribing;

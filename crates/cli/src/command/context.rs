@@ -1,20 +1,24 @@
-//! `context list|use|show|delete`: the identities on this machine.
+//! `context list|use|show|set|refresh|delete`: the identities on this machine.
+
+mod refresh;
+mod set;
+mod show;
 
 use crate::cli::Global;
+use crate::context;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
-use crate::{context, time};
-use ledger::{Hash, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
-use std::path::PathBuf;
 
 /// See and choose the identities that are stored on this machine.
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Context {
     List(List),
     Use(Use),
-    Show(Show),
+    Show(show::Show),
+    Set(set::Set),
+    Refresh(refresh::Refresh),
     Delete(Delete),
 }
 
@@ -31,14 +35,6 @@ pub(crate) struct Use {
     name: String,
 }
 
-/// Show a context.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl context show\n  ledgerctl context show Salma")]
-pub(crate) struct Show {
-    /// Name of the context; otherwise the one in use
-    name: Option<String>,
-}
-
 /// Delete a context with its key. The certificate stays valid: revoke it if the key may have been seen.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl context delete Salma")]
@@ -48,7 +44,7 @@ pub(crate) struct Delete {
 }
 
 impl Context {
-    pub(crate) fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let home = context::home()?;
         match self {
             Self::List(_) => {
@@ -61,13 +57,9 @@ impl Context {
                 ledger_api::Context::select(&home, &command.name)?;
                 output.show(&Done { context: command.name, done: "in use" })
             }
-            Self::Show(command) => {
-                let loaded = match command.name {
-                    Some(name) => ledger_api::Context::load(&home, Some(&name))?,
-                    None => context::selected(global)?,
-                };
-                output.show(&Details::of(&loaded, &home)?)
-            }
+            Self::Show(command) => command.run(global, &home, output),
+            Self::Set(command) => command.run(&home, output),
+            Self::Refresh(command) => command.run(global, output).await,
             Self::Delete(command) => {
                 ledger_api::Context::remove(&home, &command.name)?;
                 output.show(&Done { context: command.name, done: "deleted" })
@@ -117,8 +109,8 @@ impl Entry {
         match read {
             Ok((loaded, identity)) => {
                 entry.id = identity.id();
+                entry.nodes = loaded.addresses();
                 entry.label = loaded.label;
-                entry.nodes = loaded.nodes;
             }
             Err(rejection) => entry.fault = rejection.message,
         }
@@ -136,62 +128,6 @@ impl Facts for Contexts {
             let star = if entry.in_use { "*" } else { "" };
             let identity = if entry.fault.is_empty() { entry.id.clone() } else { format!("damaged: {}", entry.fault) };
             table.row([star.to_owned(), entry.name.clone(), identity, entry.label.clone(), entry.nodes.join(", ")]);
-        }
-        table.write(out, 0)
-    }
-}
-
-#[derive(Serialize)]
-struct Details {
-    name: String,
-    id: String,
-    not_after: u64,
-    network: Hash,
-    label: String,
-    nodes: Vec<String>,
-    directory: PathBuf,
-    authorities: Vec<Authority>,
-}
-
-#[derive(Serialize)]
-struct Authority {
-    organisation: String,
-    ca_fingerprints: Vec<Hash>,
-}
-
-impl Details {
-    fn of(loaded: &ledger_api::Context, home: &std::path::Path) -> Result<Self, Rejection> {
-        let identity = context::identity(loaded)?;
-        let authority = |msp: &ledger::msp::Msp| Authority {
-            organisation: msp.organisation().to_owned(),
-            ca_fingerprints: msp.roots().map(|root| Hash::of(&[root])).collect(),
-        };
-        Ok(Self {
-            name: loaded.name.clone(),
-            id: identity.id(),
-            not_after: identity.not_after,
-            network: loaded.network,
-            label: loaded.label.clone(),
-            nodes: loaded.nodes.clone(),
-            directory: context::directory(home, &loaded.name),
-            authorities: loaded.msps.iter().map(authority).collect(),
-        })
-    }
-}
-
-impl Facts for Details {
-    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let mut table = Table::pairs();
-        table.pair("context", &self.name);
-        table.pair("identity", &self.id);
-        table.pair("valid until", time::moment(self.not_after));
-        table.pair("network", format!("{} {}", self.label, self.network).trim_start());
-        table.pair("nodes", self.nodes.join(", "));
-        table.pair("stored in", self.directory.display());
-        for authority in &self.authorities {
-            for fingerprint in &authority.ca_fingerprints {
-                table.pair(&format!("CA of {}", authority.organisation), fingerprint);
-            }
         }
         table.write(out, 0)
     }

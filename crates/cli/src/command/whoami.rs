@@ -100,10 +100,11 @@ impl Whoami {
         let selected = context::selected(global)?;
         let identity = context::identity(&selected)?;
         let ask = async {
-            let session = Session::connect(selected.clone()).await?;
+            let session = Session::open(global).await?;
             session.ask(ABAC, "GetSubmittingClientIdentity", vec![]).await.map(drop)
         };
         let online = Online::of(ask.await);
+        let nodes = selected.addresses();
         output.show(&Who {
             id: identity.id(),
             organisation: identity.organisation,
@@ -116,7 +117,7 @@ impl Whoami {
             not_after: identity.not_after,
             network: selected.network,
             label: selected.label,
-            nodes: selected.nodes,
+            nodes,
             context: selected.name,
             online,
             now: time::now(),

@@ -61,6 +61,8 @@ fn context(network: &Network) -> Context {
         chain: Vec::new(),
         key: Arc::clone(&network.robot.key),
         msps: Arc::clone(&network.msps),
+        renew: ledger_api::context::RenewalRule::default(),
+        memory: ledger_api::context::Memory::default(),
     }
 }
 

@@ -36,8 +36,8 @@ impl Facts for Renewed {
 impl Renew {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let before = context::selected(global)?;
-        let renewed = before.renewed().await?;
-        renewed.save(&context::home()?)?;
+        let client = ledger_api::Client::connect(&before).await?;
+        let renewed = before.renew(&client).await?;
         let identity = context::identity(&renewed)?;
         output.show(&Renewed {
             context: renewed.name,

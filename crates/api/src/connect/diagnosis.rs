@@ -1,0 +1,191 @@
+//! Why a node and this machine do not accept each other, where the certificates alone tell it badly.
+//!
+//! A network that was made anew has another CA under the same name; a clock that is wrong makes good certificates look
+//! expired; a certificate that has expired is refused by an alert that says "unknown". In these cases the node is asked,
+//! without showing or believing anything, what it says of its network and its clock. That only chooses the words: refused
+//! it stays.
+
+use super::Connection;
+use crate::tls::unverified_config;
+use crate::v1::enrolment_client::EnrolmentClient;
+use crate::v1::{NetworkRequest, NetworkResponse};
+use ledger::certificate::Certificate;
+use ledger::identity::Role;
+use ledger::{Bytes, Code, Hash, Rejection};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::timeout;
+
+/// Clocks that differ by less, in microseconds, are not what certificates fail by.
+const CLOCK_OFF: u64 = 5 * 60 * 1_000_000;
+const SECOND: u64 = 1_000_000;
+const DAY: u64 = 24 * 3600 * SECOND;
+
+/// Whom this machine looks for, and as whom.
+#[derive(Clone, Debug)]
+pub(crate) struct Expected {
+    /// Name of the network.
+    pub network: Hash,
+    /// The organisation of the own identity, if it is known.
+    pub organisation: Option<String>,
+    /// The own certificate in DER.
+    pub certificate: Bytes,
+}
+
+/// The refusal in better words, if the node at `address` can be asked for them within `patience`.
+pub(crate) async fn explain(refused: Rejection, address: &str, expected: &Expected, patience: Duration) -> Rejection {
+    let doubtful = [Code::Untrusted, Code::CertificateExpired, Code::CertificateNotYetValid, Code::WrongNetwork];
+    if !doubtful.contains(&refused.code) {
+        return refused;
+    }
+    let Ok(Ok(told)) = timeout(patience, ask(address, patience)).await else { return refused };
+    let here = crate::enrol::now();
+    other_network(address, expected, &told)
+        .unwrap_or_else(|| by_the_clock(refused, address, expected, (here, told.clock)))
+}
+
+/// As [`explain`], at first contact, when nothing is known of the network: only the clock can be it.
+pub(crate) async fn explain_clock(refused: Rejection, address: &str, patience: Duration) -> Rejection {
+    if !matches!(refused.code, Code::CertificateExpired | Code::CertificateNotYetValid) {
+        return refused;
+    }
+    let Ok(Ok(told)) = timeout(patience, ask(address, patience)).await else { return refused };
+    let here = crate::enrol::now();
+    if here.abs_diff(told.clock) > CLOCK_OFF { clocks_differ(address, here, told.clock) } else { refused }
+}
+
+async fn ask(address: &str, patience: Duration) -> Result<NetworkResponse, Rejection> {
+    let config = unverified_config().map_err(|error| super::unusable(&error))?;
+    let connection = Connection::open(address, Arc::new(config), &Bytes::new(), patience).await?;
+    let answer = EnrolmentClient::new(connection.channel.clone()).network(NetworkRequest {}).await;
+    Ok(answer.map_err(|status| connection.refusal(&status))?.into_inner())
+}
+
+/// The node is of another network than the one that is looked for.
+fn other_network(address: &str, expected: &Expected, told: &NetworkResponse) -> Option<Rejection> {
+    if told.network == expected.network.as_ref() {
+        return None;
+    }
+    let own = expected.organisation.as_deref();
+    let twin = told.organisations.iter().find(|found| Some(found.name.as_str()) == own);
+    let authority = twin.and_then(|found| found.roots.first()).map(|root| Hash::of(&[root]));
+    let found = match (own, authority) {
+        (Some(own), Some(authority)) => format!(" with the CA {authority} of {own}"),
+        _ => String::new(),
+    };
+    let found = format!("network {} {:?}{found}", hex::encode(&told.network), told.label);
+    let wanted = format!("network {}, of which the context is", expected.network);
+    Some(match own.filter(|_| authority.is_some()) {
+        Some(own) => Rejection::new(Code::WrongNetwork, format!("the network at {address} was made anew"))
+            .found(found)
+            .wanted(wanted)
+            .next(format!(
+                "ask an admin of {own} in the new network to register you, then enrol again with --force; \
+                 ledgerd dev makes its own contexts anew when it starts"
+            )),
+        None => Rejection::new(Code::WrongNetwork, format!("the node at {address} is of another network"))
+            .found(found)
+            .wanted(wanted)
+            .next("check the address, or select the context of that network"),
+    })
+}
+
+/// The network is the right one: is it a clock, or the end of our certificate?
+fn by_the_clock(refused: Rejection, address: &str, expected: &Expected, (here, there): (u64, u64)) -> Rejection {
+    let Ok(own) = Certificate::parse(&expected.certificate) else { return refused };
+    let valid = |at: u64| (own.not_before..=own.not_after).contains(&at);
+    // Which of the two is wrong nobody can tell from here; that they differ explains it.
+    if here.abs_diff(there) > CLOCK_OFF && (valid(here) != valid(there) || refused.code != Code::Untrusted) {
+        return clocks_differ(address, here, there);
+    }
+    if there > own.not_after { ended(&own, expected.organisation.as_deref(), there) } else { refused }
+}
+
+fn clocks_differ(address: &str, here: u64, there: u64) -> Rejection {
+    let way = if here > there { "ahead of" } else { "behind" };
+    let off = span(here.abs_diff(there));
+    Rejection::new(Code::ClockOff, format!("the clock of this machine is {off} {way} that of the node at {address}"))
+        .found(format!("{} here, {} there", utc(here), utc(there)))
+        .wanted("clocks that agree: certificates are valid from one moment to another")
+        .next("set the clock of this machine: timedatectl set-ntp true; if it is right, tell the node's operator")
+}
+
+/// Our certificate is past its end by the clock of the node, which is the one that counts.
+fn ended(own: &Certificate, organisation: Option<&str>, now: u64) -> Rejection {
+    let name = own.name().unwrap_or("NAME");
+    let id = organisation.map_or_else(|| name.to_owned(), |organisation| format!("{organisation}/{name}"));
+    Rejection::new(Code::CertificateExpired, format!("the certificate of {id} has expired"))
+        .found(format!("its end on {}, {} ago", utc(own.not_after), span(now.saturating_sub(own.not_after))))
+        .wanted("a certificate that is still valid; it is renewed at use in the last third of its life")
+        .next(way_back(own, organisation))
+}
+
+/// What the owner of a certificate does that has expired.
+pub(crate) fn way_back(own: &Certificate, organisation: Option<&str>) -> String {
+    let name = own.name().unwrap_or("NAME");
+    let organisation = organisation.unwrap_or("the organisation");
+    let again = format!("ledgerctl identity register {name} --reissue; then type what it prints, with --force");
+    match own.role() {
+        Ok(Role::Admin) => format!(
+            "ask another admin of {organisation} for: {again}; if there is none: ledgerd admin-secret, at a node of \
+             {organisation} that carries its CA"
+        ),
+        _ => format!("ask an admin of {organisation} for: {again}"),
+    }
+}
+
+/// A time in words: the two largest that matter to people.
+fn span(micros: u64) -> String {
+    let count = |unit: u64, name: &str| {
+        let count = micros / unit;
+        format!("{count} {name}{}", if count == 1 { "" } else { "s" })
+    };
+    match micros {
+        day if day >= 2 * DAY => count(DAY, "day"),
+        hour if hour >= 2 * 3600 * SECOND => count(3600 * SECOND, "hour"),
+        minute if minute >= 60 * SECOND => count(60 * SECOND, "minute"),
+        _ => count(SECOND, "second"),
+    }
+}
+
+/// A moment as RFC 3339, to the second.
+fn utc(micros: u64) -> String {
+    let seconds = micros / SECOND;
+    let (days, second) = (seconds / 86_400, seconds % 86_400);
+    // Civil from days, with years that begin in March, so that the leap day is the last.
+    let shifted = days + 719_468;
+    let (era, of_era) = (shifted / 146_097, shifted % 146_097);
+    let year_of_era = (of_era - of_era / 1_460 + of_era / 36_524 - of_era / 146_096) / 365;
+    let of_year = of_era - (365 * year_of_era + year_of_era / 4 - year_of_era / 100);
+    let shifted_month = (5 * of_year + 2) / 153;
+    let day = of_year - (153 * shifted_month + 2) / 5 + 1;
+    let month = if shifted_month < 10 { shifted_month + 3 } else { shifted_month - 9 };
+    let year = era * 400 + year_of_era + u64::from(month <= 2);
+    format!("{year:04}-{month:02}-{day:02}T{:02}:{:02}:{:02}Z", second / 3600, second / 60 % 60, second % 60)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn moments_are_dates_of_the_calendar() {
+        for (seconds, text) in [
+            (0, "1970-01-01T00:00:00Z"),
+            (951_782_399, "2000-02-28T23:59:59Z"),
+            (951_782_400, "2000-02-29T00:00:00Z"),
+            (1_795_229_428, "2026-11-21T02:50:28Z"),
+        ] {
+            assert_eq!(utc(seconds * SECOND), text);
+        }
+    }
+
+    #[test]
+    fn spans_are_in_the_unit_that_people_would_choose() {
+        for (micros, text) in
+            [(730 * DAY, "730 days"), (DAY, "24 hours"), (90 * 60 * SECOND, "90 minutes"), (SECOND, "1 second")]
+        {
+            assert_eq!(span(micros), text);
+        }
+    }
+}

@@ -1,0 +1,187 @@
+//! When the certificate of a context is renewed, and how no two programs do it at once.
+
+use super::Context;
+use super::files::unwritable;
+use super::home::renewing;
+use crate::client::Client;
+use crate::renew::{Renewal, renewal_due};
+use ledger::Rejection;
+use serde::{Deserialize, Serialize};
+use std::fs::{File, OpenOptions};
+use std::os::unix::fs::OpenOptionsExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::time::sleep;
+
+/// In the last days of a certificate whoever uses it is warned.
+pub const WARNING_DAYS: u64 = 30;
+const DAY: u64 = 24 * 3600 * 1_000_000;
+/// A renewal that failed is not tried at every command.
+const RETRY_AFTER: Duration = Duration::from_secs(600);
+/// How long one who was asked to renew waits for another one who does.
+const OTHER_WAITS_MAX: Duration = Duration::from_secs(20);
+/// Between two looks.
+const LOOK: Duration = Duration::from_millis(20);
+
+/// Is a certificate renewed when it is used?
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RenewalRule {
+    /// In the last third of its life.
+    #[default]
+    Auto,
+    /// Only when somebody says so.
+    Never,
+}
+
+impl RenewalRule {
+    pub(super) fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// As it is written in `context.toml`.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Never => "never",
+        }
+    }
+}
+
+/// What became of a renewal that nobody had to ask for.
+#[derive(Debug)]
+pub enum Renewed {
+    /// It was not due, is switched off, has failed lately, or another program does it.
+    No,
+    /// The context has a new certificate.
+    Yes(Box<Context>),
+}
+
+/// From when on people are warned of the end of a certificate of this validity: thirty days before, but never while it
+/// has no need to be renewed yet. All in microseconds since the UNIX epoch.
+pub fn warning_due(not_before: u64, not_after: u64) -> u64 {
+    renewal_due(not_before, not_after).max(not_after.saturating_sub(WARNING_DAYS * DAY))
+}
+
+impl Context {
+    /// Renews the certificate of a stored context, if its last third has begun and nothing speaks against it. `client`
+    /// is connected as this context, and by its clock it is judged.
+    ///
+    /// # Errors
+    /// Why it could not be renewed; the present certificate stays in use, and the next try is minutes away.
+    pub async fn renew_if_due(&self, client: &Client) -> Result<Renewed, Rejection> {
+        let certificate = self.certificate()?;
+        let due = renewal_due(certificate.not_before, certificate.not_after);
+        let Some(home) = self.home().filter(|_| self.renew == RenewalRule::Auto && client.now() >= due) else {
+            return Ok(Renewed::No);
+        };
+        let Some(turn) = Turn::take(&renewing(&home, &self.name))? else { return Ok(Renewed::No) };
+        let stored = Self::load(&home, Some(&self.name))?;
+        if stored.chain.first() != self.chain.first() {
+            return Ok(Renewed::Yes(Box::new(stored)));
+        }
+        if turn.failed_lately() {
+            return Ok(Renewed::No);
+        }
+        match stored.ask(client, &home).await {
+            Ok(renewed) => {
+                turn.succeeded();
+                Ok(Renewed::Yes(Box::new(renewed)))
+            }
+            Err(refused) => {
+                turn.failed();
+                Err(refused)
+            }
+        }
+    }
+
+    /// Renews the certificate of a stored context now, with a new key, and stores it. `client` is connected as this
+    /// context. If another program is at it, what that one gets is the answer.
+    ///
+    /// # Errors
+    /// As [`Renewal::finish`], what the CA says, and [`Code::BadFile`](ledger::Code::BadFile) before anything is asked
+    /// for if the context cannot be changed.
+    pub async fn renew(&self, client: &Client) -> Result<Self, Rejection> {
+        let home = match self.home() {
+            Some(home) => home,
+            None => super::home()?,
+        };
+        let path = renewing(&home, &self.name);
+        let deadline = Instant::now() + OTHER_WAITS_MAX;
+        let turn = loop {
+            match Turn::take(&path)? {
+                Some(turn) => break turn,
+                None if Instant::now() >= deadline => {
+                    return Err(super::bad_file(&path, "a lock that another program holds")
+                        .wanted("one renewal at a time")
+                        .next(format!("end that program: fuser {}", path.display())));
+                }
+                None => sleep(LOOK).await,
+            }
+        };
+        let stored = Self::load(&home, Some(&self.name))?;
+        if stored.chain.first() != self.chain.first() {
+            return Ok(stored);
+        }
+        let renewed = stored.ask(client, &home).await?;
+        turn.succeeded();
+        Ok(renewed)
+    }
+
+    async fn ask(&self, client: &Client, home: &Path) -> Result<Self, Rejection> {
+        let renewal = Renewal::begin(&self.identity()?)?;
+        let msps = self.learnt_organisations().unwrap_or(&self.msps);
+        let certificate = client.certify(renewal.request()).await?;
+        let renewed = renewal.finish_at(&certificate, msps, client.now())?.own();
+        Self::change(home, &self.name, |context| {
+            context.chain.clone_from(&renewed.chain);
+            context.key = Arc::clone(&renewed.key);
+            Ok(())
+        })
+    }
+
+    /// The home in which the context is stored, if it was loaded from one.
+    pub fn home(&self) -> Option<PathBuf> {
+        Some(self.memory.directory()?.parent()?.parent()?.to_owned())
+    }
+}
+
+/// The right to renew a context. The system takes it back with the process, however that ends.
+struct Turn {
+    file: File,
+}
+
+impl Turn {
+    /// None if somebody else has it.
+    fn take(path: &Path) -> Result<Option<Self>, Rejection> {
+        let file = OpenOptions::new().create(true).truncate(false).read(true).write(true).mode(0o600).open(path);
+        let file = file.map_err(|error| unwritable(path, &error))?;
+        Ok(file.try_lock().is_ok().then_some(Self { file }))
+    }
+
+    /// The file is empty unless the last try has failed.
+    fn failed_lately(&self) -> bool {
+        let age = |metadata: std::fs::Metadata| metadata.modified().ok()?.elapsed().ok();
+        self.file.metadata().is_ok_and(|found| found.len() > 0 && age(found).is_some_and(|age| age < RETRY_AFTER))
+    }
+
+    fn failed(&self) {
+        let _unnoted = self.file.set_len(0).and_then(|()| self.file.set_len(1));
+    }
+
+    fn succeeded(&self) {
+        let _unnoted = self.file.set_len(0);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn people_are_warned_in_the_last_thirty_days_and_not_before_the_last_third() {
+        assert_eq!(warning_due(0, 365 * DAY), 335 * DAY);
+        assert_eq!(warning_due(0, 9 * DAY), 6 * DAY);
+    }
+}

@@ -1,0 +1,86 @@
+//! What is done for a context beside the command that uses it: its certificate is renewed in time, and people are told
+//! what they should know about it and about their clock.
+//!
+//! None of it keeps a command waiting: it begins when the command is connected, goes on beside it, and has a moment more
+//! when the command is done.
+
+use crate::cli::Global;
+use crate::output::{Format, warn};
+use crate::{context, time};
+use ledger::Rejection;
+use ledger_api::context::{Renewed, warning_due};
+use ledger_api::{Client, Context};
+use std::cell::RefCell;
+use std::time::Duration;
+use tokio::task::JoinHandle;
+use tokio::time::timeout;
+
+/// How long a renewal may go on after the command is done.
+const RENEWAL_MAX: Duration = Duration::from_secs(3);
+/// Clocks that differ by more, in microseconds, are spoken of.
+const CLOCK_OFF: u64 = 5 * 60 * 1_000_000;
+
+/// The work beside one command.
+#[derive(Debug, Default)]
+pub(crate) struct Upkeep {
+    begun: RefCell<Option<JoinHandle<()>>>,
+}
+
+impl Upkeep {
+    /// Begins, once for a command, as the context that it is connected as.
+    pub(crate) fn begin(&self, format: Format, context: &Context, client: &Client) {
+        let mut begun = self.begun.borrow_mut();
+        if begun.is_none() {
+            let (context, client) = (context.clone(), client.clone());
+            *begun = Some(tokio::spawn(async move { look_after(format, &context, &client).await }));
+        }
+    }
+
+    /// Ends with the command. One that was not connected looks at the certificate all the same.
+    pub(crate) async fn finish(&self, global: &Global) {
+        let begun = self.begun.borrow_mut().take();
+        let done = match begun {
+            Some(begun) => timeout(RENEWAL_MAX, begun).await.is_ok(),
+            None => false,
+        };
+        if !done && let Ok(context) = context::selected(global) {
+            warn_of_end(global.output, &context, time::now(), None);
+        }
+    }
+}
+
+async fn look_after(format: Format, context: &Context, client: &Client) {
+    let (here, there) = (time::now(), client.now());
+    if here.abs_diff(there) > CLOCK_OFF {
+        let way = if here > there { "ahead of" } else { "behind" };
+        let message = format!("the clock of this machine is {} {way} the network's", time::span(here.abs_diff(there)));
+        warn(format, &message, "set it: timedatectl set-ntp true");
+    }
+    match context.renew_if_due(client).await {
+        Ok(Renewed::Yes(renewed)) => warn_of_end(format, &renewed, there, None),
+        Ok(Renewed::No) => warn_of_end(format, context, there, None),
+        Err(reason) => warn_of_end(format, context, there, Some(&reason)),
+    }
+}
+
+/// Warns of the end of a certificate, if it is near, or of a renewal that failed.
+fn warn_of_end(format: Format, context: &Context, now: u64, failed: Option<&Rejection>) {
+    let Ok(own) = context.certificate() else { return };
+    let name = &context.name;
+    let id = format!("{}/{}", context.organisation, own.name().unwrap_or(name));
+    let ends = format!("{} ({})", time::moment(own.not_after), time::relative(own.not_after, now));
+    let again = format!("ledgerctl identity renew --context {name}");
+    match failed {
+        _ if now > own.not_after => {
+            warn(format, &format!("the certificate of {id} has expired: it ended {ends}"), &context.way_back());
+        }
+        Some(reason) => {
+            let message = format!("the certificate of {id} ends {ends} and could not be renewed: {}", reason.message);
+            warn(format, &message, &format!("{again}, when that is cured"));
+        }
+        None if now >= warning_due(own.not_before, own.not_after) => {
+            warn(format, &format!("the certificate of {id} ends {ends}"), &again);
+        }
+        None => {}
+    }
+}
