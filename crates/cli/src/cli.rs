@@ -38,7 +38,7 @@ pub(crate) struct Global {
     /// Act as this context; otherwise LEDGERCTL_CONTEXT, otherwise the one of `context use`
     #[arg(long, global = true, value_name = "NAME", help_heading = "For every command")]
     pub(crate) context: Option<String>,
-    /// table for people; json for programs: one object or array on one line, errors as one object on standard error
+    /// table for people; json for programs: one object or array on one line, errors and warnings as one object each on standard error
     #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "table|json")]
     #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
     pub(crate) output: Format,

@@ -84,16 +84,11 @@ impl Context {
         if turn.failed_lately() {
             return Ok(Renewed::No);
         }
-        match stored.ask(client, &home).await {
-            Ok(renewed) => {
-                turn.succeeded();
-                Ok(Renewed::Yes(Box::new(renewed)))
-            }
-            Err(refused) => {
-                turn.failed();
-                Err(refused)
-            }
-        }
+        // Until it has succeeded: a command that ends meanwhile must not make the next one wait as long.
+        turn.failed();
+        let renewed = stored.ask(client, &home).await?;
+        turn.succeeded();
+        Ok(Renewed::Yes(Box::new(renewed)))
     }
 
     /// Renews the certificate of a stored context now, with a new key, and stores it. `client` is connected as this

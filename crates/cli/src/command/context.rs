@@ -4,6 +4,8 @@ mod refresh;
 mod set;
 mod show;
 
+pub(crate) use set::rule;
+
 use crate::cli::Global;
 use crate::context;
 use crate::failure::Failure;

@@ -1,12 +1,14 @@
 //! `enroll`: from a one-time secret to a certificate and a context.
 
 use crate::cli::Global;
+use crate::command::context::rule;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::{context, time};
 use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::{Code, Hash, Rejection};
+use ledger_api::context::RenewalRule;
 use ledger_api::{Context, Enrolment};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -36,6 +38,9 @@ pub(crate) struct Enroll {
     /// Kind of key: ed25519 or p256
     #[arg(long, value_name = "KIND", default_value = "ed25519")]
     key: KeyKind,
+    /// Is the certificate renewed at use, in the last third of its life? auto or never
+    #[arg(long, value_name = "RULE", default_value = "auto", value_parser = rule)]
+    renew: RenewalRule,
     /// Replace a context of this name; its key is lost
     #[arg(long)]
     force: bool,
@@ -95,6 +100,7 @@ impl Enroll {
         })?;
         let mut enrolled = Enrolment::new(&self.node, fingerprint).enrol(&self.name, &self.secret, self.key).await?;
         name.clone_into(&mut enrolled.name);
+        enrolled.renew = self.renew;
         enrolled.save(&home)?;
         let selected = Context::current(&home)?.as_deref() == Some(name);
         let identity = context::identity(&enrolled)?;
