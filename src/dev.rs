@@ -82,15 +82,13 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     let config = Config { data: data.clone(), listen, ..Config::default() };
     // Before the node runs, which owns its CAs from then on.
     let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
-    let contexts = match write_contexts(&data, &config.listen, &home) {
-        Ok(written) => written,
-        Err((written, refused)) => {
-            if temporary.is_some() {
-                forget_contexts(&home, &written);
-            }
-            return Err(refused);
+    let mut contexts = Written::default();
+    if let Err(refused) = write_contexts(&data, &config.listen, &home, &mut contexts) {
+        if temporary.is_some() {
+            forget_contexts(&home, &contexts);
         }
-    };
+        return Err(refused);
+    }
     let facts = Facts {
         address: config.listen.clone(),
         ca_fingerprint,
@@ -178,26 +176,18 @@ struct Written {
     network: Hash,
 }
 
-/// A context for the admin of each organisation, made anew at each start. If one fails, those that were written come with
-/// the reason.
-fn write_contexts(data: &Path, address: &str, home: &Path) -> Result<Written, (Written, Rejection)> {
-    let mut written = Written::default();
+/// A context for the admin of each organisation, made anew at each start. What was written stands in `written`, also if
+/// one fails.
+fn write_contexts(data: &Path, address: &str, home: &Path, written: &mut Written) -> Result<(), Rejection> {
     for organisation in ORGANISATIONS {
         let admin = ("Admin", Role::Admin);
-        let saved = issue(data, organisation, admin, BTreeMap::new(), address, wall()).and_then(|mut context| {
-            context.name = context_name(organisation);
-            context.save(home)?;
-            Ok(context)
-        });
-        match saved {
-            Ok(context) => {
-                written.network = context.network;
-                written.names.push(context.name);
-            }
-            Err(refused) => return Err((written, refused)),
-        }
+        let mut context = issue(data, organisation, admin, BTreeMap::new(), address, wall())?;
+        context.name = context_name(organisation);
+        context.save(home)?;
+        written.network = context.network;
+        written.names.push(context.name);
     }
-    Ok(written)
+    Ok(())
 }
 
 /// The robots of the paper, registered by their owner.

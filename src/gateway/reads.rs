@@ -36,11 +36,12 @@ impl NodeView {
         if height > self.ledger.tip().height { self.current.reach_height(height).await } else { Ok(()) }
     }
 
-    /// Can nothing be ordered through this node at the moment: no leader is known or reached, or it lacks too much?
+    /// Can nothing be ordered through this node at the moment: no leader is known or reached, it lacks too much, or its
+    /// disk is full?
     pub(crate) fn is_cut_off(&self) -> bool {
         let leader = self.seat.status().and_then(|ordering| ordering.role.leader);
         let reached = leader.is_some_and(|id| id == self.me.id || self.peers.connected(id));
-        !reached || self.seat.catching_up_to().is_some()
+        !reached || self.seat.catching_up_to().is_some() || self.disk_full.load(Ordering::Relaxed)
     }
 
     pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {

@@ -3,7 +3,7 @@
 mod diagnosis;
 mod stream;
 
-pub(crate) use diagnosis::{Expected, explain, explain_clock, way_back};
+pub(crate) use diagnosis::{Expected, explain, explain_clock, other_network, way_back};
 
 use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
 use hyper_util::rt::TokioIo;

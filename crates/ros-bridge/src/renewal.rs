@@ -3,12 +3,14 @@
 use crate::bridge::context_of;
 use crate::config::Config;
 use ledger::Rejection;
-use ledger_api::context::{RenewalRule, Renewed};
+use ledger_api::context::{RenewalRule, Renewed, warning_due};
 use ledger_api::{Client, renewal_due};
 use std::time::Duration;
 
 /// Time between two looks at the certificate, also after a renewal that failed.
 const LOOK: Duration = Duration::from_secs(3600);
+/// In microseconds.
+const DAY: u64 = 24 * 3600 * 1_000_000;
 
 /// Keeps the client's certificate valid, until dropped. A context that somebody else has renewed is taken over.
 pub async fn keep_renewed(config: &Config, client: &Client) {
@@ -30,6 +32,15 @@ async fn look(config: &Config, client: &Client) -> Result<(), Rejection> {
         if let Renewed::Yes(renewed) = context.renew_if_due(&asking).await? {
             context = *renewed;
         }
+    }
+    let certificate = context.certificate()?;
+    let left = certificate.not_after.saturating_sub(client.now()) / DAY;
+    if client.now() >= warning_due(certificate.not_before, certificate.not_after) {
+        tracing::warn!(
+            context = context.name,
+            days = left,
+            "the certificate of the bridge ends soon: ledgerctl identity renew"
+        );
     }
     let current = context.identity()?;
     if current.own().creator != client.creator() {

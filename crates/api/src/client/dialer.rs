@@ -7,7 +7,7 @@
 use super::clock::middle;
 use super::in_flight::Sent;
 use super::session::Up;
-use crate::connect::{Connection, Credentials, Expected, explain, unreachable};
+use crate::connect::{Connection, Credentials, Expected, explain, other_network, unreachable};
 use crate::tls::TlsIdentity;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitRequest, SubmitResponse};
 use ledger::{Bytes, Class, Code, Hash, Rejection};
@@ -123,12 +123,15 @@ impl Dialer {
     async fn open(&self, address: &str) -> Result<Opened, Rejection> {
         let opened = self.try_open(address).await;
         let Err(refused) = opened else { return opened };
-        let expected = Expected {
+        Err(explain(refused, address, &self.expected(), self.patience).await)
+    }
+
+    fn expected(&self) -> Expected {
+        Expected {
             network: self.network,
             organisation: self.organisation.clone(),
             certificate: Bytes::copy_from_slice(self.identity.own().certificate()),
-        };
-        Err(explain(refused, address, &expected, self.patience).await)
+        }
     }
 
     async fn try_open(&self, address: &str) -> Result<Opened, Rejection> {
@@ -140,8 +143,8 @@ impl Dialer {
         let told = timeout(self.patience, up.enrolment().network(NetworkRequest {})).await.map_err(|_| late())?;
         let told = told.map_err(|status| up.connection.refusal(&status))?.into_inner();
         let at = middle(asked);
-        if told.network != self.network.as_ref() {
-            return Err(Rejection::new(Code::WrongNetwork, format!("the node at {address} is of another network")));
+        if let Some(other) = other_network(address, &self.expected(), &told) {
+            return Err(other);
         }
         let (requests, outgoing) = mpsc::unbounded_channel();
         let seen = Arc::clone(&self.seen);

@@ -34,7 +34,7 @@ pub(crate) struct Expected {
 
 /// The refusal in better words, if the node at `address` can be asked for them within `patience`.
 pub(crate) async fn explain(refused: Rejection, address: &str, expected: &Expected, patience: Duration) -> Rejection {
-    let doubtful = [Code::Untrusted, Code::CertificateExpired, Code::CertificateNotYetValid, Code::WrongNetwork];
+    let doubtful = [Code::Untrusted, Code::CertificateExpired, Code::CertificateNotYetValid];
     if !doubtful.contains(&refused.code) {
         return refused;
     }
@@ -61,8 +61,8 @@ async fn ask(address: &str, patience: Duration) -> Result<NetworkResponse, Rejec
     Ok(answer.map_err(|status| connection.refusal(&status))?.into_inner())
 }
 
-/// The node is of another network than the one that is looked for.
-fn other_network(address: &str, expected: &Expected, told: &NetworkResponse) -> Option<Rejection> {
+/// Why not, if the node is of another network than the one that is looked for.
+pub(crate) fn other_network(address: &str, expected: &Expected, told: &NetworkResponse) -> Option<Rejection> {
     if told.network == expected.network.as_ref() {
         return None;
     }

@@ -33,6 +33,14 @@ pub(super) fn bad_file(path: &Path, found: impl Into<String>) -> Rejection {
     Rejection::new(Code::BadFile, format!("cannot use {}", path.display())).found(found)
 }
 
+/// Refuses to write what would not be read.
+pub(super) fn check_length(path: &Path, text: &str) -> Result<(), Rejection> {
+    if u64::try_from(text.len()).unwrap_or(u64::MAX) > FILE_BYTES_MAX {
+        return Err(bad_file(path, format!("{} bytes", text.len())).wanted(format!("at most {FILE_BYTES_MAX} bytes")));
+    }
+    Ok(())
+}
+
 /// Reads a text file of limited size.
 pub(super) fn read(path: &Path) -> Result<String, Rejection> {
     let fault = |error: std::io::Error| {

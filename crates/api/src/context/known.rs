@@ -121,12 +121,6 @@ impl Context {
         addresses
     }
 
-    /// The same identity, but with this node alone and nothing learnt: for whoever means one node.
-    #[must_use]
-    pub fn at(&self, address: &str) -> Self {
-        Self { nodes: vec![address.to_owned()], memory: Memory::default(), ..self.clone() }
-    }
-
     /// Takes what the node at `address`, whose certificate was verified, has told of the network. True if it is news.
     ///
     /// # Errors
@@ -169,6 +163,7 @@ impl Context {
         if files::read(&path).is_ok_and(|known| known == text) {
             return Ok(());
         }
+        files::check_length(&path, &text)?;
         let home = directory.parent().and_then(Path::parent).unwrap_or(directory);
         let _alone = Lock::exclusive_within(home, NOTE_WAITS_MAX)?;
         files::replace_file_in(directory, files::NODES, &text)
