@@ -80,7 +80,7 @@ pub(super) struct InFlight {
     /// How long a transaction is tried.
     patience: Duration,
     /// Is there another node to go to?
-    several: AtomicBool,
+    pub(super) several: AtomicBool,
 }
 
 #[derive(Default)]
@@ -141,11 +141,6 @@ impl InFlight {
             patience,
             several: AtomicBool::new(several),
         }
-    }
-
-    /// Is there another node to go to, by now?
-    pub(super) fn set_several(&self, several: bool) {
-        self.several.store(several, Ordering::Relaxed);
     }
 
     /// Is the ledger known to have this creator's certificate?

@@ -209,7 +209,7 @@ impl Session {
     fn install(&self, number: u64, opened: Opened) -> Streaming<SubmitResponse> {
         let Opened { connection, requests, answers, told, at } = opened;
         self.clock.learn(told.clock, at);
-        self.in_flight.set_several(self.several());
+        self.in_flight.several.store(self.several(), Ordering::Relaxed);
         self.in_flight.attach(requests);
         self.link.send_replace(Link { number, connection, carries: told.carries, broken: None });
         answers
@@ -219,7 +219,7 @@ impl Session {
     fn take_note(&self, told: Option<NetworkResponse>) {
         let Some(told) = told else { return };
         let news = self.nodes.learn(&told, &self.address());
-        self.in_flight.set_several(self.several());
+        self.in_flight.several.store(self.several(), Ordering::Relaxed);
         self.link.send_if_modified(|link| {
             link.carries = told.carries;
             false

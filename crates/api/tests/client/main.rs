@@ -6,6 +6,7 @@ mod contexts;
 mod enrolment;
 mod fake;
 mod nodes;
+mod plugged;
 mod reading;
 mod renewing;
 mod submitting;
