@@ -10,6 +10,7 @@ use ledger_api::v1::{
     Block, CertificateStatus, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse,
     TransactionRecord, Verdict,
 };
+use std::sync::atomic::Ordering;
 use tonic::Status;
 
 /// Refusals that are answered if the caller names no limit.
