@@ -10,7 +10,6 @@ use ledger_api::v1::{
     Block, CertificateStatus, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse,
     TransactionRecord, Verdict,
 };
-use std::sync::atomic::Ordering;
 use tonic::Status;
 
 /// Refusals that are answered if the caller names no limit.
@@ -42,7 +41,7 @@ impl NodeView {
     pub(crate) fn is_cut_off(&self) -> bool {
         let leader = self.seat.status().and_then(|ordering| ordering.role.leader);
         let reached = leader.is_some_and(|id| id == self.me.id || self.peers.connected(id));
-        !reached || self.seat.catching_up_to().is_some() || self.disk_full.load(Ordering::Relaxed)
+        !reached || self.seat.catching_up_to().is_some() || self.space.is_full()
     }
 
     pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {
