@@ -83,8 +83,14 @@ impl Reporter {
         let identity = format!("{}/{}", context.organisation, context.name);
         let (name, shared_memory, count) = (&config.node_name, config.shared_memory, routes.len());
         tracing::info!(
-            context = context.name, organisation = context.organisation, node, domain = id, domain_from = %chosen_by,
-            node_name = name, shared_memory, routes = count,
+            context = context.name,
+            organisation = context.organisation,
+            node,
+            domain = id,
+            domain_from = chosen_by.to_string(),
+            node_name = name,
+            shared_memory,
+            routes = count,
             "the bridge of {identity} is ready: ROS domain {id} (from {chosen_by}), node {node}"
         );
         if chosen_by == ChosenBy::Default {

@@ -129,7 +129,7 @@ impl Neighbourhood {
             }
             Some(Line::Warning(text)) if self.warnings.may_tell(now) => {
                 let wanted = watched.route.message.dds();
-                tracing::warn!(service, topic, role, guid, found, wanted, "{text}");
+                tracing::warn!(service, topic, role, guid, found = %found, wanted, "{text}");
             }
             Some(_) | None => {}
         }
@@ -266,6 +266,11 @@ fn meaning(watched: &Watched, neighbour: &Neighbour, came: bool) -> Option<Line>
         Line::Warning(format!(
             "another bridge publishes on {topic} what came from the ledger, and this route takes {topic} to {service}: \
              this would be a circle, so what the bridge publishes is not taken in; give one of both another topic or domain"
+        ))
+    } else if is_same_service {
+        Line::Warning(format!(
+            "another bridge takes {topic} to {service}, and this route delivers {service} on {topic}: this would be a \
+             circle, so it does not take that in; give one of both another topic or domain"
         ))
     } else if let Some(policy) = misfit(watched, neighbour) {
         Line::Warning(format!("the qos of a {role} on {topic} does not fit ({policy}): nothing passes"))

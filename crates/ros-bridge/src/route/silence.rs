@@ -25,10 +25,9 @@ pub(crate) struct Facts<'a> {
 /// Who is at the other end of a route, in the local graph.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub(crate) struct Surroundings {
-    /// Publishers or subscribers that this route is, or will be, connected with. Not counting bridges of this network
-    /// where they publish.
+    /// Publishers or subscribers that this route is, or will be, connected with. Not counting bridges of this network.
     pub(crate) usable: usize,
-    /// Bridges of this network that publish on the topic.
+    /// Bridges of this network at the other end: they take nothing in.
     pub(crate) bridges: usize,
     /// The type of one that has another.
     pub(crate) other_type: Option<String>,
@@ -54,7 +53,7 @@ impl Surroundings {
     pub(crate) fn add(&mut self, neighbour: &Neighbour, wanted_type: &str, misfit: Option<String>, is_bridge: bool) {
         if neighbour.type_name != wanted_type {
             self.other_type = Some(quoted(&neighbour.type_name));
-        } else if is_bridge && neighbour.role == Role::Publisher {
+        } else if is_bridge {
             self.bridges += 1;
         } else if let Some(policy) = misfit {
             self.other_qos = Some(policy);
@@ -92,7 +91,7 @@ pub(crate) fn silence(facts: &Facts<'_>, now: Instant) -> Option<Silence> {
             let reason = format!("the qos of this route and of the {role} on {topic} do not fit together: {policy}");
             return fault("other_qos", reason);
         }
-        if surroundings.bridges > 0 {
+        if to_ledger && surroundings.bridges > 0 {
             let reason = format!("only a bridge publishes on {topic}, and what came from the ledger is not taken in");
             return fault("only_bridges", reason);
         }
@@ -149,6 +148,7 @@ mod tests {
         assert_eq!(name(up, Surroundings { in_memory: 1, ..none() }, &not_held(), now), "no_grant");
         assert_eq!(name(down, some(), &not_held(), now), "no_holder");
         assert_eq!(name(up, Surroundings { bridges: 1, ..none() }, &held(), now), "only_bridges");
+        assert_eq!(name(down, Surroundings { bridges: 1, ..none() }, &held(), now), "no_subscriber");
         let other = Surroundings { other_type: Some("T".to_owned()), ..none() };
         assert_eq!(name(up, other, &held(), now), "other_type");
         let other = Surroundings { other_qos: Some("Reliability".to_owned()), ..none() };
