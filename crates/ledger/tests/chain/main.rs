@@ -4,6 +4,7 @@
 #[path = "../authority/mod.rs"]
 mod authority;
 
+mod admission;
 mod archive;
 mod beside;
 mod results;
