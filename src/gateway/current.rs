@@ -6,6 +6,8 @@
 
 use crate::blocks::Blocks;
 use crate::orderer::{Reads, Seat};
+use futures::FutureExt;
+use futures::future::BoxFuture;
 use ledger::{Code, Rejection};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -20,17 +22,19 @@ const BETWEEN_QUESTIONS: Duration = Duration::from_millis(1);
 /// The height that the state has reached at least, and that was committed when the question was asked; or why that cannot
 /// be told now.
 pub(crate) type Known = Result<u64, Rejection>;
+/// Becomes known.
+pub(crate) type Question = oneshot::Receiver<Known>;
 
 /// What makes a node's state current; cheap to clone.
 #[derive(Clone)]
 pub(crate) struct Current {
-    inner: Arc<Inner>,
+    blocks: Arc<Blocks>,
+    questions: Arc<Questions>,
 }
 
-struct Inner {
-    reads: Arc<Reads>,
-    seat: Arc<Seat>,
-    blocks: Arc<Blocks>,
+/// One question after the other, for as long as somebody waits.
+struct Questions {
+    ask: Box<dyn Fn() -> BoxFuture<'static, Known> + Send + Sync>,
     asking: Mutex<Asking>,
 }
 
@@ -45,7 +49,16 @@ struct Asking {
 impl Current {
     /// Of a node that finds its leader here, and its blocks there.
     pub(crate) fn new(reads: Arc<Reads>, seat: Arc<Seat>, blocks: Arc<Blocks>) -> Self {
-        Self { inner: Arc::new(Inner { reads, seat, blocks, asking: Mutex::default() }) }
+        let executed = Arc::clone(&blocks);
+        let questions = Questions::new(move || {
+            let (reads, seat, blocks) = (Arc::clone(&reads), Arc::clone(&seat), Arc::clone(&executed));
+            async move {
+                let height = reads.confirmed_height(&seat).await?;
+                reach(&blocks, height).await?;
+                Ok(height)
+            }
+        });
+        Self { blocks, questions: Arc::new(questions) }
     }
 
     /// Waits until this node has executed everything that was committed when this was called, by whichever node.
@@ -58,17 +71,8 @@ impl Current {
     }
 
     /// As [`Current::reach`], for who does something else meanwhile. What counts is the moment of this call.
-    pub(crate) fn ask(&self) -> oneshot::Receiver<Known> {
-        let (sender, known) = oneshot::channel();
-        let begin = {
-            let mut asking = self.inner.asking();
-            asking.waiting.push(sender);
-            !std::mem::replace(&mut asking.busy, true)
-        };
-        if begin {
-            tokio::spawn(Arc::clone(&self.inner).questions());
-        }
-        known
+    pub(crate) fn ask(&self) -> Question {
+        Questions::ask(&self.questions)
     }
 
     /// Waits until this node has executed the block at a height.
@@ -76,13 +80,30 @@ impl Current {
     /// # Errors
     /// [`Code::Behind`] if it does not in time, [`Code::ShuttingDown`].
     pub(crate) async fn reach_height(&self, height: u64) -> Result<(), Rejection> {
-        self.inner.reach(height).await
+        reach(&self.blocks, height).await
     }
 }
 
-impl Inner {
-    /// Asks for as long as somebody waits.
-    async fn questions(self: Arc<Self>) {
+impl Questions {
+    /// Each is asked so.
+    fn new<F: Future<Output = Known> + Send + 'static>(ask: impl Fn() -> F + Send + Sync + 'static) -> Self {
+        Self { ask: Box::new(move || ask().boxed()), asking: Mutex::default() }
+    }
+
+    fn ask(this: &Arc<Self>) -> Question {
+        let (sender, known) = oneshot::channel();
+        let begin = {
+            let mut asking = this.asking();
+            asking.waiting.push(sender);
+            !std::mem::replace(&mut asking.busy, true)
+        };
+        if begin {
+            tokio::spawn(Arc::clone(this).run());
+        }
+        known
+    }
+
+    async fn run(self: Arc<Self>) {
         loop {
             let next = Instant::now() + BETWEEN_QUESTIONS;
             let waiting = {
@@ -95,7 +116,7 @@ impl Inner {
             if waiting.is_empty() {
                 return;
             }
-            let known = self.question().await;
+            let known = (self.ask)().await;
             for waiter in waiting {
                 let _gone = waiter.send(known.clone());
             }
@@ -105,25 +126,78 @@ impl Inner {
         }
     }
 
-    async fn question(&self) -> Known {
-        let height = self.reads.confirmed_height(&self.seat).await?;
-        self.reach(height).await?;
-        Ok(height)
-    }
-
-    async fn reach(&self, height: u64) -> Result<(), Rejection> {
-        let mut head = self.blocks.head();
-        match timeout(WAIT_FOR_HEIGHT, head.wait_for(|reached| *reached >= height)).await {
-            Ok(Ok(_)) => Ok(()),
-            Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
-            Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
-                .found(format!("height {}", self.blocks.height()))
-                .wanted(format!("height {height}"))
-                .next("ask again, or ask another node")),
-        }
-    }
-
     fn asking(&self) -> MutexGuard<'_, Asking> {
         self.asking.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+async fn reach(blocks: &Blocks, height: u64) -> Result<(), Rejection> {
+    let mut head = blocks.head();
+    match timeout(WAIT_FOR_HEIGHT, head.wait_for(|reached| *reached >= height)).await {
+        Ok(Ok(_)) => Ok(()),
+        Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
+        Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
+            .found(format!("height {}", blocks.height()))
+            .wanted(format!("height {height}"))
+            .next("ask again, or ask another node")),
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use tokio::sync::mpsc;
+
+    type Asked = mpsc::UnboundedReceiver<oneshot::Sender<Known>>;
+
+    /// Questions that the test answers.
+    fn questions() -> (Arc<Questions>, Asked) {
+        let (asked, asks) = mpsc::unbounded_channel();
+        let questions = Questions::new(move || {
+            let (sender, answer) = oneshot::channel();
+            asked.send(sender).unwrap();
+            async move { answer.await.unwrap() }
+        });
+        (Arc::new(questions), asks)
+    }
+
+    #[tokio::test]
+    async fn one_question_serves_all_who_wait_and_none_who_come_while_it_is_under_way() {
+        let (questions, mut asked) = questions();
+        let first = Questions::ask(&questions);
+        let under_way = asked.recv().await.unwrap();
+        let late: Vec<_> = (0..1000).map(|_| Questions::ask(&questions)).collect();
+        tokio::task::yield_now().await;
+        assert!(asked.try_recv().is_err(), "one at a time");
+        under_way.send(Ok(3)).unwrap();
+        assert_eq!(first.await.unwrap(), Ok(3));
+        let second = asked.recv().await.unwrap();
+        second.send(Ok(5)).unwrap();
+        for one in late {
+            assert_eq!(
+                one.await.unwrap(),
+                Ok(5),
+                "what was committed before they came may be more than the first answer"
+            );
+        }
+        assert!(asked.try_recv().is_err(), "nobody waits");
+        let after_a_while = Questions::ask(&questions);
+        asked.recv().await.unwrap().send(Ok(6)).unwrap();
+        assert_eq!(after_a_while.await.unwrap(), Ok(6));
+    }
+
+    #[tokio::test]
+    async fn nothing_is_asked_for_those_who_have_gone_away() {
+        let (questions, mut asked) = questions();
+        let first = Questions::ask(&questions);
+        let under_way = asked.recv().await.unwrap();
+        drop(Questions::ask(&questions));
+        under_way.send(Ok(3)).unwrap();
+        first.await.unwrap().unwrap();
+        let third = Questions::ask(&questions);
+        asked.recv().await.unwrap().send(Ok(4)).unwrap();
+        assert_eq!(third.await.unwrap(), Ok(4));
+        assert!(asked.try_recv().is_err());
     }
 }

@@ -140,13 +140,16 @@ impl Desk {
         let Some(lane) = self.held.due() else { return };
         let Some(turn) = self.turn(lane, requests).await else { return };
         let start = Instant::now();
-        while let Some((item, known)) = self.held.take(lane, &self.node.current) {
+        while let Some((item, known)) = self.held.take(lane, || self.node.current.ask()) {
             self.node.submit_again(item, &known, &self.answers);
             if self.held.due() != Some(lane) || start.elapsed() >= SLICE {
                 break;
             }
         }
         drop(turn);
+        if self.held.due().is_some() {
+            tokio::task::yield_now().await;
+        }
     }
 
     /// Looks at what waits, for as long as others allow.
@@ -179,7 +182,7 @@ impl Desk {
                 false => self.node.submit(arrived, None, &self.answers),
             };
             if let Some(item) = left {
-                self.held.push(item, &self.node.current);
+                self.held.push(item, || self.node.current.ask());
             }
             if start.elapsed() >= SLICE {
                 break;

@@ -59,7 +59,15 @@ impl Gateway for Client {
         args: Vec<Bytes>,
     ) -> BoxFuture<'static, Result<Answer, Rejection>> {
         let (client, chaincode, function) = (self.clone(), chaincode.to_owned(), function.to_owned());
-        async move { client.query_at(height, &chaincode, &function, args).await }.boxed()
+        async move {
+            match client.query_at(height, &chaincode, &function, args.clone()).await {
+                // What the node's own state lacks, a newer one may have.
+                Err(refused) if refused.code.is_final() => client.query(&chaincode, &function, args).await,
+                // What is old is made up for by the events that follow.
+                answer => answer,
+            }
+        }
+        .boxed()
     }
 
     fn node(&self) -> String {

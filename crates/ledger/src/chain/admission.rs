@@ -80,7 +80,9 @@ pub enum Step {
 impl Refusal {
     /// A refusal by this node, whatever the ledger says.
     pub fn of_node(who: Option<String>, transaction: Option<Transaction>, rejection: Rejection) -> Self {
-        Self { who, transaction, rejection, ground: Ground::Node }
+        // Bytes that are no transaction are that at every node.
+        let ground = if transaction.is_some() { Ground::Node } else { Ground::Bytes };
+        Self { who, transaction, rejection, ground }
     }
 
     /// What to do. `first_attempt`: the client says that it gave this transaction to no node before. `reached` is a height
@@ -202,36 +204,49 @@ impl Ledger {
         let judged =
             |basis, who: Option<&Arc<Identity>>, rejection| Judged { who: who.map(Arc::clone), rejection, basis };
         let time = now.max(block_time);
-        // By the blocks it may be in time, whatever this node's clock says: then only a block can end it.
-        let in_time = transaction.check_time(time);
-        let too_late = matches!(&in_time, Err(refused) if refused.code == Code::Expired);
-        if too_late && transaction.body().not_after < block_time {
-            let rejection = in_time.err().unwrap_or_else(|| Rejection::new(Code::Expired, ""));
-            let basis = match self.remembers(transaction.body().not_after) {
+        let not_after = transaction.body().not_after;
+        let late = match transaction.check_time(time) {
+            Err(late) if late.code == Code::Expired => Some(late),
+            in_time => {
+                in_time.map_err(|early| judged(Basis::Creator, None, early))?;
+                None
+            }
+        };
+        if let Some(late) = &late
+            && not_after < block_time
+        {
+            let basis = match self.remembers(not_after) {
                 Ok(true) => Basis::Past,
                 Ok(false) => Basis::Creator,
                 Err(fault) => return Err(judged(Basis::Creator, None, fault)),
             };
-            return Err(judged(basis, None, rejection));
+            return Err(judged(basis, None, late.clone()));
         }
-        if !too_late {
-            in_time.clone().map_err(|rejection| judged(Basis::Creator, None, rejection))?;
+        // Late by this node's clock only, it may be in time for a block: then a block must say that it is not.
+        let authentic = self.authenticate(transaction, time);
+        if let Some(late) = late {
+            return Err(judged(if authentic.is_ok() { Basis::Call } else { Basis::Creator }, None, late));
         }
-        let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
-        let (identity, _) = self.identities.creator(transaction, &overlay, time).map_err(|rejection| {
-            // A revocation is never taken back.
-            let basis = if rejection.code == Code::Revoked { Basis::Past } else { Basis::Creator };
-            judged(basis, None, rejection)
-        })?;
-        if !self.verified.contains(&leaf) {
-            transaction.verify(&identity.public_key).map_err(|rejection| judged(Basis::Bytes, None, rejection))?;
-        }
-        in_time.map_err(|rejection| judged(Basis::Call, None, rejection))?;
+        let (identity, leaf) = authentic?;
         let body = transaction.body();
         self.call(&identity, time, transaction.id(), &body.chaincode, &body.function, &body.args)
             .map_err(|rejection| judged(Basis::Call, Some(&identity), rejection))?;
         self.verified.insert(leaf);
         Ok(())
+    }
+
+    /// Who signed a transaction, which is verified; and its leaf.
+    fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
+        let judged = |basis, rejection| Judged { who: None, rejection, basis };
+        let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
+        let (identity, _) = self.identities.creator(transaction, &overlay, time).map_err(|rejection| {
+            // A revocation is never taken back.
+            judged(if rejection.code == Code::Revoked { Basis::Past } else { Basis::Creator }, rejection)
+        })?;
+        if !self.verified.contains(&leaf) {
+            transaction.verify(&identity.public_key).map_err(|rejection| judged(Basis::Bytes, rejection))?;
+        }
+        Ok((identity, leaf))
     }
 
     /// Is every block at hand in which a transaction may have been executed that lived until then? Only then is what is not

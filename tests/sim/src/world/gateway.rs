@@ -73,7 +73,7 @@ impl World {
                     if code.is_final() && !matches!(refusal.ground, Ground::Bytes | Ground::Past) {
                         self.invariants.answered_is_seen.decided(id, tip.height, request.told)?;
                     }
-                    let judged = code.is_final().then_some((tip.height, clock.max(tip.time)));
+                    let judged = (code == refusal.rejection.code).then_some((tip.height, clock.max(tip.time)));
                     self.reply(id, reply, Answer::Refused(Refused { code, judged }));
                     Ok(())
                 }
