@@ -6,6 +6,7 @@ pub use intent::{Call, SERVICES, robots};
 
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::history::{Kind, Outcome, Verdict};
+use crate::invariant::Check;
 use crate::node::{Answer, Reply, Request, What};
 use crate::people::{CERTIFICATES, Person};
 use crate::world::{Event, World};
@@ -220,14 +221,15 @@ impl World {
     }
 
     /// An answer arrives.
-    pub(crate) fn answered(&mut self, reply: Reply, clock: u64, answer: Answer) {
+    pub(crate) fn answered(&mut self, reply: Reply, clock: u64, answer: Answer) -> Check {
         let number = reply.client;
         let (now, late) = (self.now, self.clients[number].attempt != reply.attempt);
         let client = &mut self.clients[number];
         client.ahead = clock.saturating_sub(now).max(client.ahead / 2);
-        let Some((operation, ..)) = client.doing.clone() else { return };
+        let Some((operation, ..)) = client.doing.clone() else { return Ok(()) };
+        // Whoever has asked again waits for that answer and no other.
         if late {
-            return;
+            return Ok(());
         }
         let result = match answer {
             Answer::Verdict { height, index, code, response } => {
@@ -247,9 +249,13 @@ impl World {
                 client.attempt += 1;
                 let attempt = client.attempt;
                 let pause = self.random.clients.between(20 * MILLISECOND, 300 * MILLISECOND);
-                return self.schedule(pause, Event::Client { client: number, attempt });
+                self.schedule(pause, Event::Client { client: number, attempt });
+                return Ok(());
             }
             Answer::Refused(refused) => {
+                if let Kind::Submit { id, .. } = &self.history.operations[operation].kind {
+                    self.invariants.refused_is_final.refused(client.gateway, id, refused.code)?;
+                }
                 self.learn(number, refused.code, &Bytes::new());
                 Outcome::Refused { code: refused.code, judged: refused.judged, never: refused.code.is_final() }
             }
@@ -265,6 +271,7 @@ impl World {
         self.note(format_args!("c{number} ends {operation}"));
         self.history.end(operation, now, result);
         self.rest(number);
+        Ok(())
     }
 
     /// The nodes that clients are told to use.

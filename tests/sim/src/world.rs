@@ -251,7 +251,7 @@ impl World {
             Event::Deliver { from, to, bytes } => return self.deliver(from, to, bytes),
             Event::Request { node, request } => return self.request(node, request),
             Event::Start { node } => return self.start(node),
-            Event::Answer { reply, clock, answer } => self.answered(reply, clock, answer),
+            Event::Answer { reply, clock, answer } => return self.answered(reply, clock, answer),
             Event::Client { client, attempt } => self.work(client, attempt),
             Event::Fault => return self.misfortune(),
             Event::Operator => return self.operate(),

@@ -15,7 +15,7 @@ pub struct RefusedIsFinal {
 }
 
 impl RefusedIsFinal {
-    /// A node answers a client with this code and no height.
+    /// A client, which has not asked anybody else meanwhile, hears this code without a height.
     ///
     /// # Errors
     /// The transaction was executed before.

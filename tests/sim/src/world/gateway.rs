@@ -69,7 +69,6 @@ impl World {
                     let code = reason.code;
                     *self.coverage.refusals.entry(code).or_default() += 1;
                     self.note(format_args!("n{id} refuses {reply:?}: {code}"));
-                    self.invariants.refused_is_final.refused(id, &decoded.id(), code)?;
                     if code.is_final() && !matches!(refusal.ground, Ground::Bytes | Ground::Past) {
                         self.invariants.answered_is_seen.decided(id, tip.height, request.told)?;
                     }
