@@ -79,7 +79,7 @@ impl Space {
     /// Looks at the disk of a data directory, and lays the reserve in it.
     pub(crate) fn open(data: &Path) -> Self {
         let space = Self {
-            data: data.to_owned(),
+            data: std::path::absolute(data).unwrap_or_else(|_| data.to_owned()),
             free: AtomicU64::new(u64::MAX),
             total: AtomicU64::new(u64::MAX),
             accepts: AtomicU8::new(Accepts::All as u8),

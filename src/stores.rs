@@ -5,7 +5,7 @@ use crate::join::REJOIN;
 use crate::random;
 use crate::witness::DIVERGED_FILE;
 use ledger::archive::SNAPSHOTS_DIRECTORY;
-use ledger::block_store::{BlockStore, Options};
+use ledger::block_store::{BlockStore, Options, StoreError};
 use ledger::disk::RealDisk;
 use ledger::network::Genesis;
 use ledger::results::{RESULTS_DIRECTORY, ResultStore};
@@ -90,7 +90,13 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
     });
     options.segment_bytes = config.storage.segment_mib << 20;
     options.cache_bytes = LOG_CACHE_BYTES;
-    let (store, recovery) = BlockStore::open(Arc::new(disk), options)?;
+    let (store, recovery) = BlockStore::open(Arc::new(disk), options).map_err(|error| {
+        let damaged = matches!(error, StoreError::Corrupt { .. });
+        let refused = Rejection::from(error);
+        // Which begins with the name of the file.
+        let message = format!("{}/{}", config.data.join(BLOCKS_DIRECTORY).display(), refused.message);
+        if damaged { Rejection { message, ..refused } } else { refused }
+    })?;
     if let Some(torn) = &recovery.torn {
         tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a write that was cut off and never acknowledged");
     }

@@ -53,7 +53,7 @@ fn until_three_vote(terminal: &Terminal, context: &str) {
 fn order(terminal: &Terminal, context: &str, what: &str) {
     eventually("something is ordered", || {
         let ctl = Ctl::at(&terminal.home()).as_(context);
-        let robot = serde_json::json!({"name": what, "attribute_required": what, "services": []}).to_string();
+        let robot = serde_json::json!({"name": what, "attribute_required": what, "services": [{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"}]}).to_string();
         let ran = ctl.run(&["invoke", "abac", "setup", &robot]);
         (ran.code == 0 || ran.stderr.contains("LGR-3011")).then_some(())
     });
@@ -120,7 +120,6 @@ fn a_voter_that_lost_its_disk_comes_back_at_its_address_by_what_the_messages_say
     let joined = terminal.type_line("ledgerd join TOKEN --config b/ledgerd.toml");
     assert!(joined.contains("node Org1/node2 has joined network \"Org1\" as node 4"), "{joined}");
     follow(&mut terminal, &joined);
-    terminal.type_line("ledgerctl --context Org2-admin network approve ID");
     until_three_vote(&terminal, "admin");
     order(&terminal, "admin", "Robot");
 }
@@ -164,6 +163,16 @@ fn a_voter_whose_blocks_are_damaged_comes_back_with_the_same_data_by_what_the_me
             "block {height}"
         );
     }
+    // The founder knows no other node by itself.
+    assert!(terminal.process(NODES[0].0).signal(Signal::TERM).success());
+    damage(&directory.path().join("a/data/blocks"));
+    assert!(failed(&terminal, NODES[0].0).contains("ledgerd rejoin --config a/ledgerd.toml"));
+    assert!(failed(&terminal, "ledgerd rejoin --config a/ledgerd.toml").contains("--node HOST:PORT"));
+    let back = terminal.type_line("ledgerd rejoin --config a/ledgerd.toml --node 127.0.0.1:7451");
+    assert!(back.contains("node Org1/node1 is node 5"), "{back}");
+    follow(&mut terminal, &back);
+    until_three_vote(&terminal, "Org2-admin");
+
     // The CA is where it was.
     terminal.type_line("ledgerctl --context Org2-admin identity register Farhad");
 }
@@ -175,12 +184,13 @@ fn follow(terminal: &mut Terminal, printed: &str) {
     for command in commands {
         match command.starts_with("ledgerd run ") {
             true => terminal.start(&command),
-            // Who votes is decided by admins: of the organisation whose node it is.
-            false if command.contains("Org2/") && !command.contains("--context") => {
-                terminal.type_line(&command.replace("ledgerctl ", "ledgerctl --context Org2-admin "));
-                terminal.type_line("ledgerctl network approve ID");
+            // Who votes is decided by admins: one of the organisation whose node it is, and one of the other.
+            false => {
+                let (own, other) =
+                    if command.contains("Org2/") { ("Org2-admin", "admin") } else { ("admin", "Org2-admin") };
+                terminal.type_line(&command.replace("ledgerctl ", &format!("ledgerctl --context {own} ")));
+                terminal.type_line(&format!("ledgerctl --context {other} network approve ID"));
             }
-            false => drop(terminal.type_line(&command)),
         }
     }
 }
