@@ -188,11 +188,25 @@ fn follow(terminal: &mut Terminal, printed: &str) {
             false => {
                 let (own, other) =
                     if command.contains("Org2/") { ("Org2-admin", "admin") } else { ("admin", "Org2-admin") };
+                until_it_follows(terminal, other, command.rsplit(' ').next().unwrap());
                 terminal.type_line(&command.replace("ledgerctl ", &format!("ledgerctl --context {own} ")));
                 terminal.type_line(&format!("ledgerctl --context {other} network approve ID"));
             }
         }
     }
+}
+
+/// Waits until a node has what the others have: before, it knows neither the network as it is nor, perhaps, its own
+/// organisation.
+fn until_it_follows(terminal: &Terminal, context: &str, name: &str) {
+    eventually("the node follows", || {
+        let status = status(terminal, context)?.1;
+        let is_meant = |node: &&Value| {
+            name.split('/').eq([node["organisation"].as_str(), node["name"].as_str()].into_iter().flatten())
+        };
+        let node = status["nodes"].as_array()?.iter().filter(is_meant).next_back()?;
+        (node["reachable"] == true && node["height"].as_u64()? >= status["height"].as_u64()?).then_some(())
+    });
 }
 
 /// Runs what must fail at once; what it says.
