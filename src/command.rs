@@ -1,5 +1,6 @@
 //! The command line of `ledgerd`.
 
+use crate::ca::operator;
 use crate::config::{CONFIG_BYTES_MAX, Config, Fault, Log};
 use crate::node::{Ended, NodeBuilder};
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
@@ -41,6 +42,11 @@ enum Command {
     Join(join::JoinOptions),
     /// Brings a node back whose blocks are damaged or lost, under a new number; needs its certificate, and no token.
     Rejoin(join::RejoinOptions),
+    /// Makes a one-time secret for an admin, at a node that carries the CA: the way back for who is locked out.
+    AdminSecret(operator::AdminSecret),
+    /// Copies, restores or gives up the CA that a node carries.
+    #[command(subcommand)]
+    Ca(operator::Ca),
     /// Joins a ROS 2 graph to the ledger through a remote gateway.
     Bridge(WithConfig),
     /// Checks the chain of a stopped node or of an archive: every hash, every signature, every verdict executed again.
@@ -112,6 +118,14 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Rejoin(options) => {
             let config = load(&options.config)?;
             block_on(async { join::rejoin(&options, &config).await.map(|text| print_line(&text)) })
+        }
+        Command::AdminSecret(command) => {
+            let config = load(&command.config)?;
+            command.run(&config, crate::clock::wall()).map(|text| print_line(&text))
+        }
+        Command::Ca(command) => {
+            let config = load(command.config())?;
+            command.run(&config).map(|text| print_line(&text))
         }
         Command::Bridge(WithConfig { config }) => {
             telemetry::start(&bridge_log(&config)?);

@@ -1,37 +1,51 @@
 //! The API of the CAs that a node carries: the service `Enrolment` of `enrolment.proto`.
 //!
-//! A client without a certificate may ask for the network and may enrol. Tries to enrol share one limited rate, and a
-//! refusal takes as long for a name that exists as for one that does not.
+//! | file | what |
+//! |---|---|
+//! | `issuing` | a secret, or a certificate that is still good, becomes a certificate |
+//! | `registrar` | tells the ledger which CAs this node carries, and what its disk knows |
+//! | `carrying` | the key of a CA goes to another node |
+//! | `joining` | what an invited organisation has signed is brought to the ledger |
+//! | `authorities`, `voice`, `tries` | the CAs of this node; how it calls the ledger; who tries too often |
+//!
+//! A client without a certificate may ask for the network and may enrol. A refusal takes as long for a name that exists as
+//! for one that does not.
 
+mod authorities;
+mod carrying;
+mod issuing;
 mod joining;
-mod renewal;
+mod registrar;
 #[cfg(test)]
 mod tests;
 mod tries;
+mod voice;
 
-pub(crate) use joining::{Carrier, carrier};
+pub(crate) use authorities::{Authorities, given_up_file, lock};
+pub(crate) use voice::Voice;
 
-use crate::ca::{CertificateAuthority, IssuedCertificate, Registered};
+use crate::ca::CertificateAuthority;
 use crate::listen::Caller;
-use crate::peers::Directory;
-use ledger::identity::{Identity, Role};
+use crate::peers::{Directory, Member};
+use carrying::Offer;
+use ledger::governance::{self, CarrierRecord, NodeRole};
+use ledger::identity::{Identity, NAME_BYTES_MAX, Role};
 use ledger::network::Genesis;
 use ledger::{Bytes, Code, Ledger, Rejection};
+use ledger_api::tls::TlsIdentity;
 use ledger_api::v1;
 use ledger_api::v1::enrolment_server::Enrolment;
-use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use serde::Serialize;
+use std::net::{IpAddr, Ipv4Addr};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::Semaphore;
 use tokio::time::Instant;
 use tonic::{Request, Response, Status};
 use tries::Tries;
 
-/// A refused try to enrol is answered no sooner than this after it came: counting a wrong secret takes a write to
-/// the disk, which an unknown name does not.
+/// A refused try to enrol is answered no sooner than this after it came, so that nobody learns from the time what was wrong.
 const REFUSAL_TIME: Duration = Duration::from_millis(100);
-/// The roles by the names that an admin uses.
-const ROLES: [Role; 4] = [Role::Member, Role::Admin, Role::Node, Role::Robot];
 
 /// The service; see the module.
 #[derive(Clone)]
@@ -40,24 +54,34 @@ pub(crate) struct EnrolmentService {
 }
 
 struct Shared {
-    /// Submits as this node what an organisation that joins has signed.
-    carrier: Carrier,
-    /// One such request at a time.
+    /// This node.
+    me: Member,
+    /// Its certificate and key.
+    identity: TlsIdentity,
+    /// Calls the ledger as this node.
+    voice: Voice,
+    /// One request to join at a time.
     carrying: Semaphore,
-    /// By organisation; most nodes carry one or none.
-    authorities: BTreeMap<String, Mutex<CertificateAuthority>>,
+    authorities: Arc<Authorities>,
     ledger: Arc<Ledger>,
-    surroundings: Surroundings,
+    directory: Arc<Directory>,
+    cut_off: Box<dyn Fn() -> bool + Send + Sync>,
     genesis: Genesis,
     /// The same, byte for byte.
     document: Bytes,
     /// The node's clock, microseconds since the UNIX epoch.
     clock: fn() -> u64,
     tries: Mutex<Tries>,
+    /// The key that was made last to receive a CA's key.
+    offer: Mutex<Option<Offer>>,
 }
 
-/// What the node knows of the network it is in.
+/// Which node this is, and what it knows of the network it is in.
 pub(crate) struct Surroundings {
+    /// This node.
+    pub me: Member,
+    /// Its certificate and key.
+    pub identity: TlsIdentity,
     /// Who belongs to the network now.
     pub directory: Arc<Directory>,
     /// Can this node have nothing ordered at the moment?
@@ -67,25 +91,29 @@ pub(crate) struct Surroundings {
 impl EnrolmentService {
     /// The service of a node that carries these CAs.
     pub(crate) fn new(
-        authorities: impl IntoIterator<Item = CertificateAuthority>,
+        authorities: Arc<Authorities>,
         ledger: Arc<Ledger>,
         surroundings: Surroundings,
         (genesis, document): (Genesis, Bytes),
-        carrier: Carrier,
+        voice: Voice,
         clock: fn() -> u64,
     ) -> Self {
-        let authorities = authorities.into_iter().map(|ca| (ca.organisation().to_owned(), Mutex::new(ca))).collect();
+        let Surroundings { me, identity, directory, cut_off } = surroundings;
         Self {
             shared: Arc::new(Shared {
-                carrier,
+                me,
+                identity,
+                voice,
                 carrying: Semaphore::new(1),
                 authorities,
                 ledger,
-                surroundings,
+                directory,
+                cut_off,
                 genesis,
                 document,
                 clock,
                 tries: Mutex::default(),
+                offer: Mutex::default(),
             }),
         }
     }
@@ -108,49 +136,23 @@ impl Enrolment for EnrolmentService {
     }
 
     async fn enrol(&self, request: Request<v1::EnrolRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
-        let came = Instant::now();
+        let (came, source) = (Instant::now(), source(&request));
         let request = request.into_inner();
-        let enrolled = match self.shared.begin_try() {
-            Ok(()) => self.blocking(move |shared| shared.enrol(&request)).await,
-            Err(rejection) => Err(rejection),
-        };
-        Ok(Response::new(match enrolled {
-            Ok(response) => {
-                self.shared.forgive_try();
-                response
-            }
-            Err(rejection) => {
-                if rejection.code == Code::EnrolmentRefused {
-                    tokio::time::sleep_until(came + REFUSAL_TIME).await;
-                }
-                v1::EnrolResponse { verdict: Some((&rejection).into()), ..v1::EnrolResponse::default() }
-            }
-        }))
-    }
-
-    async fn register(&self, request: Request<v1::RegisterRequest>) -> Result<Response<v1::RegisterResponse>, Status> {
-        let registered = match self.shared.admin(&request) {
-            Ok(admin) => {
-                let request = request.into_inner();
-                self.blocking(move |shared| shared.register(&admin, request)).await
-            }
-            Err(rejection) => Err(rejection),
-        };
-        Ok(Response::new(registered.unwrap_or_else(|rejection| v1::RegisterResponse {
-            verdict: Some((&rejection).into()),
-            ..v1::RegisterResponse::default()
-        })))
+        let organisation = self.shared.organisation_of(&request.name);
+        let enrolled = self.enrol_for(source, request).await;
+        if enrolled.as_ref().is_err_and(|refused| refused.code == Code::EnrolmentRefused) {
+            tokio::time::sleep_until(came + REFUSAL_TIME).await;
+        }
+        Ok(Response::new(enrolled.unwrap_or_else(|refused| self.shared.not_certified(&refused, &organisation))))
     }
 
     async fn renew(&self, request: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
-        let renewed = match self.shared.caller(&request) {
-            Ok(caller) => self.renew_for(caller, request.into_inner().request).await,
-            Err(rejection) => Err(rejection),
+        let caller = match self.shared.caller(&request) {
+            Ok(caller) => caller,
+            Err(refused) => return Ok(Response::new(self.shared.not_certified(&refused, ""))),
         };
-        Ok(Response::new(renewed.unwrap_or_else(|rejection| v1::EnrolResponse {
-            verdict: Some((&rejection).into()),
-            ..v1::EnrolResponse::default()
-        })))
+        let renewed = self.renew_for(Arc::clone(&caller), request.into_inner().request).await;
+        Ok(Response::new(renewed.unwrap_or_else(|refused| self.shared.not_certified(&refused, &caller.organisation))))
     }
 
     async fn genesis(&self, _: Request<v1::GenesisRequest>) -> Result<Response<v1::GenesisResponse>, Status> {
@@ -161,26 +163,37 @@ impl Enrolment for EnrolmentService {
         &self,
         request: Request<v1::JoinOrganisationRequest>,
     ) -> Result<Response<v1::JoinOrganisationResponse>, Status> {
-        let joined = self.carry(request.into_inner().join).await;
-        let verdict = joined.map_or_else(|rejection| (&rejection).into(), |()| v1::Verdict::default());
-        Ok(Response::new(v1::JoinOrganisationResponse { verdict: Some(verdict) }))
+        let source = source(&request);
+        let joined = self.carry(request.into_inner().join, source).await;
+        Ok(Response::new(v1::JoinOrganisationResponse { verdict: Some(verdict(joined)) }))
     }
 
-    async fn list_identities(
-        &self,
-        request: Request<v1::ListIdentitiesRequest>,
-    ) -> Result<Response<v1::ListIdentitiesResponse>, Status> {
-        let listed = match self.shared.admin(&request) {
-            Ok(admin) => {
-                let name = request.into_inner().name;
-                self.blocking(move |shared| shared.list(&admin, &name)).await
-            }
-            Err(rejection) => Err(rejection),
-        };
-        Ok(Response::new(listed.unwrap_or_else(|rejection| v1::ListIdentitiesResponse {
-            verdict: Some((&rejection).into()),
-            ..v1::ListIdentitiesResponse::default()
+    async fn offer_ca(&self, request: Request<v1::OfferCaRequest>) -> Result<Response<v1::OfferCaResponse>, Status> {
+        let admin = self.shared.admin(&request);
+        let offered = admin.and_then(|admin| self.offer(&admin, &request.into_inner().organisation));
+        Ok(Response::new(offered.unwrap_or_else(|refused| v1::OfferCaResponse {
+            verdict: Some((&refused).into()),
+            ..v1::OfferCaResponse::default()
         })))
+    }
+
+    async fn seal_ca(&self, request: Request<v1::SealCaRequest>) -> Result<Response<v1::SealCaResponse>, Status> {
+        let sealed = match self.shared.admin(&request) {
+            Ok(admin) => self.seal(admin, request.into_inner()).await,
+            Err(refused) => Err(refused),
+        };
+        Ok(Response::new(sealed.unwrap_or_else(|refused| v1::SealCaResponse {
+            verdict: Some((&refused).into()),
+            ..v1::SealCaResponse::default()
+        })))
+    }
+
+    async fn take_ca(&self, request: Request<v1::TakeCaRequest>) -> Result<Response<v1::TakeCaResponse>, Status> {
+        let taken = match self.shared.admin(&request) {
+            Ok(admin) => self.take(&admin, request.into_inner()).await,
+            Err(refused) => Err(refused),
+        };
+        Ok(Response::new(v1::TakeCaResponse { verdict: Some(verdict(taken)) }))
     }
 }
 
@@ -188,7 +201,7 @@ impl Shared {
     fn network(&self) -> v1::NetworkResponse {
         let ders = |ders: &mut dyn Iterator<Item = &[u8]>| ders.map(Bytes::copy_from_slice).collect();
         let msps = self.ledger.msps();
-        let members = self.surroundings.directory.members();
+        let members = self.directory.members();
         let organisations = msps.iter().map(|msp| v1::Organisation {
             name: msp.organisation().to_owned(),
             roots: ders(&mut msp.roots()),
@@ -205,112 +218,9 @@ impl Shared {
             label: self.genesis.label.clone(),
             organisations: organisations.collect(),
             clock: (self.clock)().max(self.ledger.tip().time),
-            cut_off: (self.surroundings.cut_off)(),
-            carries: self.authorities.keys().cloned().collect(),
+            cut_off: (self.cut_off)(),
+            carries: self.authorities.organisations(),
         }
-    }
-
-    fn enrol(&self, request: &v1::EnrolRequest) -> Result<v1::EnrolResponse, Rejection> {
-        let now = (self.clock)();
-        let Some((mut authority, name)) = self.find(&request.name) else {
-            tracing::warn!(name = ?printable(&request.name), "refused to enrol a name that is not registered");
-            return Err(CertificateAuthority::refusal());
-        };
-        let organisation = authority.organisation().to_owned();
-        if self.ledger.msps().get(&organisation).is_none() {
-            // The secret would be used up for a certificate that nobody can check yet.
-            return Err(Rejection::new(
-                Code::Behind,
-                format!("this node does not know yet that {organisation} has joined"),
-            )
-            .found(format!("block {}", self.ledger.tip().height))
-            .wanted("a node that has caught up with its network")
-            .next("try again in a moment"));
-        }
-        let certificate = authority.enrol(name, &request.secret, &request.request, now).inspect_err(|rejection| {
-            tracing::warn!(organisation, name = ?printable(name), code = %rejection.code, "refused to enrol");
-        })?;
-        tracing::info!(organisation, name = ?printable(name), "enrolled");
-        drop(authority);
-        Ok(v1::EnrolResponse {
-            verdict: Some(v1::Verdict::default()),
-            certificate: certificate.into(),
-            // Our CAs sign with their root, which clients have from the network.
-            chain: Vec::new(),
-            organisation,
-            network: Some(self.network()),
-        })
-    }
-
-    /// The CA for a name, or for ORGANISATION/NAME: none if the name is registered nowhere, or at several.
-    fn find<'a>(&self, name: &'a str) -> Option<(MutexGuard<'_, CertificateAuthority>, &'a str)> {
-        if let Some((organisation, name)) = name.split_once('/') {
-            return Some((lock(self.authorities.get(organisation)?), name));
-        }
-        let mut found = self.authorities.values().map(lock).filter(|ca| ca.identity(name).is_some());
-        match (found.next(), found.next()) {
-            (Some(authority), None) => Some((authority, name)),
-            _ => None,
-        }
-    }
-
-    fn register(&self, admin: &Identity, request: v1::RegisterRequest) -> Result<v1::RegisterResponse, Rejection> {
-        let v1::RegisterRequest { name, role: wanted, attributes, reissue } = request;
-        let role = role(&wanted)?;
-        let mut authority = self.authority_of(admin)?;
-        let secret = if reissue {
-            let attributes = Some(attributes).filter(|attributes| !attributes.is_empty());
-            authority.reissue(&name, attributes, (self.clock)())?
-        } else {
-            authority.register(&name, role, attributes, (self.clock)())?
-        };
-        let organisation = authority.organisation().to_owned();
-        tracing::info!(by = admin.id(), name = ?printable(&name), reissue, "registered");
-        Ok(v1::RegisterResponse { verdict: Some(v1::Verdict::default()), secret, organisation })
-    }
-
-    fn list(&self, admin: &Identity, name: &str) -> Result<v1::ListIdentitiesResponse, Rejection> {
-        let authority = self.authority_of(admin)?;
-        let chosen = |(known, _): &(&str, &Registered)| name.is_empty() || *known == name;
-        let identities = authority
-            .identities()
-            .filter(chosen)
-            .map(|(name, registered)| self.registered(authority.organisation(), name, registered))
-            .collect::<Result<Vec<_>, _>>()?;
-        if identities.is_empty() && !name.is_empty() {
-            return Err(Rejection::new(
-                Code::NotFound,
-                format!("{:?} is not registered at {}", printable(name), authority.organisation()),
-            )
-            .next("ledgerctl identity list shows who is"));
-        }
-        Ok(v1::ListIdentitiesResponse { verdict: Some(v1::Verdict::default()), identities })
-    }
-
-    fn registered(
-        &self,
-        organisation: &str,
-        name: &str,
-        registered: &Registered,
-    ) -> Result<v1::RegisteredIdentity, Rejection> {
-        let certificate = |issued: &IssuedCertificate| {
-            Ok(v1::IssuedCertificate {
-                serial: Bytes::copy_from_slice(&issued.serial),
-                issuer: Bytes::copy_from_slice(&issued.issuer.0),
-                fingerprint: Bytes::copy_from_slice(&issued.fingerprint.0),
-                not_before: issued.not_before,
-                not_after: issued.not_after,
-                revoked: self.ledger.is_revoked(&issued.issuer, &issued.serial)?,
-            })
-        };
-        Ok(v1::RegisteredIdentity {
-            name: name.to_owned(),
-            organisation: organisation.to_owned(),
-            role: registered.role.to_string(),
-            attributes: registered.attributes.clone(),
-            enrolled: !registered.certificates.is_empty(),
-            certificates: registered.certificates.iter().map(certificate).collect::<Result<_, Rejection>>()?,
-        })
     }
 
     /// Who calls, if the certificate is still good.
@@ -338,40 +248,87 @@ impl Shared {
         Ok(caller)
     }
 
-    /// The CA of the caller's organisation: the only one that an admin may change or read.
-    fn authority_of(&self, caller: &Identity) -> Result<MutexGuard<'_, CertificateAuthority>, Rejection> {
-        let organisation = &caller.organisation;
-        self.authorities.get(organisation).map(lock).ok_or_else(|| {
-            let carried: Vec<_> = self.authorities.keys().map(String::as_str).collect();
-            Rejection::new(Code::NotFound, format!("this node does not carry the CA of {organisation}"))
-                .found(if carried.is_empty() { "no CA".into() } else { format!("the CA of {}", carried.join(", ")) })
-                .next(format!("ask the node of {organisation} that does"))
+    /// The CA of an organisation.
+    fn authority(&self, organisation: &str) -> Result<Arc<Mutex<CertificateAuthority>>, Rejection> {
+        self.authorities.find(organisation).ok_or_else(|| self.elsewhere(organisation))
+    }
+
+    /// This node does not carry the CA of that organisation; these do.
+    fn elsewhere(&self, organisation: &str) -> Rejection {
+        let carriers = self.carriers(organisation);
+        let named: Vec<_> =
+            carriers.iter().map(|(carrier, address)| format!("{} at {address}", carrier.full_name())).collect();
+        let carried = self.authorities.organisations();
+        let own = if carried.is_empty() { "no CA".into() } else { format!("the CA of {}", carried.join(", ")) };
+        let refused =
+            Rejection::new(Code::CaElsewhere, format!("this node does not carry the CA of {organisation}")).found(own);
+        if named.is_empty() {
+            return refused
+                .wanted(format!("a node that carries the CA of {organisation}; none is known"))
+                .next("restore it from a copy, at a node of the organisation: ledgerd ca restore FILE --config FILE");
+        }
+        refused.wanted(named.join(", ")).next(format!("ask {}", named.join(" or ")))
+    }
+
+    /// The nodes that carry the CA of an organisation, with their addresses.
+    fn carriers(&self, organisation: &str) -> Vec<(CarrierRecord, String)> {
+        let state = &**self.ledger.state();
+        let nodes = governance::nodes(state).unwrap_or_default();
+        let carriers = governance::carriers(state).unwrap_or_default();
+        let own = carriers.into_iter().filter(|carrier| carrier.organisation == organisation);
+        own.filter_map(|carrier| {
+            let of = |node: &&governance::NodeRecord| {
+                node.role != NodeRole::Removed
+                    && node.organisation == carrier.node_organisation
+                    && node.name == carrier.node
+            };
+            let address = nodes.iter().find(of)?.address.clone();
+            Some((carrier, address))
         })
+        .collect()
     }
 
-    fn begin_try(&self) -> Result<(), Rejection> {
-        self.tries.lock().unwrap_or_else(PoisonError::into_inner).take((self.clock)())
+    /// The organisation at which somebody of this name would enrol: the one in front of it, or this node's.
+    fn organisation_of(&self, name: &str) -> String {
+        let named = name.split_once('/').map(|(organisation, _)| organisation);
+        named.filter(|named| named.len() <= NAME_BYTES_MAX).unwrap_or(&self.me.organisation).to_owned()
     }
 
-    fn forgive_try(&self) {
-        self.tries.lock().unwrap_or_else(PoisonError::into_inner).give_back();
+    /// A refusal; with the addresses of the nodes that carry the CA, if this one does not.
+    fn not_certified(&self, refused: &Rejection, organisation: &str) -> v1::EnrolResponse {
+        let elsewhere = refused.code == Code::CaElsewhere;
+        let carriers = if elsewhere { self.carriers(organisation) } else { Vec::new() };
+        v1::EnrolResponse {
+            verdict: Some(refused.into()),
+            carriers: carriers.into_iter().map(|(_, address)| address).collect(),
+            ..v1::EnrolResponse::default()
+        }
+    }
+
+    fn count_try(&self, source: IpAddr) -> Result<(), Rejection> {
+        self.tries.lock().unwrap_or_else(PoisonError::into_inner).take(source, (self.clock)())
+    }
+
+    fn forgive_try(&self, source: IpAddr) {
+        self.tries.lock().unwrap_or_else(PoisonError::into_inner).give_back(source);
     }
 }
 
-/// A CA that panicked half-way has changed nothing: it changes its memory last.
-fn lock(authority: &Mutex<CertificateAuthority>) -> MutexGuard<'_, CertificateAuthority> {
-    authority.lock().unwrap_or_else(PoisonError::into_inner)
+/// Where a request comes from.
+fn source<T>(request: &Request<T>) -> IpAddr {
+    let unknown = IpAddr::V4(Ipv4Addr::UNSPECIFIED);
+    request.extensions().get::<Caller>().map_or(unknown, |caller| caller.source)
 }
 
-fn role(name: &str) -> Result<Role, Rejection> {
-    if name.is_empty() {
-        return Ok(Role::Member);
-    }
-    ROLES.into_iter().find(|role| role.as_str() == name).ok_or_else(|| {
-        Rejection::new(Code::BadArgument, "this role does not exist")
-            .found(format!("{:?}", printable(name)))
-            .wanted("member, admin, node or robot")
-    })
+fn verdict(outcome: Result<(), Rejection>) -> v1::Verdict {
+    outcome.map_or_else(|refused| (&refused).into(), |()| v1::Verdict::default())
+}
+
+/// An argument of a chaincode function.
+fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
+    serde_json::to_vec(value)
+        .map(Bytes::from)
+        .map_err(|error| Rejection::new(Code::Internal, format!("an argument cannot be written: {error}")))
 }
 
 /// A name from outside, cut for a log line or message; print it with `{:?}`.

@@ -4,6 +4,7 @@
 use ledger::identity::Identity;
 use ledger_api::tls::{TrustSource, client_identity};
 use std::io;
+use std::net::IpAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -33,6 +34,8 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 pub(crate) struct Caller {
     /// The verified identity; none for a client without a certificate, which can only enrol.
     pub identity: Option<Arc<Identity>>,
+    /// Where the connection comes from: who has no certificate is counted by this.
+    pub source: IpAddr,
 }
 
 /// An established connection.
@@ -65,7 +68,7 @@ pub(crate) fn accept(
             };
             let (tls, trust, established) = (tls.clone(), Arc::clone(&trust), established.clone());
             tokio::spawn(async move {
-                match tokio::time::timeout(HANDSHAKE_TIME_MAX, handshake(socket, &tls, &*trust)).await {
+                match tokio::time::timeout(HANDSHAKE_TIME_MAX, handshake(socket, address.ip(), &tls, &*trust)).await {
                     Ok(Ok(connection)) => {
                         let _closing = established.send(Ok(connection)).await;
                     }
@@ -79,7 +82,12 @@ pub(crate) fn accept(
     ReceiverStream::new(connections)
 }
 
-async fn handshake(socket: TcpStream, tls: &TlsAcceptor, trust: &dyn TrustSource) -> Result<Connection, String> {
+async fn handshake(
+    socket: TcpStream,
+    source: IpAddr,
+    tls: &TlsAcceptor,
+    trust: &dyn TrustSource,
+) -> Result<Connection, String> {
     socket.set_nodelay(true).map_err(|error| error.to_string())?;
     let stream = match tls.accept(socket).into_fallible().await {
         Ok(stream) => stream,
@@ -90,7 +98,7 @@ async fn handshake(socket: TcpStream, tls: &TlsAcceptor, trust: &dyn TrustSource
     };
     let identity =
         client_identity(stream.get_ref().1.peer_certificates(), trust).map_err(|refusal| refusal.to_string())?;
-    Ok(Connection { stream, caller: Caller { identity: identity.map(Arc::new) } })
+    Ok(Connection { stream, caller: Caller { identity: identity.map(Arc::new), source } })
 }
 
 /// Closes a refused connection so that the client can read the alert that says why: while bytes from it wait unread,

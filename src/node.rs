@@ -3,13 +3,13 @@
 use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::bridge::NodeBridge;
-use crate::ca::CertificateAuthority;
+use crate::ca::check_secret;
 use crate::catch_up::{Ballot, Bootstrap, CatchUp, Source};
 use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
-use crate::enrolment::{self, EnrolmentService, Surroundings};
+use crate::enrolment::{Authorities, EnrolmentService, Surroundings, Voice};
 use crate::gateway::{Audience, Current, GatewayService, NodeView, Retries, Shares};
 use crate::housekeeping::Housekeeping;
 use crate::identity::{Joined, own_membership, removed};
@@ -115,8 +115,9 @@ pub struct Node {
     bridge: Option<NodeBridge>,
     server: JoinHandle<()>,
     conductor: JoinHandle<()>,
-    /// What goes on beside: renewing the certificate, attesting, watching whether the node still belongs here.
-    beside: [JoinHandle<()>; 3],
+    /// What goes on beside: renewing the certificate, attesting, watching whether the node still belongs here, telling the
+    /// ledger what its CA knows.
+    beside: [JoinHandle<()>; 4],
     stop: watch::Sender<bool>,
 }
 
@@ -132,17 +133,20 @@ impl Node {
             std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         let Stores { genesis, ledger, store, snapshots } = Stores::open(config, &genesis_bytes, registry)?;
         let trust: Arc<dyn TrustSource> = Arc::new(Trust { ledger: Arc::clone(&ledger) });
+        check_secret(
+            &config.data.join(KEY_FILE),
+            "if others may have read it, remove the node and let it join anew with another key",
+        )?;
         let tls = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()).next("restore the file from a copy"))?;
         let directory = Arc::new(Directory::read(&ledger));
-        let mut authorities = CertificateAuthority::open_all(&config.data)?;
-        for authority in &mut authorities {
-            authority.set_days(config.ca.certificate_days, config.ca.secret_days);
-        }
-        renewal::revive(&config.data, &tls, &mut authorities, &ledger.msps())?;
+        let authorities =
+            Arc::new(Authorities::open(&config.data, (config.ca.certificate_days, config.ca.secret_days))?);
+        renewal::revive(&config.data, &tls, &authorities, &ledger.msps())?;
         let joined = Joined::load(&config.data)?;
         let me = own_membership(&tls, &ledger, &genesis, &directory.members(), joined.as_ref())?;
         check_member(config, ledger.network(), &me)?;
+        authorities.check_carried(&ledger, &me)?;
         let listener = listen(&config.listen).await?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
 
@@ -250,12 +254,17 @@ impl Node {
             !matches!(inbox.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
         });
         let own_gateway = reachable(address).to_string();
-        let carrier = enrolment::carrier(&own_gateway, ledger.network(), &tls, &trust);
+        let voice = Voice::through(&own_gateway, ledger.network(), &tls, &trust);
         let document = (genesis, genesis_bytes.into());
         let standing = Arc::clone(&view);
-        let surroundings =
-            Surroundings { directory: Arc::clone(&directory), cut_off: Box::new(move || standing.is_cut_off()) };
-        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), surroundings, document, carrier, wall);
+        let surroundings = Surroundings {
+            me: view.me.clone(),
+            identity: tls.clone(),
+            directory: Arc::clone(&directory),
+            cut_off: Box::new(move || standing.is_cut_off()),
+        };
+        let enrolment = EnrolmentService::new(authorities, Arc::clone(&ledger), surroundings, document, voice, wall);
+        let registrar = enrolment.clone();
         let keeper = Keeper {
             data: config.data.clone(),
             identity: tls.clone(),
@@ -307,7 +316,12 @@ impl Node {
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let (me, members, fatal) = (view.me.clone(), directory.subscribe(), Arc::clone(&testimony.shared));
         let belonging = async move { (fatal.fatal)(removed(me, members).await) };
-        let beside = [tokio::spawn(keeper.keep()), tokio::spawn(testimony.run(seen)), tokio::spawn(belonging)];
+        let beside = [
+            tokio::spawn(keeper.keep()),
+            tokio::spawn(testimony.run(seen)),
+            tokio::spawn(belonging),
+            tokio::spawn(registrar.keep_registered()),
+        ];
         let bridge = NodeBridge::start(config, own_gateway)?;
         Ok(Self { view, address, ended, housekeeping, scrub, bridge, server, conductor, beside, stop })
     }

@@ -4,9 +4,9 @@
 //! Others know the node by its organisation and name, so that a renewal changes nothing on the ledger.
 
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
-use crate::ca::{CertificateAuthority, pem};
+use crate::ca::pem;
 use crate::clock::wall;
-use crate::enrolment::EnrolmentService;
+use crate::enrolment::{Authorities, EnrolmentService, lock};
 use crate::node::{CERTIFICATE_FILE, KEY_FILE};
 use ledger::certificate::Certificate;
 use ledger::identity::Identity;
@@ -110,7 +110,7 @@ impl Keeper {
 pub(crate) fn revive(
     data: &Path,
     identity: &TlsIdentity,
-    authorities: &mut [CertificateAuthority],
+    authorities: &Authorities,
     msps: &Msps,
 ) -> Result<(), Rejection> {
     let (_, not_after) = validity(identity)?;
@@ -119,7 +119,7 @@ pub(crate) fn revive(
         return Ok(());
     }
     let own = own_identity(identity, msps)?;
-    let Some(authority) = authorities.iter_mut().find(|ca| ca.organisation() == own.organisation) else {
+    let Some(authority) = authorities.find(&own.organisation) else {
         let Identity { organisation, name, .. } = &own;
         return Err(Rejection::new(
             Code::CertificateExpired,
@@ -133,7 +133,7 @@ pub(crate) fn revive(
         )));
     };
     let renewal = Renewal::begin(identity)?;
-    let certificate = authority.renew(&own.name, own.role, &renewal.request(), now)?;
+    let certificate = lock(&authority).revive(&own, &renewal.request(), now)?;
     let renewed = renewal.finish(&certificate, msps)?;
     store(data, identity, &renewed)?;
     identity.renew(&renewed);

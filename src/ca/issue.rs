@@ -17,7 +17,7 @@ use std::time::Duration;
 /// Microseconds of a day.
 pub const DAY: u64 = 24 * 3600 * 1_000_000;
 /// How far a certificate starts in the past: clocks of other machines may be slow.
-pub(super) const START_BEFORE: u64 = 5 * 60 * 1_000_000;
+const START_BEFORE: u64 = 5 * 60 * 1_000_000;
 /// For how long a root is valid.
 const ROOT_DAYS: u64 = 3653;
 /// The last second that X.509 can name: the end of the year 9999.

@@ -1,7 +1,7 @@
-//! Who is registered at a CA: the file `identities.json`.
+//! Who was registered at this machine, and what was issued here before the ledger knew of it: the file
+//! `identities.json`. What admins register over the network stands on the ledger and never here.
 
 use super::durable::{self, SECRET_MODE, Staged};
-use super::issue::START_BEFORE;
 use super::secret::OneTimeSecret;
 use ledger::identity::Role;
 use ledger::{Code, Hash, Rejection};
@@ -14,11 +14,13 @@ pub(super) const FILE: &str = "identities.json";
 /// Most names of one CA. The file is rewritten with every change, so it has to stay small.
 pub const IDENTITIES_MAX: usize = 10_000;
 /// Most certificates of one name that are kept; beyond it the expired ones are forgotten.
-pub const CERTIFICATES_MAX: usize = 1024;
+pub const CERTIFICATES_MAX: usize = 64;
 /// Largest file that is written and read, in bytes.
 const FILE_BYTES_MAX: usize = 128 * 1024 * 1024;
 /// Version of the file's format.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
+/// The version before, which has no certificates and counts guesses.
+const VERSION_WITHOUT_CERTIFICATES: u32 = 1;
 
 /// The registered names of one organisation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -64,6 +66,9 @@ pub struct IssuedCertificate {
     pub not_before: u64,
     /// Last valid microsecond since the UNIX epoch.
     pub not_after: u64,
+    /// The certificate, DER; empty if a version before has issued it.
+    #[serde(default, with = "hex::serde", skip_serializing_if = "Vec::is_empty")]
+    pub der: Vec<u8>,
 }
 
 impl Registry {
@@ -82,10 +87,11 @@ impl Registry {
                 .wanted("the registered names of this CA, as it wrote them")
                 .next("restore the file from a copy")
         };
-        let registry: Self = serde_json::from_slice(&content).map_err(|error| damaged(error.to_string()))?;
-        if registry.version != VERSION {
+        let mut registry: Self = serde_json::from_slice(&content).map_err(|error| damaged(error.to_string()))?;
+        if !(VERSION_WITHOUT_CERTIFICATES..=VERSION).contains(&registry.version) {
             return Err(damaged(format!("version {} of the format instead of {VERSION}", registry.version)));
         }
+        registry.version = VERSION;
         Ok(registry)
     }
 
@@ -104,14 +110,18 @@ impl Registry {
     }
 }
 
-impl IssuedCertificate {
-    /// When it was issued: its validity begins a little earlier.
-    pub(super) fn issued(&self) -> u64 {
-        self.not_before.saturating_add(START_BEFORE)
-    }
-}
-
 impl Registered {
+    /// When its secret was made and until when it can be used, if it still can.
+    pub fn open_secret(&self, now: u64) -> Option<(u64, u64)> {
+        self.secret.as_ref().filter(|secret| secret.is_open(now)).map(|secret| (secret.made, secret.expires))
+    }
+
+    /// The certificate with this fingerprint, DER, if it is kept.
+    pub(super) fn der(&self, fingerprint: &Hash) -> Option<&[u8]> {
+        let kept = self.certificates.iter().find(|issued| issued.fingerprint == *fingerprint)?;
+        Some(kept.der.as_slice()).filter(|der| !der.is_empty())
+    }
+
     /// Adds a certificate; forgets those that expired before `now` if there are too many.
     pub(super) fn add(&mut self, issued: IssuedCertificate, now: u64) -> Result<(), Rejection> {
         if self.certificates.len() >= CERTIFICATES_MAX {

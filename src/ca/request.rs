@@ -11,7 +11,7 @@ use x509_parser::prelude::FromDer;
 pub const REQUEST_BYTES_MAX: usize = 8 * 1024;
 
 /// The public key of a request whose sender has shown to hold the private one.
-pub(super) fn public_key(der: &[u8]) -> Result<PublicKey, Rejection> {
+pub(crate) fn public_key(der: &[u8]) -> Result<PublicKey, Rejection> {
     let refused = |found: String| {
         Rejection::new(Code::BadArgument, "the certificate signing request is not usable")
             .found(found)

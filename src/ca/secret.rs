@@ -1,68 +1,101 @@
-//! One-time secrets: what an admin hands to somebody, so that they can enrol once.
+//! One-time secrets that were made at this machine: what somebody receives so that they can enrol once.
+//!
+//! Guesses change nothing here: a secret has 128 random bits, and who guesses is slowed down where guesses come in.
 
+use ledger::governance::ENROLMENT_REPEAT_MAX;
 use ledger::key::PublicKey;
 use ledger::{Code, Hash, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
 
-/// Random bytes of a secret: 128 bits, so that guessing is hopeless even before tries are counted.
+/// Random bytes of a secret: 128 bits, so that guessing is hopeless.
 const SECRET_BYTES: usize = 16;
 /// Most bytes of what somebody presents as a secret.
 pub const PRESENTED_BYTES_MAX: usize = 128;
-/// Wrong tries after which a secret is void.
-pub const WRONG_TRIES_MAX: u8 = 10;
 
-/// A secret that was handed out and not used yet. The secret itself is not kept.
+/// A secret that was handed out. The secret itself is not kept.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct OneTimeSecret {
     /// SHA-256 of the secret's text. Its 128 random bits need no salt and no slow hash.
     sha256: Hash,
+    /// When it was made, microseconds since the UNIX epoch; 0 in files of version 1.
+    #[serde(default)]
+    pub(super) made: u64,
     /// Until when it can be used, microseconds since the UNIX epoch.
-    expires: u64,
-    /// Wrong tries so far.
+    pub(super) expires: u64,
+    /// Wrong tries, which files of version 1 count.
+    #[serde(default, skip_serializing)]
     wrong: u8,
     /// SHA-256 of the public key that enrolled with it. That key may come again, because an answer can be lost; no
     /// other one can.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     used_by: Option<Hash>,
+    /// What that key received, and when.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    received: Option<Received>,
+}
+
+/// What became of a secret.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Received {
+    /// SHA-256 of the certificate.
+    fingerprint: Hash,
+    /// Microseconds since the UNIX epoch.
+    time: u64,
 }
 
 impl OneTimeSecret {
     /// A new secret, and its text to hand out: 32 hexadecimal digits.
-    pub(super) fn generate(expires: u64) -> Result<(Self, String), Rejection> {
+    pub(super) fn generate(made: u64, expires: u64) -> Result<(Self, String), Rejection> {
         let mut random = [0; SECRET_BYTES];
         SystemRandom::new().fill(&mut random).map_err(|_| {
             Rejection::new(Code::Internal, "the system's source of randomness failed, so no secret can be made")
         })?;
         let text = hex::encode(random);
-        Ok((Self { sha256: Hash::of(&[text.as_bytes()]), expires, wrong: 0, used_by: None }, text))
+        let sha256 = hash(&text);
+        Ok((Self { sha256, made, expires, wrong: 0, used_by: None, received: None }, text))
     }
 
     /// Does this text open it now? Takes as long for every wrong text. Spaces around it and capitals are forgiven.
     pub(super) fn opens(&self, presented: &str, now: u64) -> bool {
-        let presented = Hash::of(&[presented.trim().to_ascii_lowercase().as_bytes()]);
-        let difference = self.sha256.0.iter().zip(presented.0).fold(0, |sum, (a, b)| sum | (a ^ b));
-        (difference == 0) & self.is_usable(now)
+        equal(&self.sha256, &hash(presented)) & (now <= self.expires)
     }
 
-    /// Neither expired nor void.
-    pub(super) fn is_usable(&self, now: u64) -> bool {
-        now <= self.expires && self.wrong < WRONG_TRIES_MAX
+    /// Can somebody still enrol with it?
+    pub(super) fn is_open(&self, now: u64) -> bool {
+        self.used_by.is_none() && now <= self.expires
     }
 
-    /// Gives it to the first key that comes with it. False if it belongs to another one already. That the same key
-    /// comes again counts as a wrong try, so that it does not come without end.
-    pub(super) fn bind(&mut self, key: &PublicKey) -> bool {
-        let key = Hash::of(&[&key.to_spki()]);
-        if self.used_by.is_some() {
-            self.count_wrong();
-        }
-        *self.used_by.get_or_insert(key) == key
+    /// Was it used?
+    pub(super) fn is_used(&self) -> bool {
+        self.used_by.is_some()
     }
 
-    /// Counts a wrong try.
-    pub(super) fn count_wrong(&mut self) {
-        self.wrong = self.wrong.saturating_add(1);
+    /// The certificate that this key received with it, if it comes again soon enough.
+    pub(super) fn received_by(&self, key: &PublicKey, now: u64) -> Option<Hash> {
+        let received = self.received.as_ref().filter(|_| self.used_by == Some(key_hash(key)))?;
+        (now.saturating_sub(received.time) <= ENROLMENT_REPEAT_MAX).then_some(received.fingerprint)
     }
+
+    /// Notes what a key has received: from now on it is good for nothing else.
+    pub(super) fn give(&mut self, key: &PublicKey, fingerprint: Hash, time: u64) {
+        self.used_by = Some(key_hash(key));
+        self.received = Some(Received { fingerprint, time });
+    }
+}
+
+/// SHA-256 of a secret's text, spaces around it and capitals forgiven.
+pub(crate) fn hash(presented: &str) -> Hash {
+    Hash::of(&[presented.trim().to_ascii_lowercase().as_bytes()])
+}
+
+/// Compares in a time that does not tell where two hashes differ.
+pub(crate) fn equal(a: &Hash, b: &Hash) -> bool {
+    a.0.iter().zip(b.0).fold(0, |sum, (a, b)| sum | (a ^ b)) == 0
+}
+
+fn key_hash(key: &PublicKey) -> Hash {
+    Hash::of(&[&key.to_spki()])
 }

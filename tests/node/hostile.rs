@@ -164,12 +164,17 @@ async fn without_a_certificate_one_can_only_enrol() {
         target.survived("a call without a certificate").await;
     }
     let mut enrolment = EnrolmentClient::new(channel);
-    let register = enrolment.register(v1::RegisterRequest { name: "Eve".into(), ..Default::default() }).await.unwrap();
-    assert_eq!(register.into_inner().verdict.unwrap().code, u32::from(Code::CertificateRequired.number()));
-    let list = enrolment.list_identities(v1::ListIdentitiesRequest::default()).await.unwrap();
-    assert_eq!(list.into_inner().verdict.unwrap().code, u32::from(Code::CertificateRequired.number()));
+    let verdicts = [
+        enrolment.renew(v1::RenewRequest::default()).await.unwrap().into_inner().verdict,
+        enrolment.offer_ca(v1::OfferCaRequest::default()).await.unwrap().into_inner().verdict,
+        enrolment.seal_ca(v1::SealCaRequest::default()).await.unwrap().into_inner().verdict,
+        enrolment.take_ca(v1::TakeCaRequest::default()).await.unwrap().into_inner().verdict,
+    ];
+    for verdict in verdicts {
+        assert_eq!(verdict.unwrap().code, u32::from(Code::CertificateRequired.number()));
+    }
     assert_eq!(enrolment.network(v1::NetworkRequest {}).await.unwrap().into_inner().label, "test");
-    target.survived("registrations by nobody").await;
+    target.survived("a CA asked by nobody").await;
     target.end("no certificate");
 }
 

@@ -17,6 +17,7 @@ mod own_network;
 #[path = "../support/mod.rs"]
 mod support;
 
+mod ca;
 mod catch_up;
 mod config;
 mod contexts;

@@ -146,7 +146,7 @@ fn revoking_an_identity_ends_its_grants_in_the_same_block() {
 
     // The block that revokes the certificate is the block that ends the grant.
     let block = dev.owner().json(&["block", &height]);
-    assert_eq!(names(&block["transactions"], "function"), ["revoke"]);
+    assert_eq!(names(&block["transactions"], "function"), ["revoke_identity"]);
     let events = &block["transactions"][0]["events"];
     assert_eq!(names(events, "name"), ["revoked", "released"]);
     assert_eq!(events[1]["payload"]["response"]["reason"], "revoked");

@@ -67,8 +67,10 @@ async fn a_right_directory_is_right_and_a_running_node_or_another_directory_is_a
     let (fleet, _) = stopped().await;
     let data = fleet.nodes[0].data.clone();
     let report = verify(&data).ok().json();
-    assert_eq!((&report["ok"], &report["transactions"]), (&true.into(), &13.into()));
-    assert_eq!(report["verdicts"]["OK"], 13);
+    assert_eq!(report["ok"], true);
+    // Ours, and one of the node itself for each CA that it carries, if there was time for them.
+    assert!((13..=15).contains(&report["transactions"].as_u64().unwrap()), "{report}");
+    assert_eq!(report["verdicts"]["OK"], report["transactions"]);
     assert_eq!(report["state_compared"], true);
     verify(&fleet.home()).refused(3, &["LGR-7002", "genesis.json"]);
     verify("/nowhere".as_ref()).refused(3, &["LGR-7002", "/nowhere"]);
@@ -227,6 +229,7 @@ async fn the_blocks_of_a_running_node_are_archived_and_the_archive_verifies_alon
     }
     node.check();
     node.interrupt();
-    assert_eq!(verify(&data).ok().json()["transactions"], 121);
+    let report = verify(&data).ok().json();
+    assert!((121..=123).contains(&report["transactions"].as_u64().unwrap()), "{report}");
     println!("archive: up to block {last_height}");
 }

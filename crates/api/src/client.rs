@@ -8,7 +8,8 @@
 //!     in_flight   transactions without a verdict yet; survives the connection
 //!     fresh       which of them no node has seen
 //!     clock       the node's clock
-//!   reads         queries, status, blocks, registrations
+//!   reads         queries, status, blocks
+//!   identities    the registry of the own organisation
 //!   leadership    choosing who leads
 //!   events        subscriptions that resume where they were cut off
 //! ```
@@ -17,6 +18,7 @@ mod clock;
 mod dialer;
 mod events;
 mod fresh;
+mod identities;
 mod in_flight;
 mod leadership;
 mod learning;
@@ -24,9 +26,10 @@ mod reads;
 mod session;
 
 pub use events::{EventStream, Subscription};
+pub use identities::{Registered, SECRET_LIFE};
 pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Pending};
 pub use leadership::Leadership;
-pub use reads::{Answer, Registered};
+pub use reads::Answer;
 
 use crate::connect::Credentials;
 use crate::context::Context;

@@ -17,10 +17,12 @@ mod home;
 mod known;
 mod lock;
 mod organisations;
+mod pending;
 mod renewal;
 
 pub use home::home;
 pub use known::{ADDRESS_BYTES_MAX, KNOWN_NODES_MAX, KnownNode, Memory};
+pub use pending::PendingEnrolment;
 pub use renewal::{RenewalRule, Renewed, WARNING_DAYS, warning_due};
 
 use crate::connect::{self, Credentials};
@@ -38,7 +40,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Longest name of a context, in bytes.
-pub const CONTEXT_NAME_BYTES_MAX: usize = 64;
+pub const CONTEXT_NAME_BYTES_MAX: usize = ledger::identity::NEW_NAME_BYTES_MAX;
 
 /// Who this machine is on which network, and how to reach it.
 #[derive(Clone, Debug)]

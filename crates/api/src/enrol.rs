@@ -18,6 +18,8 @@ use rustls_pki_types::{CertificateDer, PrivatePkcs8KeyDer};
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
+/// Most nodes to which an enrolment is taken, one after another, until one carries the CA.
+pub(crate) const DOORS_MAX: usize = 8;
 /// How long connecting may take.
 pub(crate) const CONNECT_MAX: Duration = Duration::from_secs(3);
 
@@ -87,7 +89,8 @@ impl Enrolment {
     }
 
     /// As [`Enrolment::enrol`], with a key that exists. An answer that was lost can be asked for again with the same
-    /// secret and key.
+    /// secret and key: for some minutes the same certificate comes back. A node that does not carry the CA names those
+    /// that do, and they are asked instead, pinned to the same CA.
     ///
     /// # Errors
     /// As [`Enrolment::enrol`].
@@ -95,11 +98,35 @@ impl Enrolment {
         // The name may be ORGANISATION/NAME; only its last part can be in a certificate.
         let own_name = name.rsplit('/').next().unwrap_or(name);
         let request = v1::EnrolRequest { name: name.into(), secret: secret.into(), request: request(own_name, &key)? };
-        let connection = self.connect().await?;
+        let (mut doors, mut next, mut elsewhere) = (vec![self.node.clone()], 0, None);
+        while let Some(door) = doors.get(next).cloned() {
+            next += 1;
+            match self.knock(&door, request.clone()).await {
+                Ok(answer) => match accepted(answer.verdict.as_ref()) {
+                    Ok(()) => return self.check(own_name, key, answer),
+                    Err(refused) if refused.code == Code::CaElsewhere => {
+                        let unknown: Vec<_> =
+                            answer.carriers.into_iter().filter(|carrier| !doors.contains(carrier)).collect();
+                        doors.extend(unknown);
+                        doors.truncate(DOORS_MAX);
+                        elsewhere.get_or_insert(refused);
+                    }
+                    Err(refused) => return Err(refused),
+                },
+                // The first node is the one that the caller named; of the others one may be down.
+                Err(unreachable) if next == 1 => return Err(unreachable),
+                Err(unreachable) => {
+                    tracing::debug!(door, reason = %unreachable, "a node that carries the CA does not answer");
+                }
+            }
+        }
+        Err(elsewhere.unwrap_or_else(|| Rejection::new(Code::Internal, "no node was asked")))
+    }
+
+    async fn knock(&self, door: &str, request: v1::EnrolRequest) -> Result<v1::EnrolResponse, Rejection> {
+        let connection = Connection::open(door, self.tls()?, &Bytes::new(), CONNECT_MAX).await?;
         let answer = EnrolmentClient::new(connection.channel.clone()).enrol(request).await;
-        let answer = answer.map_err(|status| connection.refusal(&status))?.into_inner();
-        accepted(answer.verdict.as_ref())?;
-        self.check(own_name, key, answer)
+        answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))
     }
 
     fn check(&self, name: &str, key: SigningKey, answer: v1::EnrolResponse) -> Result<Context, Rejection> {

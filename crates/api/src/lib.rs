@@ -32,7 +32,7 @@ pub mod token;
 
 pub use client::{
     Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending,
-    Registered, Subscription,
+    Registered, SECRET_LIFE, Subscription,
 };
 pub use connect::Credentials;
 pub use context::{Context, home};

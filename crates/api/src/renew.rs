@@ -1,11 +1,11 @@
 //! Renewal: the next certificate before the present one runs out, proved by the present one.
 
 use crate::connect::{Connection, Credentials};
-use crate::enrol::{CONNECT_MAX, request};
+use crate::enrol::{CONNECT_MAX, DOORS_MAX, request};
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
-use crate::v1::RenewRequest;
 use crate::v1::enrolment_client::EnrolmentClient;
+use crate::v1::{EnrolResponse, RenewRequest};
 use ledger::certificate::Certificate;
 use ledger::key::SigningKey;
 use ledger::msp::Msps;
@@ -54,7 +54,7 @@ impl Renewal {
         &self.key
     }
 
-    /// Asks the nodes in turn until one that carries the CA answers.
+    /// Asks the nodes in turn, and those that they name, until one that carries the CA answers.
     ///
     /// # Errors
     /// What the last one said, or the first that knew more than that it is not the one to ask.
@@ -65,24 +65,35 @@ impl Renewal {
         msps: &Msps,
     ) -> Result<TlsIdentity, Rejection> {
         let mut refused = Rejection::new(Code::NotFound, "no node is known that could renew the certificate");
-        for address in nodes {
-            match self.ask_one(address, credentials).await {
-                Ok(certificate) => return self.finish(&certificate, msps),
-                Err(reason) if matches!(refused.code, Code::NotFound | Code::Unreachable) => refused = reason,
-                Err(_) => {}
+        let (mut doors, mut next) = (nodes.to_vec(), 0);
+        while let Some(address) = doors.get(next).cloned() {
+            next += 1;
+            let reason = match self.ask_one(&address, credentials).await {
+                Ok(answer) => match accepted(answer.verdict.as_ref()) {
+                    Ok(()) => return self.finish(&answer.certificate, msps),
+                    Err(reason) => {
+                        let room = (nodes.len() + DOORS_MAX).saturating_sub(doors.len());
+                        let unknown: Vec<_> =
+                            answer.carriers.into_iter().filter(|door| !doors.contains(door)).take(room).collect();
+                        doors.extend(unknown);
+                        reason
+                    }
+                },
+                Err(reason) => reason,
+            };
+            if matches!(refused.code, Code::NotFound | Code::Unreachable | Code::CaElsewhere) {
+                refused = reason;
             }
         }
         Err(refused)
     }
 
-    async fn ask_one(&self, address: &str, credentials: &Credentials) -> Result<Bytes, Rejection> {
+    async fn ask_one(&self, address: &str, credentials: &Credentials) -> Result<EnrolResponse, Rejection> {
         let own = Bytes::copy_from_slice(self.present.own().certificate());
         let connection = Connection::open(address, Arc::clone(&credentials.tls), &own, CONNECT_MAX).await?;
         let mut client = EnrolmentClient::new(connection.channel.clone());
         let answer = client.renew(RenewRequest { request: self.request() }).await;
-        let answer = answer.map_err(|status| connection.refusal(&status))?.into_inner();
-        accepted(answer.verdict.as_ref())?;
-        Ok(answer.certificate)
+        answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))
     }
 
     /// Checks what the CA has certified: our key, for the same identity. What follows it in the chain stays.

@@ -1,7 +1,7 @@
 //! The table of commands.
 
 use crate::command::{
-    chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, network, policy,
+    ca, chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, network, policy,
     robot, whoami,
 };
 use crate::failure::Failure;
@@ -56,6 +56,8 @@ enum Command {
     #[command(subcommand)]
     Identity(identity::Identity),
     #[command(subcommand)]
+    Ca(ca::Ca),
+    #[command(subcommand)]
     Network(network::Network),
     #[command(subcommand)]
     Robot(robot::Robot),
@@ -99,6 +101,7 @@ impl Cli {
             Command::Whoami(command) => command.run(global, output).await,
             Command::Context(command) => command.run(global, output).await,
             Command::Identity(command) => command.run(global, output).await,
+            Command::Ca(command) => command.run(global, output).await,
             Command::Network(command) => command.run(global, output).await,
             Command::Robot(command) => command.run(global, output).await,
             Command::Acquire(command) => command.run(global, output).await,

@@ -7,6 +7,7 @@ mod answer;
 mod argument;
 mod cli;
 mod command;
+mod confirm;
 mod context;
 mod failure;
 mod health;

@@ -127,6 +127,8 @@ codes! {
     NotInvited = 2010 "NOT_INVITED" Denied;
     /// The node is none of this network's, or no longer.
     NotAMember = 2011 "NOT_A_MEMBER" Denied;
+    /// The node does not carry the CA of the organisation; others may.
+    CaElsewhere = 2012 "CA_ELSEWHERE" Unreachable;
     /// The clocks of this machine and of a node differ so much that good certificates look expired.
     ClockOff = 2020 "CLOCK_OFF" Failure;
 

@@ -19,14 +19,29 @@
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
 //! | `revoke ISSUER SERIAL [REASON]` | an admin of the issuing organisation | [`RevocationRecord`] |
+//! | `invitations` | | array of [`Invitation`] |
+//! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
+//! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
+//! | `cancel_registration {name}` | an admin | nothing |
+//! | `identities {name?, after?}` | an admin, of their own organisation | [`Identities`] |
+//! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
+//! | `record_certificate {...}` ([`RecordCertificate`]) | a node that carries the CA | [`Recorded`] |
+//! | `carriers` | | array of [`CarrierRecord`] |
+//! | `carry_ca {...}` ([`CarryCa`]) | a node, for itself | nothing |
+//! | `uncarry_ca {organisation, node?}` | a node for itself, or an admin of the organisation | nothing |
 //!
 //! Events: `joined`, `moved` and `role_changed` with the [`NodeRecord`] and the node as subject; `proposed`,
 //! `approved`, `withdrawn` and `executed` with the [`Proposal`] and its id; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its name;
-//! `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial number.
+//! `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial number;
+//! `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with organisation,
+//! name, role and who did it, and `certified` with the [`IssuedCertificate`], all with `ORGANISATION/NAME`; `ca_carried` and
+//! `ca_dropped` with the [`CarrierRecord`] and the node.
 
 mod attestations;
 mod caller;
+mod carriers;
+mod identities;
 mod invitations;
 mod nodes;
 mod organisations;
@@ -36,7 +51,16 @@ mod revocations;
 mod store;
 
 pub use attestations::{Attest, Attestation, AttestationRecord};
-pub use invitations::{INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation};
+pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
+pub use identities::{
+    CERTIFICATES_MAX, CancelRegistration, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX, IDENTITIES_PAGE_MAX,
+    Identities, IdentityRecord, IssuedCertificate, KnownIdentity, ListIdentities, LocalSecret, REGISTRATION_LIFE_MAX,
+    RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity,
+    issued,
+};
+pub use invitations::{
+    CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
+};
 pub use nodes::{JoinNode, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, SetNodeRole, desired};
 pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{Action, Decision, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal};
@@ -59,10 +83,16 @@ use store::{full, json};
 pub const NAME: &str = "msp";
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 16] = [
+const FUNCTIONS: [(&str, &str); 26] = [
     ("approve", "ID"),
     ("attest", "ATTEST_JSON"),
     ("attestations", "none"),
+    ("cancel_invitation", "NAME_JSON"),
+    ("cancel_registration", "NAME_JSON"),
+    ("carriers", "none"),
+    ("carry_ca", "CARRY_JSON"),
+    ("identities", "LIST_JSON"),
+    ("invitations", "none"),
     ("invite_organisation", "INVITE_JSON"),
     ("join_node", "NODE_JSON"),
     ("join_organisation", "JOIN_JSON"),
@@ -70,10 +100,14 @@ const FUNCTIONS: [(&str, &str); 16] = [
     ("organisation", "NAME"),
     ("organisations", "none"),
     ("proposals", "none"),
+    ("record_certificate", "CERTIFICATE_JSON"),
+    ("register", "REGISTER_JSON"),
     ("remove_organisation", "NAME_JSON"),
     ("revocations", "none"),
     ("revoke", "ISSUER SERIAL [REASON]"),
+    ("revoke_identity", "REVOKE_JSON"),
     ("set_node_role", "ROLE_JSON"),
+    ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
     ("withdraw", "ID"),
 ];
@@ -103,9 +137,9 @@ impl Chaincode for Governance {
         NAME
     }
 
-    /// Everything but attestations, which nobody waits for.
+    /// Everything but what nobody waits for: attestations, and what a node says of its CA.
     fn urgent(&self, function: &str) -> bool {
-        function != "attest"
+        !matches!(function, "attest" | "carry_ca")
     }
 
     fn events(&self) -> &'static [&'static str] {
@@ -121,6 +155,16 @@ impl Chaincode for Governance {
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),
             ("attestations", []) => attestations::list(ctx),
+            ("identities", [wanted]) => identities::list(ctx, wanted),
+            ("register", [register]) => identities::register(ctx, register),
+            ("cancel_registration", [cancel]) => identities::cancel(ctx, cancel),
+            ("revoke_identity", [revoke]) => identities::revoke(ctx, revoke),
+            ("record_certificate", [record]) => identities::record(ctx, record),
+            ("carriers", []) => carriers::list(ctx),
+            ("carry_ca", [carry]) => carriers::carry(ctx, carry),
+            ("uncarry_ca", [uncarry]) => carriers::uncarry(ctx, uncarry),
+            ("invitations", []) => invitations::list(ctx),
+            ("cancel_invitation", [cancel]) => invitations::cancel(ctx, cancel),
             ("nodes", []) => nodes::list(ctx),
             ("join_node", [join]) => nodes::join(ctx, join),
             ("set_node_role", [role]) => nodes::set_role(ctx, role),

@@ -8,7 +8,9 @@ mod error;
 pub use error::IdentityError;
 pub(crate) use error::printable;
 
+use crate::code::Code;
 use crate::key::PublicKey;
+use crate::rejection::Rejection;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -124,6 +126,33 @@ pub fn check_name(name: &str) -> Result<(), IdentityError> {
         return Ok(());
     };
     Err(IdentityError::BadName { found: printable(name), reason })
+}
+
+/// Longest name that is registered, in bytes: it is also the name of a directory on its owner's machine.
+pub const NEW_NAME_BYTES_MAX: usize = 64;
+
+/// Checks a name that is to be registered. More certificates have names that [`check_name`] accepts, those of other CAs
+/// among them; but who enrols keeps certificate and key in a directory of this name, so it has to be one that every
+/// shell and file system takes: 1 to [`NEW_NAME_BYTES_MAX`] bytes of letters, digits, `-`, `_` and `.`, and none of `-`
+/// and `.` in front.
+///
+/// # Errors
+/// [`Code::BadArgument`] with what is wrong.
+pub fn check_new_name(name: &str) -> Result<(), Rejection> {
+    let usable = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
+    let fits = !name.is_empty() && name.len() <= NEW_NAME_BYTES_MAX && !name.starts_with(['.', '-']);
+    if fits && name.chars().all(usable) {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadArgument, format!("no identity can be registered as {}", printable(name)))
+        .found(match name.chars().find(|c| !usable(*c)) {
+            Some(odd) => format!("{odd:?} in it"),
+            None => format!("a name of {} bytes, or one that starts with \"-\" or \".\"", name.len()),
+        })
+        .wanted(format!(
+            "1 to {NEW_NAME_BYTES_MAX} bytes of letters, digits, \"-\", \"_\" and \".\", none of \"-\" and \".\" in front"
+        ))
+        .next("choose another name"))
 }
 
 /// The subject is only asked for when it is refused: this runs for every transaction.

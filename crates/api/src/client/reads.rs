@@ -1,4 +1,4 @@
-//! Calls that change nothing, and so may be repeated; and registrations.
+//! Calls that change nothing, and so may be repeated.
 
 use super::Client;
 use super::dialer::is_final;
@@ -6,11 +6,9 @@ use super::in_flight::{ATTEMPT_MAX, RETRY_AFTER};
 use super::session::Up;
 use crate::report::accepted;
 use crate::v1;
-use ledger::identity::Role;
 use ledger::{Bytes, Code, Hash, Rejection};
-use std::collections::BTreeMap;
 use std::time::Instant;
-use tokio::time::{sleep, timeout, timeout_at};
+use tokio::time::{sleep, timeout_at};
 use tonic::{Response, Status};
 
 /// Who is asked.
@@ -29,15 +27,6 @@ pub struct Answer {
     pub response: Bytes,
     /// Height of the state that answered.
     pub height: u64,
-}
-
-/// A new registration.
-#[derive(Clone, PartialEq, Eq)]
-pub struct Registered {
-    /// The one-time secret for the enrolment; the node does not show it again.
-    pub secret: String,
-    /// The organisation that will issue the certificate.
-    pub organisation: String,
 }
 
 impl Client {
@@ -122,66 +111,6 @@ impl Client {
     /// As [`Client::status`].
     pub async fn network(&self) -> Result<v1::NetworkResponse, Rejection> {
         self.ask(|up| async move { up.enrolment().network(v1::NetworkRequest {}).await }, |_| Ok(())).await
-    }
-
-    /// The registered identities of the own organisation: of this name, or all for an empty one.
-    ///
-    /// # Errors
-    /// [`Code::NotAdmin`]; else as [`Client::status`].
-    pub async fn identities(&self, name: &str) -> Result<Vec<v1::RegisteredIdentity>, Rejection> {
-        let ask = |up: Up| {
-            let request = v1::ListIdentitiesRequest { name: name.into() };
-            async move { up.enrolment().list_identities(request).await }
-        };
-        Ok(self.ask_of(Whom::Carrier, ask, |answer| accepted(answer.verdict.as_ref())).await?.identities)
-    }
-
-    /// Registers a name with its role and attributes, as an admin of the organisation. Not repeated if the connection
-    /// breaks: the secret is shown once.
-    ///
-    /// # Errors
-    /// [`Code::NotAdmin`], [`Code::AlreadyRegistered`]; [`Code::Timeout`] if no answer came and it may have happened.
-    pub async fn register(
-        &self,
-        name: &str,
-        role: Role,
-        attributes: &BTreeMap<String, String>,
-    ) -> Result<Registered, Rejection> {
-        let (name, role, attributes) = (name.to_owned(), role.as_str().to_owned(), attributes.clone());
-        self.register_once(v1::RegisterRequest { name, role, attributes, reissue: false }).await
-    }
-
-    /// A new one-time secret for a registered name, whose role stays; attributes replace the old ones, none keep them.
-    /// Certificates issued before stay valid until they expire or are revoked.
-    ///
-    /// # Errors
-    /// [`Code::NotAdmin`], [`Code::NotFound`]; [`Code::Timeout`] as [`Client::register`].
-    pub async fn reissue(&self, name: &str, attributes: &BTreeMap<String, String>) -> Result<Registered, Rejection> {
-        let (name, attributes) = (name.to_owned(), attributes.clone());
-        self.register_once(v1::RegisterRequest { name, role: String::new(), attributes, reissue: true }).await
-    }
-
-    async fn register_once(&self, request: v1::RegisterRequest) -> Result<Registered, Rejection> {
-        let name = request.name.clone();
-        let up = timeout(self.session.options.deadline, self.session.carrier());
-        let up = up.await.map_err(|_| self.session.no_connection())??;
-        let mut enrolment = up.enrolment();
-        let unknown = |found: String| {
-            Rejection::new(
-                Code::Timeout,
-                format!("no answer came to the registration of {name:?}; it may have happened"),
-            )
-            .found(found)
-            .next(format!("ledgerctl identity show {name}"))
-        };
-        let answer = timeout(self.session.options.deadline, enrolment.register(request)).await;
-        let answer = answer.map_err(|_| unknown("the deadline has passed".into()))?.map_err(|status| {
-            let refused = up.connection.refusal(&status);
-            if refused.code == Code::Unreachable { unknown(refused.found) } else { refused }
-        })?;
-        let answer = answer.into_inner();
-        accepted(answer.verdict.as_ref())?;
-        Ok(Registered { secret: answer.secret, organisation: answer.organisation })
     }
 
     /// Has a key certified by the CA of the own organisation, by what proves who we are: the present certificate.

@@ -177,7 +177,7 @@ pub(super) fn create_directories(path: &Path) -> Result<(), Rejection> {
     DirBuilder::new().recursive(true).mode(DIRECTORY_MODE).create(path).map_err(|error| unwritable(path, &error))
 }
 
-fn remove_directory(path: &Path) -> Result<(), Rejection> {
+pub(super) fn remove_directory(path: &Path) -> Result<(), Rejection> {
     match fs::remove_dir_all(path) {
         Err(error) if error.kind() != ErrorKind::NotFound => Err(unwritable(path, &error)),
         _ => Ok(()),

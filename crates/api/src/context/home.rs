@@ -118,11 +118,9 @@ pub(super) fn directory_of(home: &Path, name: &str) -> Result<PathBuf, Rejection
     if directory.is_dir() { Ok(directory) } else { Err(unknown(home, name)) }
 }
 
-/// A name is 1 to 64 letters, digits, `-`, `_` and `.`, and does not start with `.` or `-`.
+/// A context may have every name that an identity can be registered with, and no other.
 pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
-    let usable = |c: char| c.is_alphanumeric() || matches!(c, '-' | '_' | '.');
-    let fits = !name.is_empty() && name.len() <= CONTEXT_NAME_BYTES_MAX;
-    if fits && name.chars().all(usable) && !name.starts_with(['.', '-']) {
+    if ledger::identity::check_new_name(name).is_ok() {
         return Ok(());
     }
     let shown: String = name.chars().take(CONTEXT_NAME_BYTES_MAX).collect();

@@ -81,8 +81,6 @@ pub(crate) struct Node {
     pub(crate) name: Mutex<Option<String>>,
     /// Addresses that it tells of its organisation.
     pub(crate) addresses: Mutex<Vec<String>>,
-    /// Does it give secrets?
-    pub(crate) secrets: Mutex<bool>,
     /// How often somebody asked for a renewal.
     pub(crate) renewals: AtomicU64,
     /// Why nobody's certificate is renewed.
@@ -128,7 +126,6 @@ impl Fake {
             certificate: Mutex::default(),
             name: Mutex::default(),
             addresses: Mutex::default(),
-            secrets: Mutex::new(true),
             renewals: AtomicU64::new(0),
             no_renewal: Mutex::default(),
             cut_off: AtomicBool::new(false),
@@ -428,16 +425,8 @@ impl Enrolment for Shared {
             chain: Vec::new(),
             organisation: "Org1".into(),
             network: Some(self.0.describe()),
+            carriers: Vec::new(),
         }))
-    }
-
-    async fn register(&self, request: Request<v1::RegisterRequest>) -> Result<Response<v1::RegisterResponse>, Status> {
-        if !*self.0.secrets.lock().unwrap() {
-            return Err(to_status(&Rejection::new(Code::NotFound, "this node does not carry the CA")));
-        }
-        let secret = format!("secret of {}", request.into_inner().name);
-        let verdict = Some(v1::Verdict::default());
-        Ok(Response::new(v1::RegisterResponse { verdict, secret, organisation: "Org1".into() }))
     }
 
     async fn renew(&self, request: Request<v1::RenewRequest>) -> Result<Response<v1::EnrolResponse>, Status> {
@@ -465,12 +454,15 @@ impl Enrolment for Shared {
         Err(Status::unimplemented("joining"))
     }
 
-    async fn list_identities(
-        &self,
-        _request: Request<v1::ListIdentitiesRequest>,
-    ) -> Result<Response<v1::ListIdentitiesResponse>, Status> {
-        let refused = Rejection::new(Code::NotAdmin, "only an admin may list identities");
-        let verdict = Some(v1::Verdict::from(&refused));
-        Ok(Response::new(v1::ListIdentitiesResponse { verdict, ..Default::default() }))
+    async fn offer_ca(&self, _: Request<v1::OfferCaRequest>) -> Result<Response<v1::OfferCaResponse>, Status> {
+        Err(Status::unimplemented("offering"))
+    }
+
+    async fn seal_ca(&self, _: Request<v1::SealCaRequest>) -> Result<Response<v1::SealCaResponse>, Status> {
+        Err(Status::unimplemented("sealing"))
+    }
+
+    async fn take_ca(&self, _: Request<v1::TakeCaRequest>) -> Result<Response<v1::TakeCaResponse>, Status> {
+        Err(Status::unimplemented("taking"))
     }
 }

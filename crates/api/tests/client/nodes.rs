@@ -163,18 +163,6 @@ async fn who_chooses_nodes_stays_with_them() {
 }
 
 #[tokio::test]
-async fn who_registers_is_brought_to_a_node_that_carries_the_ca() {
-    let authority = Arc::new(Authority::new());
-    let (plain, carrier) = (Fake::start(&authority).await, Fake::start(&authority).await);
-    plain.node.carries.lock().unwrap().clear();
-    *plain.node.secrets.lock().unwrap() = false;
-    let client = Client::connect(&authority.context(&[&plain, &carrier])).await.unwrap();
-    assert_eq!(*client.node(), *plain.address());
-    client.register("Farhad", ledger::identity::Role::Member, &Default::default()).await.unwrap();
-    assert_eq!(*client.node(), *plain.address(), "for this call alone");
-}
-
-#[tokio::test]
 async fn a_network_that_was_made_anew_is_told_from_a_forger() {
     let (before, after) = (Arc::new(Authority::new()), Arc::new(Authority::new()));
     let node = Fake::start(&after).await;

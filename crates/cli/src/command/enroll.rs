@@ -7,8 +7,8 @@ use crate::output::{Facts, Output, Table, attributes};
 use crate::{context, time};
 use ledger::identity::Role;
 use ledger::key::KeyKind;
-use ledger::{Code, Hash, Rejection};
-use ledger_api::context::RenewalRule;
+use ledger::{Class, Code, Hash, Rejection};
+use ledger_api::context::{PendingEnrolment, RenewalRule};
 use ledger_api::{Context, Enrolment};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ use std::path::PathBuf;
 /// Get a certificate with a one-time secret, and store it as a context.
 ///
 /// The key is made on this machine and never leaves it. An admin runs `ledgerctl identity register NAME`, which prints
-/// the whole command.
+/// the whole command. If it breaks off, type it again: for 15 minutes the same secret gives the same certificate.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -35,9 +35,9 @@ pub(crate) struct Enroll {
     /// The one-time secret
     #[arg(long, value_name = "SECRET")]
     secret: String,
-    /// Kind of key: ed25519 or p256
-    #[arg(long, value_name = "KIND", default_value = "ed25519")]
-    key: KeyKind,
+    /// Kind of key: ed25519, which is also the default, or p256
+    #[arg(long, value_name = "KIND")]
+    key: Option<KeyKind>,
     /// Is the certificate renewed at use, in the last third of its life? auto or never
     #[arg(long, value_name = "RULE", default_value = "auto", value_parser = rule)]
     renew: RenewalRule,
@@ -98,10 +98,25 @@ impl Enroll {
                 .wanted("SHA-256 of the CA's certificate: 64 hexadecimal digits")
                 .next("copy the whole command that `ledgerctl identity register` printed")
         })?;
-        let mut enrolled = Enrolment::new(&self.node, fingerprint).enrol(&self.name, &self.secret, self.key).await?;
+        // Everything that could fail on this machine fails before the secret is sent, or can be done again.
+        let pending = PendingEnrolment::begin(&home, name, (&self.name, fingerprint), self.key)?;
+        let enrolled =
+            Enrolment::new(&self.node, fingerprint).enrol_key(&self.name, &self.secret, pending.key()?).await;
+        let mut enrolled = enrolled.map_err(|refused| match refused.code.class() {
+            Class::Unreachable if refused.next.is_empty() => {
+                refused.next("type the same command again: the key is kept, and the secret is not spent twice")
+            }
+            _ => refused,
+        })?;
         name.clone_into(&mut enrolled.name);
         enrolled.renew = self.renew;
-        enrolled.save(&home)?;
+        enrolled.save(&home).map_err(|full| {
+            let first = if full.next.is_empty() { "mend that".to_owned() } else { full.next.clone() };
+            full.next(format!(
+                "{first}; then type the same command again within 15 minutes: the same certificate comes back"
+            ))
+        })?;
+        pending.finish();
         let selected = Context::current(&home)?.as_deref() == Some(name);
         let identity = context::identity(&enrolled)?;
         output.show(&Enrolled {

@@ -1,19 +1,22 @@
-//! `identity register|list|show|revoke|renew`: the people, nodes and robots of your organisation.
+//! `identity register|list|show|cancel|revoke|renew`: the people, nodes and robots of your organisation.
 
 mod renew;
 
 use crate::argument::attribute::Attribute;
+use crate::argument::span::Milliseconds;
 use crate::cli::Global;
+use crate::command::ca;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{MSP, Session};
 use crate::time;
+use ledger::governance::{IdentityRecord, IssuedCertificate};
 use ledger::identity::Role;
 use ledger::{Bytes, Code, Hash, Rejection};
-use ledger_api::v1;
 use serde::Serialize;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
+use std::time::Duration;
 
 /// Register identities of your organisation, revoke them, renew your own.
 #[derive(Debug, clap::Subcommand)]
@@ -21,6 +24,7 @@ pub(crate) enum Identity {
     Register(Register),
     List(List),
     Show(Show),
+    Cancel(Cancel),
     Revoke(Revoke),
     Renew(renew::Renew),
 }
@@ -48,9 +52,12 @@ pub(crate) struct Register {
     /// Certificates issued before stay valid: revoke them if they should not.
     #[arg(long, conflicts_with = "role")]
     reissue: bool,
+    /// How long the secret can be used, at most 8760h
+    #[arg(long = "for", value_name = "SPAN", default_value = "168h")]
+    span: Milliseconds,
 }
 
-/// List the identities of your organisation; for admins.
+/// List the identities of your organisation, those that have not enrolled among them; for admins.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl identity list")]
 pub(crate) struct List {}
@@ -63,7 +70,17 @@ pub(crate) struct Show {
     name: String,
 }
 
-/// Revoke an identity's certificates; its grants end in the same block. For admins.
+/// Cancel a registration: the one-time secret of a name that has not enrolled is void. For admins.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl identity cancel Salma")]
+pub(crate) struct Cancel {
+    /// The name
+    name: String,
+}
+
+/// Revoke an identity: its certificates and, if it has not enrolled, its secret; its grants end in the same block.
+///
+/// For admins, through any node of the network. Nobody enrols with a secret from before.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -99,6 +116,7 @@ impl Identity {
                 let session = Session::open(global).await?;
                 output.show(&find(&session, &command.name).await?)
             }
+            Self::Cancel(command) => command.run(global, output).await,
             Self::Revoke(command) => command.run(global, output).await,
             Self::Renew(command) => command.run(global, output).await,
         }
@@ -106,15 +124,17 @@ impl Identity {
 }
 
 async fn identities(session: &Session) -> Result<Vec<Person>, Rejection> {
-    Ok(session.client.identities("").await?.into_iter().map(Person::from).collect())
+    let now = session.client.now();
+    Ok(session.client.identities("").await?.into_iter().map(|record| Person::of(record, now)).collect())
 }
 
 /// The registered identity of that name; a near match is suggested for an unknown one.
 async fn find(session: &Session, name: &str) -> Result<Person, Rejection> {
-    let mut known = identities(session).await?;
-    if let Some(index) = known.iter().position(|person| person.name == name) {
-        return Ok(known.swap_remove(index));
+    let now = session.client.now();
+    if let Some(record) = session.client.identities(name).await?.into_iter().find(|record| record.name == name) {
+        return Ok(Person::of(record, now));
     }
+    let known = identities(session).await?;
     let near = known.iter().map(|person| (strsim::jaro_winkler(&person.name, name), &person.name));
     let near = near.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score > 0.8);
     Err(Rejection::new(Code::NotFound, format!("no identity {name:?} is registered"))
@@ -131,6 +151,8 @@ struct Invitation {
     role: Role,
     attributes: BTreeMap<String, String>,
     secret: String,
+    /// Until when, microseconds since the UNIX epoch.
+    expires: u64,
     node: String,
     ca_fingerprint: Hash,
     command: String,
@@ -143,6 +165,7 @@ impl Facts for Invitation {
         table.pair("role", self.role);
         table.pair("attributes", attributes(&self.attributes));
         table.pair("secret", format!("{} (shown once)", self.secret));
+        table.pair("until", time::moment(self.expires));
         table.write(out, 2)?;
         writeln!(out, "next, {} types:\n  {}", self.name, self.command)
     }
@@ -160,15 +183,11 @@ impl Register {
             }
         }
         let session = Session::open(global).await?;
-        let registered = if self.reissue {
-            session.client.reissue(&self.name, &wanted).await?
-        } else {
-            session.client.register(&self.name, self.role, &wanted).await?
-        };
-        let node = session.client.node().to_string();
-        // The CA of the node's own organisation is what the node can prove at first contact, also where it carries
-        // the CAs of several.
-        let ca_fingerprint = session.ca_fingerprint(&session.client.status().await?.organisation)?;
+        let role = Some(self.role).filter(|_| !self.reissue);
+        let life = Duration::from_millis(self.span.0);
+        let registered = session.client.register_for(&self.name, role, &wanted, life).await?;
+        // Registering works through any node; who enrols is sent to one that carries the CA, by an address of it.
+        let (node, ca_fingerprint) = ca::door(&session, &registered.organisation).await?;
         let command = format!(
             "ledgerctl enroll {} --node {node} --ca-fingerprint {ca_fingerprint} --secret {}",
             shell_word(&self.name),
@@ -180,6 +199,7 @@ impl Register {
             role: self.role,
             attributes: wanted,
             secret: registered.secret,
+            expires: registered.expires,
             node,
             ca_fingerprint,
             command,
@@ -202,57 +222,56 @@ fn shell_word(text: &str) -> String {
 struct Person {
     name: String,
     organisation: String,
-    role: String,
+    role: Role,
     attributes: BTreeMap<String, String>,
     enrolled: bool,
-    certificates: Vec<Certificate>,
-}
-
-#[derive(Serialize)]
-struct Certificate {
-    serial: String,
-    issuer: String,
-    fingerprint: String,
-    not_before: u64,
-    not_after: u64,
-    revoked: bool,
-}
-
-impl From<v1::RegisteredIdentity> for Person {
-    fn from(identity: v1::RegisteredIdentity) -> Self {
-        Self {
-            name: identity.name,
-            organisation: identity.organisation,
-            role: identity.role,
-            attributes: identity.attributes.into_iter().collect(),
-            enrolled: identity.enrolled,
-            certificates: identity.certificates.into_iter().map(Certificate::from).collect(),
-        }
-    }
-}
-
-impl From<v1::IssuedCertificate> for Certificate {
-    fn from(certificate: v1::IssuedCertificate) -> Self {
-        Self {
-            serial: hex::encode(certificate.serial),
-            issuer: hex::encode(certificate.issuer),
-            fingerprint: hex::encode(certificate.fingerprint),
-            not_before: certificate.not_before,
-            not_after: certificate.not_after,
-            revoked: certificate.revoked,
-        }
-    }
+    /// Until when its secret can be used, if it can, microseconds since the UNIX epoch.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    secret_expires: Option<u64>,
+    /// The node that alone knows the secret, if it was made at that node's machine.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    secret_at: Option<String>,
+    registered_by: String,
+    certificates: Vec<IssuedCertificate>,
+    /// Now, for what has expired.
+    #[serde(skip)]
+    now: u64,
 }
 
 impl Person {
-    /// One word for the list.
-    fn state(&self) -> &'static str {
-        let live = self.certificates.iter().any(|certificate| !certificate.revoked);
-        match (self.enrolled, live, self.certificates.is_empty()) {
-            (false, _, true) => "registered",
-            (_, true, _) | (true, _, true) => "enrolled",
-            (_, false, false) => "revoked",
+    fn of(record: IdentityRecord, now: u64) -> Self {
+        let secret_expires = record.pending(now);
+        let local = record.local.filter(|local| local.expires >= now);
+        Self {
+            name: record.name,
+            organisation: record.organisation,
+            role: record.role,
+            attributes: record.attributes,
+            enrolled: !record.certificates.is_empty(),
+            secret_expires,
+            secret_at: local.map(|local| local.at),
+            registered_by: record.by,
+            certificates: record.certificates,
+            now,
         }
+    }
+
+    /// One or a few words for the list.
+    fn state(&self) -> String {
+        let live = |issued: &&IssuedCertificate| !issued.revoked && issued.not_after >= self.now;
+        let state = match (self.certificates.iter().any(|issued| live(&issued)), self.certificates.last()) {
+            (true, _) => "enrolled",
+            (false, Some(newest)) if newest.revoked => "revoked",
+            (false, Some(_)) => "expired",
+            (false, None) if self.secret_expires.is_some() => "",
+            (false, None) => "never enrolled, secret void",
+        };
+        let pending = self.secret_expires.map(|end| format!("may enrol until {}", time::moment(end)));
+        [Some(state.to_owned()).filter(|state| !state.is_empty()), pending]
+            .into_iter()
+            .flatten()
+            .collect::<Vec<_>>()
+            .join(", ")
     }
 }
 
@@ -266,8 +285,8 @@ impl Facts for Registered {
             table.row([
                 person.name.clone(),
                 person.organisation.clone(),
-                person.role.clone(),
-                person.state().to_owned(),
+                person.role.to_string(),
+                person.state(),
                 attributes(&person.attributes),
             ]);
         }
@@ -280,9 +299,14 @@ impl Facts for Person {
         let mut table = Table::pairs();
         table.pair("name", &self.name);
         table.pair("organisation", &self.organisation);
-        table.pair("role", &self.role);
+        table.pair("role", self.role);
         table.pair("attributes", attributes(&self.attributes));
         table.pair("state", self.state());
+        table.pair("registered by", &self.registered_by);
+        table.pair(
+            "secret",
+            self.secret_at.as_ref().map_or_else(String::new, |at| format!("made at {at}, good there only")),
+        );
         table.write(out, 0)?;
         if self.certificates.is_empty() {
             return Ok(());
@@ -294,18 +318,25 @@ impl Facts for Person {
                 certificate.serial.clone(),
                 time::moment(certificate.not_before),
                 time::moment(certificate.not_after),
-                if certificate.revoked { "revoked" } else { "valid" }.to_owned(),
+                match certificate {
+                    IssuedCertificate { revoked: true, .. } => "revoked",
+                    IssuedCertificate { not_after, .. } if *not_after < self.now => "expired",
+                    _ => "valid",
+                }
+                .to_owned(),
             ]);
         }
         table.write(out, 0)
     }
 }
 
-/// Certificates that were revoked.
+/// What was revoked.
 #[derive(Serialize)]
 struct Revoked {
     name: String,
     certificates: Vec<RevokedCertificate>,
+    /// A secret that could still be used is void.
+    cancelled: bool,
 }
 
 #[derive(Serialize)]
@@ -320,41 +351,52 @@ impl Facts for Revoked {
         for certificate in &self.certificates {
             writeln!(out, "revoked {} serial {} in block {}", self.name, certificate.serial, certificate.height)?;
         }
+        if self.cancelled {
+            writeln!(out, "the secret of {} is void", self.name)?;
+        }
         Ok(())
+    }
+}
+
+impl Cancel {
+    async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        session.client.cancel_registration(&self.name).await?;
+        output.show(&Revoked { name: self.name, certificates: Vec::new(), cancelled: true })
     }
 }
 
 impl Revoke {
     async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
+        let Some(serial) = self.serial.as_ref().map(|serial| serial.to_lowercase().replace(':', "")) else {
+            let reason = self.reason.unwrap_or_default();
+            // An unknown name is answered with the nearest one.
+            find(&session, &self.name).await?;
+            let (revoked, height, transaction) = session.client.revoke_identity(&self.name, &reason).await?;
+            let certificates = revoked.certificates.into_iter();
+            let certificates =
+                certificates.map(|issued| RevokedCertificate { serial: issued.serial, height, transaction }).collect();
+            return output.show(&Revoked { name: self.name, certificates, cancelled: revoked.cancelled });
+        };
         let person = find(&session, &self.name).await?;
-        let serial = self.serial.map(|serial| serial.to_lowercase().replace(':', ""));
-        let chosen: Vec<_> = person
-            .certificates
-            .iter()
-            .filter(|certificate| !certificate.revoked && serial.as_ref().is_none_or(|s| *s == certificate.serial))
-            .collect();
-        if chosen.is_empty() {
-            let serials: Vec<_> =
-                person.certificates.iter().filter(|c| !c.revoked).map(|c| c.serial.as_str()).collect();
+        let live: Vec<_> = person.certificates.iter().filter(|issued| !issued.revoked).collect();
+        let Some(chosen) = live.iter().find(|issued| issued.serial == serial) else {
+            let serials: Vec<_> = live.iter().map(|issued| issued.serial.as_str()).collect();
             return Err(Rejection::new(Code::NotFound, format!("{} has no such certificate to revoke", self.name))
-                .found(if serials.is_empty() { "no valid certificate".to_owned() } else { serials.join(", ") })
-                .wanted(serial.unwrap_or_else(|| "a certificate that is not revoked".to_owned()))
+                .found(serial)
+                .wanted(if serials.is_empty() {
+                    "a certificate that is not revoked; there is none".to_owned()
+                } else {
+                    format!("one of {}", serials.join(", "))
+                })
                 .next(format!("ledgerctl identity show {}", shell_word(&self.name)))
                 .into());
-        }
-        let mut certificates = Vec::new();
-        for certificate in chosen {
-            let args = [Some(&certificate.issuer), Some(&certificate.serial), self.reason.as_ref()];
-            let args = args.into_iter().flatten().cloned().map(Bytes::from).collect();
-            let done = session.call(MSP, "revoke", args).await?;
-            certificates.push(RevokedCertificate {
-                serial: certificate.serial.clone(),
-                height: done.height,
-                transaction: done.id,
-            });
-        }
-        output.show(&Revoked { name: self.name, certificates })
+        };
+        let args = [Some(chosen.issuer.to_string()), Some(serial.clone()), self.reason];
+        let done = session.call(MSP, "revoke", args.into_iter().flatten().map(Bytes::from).collect()).await?;
+        let revoked = RevokedCertificate { serial, height: done.height, transaction: done.id };
+        output.show(&Revoked { name: self.name, certificates: vec![revoked], cancelled: false })
     }
 }
 
@@ -379,6 +421,7 @@ mod tests {
             role: Role::Member,
             attributes: [("Husky".to_owned(), "true".to_owned())].into(),
             secret: "s3cret".into(),
+            expires: 0,
             node: "127.0.0.1:7450".into(),
             ca_fingerprint: Hash::ZERO,
             command: "ledgerctl enroll Salma".into(),
@@ -392,16 +435,40 @@ mod tests {
     }
 
     #[test]
-    fn the_state_tells_registered_enrolled_and_revoked() {
-        let certificate = |revoked| v1::IssuedCertificate { revoked, ..Default::default() };
-        let state = |enrolled, certificates: &[bool]| {
-            let certificates = certificates.iter().map(|revoked| certificate(*revoked)).collect();
-            Person::from(v1::RegisteredIdentity { enrolled, certificates, ..Default::default() }).state()
+    fn the_state_tells_pending_enrolled_expired_and_revoked() {
+        let certificate = |revoked, not_after| IssuedCertificate {
+            serial: "01".into(),
+            issuer: Hash::ZERO,
+            fingerprint: Hash::ZERO,
+            not_before: 0,
+            not_after,
+            via: String::new(),
+            recorded: 0,
+            revoked,
         };
-        assert_eq!(state(false, &[]), "registered");
-        assert_eq!(state(true, &[false]), "enrolled");
-        assert_eq!(state(true, &[true, false]), "enrolled");
-        assert_eq!(state(true, &[true]), "revoked");
+        let state = |secret_expires: Option<u64>, certificates: &[IssuedCertificate]| {
+            let person = Person {
+                name: "Salma".into(),
+                organisation: "Org1".into(),
+                role: Role::Member,
+                attributes: BTreeMap::new(),
+                enrolled: !certificates.is_empty(),
+                secret_expires,
+                secret_at: None,
+                registered_by: "Org1/Admin".into(),
+                certificates: certificates.to_vec(),
+                now: 10,
+            };
+            person.state()
+        };
+        let (good, revoked, expired) = (certificate(false, 20), certificate(true, 20), certificate(false, 9));
+        assert_eq!(state(Some(15), &[]), format!("may enrol until {}", time::moment(15)));
+        assert_eq!(state(None, &[]), "never enrolled, secret void");
+        assert_eq!(state(None, &[good.clone()]), "enrolled");
+        assert_eq!(state(None, &[revoked.clone(), good.clone()]), "enrolled");
+        assert_eq!(state(None, &[revoked]), "revoked");
+        assert_eq!(state(None, &[expired.clone()]), "expired");
+        assert!(state(Some(15), &[expired]).starts_with("expired, may enrol until"));
     }
 
     #[test]

@@ -59,12 +59,12 @@ impl Network {
 }
 
 /// The nodes of the network.
-async fn nodes(session: &Session) -> Result<Nodes, Rejection> {
+pub(super) async fn nodes(session: &Session) -> Result<Nodes, Rejection> {
     ask(session, "nodes", vec![], "the nodes").await
 }
 
 /// The context with the organisations of now: some may have joined since it was made, and their nodes answer too.
-async fn current(session: &Session) -> Result<Context, Rejection> {
+pub(super) async fn current(session: &Session) -> Result<Context, Rejection> {
     let msps = Arc::new(msps_of(&session.client.network().await?.organisations)?);
     Ok(Context { msps, ..session.context().clone() })
 }
@@ -87,7 +87,7 @@ fn json(value: &impl Serialize) -> Result<Vec<Bytes>, Rejection> {
 }
 
 /// The node that somebody means by its id, its name, or organisation and name; those that were removed are past.
-fn find<'a>(nodes: &'a [NodeRecord], meant: &str) -> Result<&'a NodeRecord, Rejection> {
+pub(super) fn find<'a>(nodes: &'a [NodeRecord], meant: &str) -> Result<&'a NodeRecord, Rejection> {
     let live = || nodes.iter().filter(|node| node.role != NodeRole::Removed);
     let is_meant = |node: &&NodeRecord| node.name == meant || node.full_name() == meant || node.id.to_string() == meant;
     let names = || live().map(NodeRecord::full_name).collect::<Vec<_>>().join(", ");

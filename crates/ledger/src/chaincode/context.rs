@@ -84,9 +84,15 @@ impl<'a> Context<'a> {
 
     /// At most `limit` of this chaincode's keys that start with `prefix`, in order, with their values.
     pub fn range(&self, prefix: &[u8], limit: usize) -> Vec<(Bytes, Bytes)> {
+        self.range_after(prefix, None, limit)
+    }
+
+    /// As [`Context::range`], of the keys that are greater than `after`: the next page.
+    pub fn range_after(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Vec<(Bytes, Bytes)> {
         let own = self.chaincode.len() + 1;
+        let after = after.map(|after| self.full_key(after));
         self.overlay
-            .range(&self.full_key(prefix), limit)
+            .range_after(&self.full_key(prefix), after.as_deref(), limit)
             .into_iter()
             .map(|(key, value)| (key.slice(own..), value))
             .collect()

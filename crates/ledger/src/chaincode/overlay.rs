@@ -92,8 +92,13 @@ impl Overlay {
 
     /// At most `limit` pairs whose keys start with `prefix`, in order of keys, as the top layer sees them.
     pub fn range(&self, prefix: &[u8], limit: usize) -> Vec<(Bytes, Bytes)> {
+        self.range_after(prefix, None, limit)
+    }
+
+    /// As [`Overlay::range`], of the keys that are greater than `after`.
+    pub fn range_after(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Vec<(Bytes, Bytes)> {
         let below = |after: Option<&[u8]>, limit| self.state.range(prefix, after, limit);
-        Self::first(self.layers.iter(), prefix, None, limit, below).unwrap_or_else(|fault| {
+        Self::first(self.layers.iter(), prefix, after, limit, below).unwrap_or_else(|fault| {
             self.fault.borrow_mut().get_or_insert(fault);
             Vec::new()
         })

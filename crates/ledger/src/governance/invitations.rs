@@ -11,6 +11,7 @@ use super::store::{self, INVITATIONS, invitation_key, json};
 use crate::Hash;
 use crate::chaincode::Context;
 use crate::code::Code;
+use crate::identity::NAME_BYTES_MAX;
 use crate::key::{PublicKey, SigningKey};
 use crate::network::FoundingOrganisation;
 use crate::rejection::Rejection;
@@ -33,6 +34,17 @@ pub struct Invitation {
     pub key: Hash,
     /// Last block time at which it can be answered, microseconds.
     pub expires: u64,
+    /// The organisation that proposed it, which can take it back.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub by: String,
+}
+
+/// Argument of `cancel_invitation`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CancelInvitation {
+    /// Name of the organisation that was invited.
+    pub name: String,
 }
 
 /// Argument of `invite_organisation`.
@@ -106,7 +118,7 @@ pub(super) fn invite(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
 }
 
 /// What was approved.
-pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64) -> Result<(), Rejection> {
+pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64, by: &str) -> Result<(), Rejection> {
     check(ctx, name, expires)?;
     for old in store::list::<Invitation>(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)? {
         if old.expires < ctx.block_time() {
@@ -119,10 +131,41 @@ pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64
             .found(standing.len().to_string())
             .wanted(format!("at most {INVITATIONS_MAX}")));
     }
-    let invitation = Invitation { name: name.to_owned(), key, expires };
+    let invitation = Invitation { name: name.to_owned(), key, expires, by: by.to_owned() };
     store::write(ctx, &invitation_key(name), &invitation)?;
     ctx.emit("invited", name, json(&invitation)?);
     Ok(())
+}
+
+/// `invitations`: those that can still be answered.
+pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
+    let mut standing: Vec<Invitation> = store::list(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)?;
+    standing.retain(|invitation| invitation.expires >= ctx.block_time());
+    json(&standing)
+}
+
+/// `cancel_invitation {name}`: by an admin of the organisation that proposed it; from then on its token is good for
+/// nothing.
+pub(super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let CancelInvitation { name } = object("cancel_invitation", argument, "{\"name\": NAME}")?;
+    let caller = admin(ctx, "cancel invitations")?;
+    let key = invitation_key(&name);
+    let standing: Option<Invitation> = if name.len() <= NAME_BYTES_MAX { store::read(ctx, &key)? } else { None };
+    let Some(invitation) = standing else {
+        let name: String = name.chars().take(NAME_BYTES_MAX).collect();
+        return Err(Rejection::new(Code::NotFound, format!("no invitation of {name:?} stands"))
+            .wanted("an invitation that was approved and not answered yet")
+            .next("ledgerctl network invite --list; what is not approved yet: ledgerctl network proposals"));
+    };
+    if !invitation.by.is_empty() && invitation.by != caller.organisation {
+        return Err(Rejection::new(Code::NotAdmin, format!("{} may not cancel this invitation", caller.id()))
+            .found(format!("an admin of {}", caller.organisation))
+            .wanted(format!("an admin of {}, which proposed it", invitation.by))
+            .next(format!("ask an admin of {}", invitation.by)));
+    }
+    ctx.delete(key.as_bytes());
+    ctx.emit("invitation_cancelled", &name, json(&invitation)?);
+    json(&invitation)
 }
 
 /// `join_organisation {name, roots, intermediates, node_name, address, signature}`: carried by a node of the network.
@@ -136,7 +179,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         return json(&organisations::describe(&join.organisation)?);
     }
     let key = invitation_key(name);
-    let invitation: Option<Invitation> = if name.len() <= 128 { store::read(ctx, &key)? } else { None };
+    let invitation: Option<Invitation> = if name.len() <= NAME_BYTES_MAX { store::read(ctx, &key)? } else { None };
     let Some(invitation) = invitation else { return Err(not_invited(name, "no invitation that was approved")) };
     if invitation.expires < ctx.block_time() {
         return Err(not_invited(name, "an invitation that has expired"));

@@ -6,7 +6,7 @@
 use super::caller::{admin, check_address, node, object};
 use super::proposals::{Action, Decision, decide};
 use super::store::{self, MEMBERS_KEY, NEXT_NODE, NODES, json, node_key};
-use super::{NAME, attestations};
+use super::{NAME, attestations, carriers};
 use crate::chaincode::Context;
 use crate::code::Code;
 use crate::identity::Identity;
@@ -310,6 +310,7 @@ fn put_role(ctx: &mut Context<'_>, node: &NodeRecord, role: NodeRole) -> Result<
     write(ctx, &node)?;
     if role == NodeRole::Removed {
         attestations::forget(ctx, &node);
+        carriers::forget(ctx, &node)?;
         forget_removed(ctx)?;
     }
     ctx.emit("role_changed", &node.full_name(), json(&node)?);

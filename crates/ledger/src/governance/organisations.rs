@@ -210,7 +210,7 @@ fn trusted_with(ctx: &Context<'_>, organisation: &FoundingOrganisation) -> Resul
 /// An admin who takes away the authority that vouches for themselves could not undo it.
 fn check_not_locked_out(ctx: &Context<'_>, caller: &Identity, msps: &Msps) -> Result<(), Rejection> {
     // Before ordering, the ledger may not know the certificate yet; in the block it does.
-    let key = [b"certificate/", &caller.fingerprint[..]].concat();
+    let key = store::known_certificate_key(&Hash(caller.fingerprint));
     let Some(certificate) = ctx.get(&key) else { return Ok(()) };
     match msps.verify(&certificate, &[], ctx.block_time()) {
         Ok(_) => Ok(()),

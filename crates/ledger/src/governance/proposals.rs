@@ -210,7 +210,9 @@ fn settle(ctx: &mut Context<'_>, proposal: Proposal) -> Result<Decision, Rejecti
 fn execute(ctx: &mut Context<'_>, proposal: &Proposal) -> Result<(), Rejection> {
     match &proposal.action {
         Action::SetNodeRole { id, role, .. } => nodes::execute_role(ctx, *id, *role)?,
-        Action::InviteOrganisation { name, key, expires } => invitations::execute(ctx, name, *key, *expires)?,
+        Action::InviteOrganisation { name, key, expires } => {
+            invitations::execute(ctx, name, *key, *expires, &proposal.organisation)?;
+        }
         Action::RemoveOrganisation { name } => organisations::execute_remove(ctx, name)?,
     }
     ctx.delete(proposal_key(&proposal.id).as_bytes());

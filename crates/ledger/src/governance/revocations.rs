@@ -7,7 +7,7 @@ use crate::Hash;
 use crate::certificate::Certificate;
 use crate::chaincode::{Context, Revocation};
 use crate::code::Code;
-use crate::identity::Role;
+use crate::identity::{Identity, Role};
 use crate::rejection::Rejection;
 use bytes::Bytes;
 use serde::{Deserialize, Serialize};
@@ -52,10 +52,7 @@ pub(super) fn revoke(ctx: &mut Context<'_>, issuer: &[u8], serial: &[u8], reason
         .ok()
         .filter(|serial| !serial.is_empty() && serial.len() <= 64)
         .ok_or_else(|| bad("revoke", "SERIAL", "the certificate's serial number, 2 to 128 hex digits"))?;
-    let reason = std::str::from_utf8(reason)
-        .ok()
-        .filter(|reason| reason.len() <= REASON_BYTES_MAX)
-        .ok_or_else(|| bad("revoke", "REASON", "text of at most 512 bytes"))?;
+    let reason = check_reason("revoke", reason)?;
 
     let organisation = issued_by(ctx, &issuer)?;
     let caller = submitter(ctx)?;
@@ -68,15 +65,27 @@ pub(super) fn revoke(ctx: &mut Context<'_>, issuer: &[u8], serial: &[u8], reason
         .wanted(format!("an admin of {organisation}, which issued it"))
         .next(format!("ask an admin of {organisation}")));
     }
-    let revoked = Revocation { issuer: issuer.0, serial };
+    revoke_certificate(ctx, caller, &organisation, (&issuer, &serial), reason)
+}
+
+/// Revokes a certificate that an authority of this organisation has issued; answers with the record, also when it was
+/// revoked before.
+pub(super) fn revoke_certificate(
+    ctx: &mut Context<'_>,
+    caller: &Identity,
+    organisation: &str,
+    (issuer, serial): (&Hash, &[u8]),
+    reason: &str,
+) -> Result<Bytes, Rejection> {
+    let revoked = Revocation { issuer: issuer.0, serial: serial.to_vec() };
     let key = [REVOKED, &revoked.issuer[..], &revoked.serial].concat();
     if let Some(known) = ctx.get(&key) {
         return Ok(known);
     }
     let record = json(&RevocationRecord {
-        issuer,
+        issuer: *issuer,
         serial: hex::encode(&revoked.serial),
-        organisation,
+        organisation: organisation.to_owned(),
         height: ctx.height(),
         time: ctx.block_time(),
         by: caller.id(),
@@ -86,6 +95,14 @@ pub(super) fn revoke(ctx: &mut Context<'_>, issuer: &[u8], serial: &[u8], reason
     ctx.emit("revoked", &hex::encode(&revoked.serial), record.clone());
     ctx.tell_revoked(&revoked)?;
     Ok(record)
+}
+
+/// A reason as it may stand on the ledger.
+pub(super) fn check_reason<'a>(function: &str, reason: &'a [u8]) -> Result<&'a str, Rejection> {
+    std::str::from_utf8(reason)
+        .ok()
+        .filter(|reason| reason.len() <= REASON_BYTES_MAX)
+        .ok_or_else(|| bad(function, "REASON", "text of at most 512 bytes"))
 }
 
 /// The organisation one of whose authorities has this name.

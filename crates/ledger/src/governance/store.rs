@@ -12,6 +12,10 @@
 //! | `attestation/<organisation>/<node>` | [`super::AttestationRecord`] |
 //! | `certificate/<fingerprint, 32 bytes>` | a known certificate in DER |
 //! | `revoked/<issuer, 32 bytes><serial>` | [`super::RevocationRecord`] |
+//! | `identity/<organisation>/<name>` | [`super::IdentityRecord`] |
+//! | `registered/<organisation>` | how many names it has registered |
+//! | `issued/<fingerprint, 32 bytes>` | a certificate that a CA has issued, in DER |
+//! | `carrier/<organisation>/<node's organisation>/<node>` | [`super::CarrierRecord`] |
 
 use super::NAME;
 use crate::Hash;
@@ -32,13 +36,14 @@ pub(super) const NODES: &str = "node/";
 pub(super) const PROPOSALS: &str = "proposal/";
 pub(super) const INVITATIONS: &str = "invitation/";
 pub(super) const ATTESTATIONS: &str = "attestation/";
+pub(super) const CARRIERS: &str = "carrier/";
 pub(super) const REVOKED: &[u8] = b"revoked/";
 pub(super) const NEXT_NODE: &str = "next/node";
 pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
 
 /// The full key of a known certificate.
 pub(crate) fn certificate_key(fingerprint: &Hash) -> Bytes {
-    full(&[b"certificate/", &fingerprint.0[..]].concat())
+    full(&known_certificate_key(fingerprint))
 }
 
 /// The full key of a revocation; `key` is [`crate::identity::Identity::revocation_key`].
@@ -68,6 +73,27 @@ pub(super) fn invitation_key(name: &str) -> String {
 
 pub(super) fn attestation_key(organisation: &str, node: &str) -> String {
     format!("{ATTESTATIONS}{organisation}/{node}")
+}
+
+pub(super) fn identity_key(organisation: &str, name: &str) -> String {
+    format!("identity/{organisation}/{name}")
+}
+
+pub(super) fn registered_key(organisation: &str) -> String {
+    format!("registered/{organisation}")
+}
+
+pub(super) fn issued_key(fingerprint: &Hash) -> Vec<u8> {
+    [b"issued/", &fingerprint.0[..]].concat()
+}
+
+pub(super) fn carrier_key(organisation: &str, node_organisation: &str, node: &str) -> String {
+    format!("{CARRIERS}{organisation}/{node_organisation}/{node}")
+}
+
+/// Where a certificate stands that has signed a transaction.
+pub(super) fn known_certificate_key(fingerprint: &Hash) -> Vec<u8> {
+    [b"certificate/", &fingerprint.0[..]].concat()
 }
 
 /// A key of this chaincode as the world state knows it.

@@ -39,6 +39,25 @@ impl Ca {
         User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
     }
 
+    /// Another certificate for somebody's key.
+    #[allow(dead_code, reason = "not every test binary needs it")]
+    pub(crate) fn certify(&self, name: &str, unit: &str, user: &User) -> User {
+        let public = rcgen::SubjectPublicKeyInfo::from_der(&user.key.public_key().to_spki()).unwrap();
+        let mut params = params(name, unit);
+        // Otherwise the serial number follows from the key.
+        let serial = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap().public_key();
+        params.serial_number = Some(rcgen::SerialNumber::from_slice(&serial.bytes()[..16]));
+        let certificate = params.signed_by(&public, &self.0).unwrap();
+        let key = SigningKey::from_pkcs8_der(user.key.to_pkcs8_der()).unwrap();
+        User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
+    }
+
+    /// The key of the CA itself.
+    #[allow(dead_code, reason = "not every test binary needs it")]
+    pub(crate) fn key(&self) -> SigningKey {
+        SigningKey::from_pkcs8_der(&self.0.key().serialize_der()).unwrap()
+    }
+
     pub(crate) fn organisation(&self, name: &str) -> FoundingOrganisation {
         FoundingOrganisation { name: name.into(), roots: vec![self.root()], intermediates: Vec::new() }
     }

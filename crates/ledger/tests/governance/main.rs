@@ -6,6 +6,7 @@ mod authority;
 
 mod approvals;
 mod attestations;
+mod identities;
 mod nodes;
 mod organisations;
 mod world;

@@ -3,7 +3,8 @@
 pub(crate) use crate::authority::{Ca, User};
 use ledger::block::Payload;
 use ledger::entry::{Entry, EntryKind};
-use ledger::governance::{NodeRole, Nodes};
+use ledger::governance::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
+use ledger::identity::Role;
 use ledger::key::KeyKind;
 use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
 use ledger::results::ResultStore;
@@ -141,6 +142,28 @@ impl Network {
 
     pub(crate) fn role(&self, id: u64) -> NodeRole {
         self.roles().into_iter().find(|(other, ..)| *other == id).unwrap().2
+    }
+
+    /// What a node says that holds the key of a CA, by its index.
+    pub(crate) fn carry(&self, ca: usize, organisation: &str, node: &str) -> CarryCa {
+        CarryCa::prove(&self.ledger.network(), organisation, node, &self.cas[ca].key())
+    }
+
+    /// What a node knows of somebody who received a certificate before there was a ledger.
+    pub(crate) fn known(&self, user: &User, name: &str, role: Role) -> KnownIdentity {
+        let identity = self.ledger.msps().verify(&user.certificate, &[], self.time).unwrap();
+        let issued = IssuedCertificate {
+            serial: hex::encode(&identity.serial),
+            issuer: Hash(identity.issuer),
+            fingerprint: Hash(identity.fingerprint),
+            not_before: identity.not_before,
+            not_after: identity.not_after,
+            via: String::new(),
+            recorded: 0,
+            revoked: false,
+        };
+        let attributes = identity.attributes;
+        KnownIdentity { name: name.into(), role, attributes, secret: None, certificates: vec![issued] }
     }
 
     /// What the other chaincode was told.

@@ -3,10 +3,12 @@
 use super::decision::Decided;
 use super::{current, find, json, nodes};
 use crate::answer;
+use crate::command::ca;
+use crate::confirm::confirm;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{MSP, Session};
-use ledger::governance::{NodeRole, SetNodeRole};
+use ledger::governance::{CarrierRecord, NodeRecord, NodeRole, SetNodeRole};
 use ledger::{Bytes, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -36,10 +38,16 @@ pub(crate) struct Demote {
 /// An organisation does that with its own nodes at once; for others' it needs approval. Its id never comes back: to bring
 /// the machine in again, invite it as a new node.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl network remove node2")]
+#[command(after_help = "\
+Example:
+  ledgerctl network remove node2
+  ledgerctl network remove node2 --i-mean-it")]
 pub(crate) struct Remove {
     /// The node: its name, ORGANISATION/NAME, or its id
     node: String,
+    /// Do not ask when it is the last node of an organisation, or the last one that carries its CA
+    #[arg(long)]
+    i_mean_it: bool,
 }
 
 /// Remove an organisation with its nodes and robots; for admins, with approval.
@@ -75,8 +83,34 @@ impl Demote {
 
 impl Remove {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let nodes = nodes(session).await?.nodes;
+        let lost = lost(find(&nodes, &self.node)?, &nodes, &ca::carriers(session).await?);
+        confirm(&format!("removing {}", self.node), &lost, self.i_mean_it)?;
         set(session, output, &self.node, NodeRole::Removed, "leaves the network").await
     }
+}
+
+/// What an organisation would be without after this node has left, a sentence each.
+fn lost(node: &NodeRecord, nodes: &[NodeRecord], carriers: &[CarrierRecord]) -> Vec<String> {
+    let organisation = &node.organisation;
+    let live = nodes.iter().filter(|other| other.role != NodeRole::Removed && other.organisation == *organisation);
+    let mut lost = Vec::new();
+    if live.count() == 1 {
+        lost.push(format!(
+            "{} is the last node of {organisation}, which then has no node of its own",
+            node.full_name()
+        ));
+    }
+    let carried = carriers.iter().filter(|carrier| carrier.full_name() == node.full_name());
+    for CarrierRecord { organisation, .. } in carried {
+        if carriers.iter().filter(|other| other.organisation == *organisation).count() == 1 {
+            lost.push(format!(
+                "no other node carries the CA of {organisation}: without a copy of it nobody of {organisation} can ever \
+                 enrol or renew again (ledgerctl ca carry NODE first)"
+            ));
+        }
+    }
+    lost
 }
 
 async fn set(
@@ -137,5 +171,36 @@ impl Transfer {
         })?;
         let leader = nodes.iter().find(|node| node.id == leadership.leader).map_or_else(String::new, |n| n.full_name());
         output.show(&Leads { leader_id: leadership.leader, leader, term: leadership.term })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_last_node_and_the_last_carrier_of_a_ca_are_told_from_others() {
+        let node = |name: &str, organisation: &str| NodeRecord {
+            id: 1,
+            name: name.into(),
+            organisation: organisation.into(),
+            address: "h:1".into(),
+            role: NodeRole::Voter,
+        };
+        let carrier = |organisation: &str, node: &str| CarrierRecord {
+            organisation: organisation.into(),
+            node_organisation: "Org1".into(),
+            node: node.into(),
+            since: 0,
+        };
+        let (one, two, other) = (node("node1", "Org1"), node("node2", "Org1"), node("node1", "Org2"));
+        let nodes = [one.clone(), two.clone(), other.clone()];
+        let both = [carrier("Org1", "node1"), carrier("Org1", "node2")];
+        assert!(lost(&one, &nodes, &both).is_empty());
+        assert_eq!(lost(&one, &nodes, &both[..1]).len(), 1, "the CA");
+        assert!(lost(&two, &nodes, &both[..1]).is_empty());
+        assert_eq!(lost(&other, &nodes, &both).len(), 1, "the last node of Org2");
+        // It carries the CA of an organisation that runs no node, too.
+        assert_eq!(lost(&one, &[one.clone()], &[carrier("Org1", "node1"), carrier("Org3", "node1")]).len(), 3);
     }
 }

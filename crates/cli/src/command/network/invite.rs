@@ -24,12 +24,14 @@ use std::io::{self, Write};
 /// Prints a token: one word for `ledgerd join`, which holds a secret and is good once. A node joins as a learner. Another
 /// organisation joins once more than half of the organisations have approved; it founds its own CA on its own machine.
 #[derive(Debug, clap::Args)]
-#[command(group = clap::ArgGroup::new("who").required(true).args(["node", "organisation"]))]
+#[command(group = clap::ArgGroup::new("who").required(true).args(["node", "organisation", "list", "cancel"]))]
 #[command(after_help = "\
 Example:
   ledgerctl network invite --node node2
   ledgerctl network invite --organisation Org2
-  ledgerctl network invite --organisation Org2 --first-node edge --for 24h")]
+  ledgerctl network invite --organisation Org2 --first-node edge --for 24h
+  ledgerctl network invite --list
+  ledgerctl network invite --cancel node2")]
 pub(crate) struct Invite {
     /// Name of a new node of your organisation, or of one that lost its disk
     #[arg(long, value_name = "NAME")]
@@ -37,6 +39,12 @@ pub(crate) struct Invite {
     /// Name of another organisation
     #[arg(long, value_name = "NAME")]
     organisation: Option<String>,
+    /// List the invitations that can still be answered
+    #[arg(long)]
+    list: bool,
+    /// Cancel the invitation of a node of your organisation, or of an organisation that yours has invited
+    #[arg(long, value_name = "NAME")]
+    cancel: Option<String>,
     /// Name of that organisation's first node
     #[arg(long, value_name = "NAME", default_value = "node1", conflicts_with = "node")]
     first_node: String,
@@ -45,13 +53,15 @@ pub(crate) struct Invite {
     span: Milliseconds,
 }
 
+mod standing;
+
 /// A token, and what it still waits for.
 #[derive(Serialize)]
 struct Invited {
     organisation: String,
     node: String,
     token: String,
-    /// End of the invitation, microseconds; a node's secret ends as its CA decides.
+    /// End of the invitation, microseconds since the UNIX epoch.
     #[serde(skip_serializing_if = "Option::is_none")]
     expires: Option<u64>,
     /// What the organisations decided; none for a node.
@@ -84,6 +94,12 @@ impl Facts for Invited {
 
 impl Invite {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        if self.list {
+            return output.show(&standing::standing(session).await?);
+        }
+        if let Some(name) = &self.cancel {
+            return output.show(&standing::cancel(session, name).await?);
+        }
         let door = Door::of(session).await?;
         let invited = match (&self.node, &self.organisation) {
             (Some(node), _) => invite_node(session, door, node).await?,
@@ -117,13 +133,10 @@ impl Invite {
 
 /// Registers the node at the CA of the caller's organisation, or gives it a new secret.
 async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invited, Rejection> {
-    let known = match session.client.identities(name).await {
-        Err(refused) if refused.code == Code::NotFound => Vec::new(),
-        known => known?,
-    };
+    let known = session.client.identities(name).await?;
     let registered = match known.first() {
         None => session.client.register(name, Role::Node, &BTreeMap::new()).await?,
-        Some(known) if known.role == Role::Node.as_str() => session.client.reissue(name, &BTreeMap::new()).await?,
+        Some(known) if known.role == Role::Node => session.client.reissue(name, &BTreeMap::new()).await?,
         Some(known) => {
             return Err(Rejection::new(Code::AlreadyRegistered, format!("{name} is registered, and not as a node"))
                 .found(format!("role {}", known.role))
@@ -132,7 +145,7 @@ async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invite
         }
     };
     let token = door.token(registered.organisation, name.to_owned(), JoinKind::Node, registered.secret);
-    Ok(invited(&token, None, None))
+    Ok(invited(&token, Some(registered.expires), None))
 }
 
 fn invited(token: &JoinToken, expires: Option<u64>, decision: Option<Decision>) -> Invited {

@@ -1,0 +1,279 @@
+//! `ca carry|status|forget`: which nodes carry the CA of your organisation.
+
+use crate::answer;
+use crate::cli::Global;
+use crate::command::network::{current, find, nodes};
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::{MSP, Session};
+use crate::time;
+use ledger::governance::{CarrierRecord, NodeRecord, NodeRole, UncarryCa};
+use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_api::{Client, Context, Options, v1};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::time::Duration;
+
+/// How long a node may take to show that it is there.
+const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
+
+/// See and change which nodes carry the CA of your organisation.
+///
+/// A node that carries the CA enrols and renews. Registering and revoking need no CA: they work through any node.
+#[derive(Debug, clap::Subcommand)]
+pub(crate) enum Ca {
+    Status(Status),
+    Carry(Carry),
+    Forget(Forget),
+}
+
+/// Show which nodes carry the CA of your organisation, and which of them answer.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl ca status")]
+pub(crate) struct Status {}
+
+/// Let another node of your organisation carry its CA; for admins.
+///
+/// The CA's key goes from a node that carries it to the other one, sealed for that node: this command cannot read it.
+/// Interrupted, it is finished by typing it again.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl ca carry node2")]
+pub(crate) struct Carry {
+    /// The node: its name, ORGANISATION/NAME, or its id
+    node: String,
+}
+
+/// Say that a node carries the CA no more, because its disk is lost; for admins.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl ca forget node1")]
+pub(crate) struct Forget {
+    /// The node: its name, or ORGANISATION/NAME
+    node: String,
+}
+
+impl Ca {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = &Session::open(global).await?;
+        match self {
+            Self::Status(_) => status(session, output).await,
+            Self::Carry(command) => command.run(session, output).await,
+            Self::Forget(command) => command.run(session, output).await,
+        }
+    }
+}
+
+/// Every node that carries a CA.
+pub(crate) async fn carriers(session: &Session) -> Result<Vec<CarrierRecord>, Rejection> {
+    answer::parse(&session.ask(MSP, "carriers", vec![]).await?, "the nodes that carry a CA")
+}
+
+/// Where somebody of an organisation enrols: the address of a node that carries its CA, the one that we are connected to
+/// if it does, and the fingerprint of the CA behind that node.
+pub(crate) async fn door(session: &Session, organisation: &str) -> Result<(String, Hash), Rejection> {
+    let status = session.client.status().await?;
+    let nodes = nodes(session).await?.nodes;
+    let carriers = carriers(session).await?;
+    let carries = |node: &&NodeRecord| {
+        let this = |c: &CarrierRecord| {
+            c.organisation == organisation && c.node_organisation == node.organisation && c.node == node.name
+        };
+        node.role != NodeRole::Removed && carriers.iter().any(this)
+    };
+    match nodes.iter().filter(carries).min_by_key(|node| node.id != status.node_id) {
+        Some(node) if node.id != status.node_id => {
+            Ok((node.address.clone(), session.ca_fingerprint(&node.organisation)?))
+        }
+        // Of no use to somebody who enrols if nobody carries the CA: then they are told so.
+        _ => Ok((session.client.node().to_string(), session.ca_fingerprint(&status.organisation)?)),
+    }
+}
+
+/// A node that carries the CA.
+#[derive(Serialize)]
+struct Carrier {
+    node: String,
+    address: String,
+    since: u64,
+    answers: bool,
+}
+
+#[derive(Serialize)]
+struct Carriers {
+    organisation: String,
+    carriers: Vec<Carrier>,
+}
+
+impl Facts for Carriers {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Self { organisation, carriers } = self;
+        if !carriers.is_empty() {
+            let mut table = Table::new(["NODE", "ADDRESS", "CARRIES THE CA SINCE", "ANSWERS"]);
+            for carrier in carriers {
+                table.row([
+                    carrier.node.clone(),
+                    carrier.address.clone(),
+                    time::moment(carrier.since),
+                    if carrier.answers { "yes" } else { "no" }.to_owned(),
+                ]);
+            }
+            table.write(out, 0)?;
+        }
+        match carriers.as_slice() {
+            [] => writeln!(
+                out,
+                "no node carries the CA of {organisation}: nobody can enrol or renew\n\
+                 put it back from a copy, at a node of {organisation}: ledgerd ca restore FILE --config FILE"
+            ),
+            [only] => writeln!(
+                out,
+                "without {} nobody can enrol or renew, and without its disk and a copy never again\n\
+                 let another node carry the CA: ledgerctl ca carry NODE\n\
+                 make a copy, at that node's machine: ledgerd ca backup FILE --config FILE",
+                only.node
+            ),
+            _ => Ok(()),
+        }
+    }
+}
+
+async fn status(session: &Session, output: &mut Output) -> Result<(), Failure> {
+    let organisation = session.identity()?.organisation;
+    let nodes = nodes(session).await?.nodes;
+    let context = current(session).await?;
+    let mut shown = Vec::new();
+    for carrier in carriers(session).await?.into_iter().filter(|carrier| carrier.organisation == organisation) {
+        let address = address(&nodes, &carrier).unwrap_or_default();
+        let answers = matches!(tokio::time::timeout(ANSWER_TIME_MAX, reach(&context, &address)).await, Ok(Ok(_)));
+        shown.push(Carrier { node: carrier.full_name(), address, since: carrier.since, answers });
+    }
+    output.show(&Carriers { organisation, carriers: shown })
+}
+
+fn address(nodes: &[NodeRecord], carrier: &CarrierRecord) -> Option<String> {
+    let of = |node: &&NodeRecord| {
+        node.role != NodeRole::Removed && node.organisation == carrier.node_organisation && node.name == carrier.node
+    };
+    nodes.iter().find(of).map(|node| node.address.clone())
+}
+
+/// A connection to one node and no other.
+async fn reach(context: &Context, address: &str) -> Result<Client, Rejection> {
+    Client::connect_with(vec![address.to_owned()], context.credentials()?, Options::default()).await
+}
+
+/// A node that carries the CA from now on.
+#[derive(Serialize)]
+struct Carried {
+    organisation: String,
+    node: String,
+    from: String,
+}
+
+impl Facts for Carried {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{} carries the CA of {}, as {} does", self.node, self.organisation, self.from)
+    }
+}
+
+impl Carry {
+    async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let organisation = session.identity()?.organisation;
+        let nodes = nodes(session).await?.nodes;
+        let target = find(&nodes, &self.node)?;
+        if target.organisation != organisation {
+            return Err(Rejection::new(Code::WrongRole, format!("{} may not carry this CA", target.full_name()))
+                .found(format!("a node of {}", target.organisation))
+                .wanted(format!("a node of {organisation}"))
+                .into());
+        }
+        let context = current(session).await?;
+        let own: Vec<_> = carriers(session)
+            .await?
+            .into_iter()
+            .filter(|carrier| carrier.organisation == organisation && carrier.full_name() != target.full_name())
+            .collect();
+        let target_client = reach(&context, &target.address).await?;
+        let offer = target_client.offer_ca(&organisation).await?;
+        let sealed = v1::SealCaRequest {
+            organisation: organisation.clone(),
+            node: offer.node,
+            key: offer.key,
+            signature: offer.signature,
+            certificate: offer.certificate,
+        };
+        let mut refused = Rejection::new(Code::CaElsewhere, format!("no node carries the CA of {organisation}"))
+            .next("ledgerd ca restore FILE --config FILE, at a node of the organisation");
+        for carrier in &own {
+            let Some(address) = address(&nodes, carrier) else { continue };
+            let client = match reach(&context, &address).await {
+                Ok(client) => client,
+                Err(unreachable) => {
+                    refused = unreachable;
+                    continue;
+                }
+            };
+            match client.seal_ca(sealed.clone()).await {
+                Ok(v1::SealCaResponse { sealed, root, .. }) => {
+                    let taken = v1::TakeCaRequest { organisation: organisation.clone(), sealed, root };
+                    target_client.take_ca(taken).await?;
+                    let (node, from) = (target.full_name(), carrier.full_name());
+                    return output.show(&Carried { organisation, node, from });
+                }
+                Err(reason) => refused = reason,
+            }
+        }
+        Err(refused.into())
+    }
+}
+
+/// A node that carries the CA no more.
+#[derive(Serialize)]
+struct Forgotten {
+    organisation: String,
+    node: String,
+}
+
+impl Facts for Forgotten {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{} carries the CA of {} no more, as far as the ledger knows", self.node, self.organisation)?;
+        writeln!(
+            out,
+            "a node that still has the key says so again when it starts: then remove its directory ca/{}",
+            self.organisation
+        )
+    }
+}
+
+impl Forget {
+    async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let organisation = session.identity()?.organisation;
+        let node = if self.node.contains('/') { self.node } else { format!("{organisation}/{}", self.node) };
+        let uncarry = UncarryCa { organisation: organisation.clone(), node: Some(node.clone()) };
+        let argument = serde_json::to_vec(&uncarry).map_err(|error| {
+            Rejection::new(Code::Internal, "an argument cannot be written").found(error.to_string())
+        })?;
+        session.call(MSP, "uncarry_ca", vec![Bytes::from(argument)]).await?;
+        output.show(&Forgotten { organisation, node })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn told(carriers: Vec<Carrier>) -> String {
+        let mut out = Vec::new();
+        Carriers { organisation: "Org1".into(), carriers }.text(&mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn an_organisation_whose_ca_lies_at_one_node_or_none_is_told_what_to_do() {
+        let carrier = |name: &str| Carrier { node: name.into(), address: "h:1".into(), since: 0, answers: true };
+        assert!(told(vec![]).contains("ledgerd ca restore FILE"));
+        let one = told(vec![carrier("Org1/node1")]);
+        assert!(one.contains("ledgerctl ca carry NODE") && one.contains("ledgerd ca backup FILE"), "{one}");
+        assert!(!told(vec![carrier("Org1/node1"), carrier("Org1/node2")]).contains("ledgerctl ca carry"));
+    }
+}

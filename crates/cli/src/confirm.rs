@@ -1,0 +1,43 @@
+//! Asking before something is done that cannot be undone.
+
+use ledger::{Code, Rejection};
+use std::io::{self, BufRead, IsTerminal, Write};
+
+/// Asks whether it is meant, on a terminal; without one it has to be said in the command. `lost` says what would be lost, a
+/// sentence each; nothing to lose is not asked.
+///
+/// # Errors
+/// [`Code::LastOne`] if it is not meant.
+pub(crate) fn confirm(what: &str, lost: &[String], i_mean_it: bool) -> Result<(), Rejection> {
+    if lost.is_empty() || i_mean_it {
+        return Ok(());
+    }
+    let refused = |found: &str| {
+        Rejection::new(Code::LastOne, format!("{what} was not done"))
+            .found(lost.join("; "))
+            .wanted(found)
+            .next("if you mean it: the same command with --i-mean-it")
+    };
+    let mut answer = String::new();
+    if !io::stdin().is_terminal() {
+        return Err(refused("a terminal, to ask whether that is meant"));
+    }
+    let mut screen = io::stderr();
+    for sentence in lost {
+        let _shown = writeln!(screen, "{sentence}");
+    }
+    let _asked = write!(screen, "type yes if you mean it: ").and_then(|()| screen.flush());
+    let _nothing = io::stdin().lock().read_line(&mut answer);
+    if answer.trim() == "yes" { Ok(()) } else { Err(refused("yes")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_loses_nothing_or_is_meant_is_not_asked() {
+        assert!(confirm("removing", &[], false).is_ok());
+        assert!(confirm("removing", &["the last node".into()], true).is_ok());
+    }
+}

@@ -1,0 +1,216 @@
+//! Which nodes carry the key of which organisation's CA.
+//!
+//! A node says so itself and proves it with a signature of that key. Whoever wants to enrol, and finds a node that does
+//! not carry the CA, is sent to one that does.
+
+use super::caller::{admin, node, object};
+use super::identities::{self, KnownIdentity};
+use super::nodes::{self, NodeRecord};
+use super::organisations;
+use super::store::{self, CARRIERS, carrier_key, json};
+use crate::Hash;
+use crate::certificate::Certificate;
+use crate::chaincode::{Context, StateRead};
+use crate::code::Code;
+use crate::identity::{Identity, Role};
+use crate::key::{PublicKey, SigningKey};
+use crate::members::NODES_MAX;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+/// Most records that are read: every node might carry the CAs of several organisations.
+const CARRIERS_MAX: usize = NODES_MAX * 16;
+/// Most names that one call may bring along.
+pub const ADOPTED_MAX: usize = 64;
+/// Separates these signatures from everything else that is signed.
+const SIGNATURE_DOMAIN: &[u8] = b"ledgerd carries the CA v1\0";
+
+/// A node that carries the key of an organisation's CA.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CarrierRecord {
+    /// Whose CA.
+    pub organisation: String,
+    /// Organisation of the node; another one only where the organisation runs no node.
+    pub node_organisation: String,
+    /// Name of the node.
+    pub node: String,
+    /// Since when, block time in microseconds.
+    pub since: u64,
+}
+
+impl CarrierRecord {
+    /// The node as people see it: `Org1/node1`.
+    pub fn full_name(&self) -> String {
+        format!("{}/{}", self.node_organisation, self.node)
+    }
+}
+
+/// Argument of `carry_ca`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CarryCa {
+    /// Whose CA.
+    pub organisation: String,
+    /// Signature of the CA's key over network, organisation and node, in hexadecimal (see [`CarryCa::prove`]).
+    pub proof: String,
+    /// What the node knows from its own disk, and the ledger does not yet.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub identities: Vec<KnownIdentity>,
+}
+
+impl CarryCa {
+    /// What the node `ORGANISATION/NAME` says when it holds this key of that organisation's CA.
+    pub fn prove(network: &Hash, organisation: &str, node: &str, key: &SigningKey) -> Self {
+        let proof = hex::encode(key.sign(&signed_bytes(network, organisation, node)));
+        Self { organisation: organisation.to_owned(), proof, identities: Vec::new() }
+    }
+}
+
+fn signed_bytes(network: &Hash, organisation: &str, node: &str) -> Vec<u8> {
+    let mut bytes = SIGNATURE_DOMAIN.to_vec();
+    for part in [&network.0[..], organisation.as_bytes(), node.as_bytes()] {
+        bytes.extend_from_slice(&(part.len() as u64).to_be_bytes());
+        bytes.extend_from_slice(part);
+    }
+    bytes
+}
+
+/// Argument of `uncarry_ca`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UncarryCa {
+    /// Whose CA.
+    pub organisation: String,
+    /// The node as `ORGANISATION/NAME`; the caller if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub node: Option<String>,
+}
+
+/// The nodes that carry a CA, in order of organisations.
+///
+/// # Errors
+/// A fault of the store, a record that cannot be read.
+pub fn carriers(state: &dyn StateRead) -> Result<Vec<CarrierRecord>, Rejection> {
+    store::list_state(state, CARRIERS, CARRIERS_MAX)
+}
+
+fn all(ctx: &Context<'_>) -> Result<Vec<CarrierRecord>, Rejection> {
+    store::list(ctx, CARRIERS.as_bytes(), CARRIERS_MAX)
+}
+
+/// `carriers`
+pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
+    json(&all(ctx)?)
+}
+
+/// `carry_ca {organisation, proof, identities?}`: a node of the network, for itself.
+pub(super) fn carry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let carry: CarryCa = object("carry_ca", argument, "{\"organisation\", \"proof\", \"identities\"}")?;
+    let caller = node(ctx, "carry a CA")?;
+    if nodes::present(ctx, &caller.organisation, &caller.name)?.is_none() {
+        return Err(Rejection::new(Code::NotAMember, format!("{} is no node of this network", caller.id()))
+            .wanted("a node that has joined and was not removed"));
+    }
+    if carry.identities.len() > ADOPTED_MAX {
+        return Err(Rejection::new(Code::TooLarge, "too many names come at once")
+            .found(carry.identities.len().to_string())
+            .wanted(format!("at most {ADOPTED_MAX}")));
+    }
+    check_proof(ctx, &carry, caller)?;
+    let key = carrier_key(&carry.organisation, &caller.organisation, &caller.name);
+    if ctx.get(key.as_bytes()).is_none() {
+        if all(ctx)?.len() >= CARRIERS_MAX {
+            return Err(Rejection::new(Code::LimitExceeded, "too many nodes carry CAs")
+                .wanted(format!("at most {CARRIERS_MAX}")));
+        }
+        let record = CarrierRecord {
+            organisation: carry.organisation.clone(),
+            node_organisation: caller.organisation.clone(),
+            node: caller.name.clone(),
+            since: ctx.block_time(),
+        };
+        store::write(ctx, &key, &record)?;
+        ctx.emit("ca_carried", &record.full_name(), json(&record)?);
+    }
+    for known in carry.identities {
+        identities::adopt(ctx, caller, &carry.organisation, known)?;
+    }
+    Ok(Bytes::new())
+}
+
+/// The signature must be by the key of one of the organisation's authorities.
+fn check_proof(ctx: &Context<'_>, carry: &CarryCa, caller: &Identity) -> Result<(), Rejection> {
+    let organisation = organisations::find(ctx, &carry.organisation)?.ok_or_else(|| {
+        Rejection::new(Code::NotFound, "the network has no such organisation")
+            .found(format!("{:?}", carry.organisation.chars().take(80).collect::<String>()))
+    })?;
+    let signature = hex::decode(&carry.proof).unwrap_or_default();
+    let message = signed_bytes(&ctx.network(), &carry.organisation, &caller.id());
+    let signed_by = |der: &Bytes| {
+        let key = Certificate::parse(der).ok().and_then(|ca| PublicKey::from_spki(&ca.public_key_info).ok());
+        key.is_some_and(|key| key.verify(&message, &signature).is_ok())
+    };
+    if organisation.roots.iter().chain(&organisation.intermediates).any(signed_by) {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::BadSignature, format!("{} has not shown that it carries the CA", caller.id()))
+        .found(format!("a signature by no key of {}", carry.organisation))
+        .wanted(format!("a signature by the key of the CA of {}", carry.organisation)))
+}
+
+/// `uncarry_ca {organisation, node?}`: a node for itself, or an admin of the organisation for a node that has lost it.
+pub(super) fn uncarry(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let UncarryCa { organisation, node: meant } =
+        object("uncarry_ca", argument, "{\"organisation\": NAME, \"node\": \"ORGANISATION/NAME\"}")?;
+    let caller = super::caller::submitter(ctx)?;
+    let meant = meant.unwrap_or_else(|| caller.id());
+    let itself = caller.role == Role::Node && caller.id() == meant;
+    if !itself && admin(ctx, "say that a node carries the CA no more")?.organisation != organisation {
+        return Err(Rejection::new(
+            Code::NotAdmin,
+            format!("{} may not decide who carries the CA of {organisation}", caller.id()),
+        )
+        .found(format!("role {} of {}", caller.role, caller.organisation))
+        .wanted(format!("an admin of {organisation}, or the node itself")));
+    }
+    let Some(record) = all(ctx)?.into_iter().find(|r| r.organisation == organisation && r.full_name() == meant) else {
+        let names = names(&all(ctx)?, &organisation);
+        return Err(Rejection::new(Code::NotFound, format!("{meant} does not carry the CA of {organisation}"))
+            .wanted(if names.is_empty() { "nobody does".to_owned() } else { format!("one of {names}") }));
+    };
+    drop_record(ctx, &record)?;
+    Ok(Bytes::new())
+}
+
+/// The nodes that carry an organisation's CA, for people.
+fn names(carriers: &[CarrierRecord], organisation: &str) -> String {
+    let own = carriers.iter().filter(|carrier| carrier.organisation == organisation);
+    own.map(CarrierRecord::full_name).collect::<Vec<_>>().join(", ")
+}
+
+fn drop_record(ctx: &mut Context<'_>, record: &CarrierRecord) -> Result<(), Rejection> {
+    ctx.delete(carrier_key(&record.organisation, &record.node_organisation, &record.node).as_bytes());
+    ctx.emit("ca_dropped", &record.full_name(), json(record)?);
+    Ok(())
+}
+
+/// A node that was removed carries nothing any more.
+pub(super) fn forget(ctx: &mut Context<'_>, node: &NodeRecord) -> Result<(), Rejection> {
+    for record in all(ctx)? {
+        if record.node_organisation == node.organisation && record.node == node.name {
+            drop_record(ctx, &record)?;
+        }
+    }
+    Ok(())
+}
+
+/// May this node say what the CA of that organisation has issued? Those may that have shown that they carry its key.
+pub(super) fn check_may_issue(ctx: &Context<'_>, caller: &Identity, organisation: &str) -> Result<(), Rejection> {
+    if ctx.get(carrier_key(organisation, &caller.organisation, &caller.name).as_bytes()).is_some() {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::NotAdmin, format!("{} may not issue for {organisation}", caller.id()))
+        .found("a node that does not carry its CA, as far as the ledger knows")
+        .wanted(format!("a node that carries the CA of {organisation}")))
+}

@@ -1,0 +1,171 @@
+//! Names are registered and cancelled by the admins of their organisation.
+
+use super::super::caller::{admin, object};
+use super::super::store::{identity_key, json};
+use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
+use crate::Hash;
+use crate::certificate::encode_attributes;
+use crate::chaincode::Context;
+use crate::code::Code;
+use crate::identity::{Role, check_new_name};
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Argument of `register`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Register {
+    /// The name, as it will stand in the certificate.
+    pub name: String,
+    /// What it is for; left out with `again`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub role: Option<Role>,
+    /// What its certificates will say; none with `again` keeps what is registered.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub attributes: BTreeMap<String, String>,
+    /// SHA-256 of the one-time secret's text. The secret itself never comes here.
+    pub secret: Hash,
+    /// Last block time at which the secret can be used, microseconds.
+    pub expires: u64,
+    /// A new secret for a name that is registered already, whose role stays.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub again: bool,
+}
+
+/// Argument of `cancel_registration`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CancelRegistration {
+    /// The name.
+    pub name: String,
+}
+
+/// `register {name, role, attributes?, secret, expires, again?}`
+pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let wanted = "{\"name\", \"role\", \"attributes\", \"secret\": SHA-256 of the secret, \"expires\": microseconds}";
+    let Register { name, role, attributes, secret, expires, again } = object("register", argument, wanted)?;
+    let caller = admin(ctx, "register identities")?;
+    check(&attributes)?;
+    let now = ctx.block_time();
+    if expires <= now || expires > now.saturating_add(REGISTRATION_LIFE_MAX) {
+        return Err(Rejection::new(Code::BadArgument, "the secret would end at an impossible time")
+            .found(format!("{expires} µs, block time {now} µs"))
+            .wanted("a time in the next 365 days"));
+    }
+    let organisation = &caller.organisation;
+    let known = find(ctx, organisation, &name)?;
+    let secret = Some(Secret { sha256: secret, expires, used: None });
+    let record = match (known, again) {
+        (Some(known), true) => {
+            if role.is_some_and(|role| role != known.role) {
+                return Err(registered_for(&known, "the role of a registered name stays"));
+            }
+            let attributes = if attributes.is_empty() { known.attributes.clone() } else { attributes };
+            IdentityRecord { attributes, secret, local: None, by: caller.id(), ..known }
+        }
+        (Some(known), false) => {
+            return Err(registered_for(&known, "a new name").next(format!(
+                "choose another name, or give this one a new secret: ledgerctl identity register {name} --reissue"
+            )));
+        }
+        (None, true) => {
+            return Err(Rejection::new(Code::NotFound, format!("{name:?} is not registered at {organisation}"))
+                .wanted("a registered name")
+                .next("leave out --reissue to register it"));
+        }
+        (None, false) => {
+            check_new_name(&name)?;
+            make_room(ctx, organisation)?;
+            IdentityRecord {
+                organisation: organisation.clone(),
+                name,
+                role: role.unwrap_or(Role::Member),
+                attributes,
+                registered: now,
+                by: caller.id(),
+                secret,
+                local: None,
+                voided: 0,
+                certificates: Vec::new(),
+            }
+        }
+    };
+    write(ctx, &record)?;
+    ctx.emit("registered", &record.id(), json(&told(&record))?);
+    json(&shown(ctx, record))
+}
+
+/// `cancel_registration {name}`: the secret of a name that has not enrolled with it is void; a name that never had a
+/// certificate is forgotten.
+pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let CancelRegistration { name } = object("cancel_registration", argument, "{\"name\": NAME}")?;
+    let caller = admin(ctx, "cancel registrations")?;
+    let now = ctx.block_time();
+    let Some(record) = find(ctx, &caller.organisation, &name)? else {
+        return Err(unknown(&caller.organisation, &name));
+    };
+    if record.pending(now).is_none() {
+        return Err(Rejection::new(Code::NotFound, format!("no secret of {} can be cancelled", record.id()))
+            .found(if record.certificates.is_empty() { "one that has expired" } else { "a name that has enrolled" })
+            .wanted("a registration whose secret was not used yet")
+            .next(format!("to end what it may do: ledgerctl identity revoke {name}")));
+    }
+    void(ctx, record)?;
+    Ok(Bytes::new())
+}
+
+/// Voids the secrets of a name; forgets it if it never had a certificate.
+pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord) -> Result<(), Rejection> {
+    let never = record.certificates.is_empty() && record.local.is_none();
+    let pending = record.pending(ctx.block_time()).is_some();
+    let record = IdentityRecord { secret: None, local: None, voided: ctx.block_time(), ..record };
+    // A node at which a secret lies has to learn that it is void: then the name stays.
+    if never {
+        ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
+        count(ctx, &record.organisation, |number| number.saturating_sub(1))?;
+    } else {
+        write(ctx, &record)?;
+    }
+    if pending {
+        ctx.emit("registration_cancelled", &record.id(), json(&told(&record))?);
+    }
+    Ok(())
+}
+
+/// Room for one more name.
+pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
+    if count(ctx, organisation, |number| number.saturating_add(1))? <= IDENTITIES_MAX {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::LimitExceeded, format!("no more names can be registered for {organisation}"))
+        .found(format!("{IDENTITIES_MAX} names"))
+        .next("cancel registrations that nobody will use: ledgerctl identity list"))
+}
+
+/// Attributes that a certificate can hold.
+pub(super) fn check(attributes: &BTreeMap<String, String>) -> Result<(), Rejection> {
+    encode_attributes(attributes)
+        .map(|_| ())
+        .map_err(|error| Rejection { code: Code::BadArgument, ..Rejection::from(error) })
+}
+
+pub(super) fn unknown(organisation: &str, name: &str) -> Rejection {
+    let name: String = name.chars().take(128).collect();
+    Rejection::new(Code::NotFound, format!("{name:?} is not registered at {organisation}"))
+        .wanted("a registered name")
+        .next("ledgerctl identity list shows who is registered")
+}
+
+fn registered_for(known: &IdentityRecord, wanted: &str) -> Rejection {
+    Rejection::new(Code::AlreadyRegistered, format!("{} is already registered at {}", known.name, known.organisation))
+        .found(format!("role {}, {} certificates", known.role, known.certificates.len()))
+        .wanted(wanted)
+}
+
+fn told(record: &IdentityRecord) -> serde_json::Value {
+    serde_json::json!({
+        "organisation": record.organisation, "name": record.name, "role": record.role, "by": record.by,
+    })
+}

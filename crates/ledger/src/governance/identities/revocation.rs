@@ -1,0 +1,55 @@
+//! Everything of a name is revoked in one step: its certificates, and secrets that were not used yet.
+
+use super::super::caller::{admin, object};
+use super::super::revocations::{check_reason, revoke_certificate};
+use super::super::store::json;
+use super::registration::{unknown, void};
+use super::{IssuedCertificate, find, is_revoked};
+use crate::chaincode::Context;
+use crate::code::Code;
+use crate::rejection::Rejection;
+use bytes::Bytes;
+use serde::{Deserialize, Serialize};
+
+/// Argument of `revoke_identity`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RevokeIdentity {
+    /// The name.
+    pub name: String,
+    /// Why; stays on the ledger.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub reason: String,
+}
+
+/// Answer of `revoke_identity`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RevokedIdentity {
+    /// The certificates that were revoked now.
+    pub certificates: Vec<IssuedCertificate>,
+    /// A secret that could still be used is void.
+    pub cancelled: bool,
+}
+
+/// `revoke_identity {name, reason?}`: by an admin of the organisation, through any node; no CA is needed.
+pub(in super::super) fn revoke(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let RevokeIdentity { name, reason } = object("revoke_identity", argument, "{\"name\": NAME, \"reason\": TEXT}")?;
+    let reason = check_reason("revoke_identity", reason.as_bytes())?;
+    let caller = admin(ctx, "revoke identities")?;
+    let Some(record) = find(ctx, &caller.organisation, &name)? else {
+        return Err(unknown(&caller.organisation, &name));
+    };
+    let live: Vec<_> = record.certificates.iter().filter(|issued| !is_revoked(ctx, issued)).cloned().collect();
+    let cancelled = record.pending(ctx.block_time()).is_some();
+    if live.is_empty() && !cancelled {
+        return Err(Rejection::new(Code::NotFound, format!("nothing of {} can be revoked", record.id()))
+            .found("no certificate that is not revoked, and no open registration")
+            .next(format!("ledgerctl identity show {name}")));
+    }
+    for issued in &live {
+        let serial = hex::decode(&issued.serial).unwrap_or_default();
+        revoke_certificate(ctx, caller, &record.organisation, (&issued.issuer, &serial), reason)?;
+    }
+    void(ctx, record)?;
+    json(&RevokedIdentity { certificates: live, cancelled })
+}
