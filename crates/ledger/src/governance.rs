@@ -113,10 +113,14 @@ const FUNCTIONS: [(&str, &str); 26] = [
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 13] = [
+const EVENTS: [&str; 19] = [
     "approved",
     "attested",
+    "ca_carried",
+    "ca_dropped",
+    "certified",
     "executed",
+    "invitation_cancelled",
     "invited",
     "joined",
     "moved",
@@ -124,6 +128,8 @@ const EVENTS: [&str; 13] = [
     "organisation_removed",
     "organisation_updated",
     "proposed",
+    "registered",
+    "registration_cancelled",
     "revoked",
     "role_changed",
     "withdrawn",
