@@ -114,6 +114,15 @@ mod tests {
     }
 
     #[test]
+    fn the_readme_shows_the_picture_of_the_exclusive_phase() {
+        let readme = include_str!("../../README.md");
+        let now = Counts { published: [50, 50], received: [50, 0] };
+        for line in frame(Counts::default(), now, Duration::from_secs(1)).lines() {
+            assert!(readme.lines().any(|shown| shown == line), "README.md lacks {line:?}");
+        }
+    }
+
+    #[test]
     fn a_burst_does_not_leave_the_line() {
         let now = Counts { published: [100_000, 0], received: [100_000, 0] };
         let drawn = frame(Counts::default(), now, Duration::from_millis(1));

@@ -1,8 +1,18 @@
 //! The whole path, with software that we did not write at both ends: Python processes with CycloneDDS publish and
 //! receive, `ledgerd` carries the messages through a real ledger.
-#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    unreachable_pub,
+    reason = "tests"
+)]
 
 mod codec;
+mod demo;
 mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
@@ -11,6 +21,10 @@ mod nodes_die;
 #[path = "../support/programs.rs"]
 mod programs;
 mod python;
+mod readme;
+#[path = "../support/mod.rs"]
+#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
+mod support;
 mod telling;
 mod world;
 

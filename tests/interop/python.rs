@@ -1,7 +1,5 @@
 //! Python processes with CycloneDDS, the software on the other side that we did not write.
 
-#![expect(clippy::expect_used, clippy::panic, reason = "a test without its other side has failed")]
-
 use std::{
     env,
     io::{BufRead, BufReader},
@@ -12,7 +10,7 @@ use std::{
 };
 
 /// CycloneDDS on a loopback without multicast.
-const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>\
+pub(crate) const CYCLONE: &str = "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>\
     </Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>\
     <MaxAutoParticipantIndex>11</MaxAutoParticipantIndex><Peers><Peer address='127.0.0.1'/></Peers></Discovery>\
     </Domain></CycloneDDS>";

@@ -35,6 +35,33 @@ fn the_first_command_of_the_readme_plays_the_experiment() {
         assert!(table.contains(row), "no row {row:?} in\n{table}\n{progress}");
     }
     assert!(!table.contains("NO\n"), "something did not hold:\n{table}");
+    // Whatever README says that it prints, numbers apart.
+    let readme = read(&root().join("README.md"));
+    let shown = readme.split_once("```text\n").and_then(|(_, rest)| rest.split_once("\n```")).map(|(shown, _)| shown);
+    let printed: Vec<_> = progress.lines().chain(table.lines()).map(without_numbers).collect();
+    let shown = shown.unwrap_or_else(|| panic!("README.md shows nothing of the demo"));
+    // The picture is drawn on a terminal only; a test beside it compares it with README.
+    for line in
+        shown.lines().filter(|line| !line.ends_with(" Hz") || line.contains("both may") || line.contains("holds"))
+    {
+        assert!(
+            printed.contains(&without_numbers(line)),
+            "README says that the demo prints {line:?}:\n{progress}\n{table}"
+        );
+    }
+}
+
+/// The words of a line, each number as one sign.
+fn without_numbers(line: &str) -> String {
+    let mut text = String::new();
+    for c in line.split_whitespace().collect::<Vec<_>>().join(" ").chars() {
+        match c.is_ascii_digit() || c == '.' {
+            true if text.ends_with('#') => {}
+            true => text.push('#'),
+            false => text.push(c),
+        }
+    }
+    text
 }
 
 #[test]

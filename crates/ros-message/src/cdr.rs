@@ -79,12 +79,8 @@ impl<'a> Reader<'a> {
                 Ok(taken)
             }
             None => Err(Fault::new("the message ends too early")
-                .found(format!(
-                    "{} of the {} bytes behind byte {start} of the body",
-                    self.body.len().saturating_sub(start),
-                    bytes
-                ))
-                .wanted("all of them")),
+                .found(format!("{} bytes behind the header", self.body.len()))
+                .wanted(format!("at least {}", start.saturating_add(bytes)))),
         }
     }
 
@@ -112,8 +108,8 @@ impl<'a> Reader<'a> {
         }
         if length.saturating_mul(bytes_min) > self.left() {
             return Err(Fault::new("the message ends too early")
-                .found(format!("{length} elements announced, {} bytes left", self.left()))
-                .wanted("all of them"));
+                .found(format!("{} bytes behind the length of a sequence", self.left()))
+                .wanted(format!("at least {} for its {length} elements", length.saturating_mul(bytes_min))));
         }
         Ok(length)
     }

@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
 use crate::time;
-use ledger::{Bytes, Hash, Rejection};
+use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::Call;
 use ledger_contract::{Grant, ServiceState};
 use ros_message::{ByteOrder, Message, Time, Written};
@@ -84,6 +84,10 @@ enum Content {
 impl Source {
     fn read(&self) -> Result<Content, Rejection> {
         match (&self.message, &self.hex, &self.file) {
+            // What a script's variable without a value gives must not move or stop a robot.
+            (Some(text), ..) if text.trim().is_empty() => Err(Rejection::new(Code::BadMessage, "the message is empty")
+                .found("a text without anything in it")
+                .wanted("YAML or JSON; {} is a message with nothing but defaults")),
             (Some(text), ..) => Written::parse(text).map(Content::Written).map_err(refused),
             (None, Some(digits), _) => bytes::from_hex(digits).map(Content::Bytes),
             (None, None, Some(path)) => bytes::from_file(path).map(Content::Bytes),

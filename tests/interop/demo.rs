@@ -1,0 +1,21 @@
+//! `ledgerd demo`, for programs.
+
+use crate::network;
+use std::process::Command;
+
+#[test]
+fn demo_json_is_alone_on_standard_output_and_the_story_beside_it() {
+    if !network::isolated("demo::demo_json_is_alone_on_standard_output_and_the_story_beside_it") {
+        return;
+    }
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
+    let played = command.args(["demo", "--json", "--seconds", "1"]).env_remove("RUST_LOG").output().unwrap();
+    let (line, story) = (String::from_utf8(played.stdout).unwrap(), String::from_utf8(played.stderr).unwrap());
+    // Whether a machine with other work keeps the rates is not asked here.
+    let result: serde_json::Value =
+        serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}\n{story}"));
+    assert_eq!(line.lines().count(), 1, "{line}");
+    assert!(result["ok"].is_boolean() && result["controlled"]["salma_hz"].is_number(), "{line}\n{story}");
+    assert!(story.contains("Salma acquires the Turtlebot4"), "{story}");
+    assert!(!story.contains('\x1b'), "nobody sees colours or a moving cursor in a file:\n{story}");
+}
