@@ -165,6 +165,27 @@ async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
 }
 
 #[tokio::test]
+async fn a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_submitted() {
+    if !network::isolated(
+        "bridge::tests::a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_submitted",
+    ) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'to_ledger'\nbatch_max = 4", |fake| fake.set_own_epoch(3)).await;
+    let writer = bench.writer().await;
+    // Multiples of four: DDS fills others up.
+    for length in [24, 44, 56] {
+        writer.write(&Sample::new(CDR_LE, &vec![7; length]).unwrap()).unwrap();
+    }
+    writer.write(&twist(1)).unwrap();
+    let sets = bench.sets(1).await;
+    assert_eq!((sets[0].len(), &sets[0][3]), (4, twist(1).wire()), "one message, and the right one");
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.refused[Code::BadMessage.name()], 3);
+    assert_eq!((summary.samples_in, summary.submitted), (4, 1));
+}
+
+#[tokio::test]
 async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
     if !network::isolated("bridge::tests::refusals_are_counted_by_code_and_the_grant_is_asked_for_again") {
         return;
