@@ -65,6 +65,7 @@ impl PendingEnrolment {
             .map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
         let text = toml::to_string(&settings)
             .map_err(|error| Rejection::new(Code::Internal, format!("{SETTINGS} cannot be written: {error}")))?;
+        files::create_directories(&contexts)?;
         files::replace_directory(&contexts, &entry, &[(SETTINGS, text), (files::KEY, key.to_pkcs8_pem())])?;
         Ok(Self { directory, key, resumed: false })
     }

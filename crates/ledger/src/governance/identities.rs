@@ -223,7 +223,7 @@ pub fn identity(state: &dyn StateRead, organisation: &str, name: &str) -> Result
 /// # Errors
 /// A fault of the store.
 pub fn issued(state: &dyn StateRead, fingerprint: &Hash) -> Result<Option<Bytes>, Rejection> {
-    Ok(state.get(&store::full(&issued_key(fingerprint)))?)
+    state.get(&store::full(&issued_key(fingerprint)))
 }
 
 fn write(ctx: &mut Context<'_>, record: &IdentityRecord) -> Result<(), Rejection> {
