@@ -4,6 +4,7 @@
 use crate::arguments::Arguments;
 use crate::authorize::Decider;
 use crate::grant::mode_name;
+use crate::revoke;
 use crate::robot::{self, Robot};
 use crate::service::{self, Service, direction_name};
 use crate::store;
@@ -104,7 +105,8 @@ pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     store::json(&changes)
 }
 
-/// Puts the robot in the place of what it was. Nothing happens if it is the same.
+/// Puts the robot in the place of what it was. If it is the same, nothing is written or told. Its grants are decided
+/// again all the same: a policy that speaks of the time may have stopped permitting one.
 fn change(
     ctx: &mut Context<'_>,
     decider: &Decider,
@@ -113,7 +115,7 @@ fn change(
 ) -> Result<RobotChange, Rejection> {
     let changed = before.as_ref().map_or_else(Vec::new, |before| differences(before, &after));
     let ended = match &before {
-        Some(_) if changed.is_empty() => Vec::new(),
+        Some(before) if changed.is_empty() => revoke::robot_changed(ctx, decider, before, before)?,
         before => robot::put(ctx, decider, before.as_ref(), after.clone())?,
     };
     Ok(RobotChange { robot: robot::find(ctx, &after.name)?.asset(ctx)?, changed, ended })

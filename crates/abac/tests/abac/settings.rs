@@ -3,7 +3,7 @@
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, bytes, farhad, identity, owner, robot, salma};
 use ledger::Code;
 use ledger::identity::Role;
-use ledger_abac::{Grant, Mode, Reason, RobotAsset, RobotChange, RobotEvent, SettingChange};
+use ledger_abac::{DEFAULT_POLICY, Grant, Mode, Reason, RobotAsset, RobotChange, RobotEvent, SettingChange};
 
 const TWO: &str = r#"{"name":"Spot","attribute_required":"Husky","services":[
     {"topic":"/cmd_vel","type":"geometry_msgs/msg/Twist"},{"topic":"/arm","type":"std_msgs/msg/Float64"}]}"#;
@@ -92,6 +92,19 @@ fn a_change_to_the_same_is_no_change() {
     let done: Vec<RobotChange> = fleet.get(&owner(), "replace", &[&robot("Husky", "exclusive")]);
     assert!(done[0].changed.is_empty());
     assert_eq!(fleet.events.len(), told, "bridges are not told of what did not happen");
+}
+
+#[test]
+fn a_change_to_the_same_ends_what_a_policy_permits_no_more_by_now() {
+    let mut fleet = Fleet::of_the_paper();
+    let noon = fleet.time / 1000 + 500;
+    let text = format!("{DEFAULT_POLICY} forbid (principal, action, resource) when {{ context.time >= {noon} }};");
+    fleet.ok(&owner(), "policy", &["put", "hours", &text]);
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    fleet.time += 600_000;
+    let done: RobotChange = fleet.get(&owner(), "configure", &[HUSKY, r#"{"mode":"exclusive"}"#]);
+    assert!(done.changed.is_empty());
+    assert_eq!(done.ended[0].reason, Reason::Policy);
 }
 
 #[test]
