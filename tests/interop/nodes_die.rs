@@ -177,7 +177,7 @@ fn each_node_dies_in_turn_and_ledgerctl_bridges_and_the_rust_client_go_on_throug
         let registered = owner.invoke("abac", "setup", vec![Bytes::from(rover.to_string())]).await.unwrap();
         trio.has_caught_up(0, registered.height).await;
         let salma = Client::connect(&trio.context("Salma")).await.unwrap();
-        call(&salma, "acquire", &["Rover/cmd_vel", "3600000"]).await;
+        call(&salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
         let mut bridges = [trio.bridge("Salma", 211, "to_ledger"), trio.bridge("Rover", 212, "from_ledger")];
         let topic = TopicName::parse("/cmd_vel").unwrap();
         let operator = shm::Node::open(211, "operator", [7; 16]).await.unwrap();
@@ -197,7 +197,7 @@ fn each_node_dies_in_turn_and_ledgerctl_bridges_and_the_rust_client_go_on_throug
                 trio.until("the client goes on", async || salma.invoke("msp", "organisations", Vec::new()).await.ok())
                     .await;
                 drive.one_message(&trio).await;
-                for arguments in [&["robot", "list"][..], &["renew", "Rover/cmd_vel", "--for", "1h"]] {
+                for arguments in [&["robot", "list"][..], &["renew", "Rover/cmd_vel", "--for", "10m"]] {
                     let mut last = String::new();
                     let told = async || trio.ledgerctl(arguments).map_err(|reason| last = reason).ok();
                     trio.until("ledgerctl goes on", told).await;

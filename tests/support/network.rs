@@ -202,10 +202,12 @@ impl Fleet {
 
     /// An identity whose certificate was issued at another time and for so many days.
     pub fn issue_at(&self, name: &str, issued: u64, days: u32) -> Context {
-        let context = self.issue("Org1", name, Role::Member, &["Turtlebot4"]);
+        let attributes: BTreeMap<_, _> = [("Turtlebot4".to_owned(), "true".to_owned())].into();
+        let who = (name, Role::Member);
+        let context =
+            issue(self.ca_data("Org1"), "Org1", who, attributes.clone(), &self.nodes[0].address, issued).unwrap();
         let mut authority = CertificateAuthority::open(&self.founded.authorities[0].directory).unwrap();
         authority.set_days(days, 7);
-        let attributes = [("Turtlebot4".to_owned(), "true".to_owned())].into();
         let shifted = authority.issue(name, Role::Member, attributes, KeyKind::Ed25519, issued).unwrap();
         let chain = std::iter::once(shifted.certificate).chain(shifted.chain).map(CertificateDer::from).collect();
         let context = Context { chain, key: Arc::new(shifted.key), ..context };

@@ -115,11 +115,16 @@ impl Client {
 
     /// Has a key certified by the CA of the own organisation, by what proves who we are: the present certificate.
     pub(crate) async fn certify(&self, request: Bytes) -> Result<Bytes, Rejection> {
-        let ask = |up: Up| {
-            let request = v1::RenewRequest { request: request.clone() };
-            async move { up.enrolment().renew(request).await }
-        };
-        Ok(self.ask_of(Whom::Carrier, ask, |answer| accepted(answer.verdict.as_ref())).await?.certificate)
+        let up = timeout(self.session.options.deadline, self.session.carrier());
+        let up = up.await.map_err(|_| self.session.no_connection())??;
+        let mut enrolment = up.enrolment();
+        // Once: a CA that says "not now" means minutes.
+        let answer = timeout(ATTEMPT_MAX, enrolment.renew(v1::RenewRequest { request })).await;
+        let answer =
+            answer.map_err(|_| crate::connect::unreachable(&up.connection.address, "no answer to a renewal"))?;
+        let answer = answer.map_err(|status| up.connection.refusal(&status))?.into_inner();
+        accepted(answer.verdict.as_ref())?;
+        Ok(answer.certificate)
     }
 
     /// Asks until a node answers, or the deadline has passed. `check` finds the verdict in an answer.
