@@ -8,7 +8,7 @@ use crate::report::accepted;
 use crate::v1;
 use ledger::{Bytes, Code, Hash, Rejection};
 use std::time::Instant;
-use tokio::time::{sleep, timeout_at};
+use tokio::time::{sleep, timeout, timeout_at};
 use tonic::{Response, Status};
 
 /// Who is asked.
