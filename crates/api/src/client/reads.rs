@@ -11,15 +11,6 @@ use std::time::Instant;
 use tokio::time::{sleep, timeout, timeout_at};
 use tonic::{Response, Status};
 
-/// Who is asked.
-#[derive(Clone, Copy)]
-enum Whom {
-    /// The node that the client is connected to.
-    Anybody,
-    /// A node that carries the CA of the own organisation.
-    Carrier,
-}
-
 /// What a query answered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Answer {
@@ -137,29 +128,10 @@ impl Client {
         F: Fn(Up) -> A,
         A: Future<Output = Result<Response<R>, Status>>,
     {
-        self.ask_of(Whom::Anybody, call, check).await
-    }
-
-    async fn ask_of<R, F, A>(
-        &self,
-        whom: Whom,
-        call: F,
-        check: impl Fn(&R) -> Result<(), Rejection>,
-    ) -> Result<R, Rejection>
-    where
-        F: Fn(Up) -> A,
-        A: Future<Output = Result<Response<R>, Status>>,
-    {
         let deadline = Instant::now() + self.session.options.deadline;
         let mut last = None;
         while Instant::now() < deadline {
-            let up = async {
-                match whom {
-                    Whom::Anybody => self.session.up().await,
-                    Whom::Carrier => self.session.carrier().await,
-                }
-            };
-            let Ok(up) = timeout_at(deadline.into(), up).await else { break };
+            let Ok(up) = timeout_at(deadline.into(), self.session.up()).await else { break };
             let up = up?;
             let (number, connection) = (up.number, up.connection.clone());
             let until = deadline.min(Instant::now() + ATTEMPT_MAX);
