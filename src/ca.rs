@@ -413,8 +413,14 @@ fn check_attributes(attributes: &BTreeMap<String, String>) -> Result<(), Rejecti
     encode_attributes(attributes).map(|_| ()).map_err(|error| bad_argument(&error.to_string()))
 }
 
-fn bad_argument(found: &str) -> Rejection {
-    Rejection::new(Code::BadArgument, "this cannot be registered").found(found)
+/// Refuses what a fault says of it, such as `found name "", …, wanted 1 to 128 bytes`.
+fn bad_argument(fault: &str) -> Rejection {
+    let refused = Rejection::new(Code::BadArgument, "this cannot be registered");
+    let parts = fault.strip_prefix("found ").and_then(|rest| rest.rsplit_once(", wanted "));
+    match parts {
+        Some((found, wanted)) => refused.found(found).wanted(wanted),
+        None => refused.found(fault),
+    }
 }
 
 fn key_failed(error: ledger::key::KeyError) -> Rejection {

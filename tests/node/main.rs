@@ -38,6 +38,7 @@ mod renewal;
 mod story;
 mod subscribing;
 mod three;
+mod transcripts;
 mod two_nodes;
 mod verify;
 mod witness;

@@ -26,7 +26,7 @@ impl<'a> Arguments<'a> {
         }
         let (few, problem) = if found < min { (true, "too few") } else { (false, "too many") };
         Err(Rejection::new(Code::BadArgument, format!("{problem} arguments"))
-            .found(format!("{found} arguments"))
+            .found(if found == 1 { "1 argument".to_owned() } else { format!("{found} arguments") })
             .wanted(if min == max {
                 min.to_string()
             } else {
@@ -65,7 +65,7 @@ impl<'a> Arguments<'a> {
     pub(crate) fn text(&self, index: usize, name: &str) -> Result<&'a str, Rejection> {
         let text = self.document(index, name, TEXT_BYTES_MAX)?;
         if text.is_empty() || text.chars().any(char::is_control) {
-            return Err(self.bad(index, name, shown(text), "text without control characters"));
+            return Err(self.bad(index, name, shown(text), "text that is not empty and has no control characters"));
         }
         Ok(text)
     }

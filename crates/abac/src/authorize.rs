@@ -371,7 +371,12 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
     let (robot, who) = (&target.robot, principal.id());
     let owner = &robot.organisation;
     let (attribute, value) = robot.required();
-    let refused = format!("{who} may not {} {}", action.name(), target.id);
+    let verb = match action {
+        Action::Acquire => "acquire",
+        Action::Publish => "publish on",
+        Action::Subscribe => "subscribe to",
+    };
+    let refused = format!("{who} may not {verb} {}", target.id);
     let ask_owner = format!("ask an admin of {owner}");
     match verdict {
         Verdict::Fault(fault) => {

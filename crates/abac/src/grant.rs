@@ -339,7 +339,10 @@ fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
     Rejection::new(Code::NotHolder, format!("{who} holds no grant of {id}"))
         .found(holders_of(who, holders))
         .wanted(format!("a grant of {id} to {who}"))
-        .next(format!("ledgerctl acquire {id}"))
+        .next(match holders {
+            [holding] if holding.grant.holder != who => format!("once it is free: ledgerctl acquire {id}"),
+            _ => format!("ledgerctl acquire {id}"),
+        })
 }
 
 fn nothing_to_release(who: &str, target: &Target, holders: &[Holding]) -> Rejection {

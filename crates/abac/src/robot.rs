@@ -133,7 +133,8 @@ pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     for index in 0..args.rest(0).len() {
         let spec = read_spec(args, index)?;
         if let Some(existing) = registered(ctx, &spec.name)? {
-            check_owner(&existing, admin)?;
+            let owned = check_owner(&existing, admin);
+            owned.map_err(|refused| refused.next("choose another name for your robot"))?;
             return Err(exists(ctx, &existing)?);
         }
         let robot = describe(ctx, &admin.organisation, spec, None)?;
@@ -264,7 +265,7 @@ pub(crate) fn check_owner(robot: &Robot, admin: &Identity) -> Result<(), Rejecti
     Err(Rejection::new(Code::NotOwner, format!("robot {} belongs to {}", robot.name, robot.organisation))
         .found(format!("{}, an admin of {}", admin.id(), admin.organisation))
         .wanted(format!("an admin of {}", robot.organisation))
-        .next("choose another name for your robot, or ask its owner"))
+        .next(format!("ask an admin of {}", robot.organisation)))
 }
 
 fn check_name(name: &str) -> Result<(), Rejection> {

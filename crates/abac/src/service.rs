@@ -70,8 +70,9 @@ impl Service {
         let lease_ms = spec.lease_ms.or(spec.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));
         let lease_ms = within("lease_ms", lease_ms.unwrap_or(LEASE_MS_DEFAULT), LEASE_MS_MIN, LEASE_MS_MAX)?;
         let longest = spec.lease_ms_max.unwrap_or(LEASE_MS_MAX_DEFAULT.max(lease_ms));
-        let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX)
-            .map_err(|refused| refused.next(format!("lease_ms is {lease_ms} ms, and lease_ms_max is never shorter")))?;
+        let lease_ms_max = within("lease_ms_max", longest, lease_ms, LEASE_MS_MAX).map_err(|refused| {
+            refused.next(format!("lease_ms is {lease_ms} ms, and lease_ms_max is never shorter: set both"))
+        })?;
         if let Some(stop) = &spec.stop_hex {
             let length = hex::decode(stop).map(|bytes| bytes.len()).unwrap_or_default();
             if !(4..=STOP_BYTES_MAX).contains(&length) {

@@ -31,8 +31,13 @@ impl From<io::Error> for Failure {
     fn from(error: io::Error) -> Self {
         match error.kind() {
             io::ErrorKind::BrokenPipe => Self::ReaderGone,
-            io::ErrorKind::StorageFull => Self::Refused(Rejection::new(Code::DiskFull, "cannot write the output")),
-            _ => Self::Refused(Rejection::new(Code::DiskFailed, "cannot write the output").found(error.to_string())),
+            // Of this machine: the codes of disks are about the node's.
+            _ => Self::Refused(
+                Rejection::new(Code::BadFile, "cannot write the results to standard output")
+                    .found(error.to_string())
+                    .wanted("a terminal, a pipe or a file with room for them")
+                    .next("write somewhere else, and look first whether the command is done already"),
+            ),
         }
     }
 }
@@ -100,7 +105,6 @@ mod tests {
     #[test]
     fn a_reader_that_went_away_is_no_error() {
         assert!(matches!(Failure::from(io::Error::from(io::ErrorKind::BrokenPipe)), Failure::ReaderGone));
-        assert!(matches!(Failure::from(io::Error::from(io::ErrorKind::StorageFull)), Failure::Refused(_)));
     }
 
     #[test]

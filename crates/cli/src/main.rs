@@ -16,6 +16,7 @@ mod output;
 mod session;
 mod time;
 mod upkeep;
+mod words;
 
 use clap::Parser;
 use std::process::ExitCode;

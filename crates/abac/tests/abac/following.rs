@@ -12,7 +12,7 @@ fn who_may_not_read_the_messages_of_a_service_may_not_follow_them() {
     fleet.may_follow(&farhad(), &[TURTLEBOT], &["message"]).unwrap();
     let refused = fleet.may_follow(&farhad(), &[TURTLEBOT, HUSKY], &["message"]).unwrap_err();
     assert_eq!(refused.code, Code::MissingAttribute);
-    assert!(refused.message.contains("may not subscribe Husky/cmd_vel"), "{refused}");
+    assert!(refused.message.contains("may not subscribe to Husky/cmd_vel"), "{refused}");
     fleet.may_follow(&farhad(), &[HUSKY], &BRIDGE).unwrap_err();
 }
 

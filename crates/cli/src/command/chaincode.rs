@@ -17,7 +17,7 @@ use std::io::{self, Write};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
-  ledgerctl invoke inventory add Husky pallet 3
+  ledgerctl invoke abac acquire Turtlebot4/cmd_vel 30000
   ledgerctl invoke abac set Turtlebot4/cmd_vel 1 7 hex:00010000
   ledgerctl invoke abac setup @robot.json")]
 pub(crate) struct Invoke {

@@ -7,6 +7,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
 use crate::time;
+use crate::words::Words;
 use ledger::Bytes;
 use ledger_api::Committed;
 use ledger_contract::{Grant, Mode, Released};
@@ -90,12 +91,19 @@ impl Facts for Granted {
     }
 }
 
+/// What people type where the chaincode has other names.
+const ACQUIRE: Words = Words { arguments: &[("LEASE_MS", "--for")], help: "ledgerctl acquire" };
+const RENEW: Words = Words { help: "ledgerctl renew", ..ACQUIRE };
+const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledgerctl release" };
+
 impl Lease {
     async fn run(self, function: &str, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
+        let words = if function == "renew" { RENEW } else { ACQUIRE };
         let mut args = vec![Bytes::from(self.service)];
         args.extend(self.span.map(|span| Bytes::from(span.0.to_string())));
-        let Committed { id, height, time, response, .. } = session.call(ABAC, function, args).await?;
+        let Committed { id, height, time, response, .. } =
+            session.call(ABAC, function, args).await.map_err(|refused| words.told(refused))?;
         let grant = answer::parse(&response, "a grant")?;
         output.show(&Granted { grant, time, height, transaction: id, renewed: function == "renew" })
     }
@@ -138,7 +146,8 @@ impl Release {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
         let args = std::iter::once(self.service).chain(self.holder).map(Bytes::from).collect();
-        let Committed { id, height, time, response, .. } = session.call(ABAC, "release", args).await?;
+        let Committed { id, height, time, response, .. } =
+            session.call(ABAC, "release", args).await.map_err(|refused| RELEASE.told(refused))?;
         let released = answer::parse(&response, "ended grants")?;
         output.show(&Ended { released, time, height, transaction: id })
     }

@@ -6,6 +6,7 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
+use crate::words::Words;
 use ledger::Bytes;
 use ledger_contract::{PolicyChange, PolicyEntry};
 use serde::Serialize;
@@ -48,6 +49,10 @@ pub(crate) struct Remove {
     id: String,
 }
 
+/// What people type where the chaincode has other names.
+const WORDS: Words =
+    Words { arguments: &[("ID", "the name of the policy"), ("TEXT", "the policy")], help: "ledgerctl policy" };
+
 impl Policy {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let args = match self {
@@ -58,7 +63,8 @@ impl Policy {
             Self::Put(put) => vec!["put".into(), Bytes::from(put.id), bytes::argument(&put.policy)?],
             Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],
         };
-        let done = Session::open(global).await?.call(ABAC, "policy", args).await?;
+        let done =
+            Session::open(global).await?.call(ABAC, "policy", args).await.map_err(|refused| WORDS.told(refused))?;
         output.show(&Changed(answer::parse(&done.response, "a change of policies")?))
     }
 }

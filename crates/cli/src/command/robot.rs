@@ -8,6 +8,7 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
+use crate::words::Words;
 use crate::{json, time};
 use ledger::Bytes;
 use ledger_contract::{Released, RobotAsset, RobotSpec, ServiceSpec};
@@ -78,6 +79,12 @@ pub(crate) struct Remove {
     name: String,
 }
 
+/// What people type where the chaincode has other names.
+const WORDS: Words = Words {
+    arguments: &[("NAME", "the name of the robot"), ("ROBOT", "the name of the robot")],
+    help: "ledgerctl robot",
+};
+
 impl Robot {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
@@ -98,12 +105,14 @@ impl Robot {
                 output.show(&Robots(answer::parse(&response, "robots")?, time::now()))
             }
             Self::Show(show) => {
-                let response = session.ask(ABAC, "robot", vec![Bytes::from(show.name)]).await?;
+                let response = session.ask(ABAC, "robot", vec![Bytes::from(show.name)]).await;
+                let response = response.map_err(|refused| WORDS.told(refused))?;
                 output.show(&Asset(answer::parse(&response, "a robot")?))
             }
             Self::Remove(remove) => {
                 let name = remove.name;
-                let done = session.call(ABAC, "remove", vec![Bytes::from(name.clone())]).await?;
+                let done = session.call(ABAC, "remove", vec![Bytes::from(name.clone())]).await;
+                let done = done.map_err(|refused| WORDS.told(refused))?;
                 output.show(&Removed { robot: name, released: answer::parse(&done.response, "ended grants")? })
             }
         }

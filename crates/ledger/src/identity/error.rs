@@ -152,8 +152,15 @@ impl IdentityError {
             Self::BadSignature { organisation, .. } => {
                 format!("enrol again at {organisation}, whose authority may have been made anew")
             }
-            Self::NotYetValid { .. } => "check the clock of the issuing CA, or wait".into(),
-            Self::Expired { .. } => "enrol again for a new certificate".into(),
+            // Nearly always one of the two clocks is wrong, and then a new certificate does not help.
+            Self::NotYetValid { .. } => {
+                "compare the time that was found with a clock you trust, and set the clock that is wrong; otherwise wait".into()
+            }
+            Self::Expired { .. } => {
+                "compare the time that was found with a clock you trust, and set the clock that is wrong; if it is right, have a \
+                 new certificate issued"
+                    .into()
+            }
             Self::NotAnAuthority { .. } => "give the certificate of the CA itself, not one that it issued".into(),
             Self::Authority { .. } => "use a certificate that the authority issued to an identity".into(),
             Self::WrongUsage { .. } | Self::BadPath { .. } => "have a certificate issued for this use".into(),

@@ -6,6 +6,7 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, printable};
 use crate::session::{ABAC, Session};
+use crate::words::Words;
 use crate::{context, time};
 use ledger::identity::Identity;
 use ledger::transaction::Transaction;
@@ -23,6 +24,8 @@ const HEARTBEAT_MS: u32 = 2_000;
 const LENGTH_MAX: usize = 128;
 /// Arguments of `set` before the messages: service, epoch, sequence number.
 const ARGS_BEFORE_PAYLOADS: usize = 3;
+/// What people type where the chaincode has other names.
+const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 
 /// Print the messages of a service as they are committed, until Ctrl-C.
 ///
@@ -143,7 +146,8 @@ impl Echo {
     async fn follow(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         self.definitions.library()?;
         let session = Session::open(global).await?;
-        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await?;
+        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
+        let response = response.map_err(|refused| WORDS.told(refused))?;
         let service: ServiceState = answer::parse(&response, "a service")?;
         let shown = self.shown(&service.type_name, output);
         let mut stream = session.client.subscribe(Subscription {

@@ -8,6 +8,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
 use crate::time;
+use crate::words::Words;
 use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::Call;
 use ledger_contract::{Grant, ServiceState};
@@ -21,6 +22,9 @@ use std::time::Duration;
 const RATE_HZ_MAX: f64 = 1000.0;
 /// How long a message may wait to be executed: a command to a robot is worth nothing later.
 const COMMAND_TTL: Duration = Duration::from_secs(2);
+
+/// What people type where the chaincode has other names.
+const WORDS: Words = Words { arguments: &[("PAYLOAD", "the message")], help: "ledgerctl publish" };
 
 /// Publish a message on a service, under the grant that you hold.
 ///
@@ -136,7 +140,8 @@ impl Publish {
         let session = Session::open(global).await?;
         let named = || vec![Bytes::from(self.service.clone())];
         let (service, grants) =
-            tokio::try_join!(session.ask(ABAC, "service", named()), session.ask(ABAC, "grants", named()))?;
+            tokio::try_join!(session.ask(ABAC, "service", named()), session.ask(ABAC, "grants", named()))
+                .map_err(|refused| WORDS.told(refused))?;
         let service: ServiceState = answer::parse(&service, "a service")?;
         let grants: Vec<Grant> = answer::parse(&grants, "grants")?;
         let message = self.definitions.message(&service.type_name);
@@ -155,7 +160,8 @@ impl Publish {
             let text = |number: u64| Bytes::from(number.to_string());
             let args = vec![Bytes::from(service.clone()), text(epoch), text(seq), payload.clone()];
             let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
-            let done = session.client.submit(session.client.prepare(call)?).await?;
+            let done = session.client.submit(session.client.prepare(call)?).await;
+            let done = done.map_err(|refused| WORDS.told(refused))?;
             next_seq = seq + 1;
             output.show(&Sent {
                 service: service.clone(),

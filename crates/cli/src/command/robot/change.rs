@@ -6,6 +6,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
+use crate::words::{self, Words};
 use ledger::{Bytes, Code, Rejection};
 use ledger_contract::{Reason, RobotChange, SettingChange};
 use serde::Serialize;
@@ -73,15 +74,22 @@ pub(super) async fn replace(session: &Session, name: &str, spec: Bytes, output: 
     Ok(())
 }
 
+/// What people type where the chaincode has other names.
+const WORDS: Words = Words {
+    arguments: &[("ROBOT[/TOPIC]", "the robot"), ("ROBOT_JSON", "the description"), ("SETTINGS_JSON", "the settings")],
+    help: "ledgerctl robot",
+};
+
 /// The refusal with the names that people type where the ledger has others.
 pub(super) fn in_words_of_the_command_line(refused: Rejection) -> Rejection {
     let typed = |text: String| {
+        let text = words::spans(&text);
         // The longer name first: it begins with the shorter one.
         let mut keys: Vec<_> = KEYS.iter().filter(|key| key.name != key.field).collect();
         keys.sort_by_key(|key| std::cmp::Reverse(key.field.len()));
         keys.iter().fold(text, |text, key| text.replace(key.field, key.name))
     };
-    let Rejection { code, message, found, wanted, next } = refused;
+    let Rejection { code, message, found, wanted, next } = WORDS.told(refused);
     Rejection { code, message: typed(message), found: typed(found), wanted: typed(wanted), next: typed(next) }
 }
 
@@ -192,9 +200,9 @@ mod tests {
     #[test]
     fn refusals_name_what_people_type() {
         let refused = Rejection::new(Code::BadArgument, "lease_ms_max of service /cmd_vel is out of range")
-            .next("lease_ms is 20 ms, and lease_ms_max is never shorter");
+            .next("lease_ms is 20 ms, and lease_ms_max is never shorter: set both");
         let refused = in_words_of_the_command_line(refused);
         assert_eq!(refused.message, "lease-max of service /cmd_vel is out of range");
-        assert_eq!(refused.next, "lease is 20 ms, and lease-max is never shorter");
+        assert_eq!(refused.next, "lease is 20 ms, and lease-max is never shorter: set both");
     }
 }

@@ -1,0 +1,87 @@
+//! Refusals of a chaincode in the words of whoever typed a command: the chaincode knows its arguments as `LEASE_MS` and
+//! `PAYLOAD`, people have typed `--for` and `--hex`.
+
+use crate::time;
+use ledger::{Code, Rejection};
+
+/// What people type for the arguments of a function.
+pub(crate) struct Words {
+    /// The name of an argument on the ledger, and what it is on the command line.
+    pub(crate) arguments: &'static [(&'static str, &'static str)],
+    /// The command that explains itself.
+    pub(crate) help: &'static str,
+}
+
+/// Of every command that names a service.
+const ALWAYS: [(&str, &str); 1] = [("SERVICE", "the service")];
+
+impl Words {
+    /// The refusal as it is told to people. One that is not about an argument stays as it is.
+    pub(crate) fn told(&self, mut refused: Rejection) -> Rejection {
+        let about = refused.message.strip_prefix("argument ").and_then(|rest| rest.split_once(" ("));
+        let about = about.and_then(|(_, rest)| rest.split_once(") is not usable"));
+        let Some((name, "")) = about.filter(|_| refused.code == Code::BadArgument) else { return refused };
+        let typed = self.arguments.iter().chain(&ALWAYS).find(|(known, _)| *known == name).map(|(_, typed)| *typed);
+        if let Some(typed) = typed {
+            refused.message = format!("{typed} is not usable");
+            refused.next = format!("{} --help", self.help);
+            refused.found = spans(&refused.found);
+            refused.wanted = spans(&refused.wanted);
+        }
+        refused
+    }
+}
+
+/// The text with `10 min` for `600000 ms`, also in `100 to 600000 ms`.
+pub(crate) fn spans(text: &str) -> String {
+    let words: Vec<&str> = text.split(' ').collect();
+    let (mut told, mut rest) = (Vec::new(), words.as_slice());
+    let span = |ms: &str| ms.parse::<u64>().ok().map(|ms| time::span(ms.saturating_mul(1000)));
+    loop {
+        (rest, _) = match rest {
+            [] => break,
+            [ms, "ms", after @ ..] if span(ms).is_some() => (after, told.extend(span(ms))),
+            [from, "to", to, "ms", after @ ..] if span(from).is_some() && span(to).is_some() => {
+                (after, told.extend([span(from), Some("to".to_owned()), span(to)].into_iter().flatten()))
+            }
+            [word, after @ ..] => (after, told.push((*word).to_owned())),
+        };
+    }
+    told.join(" ")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const WORDS: Words = Words { arguments: &[("LEASE_MS", "--for")], help: "ledgerctl acquire" };
+
+    #[test]
+    fn an_argument_is_called_what_people_typed() {
+        let refused =
+            Rejection::new(Code::BadArgument, "argument 2 (LEASE_MS) is not usable").found("5 ms").next("acquire …");
+        let told = WORDS.told(refused);
+        assert_eq!((told.message.as_str(), told.found.as_str()), ("--for is not usable", "5 ms"));
+        assert_eq!(told.next, "ledgerctl acquire --help");
+        let service = WORDS.told(Rejection::new(Code::BadArgument, "argument 1 (SERVICE) is not usable"));
+        assert_eq!(service.message, "the service is not usable");
+    }
+
+    #[test]
+    fn spans_are_told_in_units_that_people_use() {
+        assert_eq!(spans("172800000 ms"), "2 days");
+        assert_eq!(spans("100 to 600000 ms for Turtlebot4/cmd_vel"), "100 ms to 10 min for Turtlebot4/cmd_vel");
+        assert_eq!(spans("1 to 64 letters"), "1 to 64 letters");
+    }
+
+    #[test]
+    fn what_is_no_refusal_of_an_argument_is_told_as_it_is() {
+        for refused in [
+            Rejection::new(Code::Held, "argument 2 (LEASE_MS) is not usable"),
+            Rejection::new(Code::BadArgument, "argument 2 (COLOUR) is not usable").next("paint COLOUR"),
+            Rejection::new(Code::BadArgument, "too few arguments").next("acquire SERVICE [LEASE_MS]"),
+        ] {
+            assert_eq!(WORDS.told(refused.clone()), refused);
+        }
+    }
+}
