@@ -12,7 +12,7 @@ use serde_json::Value;
 use std::process::{Child, Stdio};
 use std::time::Instant;
 
-const TWIST: &str = "00010000000000000000000000000000";
+const TWIST: &str = "{linear: {x: 0.5}}";
 
 /// The row of `denials` about a subscription of this person.
 fn denied(dev: &Dev, who: &str) -> Value {
@@ -47,7 +47,7 @@ fn echo_from_0_begins_with_the_first_block() {
     let dev = Dev::start();
     let salma = dev.user("Salma", &["Turtlebot4"], "ed25519");
     salma.json(&["acquire", "Turtlebot4"]);
-    let sent = salma.json(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]);
+    let sent = salma.json(&["publish", "Turtlebot4/cmd_vel", TWIST]);
     for from in ["0", "1"] {
         let heard = salma.json(&["echo", "Turtlebot4/cmd_vel", "--from", from, "--count", "1"]);
         assert_eq!(heard["height"], sent["height"]);
