@@ -249,7 +249,7 @@ fn a_reader_that_goes_away_is_no_error() {
 fn output_that_cannot_be_written_is_an_error() {
     let full = std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
     let output = Machine::new().command(&["explain", "HELD"]).stdout(full).output().unwrap();
-    transcript(&output).refused(1, "LGR-5001", &["cannot write the output"]);
+    transcript(&output).refused(3, "LGR-7002", &["cannot write the results to standard output"]);
 }
 
 #[test]
