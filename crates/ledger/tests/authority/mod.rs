@@ -1,4 +1,5 @@
 //! An organisation's CA and the people and nodes to whom it gives certificates, valid from 2029 to 2031.
+#![allow(dead_code, clippy::allow_attributes, reason = "each test binary uses its own part")]
 
 use ledger::Bytes;
 use ledger::key::{KeyKind, SigningKey};
@@ -40,7 +41,6 @@ impl Ca {
     }
 
     /// Another certificate for somebody's key.
-    #[allow(dead_code, reason = "not every test binary needs it")]
     pub(crate) fn certify(&self, name: &str, unit: &str, user: &User) -> User {
         let public = rcgen::SubjectPublicKeyInfo::from_der(&user.key.public_key().to_spki()).unwrap();
         let mut params = params(name, unit);
@@ -53,7 +53,6 @@ impl Ca {
     }
 
     /// The key of the CA itself.
-    #[allow(dead_code, reason = "not every test binary needs it")]
     pub(crate) fn key(&self) -> SigningKey {
         SigningKey::from_pkcs8_der(&self.0.key().serialize_der()).unwrap()
     }
