@@ -1,6 +1,7 @@
 //! Drops old blocks and their results, as the setting `storage.retention` wants; archives them first if there is an
 //! archive.
 
+use ledger::archive::{Extent, archive};
 use ledger::block_store::BlockStore;
 use ledger::retention::{Kept, Retention};
 use ledger::snapshot::Snapshots;
@@ -40,8 +41,8 @@ impl Pruner {
             // A node that ended between the two drops what it has left.
             return self.ledger.prune_results(self.store.first_index()).map(drop);
         }
-        if let Some(archive) = &self.archive {
-            let report = ledger::archive::archive(&self.data, archive)?;
+        if let Some(to) = &self.archive {
+            let report = archive(&self.data, to, Extent::Finished)?;
             tracing::info!(segments = report.segments_copied, up_to = report.last_height, "archived blocks");
         }
         let first = self.store.prune(keep_from)?;

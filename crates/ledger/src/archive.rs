@@ -2,7 +2,13 @@
 //!
 //! An archive has the layout of a data directory: `genesis.json`, `blocks/` with finished segments, and, if they do not
 //! begin at block 1, `snapshots/` with the snapshot from which they are executed. So whatever reads the one reads the other.
+//! If one asks for all that is committed, the newest segment is copied up to its last committed block, and ends there with
+//! a hard state that says so; the next run replaces that copy.
 
+mod committed;
+mod copy;
+mod fault;
+mod held;
 mod segments;
 
 use crate::Hash;
@@ -10,11 +16,13 @@ use crate::code::Code;
 use crate::disk::RealDisk;
 use crate::network::Genesis;
 use crate::rejection::Rejection;
-use segments::{Copied, copy_segments};
+use crate::results::{RESULTS_DIRECTORY, ResultStore};
+use segments::{Copied, Upto, copy_segments};
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, ErrorKind};
 use std::path::Path;
+use std::sync::Arc;
 
 /// The genesis document of a node, in its data directory.
 pub const GENESIS_FILE: &str = "genesis.json";
@@ -22,6 +30,15 @@ pub const GENESIS_FILE: &str = "genesis.json";
 pub const BLOCKS_DIRECTORY: &str = "blocks";
 /// The snapshots of a node, in its data directory: `<height, 20 digits>.snap`.
 pub const SNAPSHOTS_DIRECTORY: &str = "snapshots";
+
+/// Which blocks are archived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Extent {
+    /// Those in finished segments: their files do not change any more.
+    Finished,
+    /// All that are committed and on the node's disk.
+    Committed,
+}
 
 /// What an archive holds now.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
@@ -32,7 +49,9 @@ pub struct Report {
     pub first_height: u64,
     /// Height of the newest block archived; one below the first if there is none yet.
     pub last_height: u64,
-    /// Segments that were copied this time.
+    /// How many blocks are archived.
+    pub blocks: u64,
+    /// Segments that were copied this time, with one that is not finished.
     pub segments_copied: u64,
     /// Their bytes.
     pub bytes_copied: u64,
@@ -40,14 +59,14 @@ pub struct Report {
     pub snapshot: Option<u64>,
 }
 
-/// Copies to `to` what it lacks of the finished segments of the data directory `data`. The node may run meanwhile. May be
-/// repeated: what is there stays, and after a crash the rest follows.
+/// Copies to `to` what it lacks of the blocks of the data directory `data`. The node may run meanwhile. May be repeated:
+/// what is there stays, a segment that was not finished is replaced by more of it, and after a crash the rest follows.
 ///
 /// # Errors
 /// [`Code::BadFile`] if one of the directories cannot be used, or if the archive could not be verified with what would be
 /// added (of another network or node, or blocks in between were dropped); [`Code::Corrupt`] naming file and byte if a
-/// segment is damaged; [`Code::DiskFull`].
-pub fn archive(data: &Path, to: &Path) -> Result<Report, Rejection> {
+/// segment is damaged; [`Code::ChainInvalid`] if the node has other blocks than the archive; [`Code::DiskFull`].
+pub fn archive(data: &Path, to: &Path, extent: Extent) -> Result<Report, Rejection> {
     let genesis_path = data.join(GENESIS_FILE);
     let genesis = fs::read(&genesis_path).map_err(|error| {
         unusable("read", &genesis_path, &error).wanted("the data directory of a node, with genesis.json and blocks/")
@@ -58,9 +77,13 @@ pub fn archive(data: &Path, to: &Path) -> Result<Report, Rejection> {
     put_genesis(&genesis, to, network)?;
     let target = RealDisk::open(to.join(BLOCKS_DIRECTORY))
         .map_err(|error| unusable("open", &to.join(BLOCKS_DIRECTORY), &error))?;
+    let upto = match extent {
+        Extent::Finished => Upto::Finished,
+        Extent::Committed => Upto::Committed(executed(data, network)),
+    };
     let mut snapshot = None;
     // Before the blocks: an archive that begins above 1 never is without the snapshot.
-    let copied = copy_segments(&source, &target, &network.0, |first| {
+    let copied = copy_segments(&source, &target, &network.0, upto, |first| {
         snapshot = put_snapshot(data, to, first)?;
         Ok(())
     })?;
@@ -69,10 +92,19 @@ pub fn archive(data: &Path, to: &Path) -> Result<Report, Rejection> {
         network,
         first_height,
         last_height: next_height.saturating_sub(1),
+        blocks: next_height.saturating_sub(first_height),
         segments_copied: segments,
         bytes_copied: bytes,
         snapshot,
     })
+}
+
+/// The height up to which the node keeps results. What it has executed is committed, and was on the disk before its result
+/// was; the log itself says so only with the next block. Results that cannot be read prove nothing.
+fn executed(data: &Path, network: Hash) -> u64 {
+    let results = RealDisk::open_beside_writer(data.join(RESULTS_DIRECTORY)).ok();
+    let results = results.and_then(|disk| ResultStore::open(Arc::new(disk), network).ok());
+    results.map_or(0, |results| results.next().saturating_sub(1))
 }
 
 /// Founds the archive, or makes sure that it is of this network.

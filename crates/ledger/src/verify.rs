@@ -61,8 +61,8 @@ pub struct Report {
     pub attestations_agreeing: u64,
     /// Those that say something else, of fewer nodes than agree: these nodes were wrong. At most 100.
     pub dissents: Vec<Dissent>,
-    /// Entries after the last one known to be committed: a node may hold them without having promised them, and in an
-    /// archive it is the next segment that tells.
+    /// Entries after the last one known to be committed: a node may hold them without having promised them. At the end of
+    /// an archive of finished segments it is the next segment that tells.
     pub uncommitted: u64,
     /// Bytes of a write that was cut off and never acknowledged; the node removes them when it starts.
     pub torn_bytes: u64,

@@ -1,14 +1,14 @@
-//! Copying finished segments: each is checked record by record in its new place before it gets its name there.
+//! Which segments an archive lacks, and whether they continue what it has.
 
-use crate::block_store::StoreError;
+use super::committed::{Committed, committed};
+use super::copy::{Wanted, copy};
+use super::fault::{in_archive, in_node, is_gone};
+use super::held::{Comparison, Held};
+use crate::block_store::{StoreError, oldest};
 use crate::code::Code;
 use crate::disk::Disk;
 use crate::rejection::Rejection;
 use crate::segment::{ScannedSegment, check_sealed, parse_name, scan};
-use std::io::{self, ErrorKind};
-
-/// How much is copied at once.
-const PIECE_BYTES: u64 = 1 << 20;
 
 /// A node may drop segments while they are copied; how often to look again.
 const ATTEMPTS_MAX: usize = 8;
@@ -22,18 +22,29 @@ pub(super) struct Copied {
     pub(super) bytes: u64,
 }
 
-/// Copies from the block store `source`, which may be in use, to `target` all finished segments that it lacks. `begin` is
-/// called with the first height of the archive before anything is copied.
+/// How far blocks are copied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Upto {
+    /// To the end of the newest finished segment.
+    Finished,
+    /// To the newest block that is known to be committed: because the log says so, or up to this height because the node
+    /// has executed it. That was read before the log is.
+    Committed(u64),
+}
+
+/// Copies from the block store `source`, which may be in use, to `target` all that it lacks. `begin` is called with the
+/// first height of the archive before anything is copied.
 pub(super) fn copy_segments(
     source: &dyn Disk,
     target: &dyn Disk,
     network: &[u8; 32],
+    upto: Upto,
     mut begin: impl FnMut(u64) -> Result<(), Rejection>,
 ) -> Result<Copied, Rejection> {
-    remove_parts(target).map_err(|error| in_archive(&error))?;
+    remove_parts(target)?;
     let mut copied = Copied::default();
     for _ in 0..ATTEMPTS_MAX {
-        if copy_once(source, target, network, &mut begin, &mut copied)? {
+        if copy_once((source, target), network, upto, &mut begin, &mut copied)? {
             return Ok(copied);
         }
     }
@@ -43,9 +54,9 @@ pub(super) fn copy_segments(
 
 /// One pass over the segments; false if one was dropped meanwhile.
 fn copy_once(
-    source: &dyn Disk,
-    target: &dyn Disk,
+    (source, target): (&dyn Disk, &dyn Disk),
     network: &[u8; 32],
+    upto: Upto,
     begin: &mut impl FnMut(u64) -> Result<(), Rejection>,
     copied: &mut Copied,
 ) -> Result<bool, Rejection> {
@@ -53,10 +64,12 @@ fn copy_once(
         Err(error) if is_gone(&error) => return Ok(false),
         scan => scan.map_err(|error| in_node(&error))?,
     };
+    oldest::check(source, &from).map_err(|error| in_node(&error))?;
     let there = scan(target, Some(network)).map_err(|error| in_archive(&error))?;
     let newest = there.segments().last();
-    if let Some(newest) = newest {
-        check_continues(target, there.segments(), newest, from.segments())?;
+    let held = newest.map(|newest| Held::read(target, newest)).transpose().map_err(|error| in_archive(&error))?;
+    if let Some(held) = &held {
+        check_continues(target, there.segments(), held, from.segments())?;
     }
     let Some(oldest) = there.segments().first().or(from.segments().first()) else {
         copied.next_height = 1;
@@ -66,16 +79,41 @@ fn copy_once(
     copied.first_height = oldest.header.first_index;
     begin(copied.first_height)?;
     let archived = newest.map_or(0, |newest| newest.header.sequence);
-    let (mut next_height, mut before) = (newest.unwrap_or(oldest).header.first_index, None);
-    for segment in from.segments().iter().filter(|segment| segment.header.sequence >= archived) {
-        if let Some(before) = before.replace(segment).filter(|before| before.header.sequence > archived) {
-            let Some(bytes) = copy(source, target, before, segment)? else { return Ok(false) };
-            copied.segments += 1;
-            copied.bytes += bytes;
+    copied.next_height = newest.unwrap_or(oldest).header.first_index;
+    for (number, segment) in from.segments().iter().enumerate() {
+        if segment.header.sequence < archived {
+            continue;
         }
-        next_height = segment.header.first_index;
+        copied.next_height = segment.header.first_index;
+        let wanted = match (from.segments().get(number + 1), upto) {
+            (Some(next), _) => Wanted::finished(segment, next),
+            (None, Upto::Finished) => break,
+            (None, Upto::Committed(executed)) => {
+                let known = executed.max(from.base().index).max(held.as_ref().map_or(0, |held| held.commit));
+                match committed(source, segment, known) {
+                    Err(error) if is_gone(&error) => return Ok(false),
+                    read => {
+                        let Committed { height, end, record } = read.map_err(|error| in_node(&error))?;
+                        Wanted { segment, end, record, next: None, next_height: height + 1 }
+                    }
+                }
+            }
+        };
+        let compared = match held.as_ref().filter(|_| segment.header.sequence == archived) {
+            Some(held) => held.compare(source, target, &wanted)?,
+            None => Comparison::Continues,
+        };
+        match compared {
+            Comparison::Gone => return Ok(false),
+            Comparison::Same => {}
+            Comparison::Continues => {
+                let Some(bytes) = copy(source, target, &wanted)? else { return Ok(false) };
+                copied.segments += 1;
+                copied.bytes += bytes;
+            }
+        }
+        copied.next_height = wanted.next_height;
     }
-    copied.next_height = next_height;
     Ok(true)
 }
 
@@ -83,9 +121,10 @@ fn copy_once(
 fn check_continues(
     target: &dyn Disk,
     archived: &[ScannedSegment],
-    newest: &ScannedSegment,
+    held: &Held,
     node: &[ScannedSegment],
 ) -> Result<(), Rejection> {
+    let newest = &held.segment;
     let refuse = |what: &str, found: String| {
         Rejection::new(Code::BadFile, what).found(found).next("archive into a new directory; keep this one")
     };
@@ -99,7 +138,9 @@ fn check_continues(
         common = true;
     }
     let Some(first) = node.first().filter(|_| !common) else { return Ok(()) };
-    if first.header.begins_log() || first.header.sequence != newest.header.sequence + 1 {
+    // A segment that was not finished when it was archived, and is gone, leaves a gap as well.
+    let unfinished = held.length != u64::from(first.header.durable_upto.offset);
+    if first.header.begins_log() || first.header.sequence != newest.header.sequence + 1 || unfinished {
         let found = format!(
             "an archive up to segment {}, and a node that begins with segment {}, block {}",
             newest.header.sequence, first.header.sequence, first.header.first_index
@@ -109,79 +150,12 @@ fn check_continues(
     check_sealed(target, &newest.name, newest, first).map_err(|error| in_archive(&error))
 }
 
-/// Copies one segment, without the zeros behind it; none if the node has dropped it.
-fn copy(
-    source: &dyn Disk,
-    target: &dyn Disk,
-    segment: &ScannedSegment,
-    next: &ScannedSegment,
-) -> Result<Option<u64>, Rejection> {
-    let part = format!("{}.part", segment.name);
-    let end = u64::from(next.header.durable_upto.offset);
-    let file = match source.open(&segment.name) {
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
-        file => file.map_err(|error| in_node(&StoreError::io("open", &segment.name, error)))?,
-    };
-    let write = || -> io::Result<()> {
-        let copy = target.create(&part)?;
-        let mut at = 0;
-        while at < end {
-            let mut piece = vec![0; usize::try_from(PIECE_BYTES.min(end - at)).unwrap_or(0)];
-            let count = file.read_at(&mut piece, at)?;
-            piece.truncate(count);
-            copy.write_at(&piece, at)?;
-            if count == 0 {
-                break;
-            }
-            at += count as u64;
-        }
-        copy.sync_data()
-    };
-    let written = write().map_err(|error| full_or_failed("copy", &segment.name, end, error));
-    let checked = written.and_then(|()| {
-        check_sealed(target, &part, segment, next).map_err(|error| match error {
-            StoreError::Corrupt { offset, what, index, .. } => StoreError::corrupt(&segment.name, offset, what, index),
-            other => other,
-        })
-    });
-    if let Err(error) = checked {
-        let _ = target.remove(&part);
-        return Err(in_node(&error));
-    }
-    let named = target.rename(&part, &segment.name).and_then(|()| target.sync_dir());
-    named.map_err(|error| in_archive(&StoreError::io("rename", &part, error)))?;
-    Ok(Some(end))
-}
-
 /// Removes what an interrupted run has left behind.
-fn remove_parts(target: &dyn Disk) -> Result<(), StoreError> {
-    let names = target.list().map_err(|error| StoreError::io("list", ".", error))?;
+fn remove_parts(target: &dyn Disk) -> Result<(), Rejection> {
+    let failed = |operation, name: &str, error| in_archive(&StoreError::io(operation, name, error));
+    let names = target.list().map_err(|error| failed("list", ".", error))?;
     for name in names.iter().filter(|name| name.strip_suffix(".part").is_some_and(|name| parse_name(name).is_some())) {
-        target.remove(name).map_err(|error| StoreError::io("remove", name, error))?;
+        target.remove(name).map_err(|error| failed("remove", name, error))?;
     }
     Ok(())
-}
-
-fn is_gone(error: &StoreError) -> bool {
-    matches!(error, StoreError::Io { source, .. } if source.kind() == ErrorKind::NotFound)
-}
-
-fn full_or_failed(operation: &'static str, file: &str, wanted_bytes: u64, error: io::Error) -> StoreError {
-    match error.kind() {
-        ErrorKind::StorageFull => StoreError::DiskFull { operation, file: file.to_owned(), wanted_bytes },
-        _ => StoreError::io(operation, file, error),
-    }
-}
-
-fn in_node(error: &StoreError) -> Rejection {
-    named("the node's block store", error)
-}
-
-fn in_archive(error: &StoreError) -> Rejection {
-    named("the archive", error)
-}
-
-fn named(place: &str, error: &StoreError) -> Rejection {
-    let rejection = Rejection::from(error.clone());
-    Rejection { message: format!("{place}: {}", rejection.message), ..rejection }
 }

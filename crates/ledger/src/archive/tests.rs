@@ -1,5 +1,7 @@
 //! What is archived is whole and of one piece, whatever happens meanwhile.
 
+mod committed;
+
 use super::*;
 use crate::block_store::{Base, BlockStore, Options};
 use crate::disk::{Disk, Fault, SimDisk};
@@ -35,7 +37,7 @@ fn store(disk: &SimDisk) -> BlockStore {
 }
 
 fn copy(source: &SimDisk, target: &SimDisk) -> Result<Copied, Rejection> {
-    copy_segments(source, target, &NETWORK, |_| Ok(()))
+    copy_segments(source, target, &NETWORK, Upto::Finished, |_| Ok(()))
 }
 
 fn segments(disk: &SimDisk) -> Vec<String> {
@@ -191,19 +193,19 @@ fn an_archive_has_the_layout_of_a_data_directory_and_is_of_one_network() {
     let root = tempfile::tempdir().unwrap();
     let (data, to) = (root.path().join("data"), root.path().join("archive"));
     fs::create_dir_all(&data).unwrap();
-    assert_eq!(archive(&data, &to).unwrap_err().code, Code::BadFile, "no genesis");
+    assert_eq!(archive(&data, &to, Extent::Finished).unwrap_err().code, Code::BadFile, "no genesis");
     fs::write(data.join(GENESIS_FILE), genesis("fleet")).unwrap();
     let (_, network) = Genesis::from_bytes(&genesis("fleet")).unwrap();
     let blocks = open(Arc::new(RealDisk::open(data.join(BLOCKS_DIRECTORY)).unwrap()), network.0, 1);
     fill(&blocks, 100);
-    let report = archive(&data, &to).unwrap();
+    let report = archive(&data, &to, Extent::Finished).unwrap();
     assert_eq!((report.network, report.first_height, report.snapshot), (network, 1, None));
     assert!(report.last_height > 80 && report.segments_copied > 5);
     assert_eq!(fs::read(to.join(GENESIS_FILE)).unwrap(), genesis("fleet"));
-    let again = archive(&data, &to).unwrap();
+    let again = archive(&data, &to, Extent::Finished).unwrap();
     assert_eq!((again.segments_copied, again.last_height), (0, report.last_height));
     fs::write(to.join(GENESIS_FILE), genesis("other")).unwrap();
-    let refused = archive(&data, &to).unwrap_err();
+    let refused = archive(&data, &to, Extent::Finished).unwrap_err();
     assert!(refused.code == Code::BadFile && refused.message.contains("another network"), "{refused}");
 }
 
@@ -218,18 +220,18 @@ fn blocks_that_do_not_begin_at_1_are_archived_with_the_snapshot_before_them() {
     fill(&blocks, 100);
     let first = blocks.prune(60).unwrap();
     fs::write(data.join(SNAPSHOTS_DIRECTORY).join(snapshot_name(first - 2)), b"too old").unwrap();
-    let refused = archive(&data, &to).unwrap_err();
+    let refused = archive(&data, &to, Extent::Finished).unwrap_err();
     assert!(refused.code == Code::BadFile && refused.next.contains("snapshot"), "{refused}");
     for height in [70, first - 1, 90] {
         fs::write(data.join(SNAPSHOTS_DIRECTORY).join(snapshot_name(height)), height.to_string()).unwrap();
     }
-    let report = archive(&data, &to).unwrap();
+    let report = archive(&data, &to, Extent::Finished).unwrap();
     assert_eq!((report.first_height, report.snapshot), (first, Some(first - 1)));
     let kept: Vec<_> = fs::read_dir(to.join(SNAPSHOTS_DIRECTORY)).unwrap().map(|item| item.unwrap().path()).collect();
     assert_eq!(kept, [to.join(SNAPSHOTS_DIRECTORY).join(snapshot_name(first - 1))]);
     // The node has dropped that snapshot since; the archive has it.
     fs::remove_dir_all(data.join(SNAPSHOTS_DIRECTORY)).unwrap();
     fill(&blocks, 150);
-    let again = archive(&data, &to).unwrap();
+    let again = archive(&data, &to, Extent::Finished).unwrap();
     assert!(again.segments_copied > 0 && again.snapshot == report.snapshot);
 }

@@ -214,6 +214,11 @@ impl<'a> Scan<'a> {
         Self::over(disk, segments, until)
     }
 
+    /// Reads the segment in file `name`, alone, as the newest of its log.
+    pub(crate) fn unfinished(disk: &'a dyn Disk, name: &str, segment: &ScannedSegment) -> Self {
+        Self::over(disk, vec![ScannedSegment { name: name.into(), ..segment.clone() }], 1)
+    }
+
     /// Names of files in the directory that are no segments.
     pub fn ignored(&self) -> &[String] {
         &self.ignored

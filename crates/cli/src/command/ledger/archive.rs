@@ -1,16 +1,17 @@
-//! `ledger archive`: write old blocks out.
+//! `ledger archive`: write blocks out.
 
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
-use ledger::archive::{Report, archive};
+use ledger::archive::{Extent, Report, archive};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// Copy the finished blocks of a node to an archive, which `ledgerd verify` checks by itself.
+/// Copy the committed blocks of a node to an archive, which `ledgerd verify` checks by itself.
 ///
-/// The node may run meanwhile. Run it again to add what has been finished since: put it into a timer, and let `retention`
-/// of the node keep blocks for longer than that takes. Blocks that are still being written follow with the next run.
+/// The node may run or be stopped. A block of a running node is copied within seconds of its commit. Run it again to add
+/// what has been committed since: put it into a timer, and let `retention` of the node keep blocks for longer than that
+/// takes. The archive's newest file may be unfinished; the next run replaces it by more of it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl ledger archive /var/lib/ledgerd --to /backup/fleet")]
 pub(crate) struct Archive {
@@ -31,14 +32,16 @@ struct Archived<'a> {
 
 impl Facts for Archived<'_> {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Report { network, first_height, last_height, segments_copied, bytes_copied, snapshot } = &self.report;
+        let Report { network, first_height, last_height, blocks, segments_copied, bytes_copied, snapshot } =
+            &self.report;
         if last_height < first_height {
-            writeln!(out, "{} is empty: the node has not finished a segment of blocks yet", self.archive.display())?;
+            writeln!(out, "{} is empty: the node has no committed block on its disk yet", self.archive.display())?;
         } else {
             writeln!(out, "{} holds blocks {first_height} to {last_height}", self.archive.display())?;
         }
         let mut table = Table::pairs();
         table.pair("network", network);
+        table.pair("blocks", blocks);
         table.pair("copied now", format!("{segments_copied} segments, {bytes_copied} bytes"));
         if let Some(height) = snapshot {
             table.pair("begins after", format!("the snapshot at height {height}"));
@@ -49,7 +52,7 @@ impl Facts for Archived<'_> {
 
 impl Archive {
     pub(crate) fn run(self, output: &mut Output) -> Result<(), Failure> {
-        let report = archive(&self.directory, &self.to)?;
+        let report = archive(&self.directory, &self.to, Extent::Committed)?;
         output.show(&Archived { archive: &self.to, report })
     }
 }
