@@ -464,10 +464,10 @@ mod tests {
         let (good, revoked, expired) = (certificate(false, 20), certificate(true, 20), certificate(false, 9));
         assert_eq!(state(Some(15), &[]), format!("may enrol until {}", time::moment(15)));
         assert_eq!(state(None, &[]), "never enrolled, secret void");
-        assert_eq!(state(None, &[good.clone()]), "enrolled");
+        assert_eq!(state(None, std::slice::from_ref(&good)), "enrolled");
         assert_eq!(state(None, &[revoked.clone(), good.clone()]), "enrolled");
         assert_eq!(state(None, &[revoked]), "revoked");
-        assert_eq!(state(None, &[expired.clone()]), "expired");
+        assert_eq!(state(None, std::slice::from_ref(&expired)), "expired");
         assert!(state(Some(15), &[expired]).starts_with("expired, may enrol until"));
     }
 

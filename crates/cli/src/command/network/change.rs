@@ -201,6 +201,9 @@ mod tests {
         assert!(lost(&two, &nodes, &both[..1]).is_empty());
         assert_eq!(lost(&other, &nodes, &both).len(), 1, "the last node of Org2");
         // It carries the CA of an organisation that runs no node, too.
-        assert_eq!(lost(&one, &[one.clone()], &[carrier("Org1", "node1"), carrier("Org3", "node1")]).len(), 3);
+        assert_eq!(
+            lost(&one, std::slice::from_ref(&one), &[carrier("Org1", "node1"), carrier("Org3", "node1")]).len(),
+            3
+        );
     }
 }
