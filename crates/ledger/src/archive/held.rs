@@ -21,7 +21,7 @@ pub(super) struct Held {
     /// that were not committed.
     settled: u64,
     /// Bytes of its file.
-    pub(super) length: u64,
+    length: u64,
 }
 
 /// What the node has of the same segment.

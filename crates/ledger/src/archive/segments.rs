@@ -138,16 +138,21 @@ fn check_continues(
         common = true;
     }
     let Some(first) = node.first().filter(|_| !common) else { return Ok(()) };
-    // A segment that was not finished when it was archived, and is gone, leaves a gap as well.
-    let unfinished = held.length != u64::from(first.header.durable_upto.offset);
-    if first.header.begins_log() || first.header.sequence != newest.header.sequence + 1 || unfinished {
+    let follows = !first.header.begins_log() && first.header.sequence == newest.header.sequence + 1;
+    let sealed = if follows { check_sealed(target, &newest.name, newest, first).map(|()| true) } else { Ok(false) };
+    let sealed = match sealed {
+        // Its records have been read and are good: it was not finished when it was archived, and its end is gone.
+        Err(StoreError::Corrupt { .. }) => false,
+        sealed => sealed.map_err(|error| in_archive(&error))?,
+    };
+    if !sealed {
         let found = format!(
             "an archive up to segment {}, and a node that begins with segment {}, block {}",
             newest.header.sequence, first.header.sequence, first.header.first_index
         );
         return Err(refuse("blocks between the archive and what the node still has are gone", found));
     }
-    check_sealed(target, &newest.name, newest, first).map_err(|error| in_archive(&error))
+    Ok(())
 }
 
 /// Removes what an interrupted run has left behind.

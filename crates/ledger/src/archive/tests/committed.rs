@@ -89,7 +89,8 @@ fn all_that_is_committed_is_archived_while_the_node_writes_and_drops() {
             let copied = copy_committed(&node, &archive, executed).unwrap();
             assert!(copied.next_height > executed, "{copied:?}, executed {executed}");
             check(&archive, &blocks, &copied);
-            blocks.prune(copied.next_height).unwrap();
+            // As the node does it itself.
+            blocks.prune(copy(&node, &archive).unwrap().next_height).unwrap();
             if executed == 400 {
                 break;
             }
@@ -138,11 +139,18 @@ fn a_node_that_does_not_continue_the_archive_is_refused() {
     append(&store(&fork), 3..=4, 2, 3);
     let refused = copy_committed(&fork, &archive, 3).unwrap_err();
     assert!(refused.code == Code::ChainInvalid && refused.message.contains("different blocks"), "{refused}");
-    // It was not finished when it was archived, and the node has dropped it since.
-    fill(&blocks, 40);
-    blocks.prune(30).unwrap();
-    let refused = copy_committed(&node, &archive, 40).unwrap_err();
-    assert!(refused.code == Code::BadFile && refused.message.contains("gone"), "{refused}");
+    // It was not finished when it was archived, and the node has dropped it since: at its very end as well.
+    for last in 3..=6 {
+        let (node, archive) = (node.copy(1), archive.copy(1));
+        let blocks = store(&node);
+        fill(&blocks, last);
+        copy_committed(&node, &archive, last).unwrap();
+        fill(&blocks, 12);
+        let second = blocks.prune(10).unwrap();
+        assert!((7..=8).contains(&second), "{second}");
+        let refused = copy_committed(&node, &archive, 12).unwrap_err();
+        assert!(refused.code == Code::BadFile && refused.message.contains("gone"), "{refused}");
+    }
 }
 
 #[test]
@@ -169,4 +177,43 @@ fn a_crash_while_the_unfinished_segment_is_replaced_leaves_the_one_before() {
             assert_eq!(archive.list().unwrap(), segments(&archive));
         }
     }
+}
+
+/// The same, on a real disk, with large blocks: what is read may be half written.
+#[test]
+fn all_that_is_committed_is_archived_beside_a_writer_on_a_real_disk() {
+    let root = tempfile::tempdir().unwrap();
+    let (data, to) = (root.path().join("data"), root.path().join("archive"));
+    fs::create_dir_all(&data).unwrap();
+    fs::write(data.join(GENESIS_FILE), genesis("fleet")).unwrap();
+    let (_, network) = Genesis::from_bytes(&genesis("fleet")).unwrap();
+    let mut options = Options::new(network.0, || 77);
+    options.segment_bytes = 4 << 20;
+    let disk = Arc::new(RealDisk::open(data.join(BLOCKS_DIRECTORY)).unwrap());
+    let blocks = BlockStore::open(disk, options).unwrap().0;
+    let last = 100;
+    let write = || {
+        for index in 1..=last {
+            let entry = Entry { index, term: 1, kind: EntryKind::Normal, data: vec![index as u8; 200_000].into() };
+            blocks.append(&[entry], Some(&HardState { term: 1, vote: 0, commit: index })).unwrap();
+            blocks.flush().unwrap();
+            blocks.prepare().unwrap();
+        }
+    };
+    std::thread::scope(|scope| {
+        scope.spawn(write);
+        loop {
+            let durable = blocks.durable_index();
+            let report = archive(&data, &to, Extent::Committed).unwrap();
+            // The word that the last one is committed is proven by what is written next.
+            assert!(report.last_height + 1 >= durable, "{report:?}, durable {durable}");
+            if durable == last {
+                break;
+            }
+        }
+    });
+    let copy = RealDisk::open(to.join(BLOCKS_DIRECTORY)).unwrap();
+    let archived = open(Arc::new(copy), network.0, 1);
+    assert_eq!((archived.first_index(), archived.last_index()), (1, last - 1));
+    assert_eq!(archived.entries(1..last, usize::MAX).unwrap(), blocks.entries(1..last, usize::MAX).unwrap());
 }
