@@ -17,9 +17,6 @@ mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
 mod nodes_die;
-#[expect(clippy::expect_used, unreachable_pub, reason = "tests")]
-#[path = "../support/programs.rs"]
-mod programs;
 mod python;
 mod readme;
 #[path = "../support/mod.rs"]
@@ -31,6 +28,7 @@ mod world;
 use ledger_api::Client;
 use python::Python;
 use std::time::{Duration, Instant};
+use support::programs;
 use world::World;
 
 /// A zero Twist: what the robot's bridge publishes when a grant ends.

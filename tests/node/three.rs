@@ -204,7 +204,7 @@ fn until_it_follows(terminal: &Terminal, context: &str, name: &str) {
         let is_meant = |node: &&Value| {
             name.split('/').eq([node["organisation"].as_str(), node["name"].as_str()].into_iter().flatten())
         };
-        let node = status["nodes"].as_array()?.iter().filter(is_meant).next_back()?;
+        let node = status["nodes"].as_array()?.iter().rfind(is_meant)?;
         (node["reachable"] == true && node["height"].as_u64()? >= status["height"].as_u64()?).then_some(())
     });
 }

@@ -1,5 +1,5 @@
 //! The other side is CycloneDDS, the DDS of `rmw_cyclonedds`, in Python.
-#![expect(clippy::unwrap_used, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../../../tests/support/own_network.rs"]
 mod network;
