@@ -412,9 +412,11 @@ fn a_chain_and_a_key_are_read_from_files() {
     let refused = TlsIdentity::from_pem_files(&folder.path().join("missing.pem"), &secret).unwrap_err();
     assert!(refused.to_string().contains("missing.pem"), "{refused}");
     let refused = TlsIdentity::from_pem_files(&secret, &secret).unwrap_err();
-    assert!(matches!(refused, TlsError::Chain { .. }), "{refused}");
+    assert!(matches!(&refused, TlsError::In { reason, .. } if matches!(**reason, TlsError::Chain { .. })), "{refused}");
+    assert!(refused.to_string().contains("node.key: "), "the file is named: {refused}");
     let refused = TlsIdentity::from_pem_files(&chain, &chain).unwrap_err();
-    assert!(matches!(refused, TlsError::Key(_)), "{refused}");
+    assert!(matches!(&refused, TlsError::In { reason, .. } if matches!(**reason, TlsError::Key(_))), "{refused}");
+    assert!(refused.to_string().contains("node.pem: "), "the file is named: {refused}");
     std::fs::write(&secret, "x".repeat(1 << 20)).unwrap();
     let refused = TlsIdentity::from_pem_files(&chain, &secret).unwrap_err();
     assert!(matches!(refused, TlsError::File { .. }), "{refused}");

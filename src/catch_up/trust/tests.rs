@@ -56,7 +56,7 @@ impl World {
 
     fn node(&mut self, organisation: &str, role: Role) -> Node {
         let ca = self.authorities.get_mut(organisation).unwrap();
-        let issued = ca.issue(&format!("a {role}"), role, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap();
+        let issued = ca.issue(&format!("a-{role}"), role, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap();
         Node { key: issued.key, certificate: issued.certificate.into() }
     }
 
