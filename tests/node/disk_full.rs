@@ -140,7 +140,8 @@ async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_roo
     assert_eq!(wire::code(&refusal), u32::from(Code::DiskFull.number()), "{refusal:?}");
     let status = auditor.status().await.unwrap();
     assert_eq!((status.disk_accepts.as_str(), status.data_directory), ("ends", place.data.display().to_string()));
-    assert!(status.disk_free_bytes < status.disk_total_bytes / 10, "{} free", status.disk_free_bytes);
+    // Nothing, or what the reserve gave up a moment ago: 16 MiB.
+    assert!(status.disk_free_bytes <= 16 << 20, "{} free", status.disk_free_bytes);
 
     client.invoke("abac", "release", vec!["Turtlebot4".into()]).await.unwrap();
     let held = || async {

@@ -231,7 +231,7 @@ async fn certificates_of_strangers_and_of_other_times_are_refused() {
     refused(Client::connect(&eve_here).await.map(drop), Code::Untrusted, "network");
     target.survived("a certificate of another CA").await;
     let deceived = Context { nodes: target.salma.nodes.clone(), ..eve };
-    refused(Client::connect(&deceived).await.map(drop), Code::Untrusted, "not accepted");
+    refused(Client::connect(&deceived).await.map(drop), Code::WrongNetwork, "made anew");
     target.survived("a client of another network").await;
     // ledgerctl tells the same.
     target.fleet.ctl().as_("Late").run(&["status"]).refused(2, &["LGR-2002", "expired"]);
