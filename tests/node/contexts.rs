@@ -167,16 +167,16 @@ fn a_renewal_that_fails_is_a_warning_and_an_end_that_has_come_says_what_to_do() 
     fleet.issue_at("Late", now() - 400 * DAY, 365);
     let _node = fleet.nodes[0].start();
     let ctl = fleet.ctl();
-    let files = std::fs::read_dir(fleet.home().join("contexts").join("Salma")).unwrap();
+    let files = fs::read_dir(fleet.home().join("contexts").join("Salma")).unwrap();
     let files: Vec<_> = files.map(|file| file.unwrap().path()).filter(|file| file.is_file()).collect();
-    let old: Vec<_> = files.into_iter().map(|file| (std::fs::read(&file).unwrap(), file)).collect();
+    let old: Vec<_> = files.into_iter().map(|file| (fs::read(&file).unwrap(), file)).collect();
     crate::support::eventually("the certificate is renewed at use", || {
         ctl.as_("Salma").run(&["robot", "list"]);
         (end(&fleet, "Salma") > now() + 300 * DAY).then_some(())
     });
     // A CA that has just given a name a certificate gives it no other one for a minute.
     for (bytes, file) in &old {
-        std::fs::write(file, bytes).unwrap();
+        fs::write(file, bytes).unwrap();
     }
     let told = ctl.as_("Salma").run(&["robot", "list"]).ok().stderr;
     for words in ["warning: the certificate of Org1/Salma ends ", "could not be renewed"] {
