@@ -1,4 +1,4 @@
-//! Who may know whom: ARCHITECTURE.md, "Crates".
+//! Which crate may use which: ARCHITECTURE.md, "Crates".
 
 use crate::sources::{code, files, read, root};
 use std::collections::{BTreeMap, BTreeSet};

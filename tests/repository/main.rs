@@ -2,6 +2,7 @@
 
 #![expect(clippy::panic, reason = "tests")]
 
+mod architecture;
 mod documents;
 mod events;
 mod layers;
