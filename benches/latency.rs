@@ -35,7 +35,7 @@ use etcd::Etcd;
 use floor::Floor;
 use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS};
 use hdrhistogram::Histogram;
-use ledger::Code;
+use ledger_rejection::Code;
 use load::{Run, histogram, open_loop, paced};
 use network::{Arrivals, Network, Operator};
 use report::{Line, Side};

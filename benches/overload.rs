@@ -20,7 +20,7 @@ mod report;
 use founding::PAPER;
 use hdrhistogram::Histogram;
 use ledger::transaction::Transaction;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use load::{Run, closed_loop, histogram, open_loop};
 use network::{Arrivals, Network, Operator};
 use report::percentiles;

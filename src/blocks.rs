@@ -7,9 +7,10 @@ pub(crate) use interest::Interest;
 
 use interest::Interests;
 use ledger::block::{Header, content};
-use ledger::block_store::BlockStore;
-use ledger::result::TransactionResult;
-use ledger::{Code, Ledger, Outcome, Rejection};
+use ledger::{Ledger, Outcome};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::result::TransactionResult;
 use std::collections::VecDeque;
 use std::sync::{Arc, PoisonError, RwLock};
 use tokio::sync::watch;

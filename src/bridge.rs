@@ -1,8 +1,8 @@
 //! The bridge inside a node: the same as `ledgerd bridge`, through the node's own gateway.
 
 use crate::config::Config;
-use ledger::Rejection;
 use ledger_api::Client;
+use ledger_rejection::Rejection;
 use ros_bridge::Bridge;
 use std::path::Path;
 use std::time::Duration;
@@ -82,7 +82,8 @@ pub(crate) fn settings(config: &Config) -> Result<Option<ros_bridge::Config>, Re
     ros_bridge::Config::from_table(table, Path::new(".")).map(Some).map_err(|mut faults| {
         let more = faults.len().saturating_sub(1);
         let first = if faults.is_empty() { None } else { Some(faults.swap_remove(0)) };
-        let first = first.unwrap_or_else(|| Rejection::new(ledger::Code::BadConfiguration, "[bridge] is not usable"));
+        let first =
+            first.unwrap_or_else(|| Rejection::new(ledger_rejection::Code::BadConfiguration, "[bridge] is not usable"));
         Rejection { message: format!("[bridge] {} ({more} more faults)", first.message), ..first }
     })
 }

@@ -32,11 +32,12 @@ pub(crate) use request::{make as request, public_key};
 pub use secret::PRESENTED_BYTES_MAX;
 
 use issue::Holder;
-use ledger::certificate::{Certificate, encode_attributes};
 use ledger::governance::CarryCa;
-use ledger::identity::{Identity, Role, check_new_name};
-use ledger::key::{KeyKind, PublicKey, SigningKey};
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::certificate::{Certificate, encode_attributes};
+use ledger_identity::key::{KeyKind, PublicKey, SigningKey};
+use ledger_identity::{Identity, Role, check_new_name};
+use ledger_rejection::{Code, Rejection};
 use place::Stamp;
 use registry::Registry;
 use ring::rand::SystemRandom;
@@ -423,6 +424,6 @@ fn bad_argument(fault: &str) -> Rejection {
     }
 }
 
-fn key_failed(error: ledger::key::KeyError) -> Rejection {
+fn key_failed(error: ledger_identity::key::KeyError) -> Rejection {
     Rejection::new(Code::Internal, error.to_string())
 }

@@ -9,9 +9,10 @@ mod summary;
 
 use crate::command::{eprint_line, print_line, stop_signal};
 use crate::dev::paper_robots;
+use bytes::Bytes;
 use graph::{Operator, Publisher, Received, Robot};
-use ledger::{Bytes, Code, Rejection};
 use ledger_api::Client;
+use ledger_rejection::{Code, Rejection};
 use measure::{Phase, RosToRos};
 use network::Network;
 use picture::Picture;

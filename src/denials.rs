@@ -1,7 +1,8 @@
 //! What this node refused before it was ordered: counted by code, and the last ones kept for an admin to see.
 
-use ledger::{Refusal, Rejection};
+use ledger::Refusal;
 use ledger_api::v1::Denial;
+use ledger_rejection::Rejection;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Mutex, PoisonError};
 

@@ -24,8 +24,7 @@ use crate::waiters::Waiters;
 use crate::witness::Witness;
 pub(crate) use audience::Audience;
 pub(crate) use current::Current;
-use ledger::identity::Identity;
-use ledger::{Code, Ledger};
+use ledger::Ledger;
 use ledger_api::tls::TlsIdentity;
 pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
@@ -34,6 +33,8 @@ use ledger_api::v1::{
     QueryResponse, StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
     TransferLeadershipRequest, TransferLeadershipResponse,
 };
+use ledger_identity::Identity;
+use ledger_rejection::Code;
 pub(crate) use retries::Retries;
 pub(crate) use share::{Place, Shares};
 use std::pin::Pin;
@@ -104,8 +105,11 @@ impl GatewayService {
         let identity =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
                 status(
-                    &ledger::Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
-                        .next("enrol first: ledgerctl enroll"),
+                    &ledger_rejection::Rejection::new(
+                        Code::CertificateRequired,
+                        "this call needs a client certificate",
+                    )
+                    .next("enrol first: ledgerctl enroll"),
                 )
             })?;
         self.node.check(&identity)?;
@@ -128,7 +132,7 @@ impl Gateway for GatewayService {
         let (answers, mut answer) = mpsc::unbounded_channel();
         self.node.submit_one(request.into_inner(), &share, &answers).await;
         drop(answers);
-        let stopping = || status(&ledger::Rejection::new(Code::ShuttingDown, "the node is stopping"));
+        let stopping = || status(&ledger_rejection::Rejection::new(Code::ShuttingDown, "the node is stopping"));
         answer.recv().await.ok_or_else(stopping)?.map(Response::new)
     }
 

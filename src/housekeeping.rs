@@ -3,8 +3,8 @@
 
 use crate::gateway::NodeView;
 use crate::retention::Pruner;
-use ledger::block_store::BlockStore;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::BlockStore;
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};

@@ -7,8 +7,8 @@
 //! # struct Inventory;
 //! # impl ledger::Chaincode for Inventory {
 //! #     fn name(&self) -> &'static str { "inventory" }
-//! #     fn invoke(&self, _: &mut ledger::Context<'_>, _: &str, _: &[ledger::Bytes]) -> Result<ledger::Bytes, ledger::Rejection> {
-//! #         Ok(ledger::Bytes::new())
+//! #     fn invoke(&self, _: &mut ledger::Context<'_>, _: &str, _: &[bytes::Bytes]) -> Result<bytes::Bytes, ledger_rejection::Rejection> {
+//! #         Ok(bytes::Bytes::new())
 //! #     }
 //! # }
 //! fn main() -> std::process::ExitCode {

@@ -1,8 +1,8 @@
 //! The node's door: accepts TCP connections, completes TLS handshakes beside each other, and hands the connections to
 //! the gRPC server together with who is calling.
 
-use ledger::identity::Identity;
 use ledger_api::tls::{TrustSource, client_identity};
+use ledger_identity::Identity;
 use std::io;
 use std::net::IpAddr;
 use std::pin::Pin;

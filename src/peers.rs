@@ -14,7 +14,7 @@ mod service;
 pub(crate) use directory::{Directory, Member, Part};
 pub(crate) use service::PeerService;
 
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_raft::PeerMessage;
 use link::Way;

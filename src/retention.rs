@@ -1,11 +1,13 @@
 //! Drops old blocks and their results, as the setting `storage.retention` wants; archives them first if there is an
 //! archive.
 
-use ledger::archive::{Extent, archive};
-use ledger::block_store::BlockStore;
-use ledger::retention::{Kept, Retention};
-use ledger::snapshot::Snapshots;
-use ledger::{Ledger, Rejection};
+use ledger::Ledger;
+use ledger::network::Genesis;
+use ledger_rejection::Rejection;
+use ledger_storage::archive::{Extent, archive};
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::retention::{Kept, Retention};
+use ledger_storage::snapshot::Snapshots;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -42,7 +44,7 @@ impl Pruner {
             return self.ledger.prune_results(self.store.first_index()).map(drop);
         }
         if let Some(to) = &self.archive {
-            let report = archive(&self.data, to, Extent::Finished)?;
+            let report = archive(&self.data, to, Extent::Finished, &Genesis::network_of)?;
             tracing::info!(segments = report.segments_copied, up_to = report.last_height, "archived blocks");
         }
         let first = self.store.prune(keep_from)?;

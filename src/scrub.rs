@@ -2,7 +2,7 @@
 //! notices: 4 MiB a second at most.
 
 use crate::orderer::Shared;
-use ledger::block_store::StoreError;
+use ledger_storage::block_store::StoreError;
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};

@@ -1,9 +1,11 @@
 //! Signs transactions as the node itself.
 
 use crate::clock::Clock;
+use bytes::Bytes;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
-use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::tls::TlsIdentity;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use std::time::Duration;
 

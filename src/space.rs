@@ -13,7 +13,7 @@
 
 mod reserve;
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use reserve::Reserve;
 use std::io;
 use std::path::{Path, PathBuf};

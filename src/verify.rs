@@ -3,7 +3,7 @@
 use crate::command::print_line;
 use crate::node::NodeBuilder;
 use ledger::verify::{Dissent, Report, verify_directory};
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};

@@ -1,11 +1,14 @@
 //! Clients that wait for the verdict on a transaction.
 
 use crate::gateway::Place;
-use ledger::result::TransactionResult;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Hash, Ledger, Outcome, Rejection, TransactionRecord};
+use ledger::{Ledger, Outcome, TransactionRecord};
 use ledger_api::v1::{SubmitResponse, Verdict};
+use ledger_hash::Hash;
 use ledger_raft::Lane;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::TransactionResult;
 use std::collections::HashMap;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};

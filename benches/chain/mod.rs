@@ -1,19 +1,21 @@
 //! A chain of commands in the first node's directory, made without a node.
 
 use crate::founding::{Founding, clock, robots, twist};
-use ledger::archive::SNAPSHOTS_DIRECTORY;
+use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::RealDisk;
-use ledger::entry::{Entry, EntryKind, HardState};
-use ledger::results::{RESULTS_DIRECTORY, ResultStore};
-use ledger::snapshot::Snapshots;
-use ledger::state::{MemoryState, SledStore, State};
 use ledger::transaction::{Body, Transaction};
-use ledger::verify::{BLOCKS_DIRECTORY, GENESIS_FILE, STATE_DIRECTORY};
-use ledger::{Bytes, Code, Hash, Ledger, Outcome};
+use ledger::{Ledger, Outcome};
 use ledger_abac::Grant;
 use ledger_api::Context;
+use ledger_hash::Hash;
+use ledger_rejection::Code;
+use ledger_storage::block_store::{BlockStore, Options};
+use ledger_storage::disk::RealDisk;
+use ledger_storage::entry::{Entry, EntryKind, HardState};
+use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY};
+use ledger_storage::results::ResultStore;
+use ledger_storage::snapshot::Snapshots;
+use ledger_storage::state::{MemoryState, SledStore, State};
 use ledgerd::Node;
 use std::path::Path;
 use std::sync::Arc;

@@ -3,11 +3,12 @@
 
 use crate::founding::twist;
 use crate::network::Network;
+use bytes::Bytes;
 use futures::future::join_all;
 use ledger::transaction::{Body, Transaction};
-use ledger::{Bytes, Hash};
 use ledger_abac::Grant;
 use ledger_api::{Client, Context, Pending};
+use ledger_hash::Hash;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 
 /// How long after now a command may still be executed, microseconds.

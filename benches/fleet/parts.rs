@@ -5,7 +5,7 @@ use crate::drivers::{Drivers, register, robot, salma};
 use crate::founding::{Founding, PAPER, Shape};
 use crate::network::{Arrivals, Network};
 use crate::point::{Load, Point};
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_api::{Client, Subscription};
 use std::time::{Duration, Instant};

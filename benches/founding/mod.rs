@@ -1,10 +1,10 @@
 //! A network on disk that no node runs yet: one robot owner, one operator, as many nodes as a bench wants.
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
-use ledger::Bytes;
-use ledger::identity::Role;
-use ledger::key::KeyKind;
+use bytes::Bytes;
 use ledger_api::Context;
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
 use ledgerd::ca::CertificateAuthority;
 use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use rustls_pki_types::CertificateDer;

@@ -1,11 +1,14 @@
 //! Access control: what a decision costs with few and with many policies, 1000 robots, and as many people who drive them.
 
+use bytes::Bytes;
 use criterion::{BenchmarkId, Criterion};
-use ledger::identity::{Identity, Role};
-use ledger::key::PublicKey;
-use ledger::state::{MemoryState, SledStore, State, Store};
-use ledger::{Bytes, Chaincode, Context, Environment, Hash, Overlay, Registry, Rejection, StateRead, WriteSet};
+use ledger::{Chaincode, Context, Environment, Registry};
 use ledger_abac::{AccessControl, Grant};
+use ledger_hash::Hash;
+use ledger_identity::key::PublicKey;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::Rejection;
+use ledger_storage::state::{MemoryState, Overlay, SledStore, State, StateRead, Store, WriteSet};
 use std::hint::black_box;
 use std::sync::Arc;
 use tempfile::TempDir;

@@ -2,13 +2,14 @@
 
 use crate::founding::bench_directory;
 use crate::{BLOCK_TRANSACTIONS, ENTRY_BYTES, timed};
+use bytes::Bytes;
 use criterion::{BenchmarkId, Criterion, Throughput};
 use ledger::block::Payload;
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::RealDisk;
-use ledger::entry::{Entry, EntryKind, HardState};
-use ledger::state::{SledStore, State, Store, Tip};
-use ledger::{Bytes, Hash, WriteSet};
+use ledger_hash::Hash;
+use ledger_storage::block_store::{BlockStore, Options};
+use ledger_storage::disk::RealDisk;
+use ledger_storage::entry::{Entry, EntryKind, HardState};
+use ledger_storage::state::{SledStore, State, Store, Tip, WriteSet};
 use std::hint::black_box;
 use std::path::Path;
 use std::sync::Arc;

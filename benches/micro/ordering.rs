@@ -1,9 +1,9 @@
 //! The engine of a voter that leads a learner, as in the paper's network, without the node around it.
 
 use crate::log;
-use ledger::Bytes;
-use ledger::block_store::BlockStore;
+use bytes::Bytes;
 use ledger_raft::{Engine, EngineConfig, Input, Lane, Membership, Output};
+use ledger_storage::block_store::BlockStore;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;

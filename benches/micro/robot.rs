@@ -2,8 +2,8 @@
 
 use crate::founding::clock;
 use crate::{World, own_network, timed};
+use bytes::Bytes;
 use criterion::Criterion;
-use ledger::Bytes;
 use ros_bridge::dds::Participant;
 use ros_bridge::gate::{Delivered, Gate, Now, Settings};
 use ros_bridge::names::{TopicName, TypeName};

@@ -2,10 +2,11 @@
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::{Founding, Shape, robot, robots, twist};
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Rejection};
 use ledger_abac::{Grant, MessageEvent};
 use ledger_api::{Call, Client, Context, Pending, Subscription, v1};
+use ledger_rejection::{Code, Rejection};
 use rustix::process::{Pid, Signal, kill_process};
 use std::collections::HashMap;
 use std::fs::{File, write};

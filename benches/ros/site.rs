@@ -3,9 +3,10 @@
 
 use crate::founding::{Founding, PAPER, clock, robots};
 use crate::network::Network;
-use ledger::identity::Role;
-use ledger::{Bytes, Code};
+use bytes::Bytes;
 use ledger_api::{Client, Context};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use ledgerd::setup::issue;
 use std::collections::BTreeMap;
 use std::fs::File;

@@ -6,9 +6,10 @@
 use super::durable::{self, SECRET_MODE};
 use super::place::ROOT_BYTES_MAX;
 use super::{CertificateAuthority, pem as certificates};
-use ledger::certificate::Certificate;
-use ledger::key::{KEY_BYTES_MAX, SigningKey};
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::key::{KEY_BYTES_MAX, SigningKey};
+use ledger_rejection::{Code, Rejection};
 use pkcs8::{EncryptedPrivateKeyInfoRef, PrivateKeyInfoRef};
 use std::path::Path;
 
@@ -95,7 +96,7 @@ impl Backup {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
     use super::*;
-    use ledger::key::KeyKind;
+    use ledger_identity::key::KeyKind;
     use tempfile::TempDir;
 
     const NOW: u64 = 1_800_000_000_000_000;

@@ -1,6 +1,6 @@
 //! Files that survive a crash whole: a reader finds the old content or the new, never a part.
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};

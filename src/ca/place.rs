@@ -3,10 +3,10 @@
 use super::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use super::registry::{FILE, Registry};
 use super::{CertificateAuthority, DIRECTORY, bad_argument, issue, key_failed, pem};
-use ledger::certificate::Certificate;
-use ledger::identity::check_name;
-use ledger::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
-use ledger::{Code, Rejection};
+use ledger_identity::certificate::Certificate;
+use ledger_identity::check_name;
+use ledger_identity::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
+use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;

@@ -3,8 +3,9 @@
 
 use super::durable::{self, SECRET_MODE, Staged};
 use super::secret::OneTimeSecret;
-use ledger::identity::Role;
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;

@@ -1,7 +1,7 @@
 //! Certificate signing requests (PKCS #10). Of a request only the public key is used.
 
-use ledger::key::{PublicKey, SigningKey};
-use ledger::{Code, Rejection};
+use ledger_identity::key::{PublicKey, SigningKey};
+use ledger_rejection::{Code, Rejection};
 use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
 use rustls_pki_types::PrivatePkcs8KeyDer;
 use x509_parser::certification_request::X509CertificationRequest;
@@ -44,8 +44,8 @@ pub(crate) fn make(key: &SigningKey, name: &str) -> Result<Vec<u8>, Rejection> {
 /// The key, as rcgen wants it.
 pub(super) fn signer(key: &SigningKey) -> Result<KeyPair, rcgen::Error> {
     let algorithm = match key.kind() {
-        ledger::key::KeyKind::Ed25519 => &PKCS_ED25519,
-        ledger::key::KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
+        ledger_identity::key::KeyKind::Ed25519 => &PKCS_ED25519,
+        ledger_identity::key::KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
     };
     KeyPair::from_pkcs8_der_and_sign_algo(&PrivatePkcs8KeyDer::from(key.to_pkcs8_der()), algorithm)
 }

@@ -3,8 +3,9 @@
 //! Guesses change nothing here: a secret has 128 random bits, and who guesses is slowed down where guesses come in.
 
 use ledger::governance::ENROLMENT_REPEAT_MAX;
-use ledger::key::PublicKey;
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::key::PublicKey;
+use ledger_rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
 

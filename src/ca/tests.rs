@@ -3,8 +3,8 @@
 use super::place::{KEY_FILE, ROOT_FILE};
 use super::*;
 use ledger::governance::ENROLMENT_REPEAT_MAX;
-use ledger::identity::Identity;
-use ledger::msp::{Msp, Msps, Usage};
+use ledger_identity::Identity;
+use ledger_identity::msp::{Msp, Msps, Usage};
 use rcgen::{BasicConstraints, CertificateParams, CustomExtension, DnType, IsCa, KeyPair};
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -115,7 +115,8 @@ fn requested_authority_subject_and_extensions_are_ignored() {
     params.distinguished_name.push(DnType::OrganizationalUnitName, "admin");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
     let forged = encode_attributes(&attributes(&["Husky"])).unwrap();
-    params.custom_extensions = vec![CustomExtension::from_oid_content(ledger::certificate::ATTRIBUTES_OID, forged)];
+    params.custom_extensions =
+        vec![CustomExtension::from_oid_content(ledger_identity::certificate::ATTRIBUTES_OID, forged)];
     let csr = params.serialize_request(&key).unwrap();
 
     let der = f.ca.enrol("Farhad", &secret, csr.der(), NOW).unwrap();

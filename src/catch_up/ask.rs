@@ -5,9 +5,9 @@ use crate::peers::{Dialer, Member};
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
 use futures::stream::FuturesUnordered;
-use ledger::Hash;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{ChainRequest, ChainResponse};
+use ledger_hash::Hash;
 use std::time::Duration;
 use tonic::transport::Channel;
 

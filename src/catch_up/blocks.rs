@@ -3,11 +3,12 @@
 use super::ask::Offer;
 use super::{Behind, CatchUp, Caught};
 use ledger::block::{Header, PAYLOAD_BYTES_MAX};
-use ledger::block_store::BlockStore;
-use ledger::entry::{Entry, EntryKind, HardState};
-use ledger::{Code, Hash, Rejection};
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{BlockEntries, BlockEntry, BlocksRequest, DigestRequest};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::entry::{Entry, EntryKind, HardState};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tonic::Streaming;

@@ -5,11 +5,13 @@ use super::trust::ATTESTED_MAX;
 use crate::orderer::{Seat, Shared};
 use crate::peers::Member;
 use ledger::transaction::Transaction;
-use ledger::{Code, Hash, Rejection, StateRead};
 use ledger_api::to_status;
 use ledger_api::v1::{
     self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
 };
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::StateRead;
 use serde::Deserialize;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};

@@ -5,12 +5,14 @@
 //! stands on its own ledger, or in its genesis. So a newcomer is deceived only if two organisations lie together, one of
 //! which it knows. An attestation is a transaction that the node signed, so whoever hands it over cannot change it.
 
-use ledger::certificate::Certificate;
-use ledger::identity::{Identity, Role};
-use ledger::msp::Msps;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::v1::Attested;
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::msp::Msps;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 

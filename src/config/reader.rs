@@ -1,7 +1,7 @@
 //! Reading settings one by one, so that all faults of a file are found at once.
 
 use super::Fault;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 use toml::Spanned;

@@ -2,7 +2,7 @@
 //! of any ledger.
 
 use bytes::Bytes;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use ros_bridge::dds::{Participant, Reader, Writer};
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;

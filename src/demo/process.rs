@@ -1,6 +1,6 @@
 //! Child processes of the demo: started with a log file, stopped in order, never left behind.
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;

@@ -4,8 +4,8 @@
 //! the next one's to replace; what a run uses that lives nobody touches.
 
 use super::{LABEL, ORGANISATIONS, context_name};
-use ledger::{Code, Rejection};
 use ledger_api::Context;
+use ledger_rejection::{Code, Rejection};
 use std::fs::{DirBuilder, File, OpenOptions};
 use std::io::{Read, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};

@@ -2,8 +2,8 @@
 
 use crate::ca::{self, CertificateAuthority};
 use crate::peers::Member;
-use ledger::governance;
-use ledger::{Code, Ledger, Rejection};
+use ledger::{Ledger, governance};
+use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock};

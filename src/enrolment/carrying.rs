@@ -6,13 +6,15 @@ use super::authorities::lock;
 use super::{EnrolmentService, Shared};
 use crate::ca::CertificateAuthority;
 use crate::ca::seal::{Delivery, Receiver};
-use ledger::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
+use bytes::Bytes;
 use ledger::governance::{self, NodeRole};
-use ledger::identity::{Identity, Role};
-use ledger::key::SigningKey;
-use ledger::msp::Usage;
-use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::v1;
+use ledger_hash::Hash;
+use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
+use ledger_identity::key::SigningKey;
+use ledger_identity::msp::Usage;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 
 /// How long after it was made a key can be sealed for, microseconds.

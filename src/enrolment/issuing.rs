@@ -8,12 +8,14 @@
 use super::authorities::lock;
 use super::{EnrolmentService, Shared, printable};
 use crate::ca::{self, CertificateAuthority, PRESENTED_BYTES_MAX, secret};
-use ledger::certificate::Certificate;
+use bytes::Bytes;
 use ledger::governance::{self, Ground, IdentityRecord, RecordCertificate, Recorded};
-use ledger::identity::{Identity, Role};
-use ledger::key::PublicKey;
-use ledger::{Bytes, Class, Code, Hash, Rejection};
 use ledger_api::v1;
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::key::PublicKey;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Class, Code, Rejection};
 use std::net::IpAddr;
 use std::sync::Arc;
 

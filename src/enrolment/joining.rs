@@ -2,7 +2,8 @@
 //! with the key of its invitation. The chaincode checks that signature; here only size and frequency are limited.
 
 use super::EnrolmentService;
-use ledger::{Bytes, Code, Rejection};
+use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
 use std::net::IpAddr;
 
 /// Largest request to join, in bytes: names, an address, and certificates in hexadecimal.

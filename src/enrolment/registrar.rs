@@ -3,9 +3,9 @@
 
 use super::authorities::lock;
 use super::{EnrolmentService, Shared, json};
-use ledger::Hash;
-use ledger::Rejection;
 use ledger::governance::{self, ADOPTED_MAX, CarryCa, IssuedCertificate, KnownIdentity, LocalSecret, UncarryCa};
+use ledger_hash::Hash;
+use ledger_rejection::Rejection;
 use std::time::Duration;
 
 /// How often the disk is compared with the ledger.

@@ -2,7 +2,7 @@
 //!
 //! Only what is refused counts, and who comes with a good secret is never refused for the guesses of others.
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::net::{IpAddr, Ipv6Addr};
 

@@ -1,10 +1,12 @@
 //! What this node says on the ledger for its CAs, through its own gateway and signed as the node.
 
+use bytes::Bytes;
 use futures::future::BoxFuture;
 use ledger::governance::NAME as MSP;
-use ledger::{Bytes, Hash, Rejection};
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Client, Credentials, Options};
+use ledger_hash::Hash;
+use ledger_rejection::Rejection;
 use std::sync::Arc;
 use std::time::Duration;
 

@@ -8,7 +8,7 @@ use crate::blocks::Blocks;
 use crate::orderer::{Reads, Seat};
 use futures::FutureExt;
 use futures::future::BoxFuture;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;

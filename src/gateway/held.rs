@@ -5,8 +5,9 @@
 
 use super::current::{Known, Question};
 use super::line::Arrived;
-use ledger::{Code, Refusal, Rejection};
+use ledger::Refusal;
 use ledger_raft::Lane;
+use ledger_rejection::{Code, Rejection};
 use std::collections::VecDeque;
 use std::collections::hash_map::{Entry, HashMap, RandomState};
 use std::future::pending;
@@ -125,8 +126,8 @@ mod tests {
     use super::*;
     use crate::gateway::share::Shares;
     use futures::FutureExt;
-    use ledger::key::{KeyKind, SigningKey};
     use ledger::transaction::{Body, Transaction};
+    use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
     use std::cell::RefCell;
     use std::time::Instant;

@@ -5,9 +5,10 @@
 //! the one that stops the robot. It, too, is refused after twice as long. Whatever is refused is told so, and counted.
 
 use super::share::Place;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Rejection};
 use ledger_raft::Lane;
+use ledger_rejection::{Code, Rejection};
 use std::collections::{HashSet, VecDeque};
 use std::time::{Duration, Instant};
 
@@ -131,8 +132,8 @@ fn subject(arrived: &Arrived) -> (&str, &str, Option<&Bytes>) {
 mod tests {
     use super::*;
     use crate::gateway::share::Shares;
-    use ledger::key::{KeyKind, SigningKey};
     use ledger::transaction::Body;
+    use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
 
     const WAIT_MAX: Duration = Duration::from_millis(100);

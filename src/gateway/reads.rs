@@ -2,14 +2,17 @@
 
 use super::{NodeView, status};
 use crate::waiters::verdict_of;
-use ledger::certificate::Certificate;
-use ledger::identity::{Identity, Role};
-use ledger::result::{BlockKind, EmittedEvent};
-use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
+use bytes::Bytes;
+use ledger::Outcome;
 use ledger_api::v1::{
     Block, CertificateStatus, DenialsResponse, EventRecord, PeerStatus, QueryRequest, QueryResponse, StatusResponse,
     TransactionRecord, Verdict,
 };
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::{BlockKind, EmittedEvent, Event};
 use tonic::Status;
 
 /// Refusals that are answered if the caller names no limit.

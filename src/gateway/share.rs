@@ -5,8 +5,8 @@
 //! verifying signatures: the lanes have turns of their own, so that control never waits until data is looked at; and
 //! within a lane identities take turns, however many connections each has.
 
-use ledger::{Code, Rejection};
 use ledger_raft::Lane;
+use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, Weak};

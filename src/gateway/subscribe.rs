@@ -6,10 +6,14 @@
 use super::audience::Listener;
 use super::{NodeView, status};
 use crate::blocks::Interest;
-use ledger::identity::Identity;
+use bytes::Bytes;
+use ledger::Outcome;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Event, Hash, Outcome, Rejection};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
 use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Duration;

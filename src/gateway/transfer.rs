@@ -1,10 +1,10 @@
 //! Giving the leadership to another node, because an admin asks for it.
 
 use super::NodeView;
-use ledger::identity::{self, Identity};
-use ledger::{Code, Rejection};
 use ledger_api::v1::{TransferLeadershipResponse, Verdict};
+use ledger_identity::Identity;
 use ledger_raft::{Role, RoleChange};
+use ledger_rejection::{Code, Rejection};
 use std::time::{Duration, Instant};
 
 /// Longest time that the other node has to take over.
@@ -49,7 +49,7 @@ impl NodeView {
     }
 
     async fn transfer(&self, caller: &Identity, to: u64) -> Result<RoleChange, Rejection> {
-        if caller.role != identity::Role::Admin {
+        if caller.role != ledger_identity::Role::Admin {
             return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose who leads", caller.id()))
                 .found(format!("role {}", caller.role))
                 .wanted("role admin"));

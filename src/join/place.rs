@@ -3,14 +3,15 @@
 use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::identity::{JOINED_FILE, Joined};
 use crate::node::{CERTIFICATE_FILE, KEY_FILE};
-use ledger::certificate::Certificate;
-use ledger::msp::{Msp, Msps, Usage};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
-use ledger::verify::GENESIS_FILE;
-use ledger::{Code, Hash, Rejection};
 use ledger_api::renewal_due;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::token::JoinToken;
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::msp::{Msp, Msps, Usage};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::layout::GENESIS_FILE;
 use std::fs;
 use std::path::{Path, PathBuf};
 

@@ -2,9 +2,10 @@
 
 use super::Shared;
 use super::inbox::Inbox;
-use ledger::entry::Entry;
-use ledger::{Outcome, Rejection};
+use ledger::Outcome;
 use ledger_raft::Input;
+use ledger_rejection::Rejection;
+use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -199,7 +200,7 @@ impl Executed {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ledger::entry::EntryKind;
+    use ledger_storage::entry::EntryKind;
 
     fn blocks(count: usize, bytes: usize) -> Vec<Entry> {
         let entry = |index| Entry { index, term: 1, kind: EntryKind::Normal, data: vec![0; bytes].into() };

@@ -2,8 +2,8 @@
 //! not wait for an election timeout to notice.
 
 use super::Handle;
-use ledger::{Code, Rejection};
 use ledger_raft::{Input, Role, RoleChange, successor};
+use ledger_rejection::{Code, Rejection};
 use std::time::Duration;
 
 impl Handle {

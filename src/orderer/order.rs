@@ -5,13 +5,14 @@ use super::execute::{Circumstances, Execute, InPlace};
 use super::inbox::Inbox;
 use crate::catch_up::Behind;
 use crate::slice;
-use ledger::block_store::StoreError;
-use ledger::entry::Entry;
+use ledger::Refusal;
 use ledger::transaction::Transaction;
-use ledger::{Code, Refusal, Rejection};
 use ledger_raft::{
     Change, Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor,
 };
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::StoreError;
+use ledger_storage::entry::Entry;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};

@@ -4,8 +4,8 @@
 //! its answer may be lost when the leader changes; then it is asked again, within a bounded time.
 
 use super::Seat;
-use ledger::{Code, Rejection};
 use ledger_raft::Input;
+use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, PoisonError};

@@ -2,9 +2,9 @@
 
 use ledger::governance::{self, NodeRecord, NodeRole};
 use ledger::members::Membership;
-use ledger::result::BlockKind;
 use ledger::{Ledger, Outcome};
 use ledger_raft::Desired;
+use ledger_storage::result::BlockKind;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 

@@ -1,11 +1,12 @@
 //! One outgoing connection: made, used until it breaks, made again.
 
 use super::{Dialer, Member};
+use bytes::Bytes;
 use hyper_util::rt::TokioIo;
-use ledger::{Bytes, Hash};
 use ledger_api::tls::{ServerTrust, TlsError, client_config, client_config_expecting};
 use ledger_api::v1::PeerFrame;
 use ledger_api::v1::peer_client::PeerClient;
+use ledger_hash::Hash;
 use ledger_raft::PEER_MESSAGE_BYTES_MAX;
 use rustls_pki_types::ServerName;
 use std::error::Error;

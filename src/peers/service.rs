@@ -3,9 +3,9 @@
 use super::{Member, Peers};
 use crate::catch_up::Source;
 use crate::listen::Caller;
-use ledger::identity::Role;
 use ledger_api::v1::peer_server::Peer;
 use ledger_api::v1::{self, PeerClosed, PeerFrame};
+use ledger_identity::Role;
 use ledger_raft::PeerMessage;
 use std::sync::Arc;
 use tokio::sync::watch;

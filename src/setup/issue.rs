@@ -1,13 +1,13 @@
 //! Identities made beside a CA, before its node runs: admins of a network for playing, robots of the demo.
 
 use crate::ca::{self, CertificateAuthority, durable};
-use ledger::Rejection;
-use ledger::identity::Role;
-use ledger::key::KeyKind;
-use ledger::msp::{Msp, Msps};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
-use ledger::verify::GENESIS_FILE;
 use ledger_api::Context;
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
+use ledger_identity::msp::{Msp, Msps};
+use ledger_rejection::Rejection;
+use ledger_storage::layout::GENESIS_FILE;
 use rustls_pki_types::CertificateDer;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// named like the identity that connects to `node` (`HOST:PORT`). The node must not be running: it owns its CAs then.
 ///
 /// # Errors
-/// As [`CertificateAuthority::issue`]; [`ledger::Code::BadFile`] if the directory is no node's.
+/// As [`CertificateAuthority::issue`]; [`ledger_rejection::Code::BadFile`] if the directory is no node's.
 pub fn issue(
     data: &Path,
     organisation: &str,

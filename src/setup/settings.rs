@@ -2,7 +2,8 @@
 
 use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::config::{Config, is_address};
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use std::fs;
 use std::net::SocketAddr;
 use std::path::Path;

@@ -1,9 +1,9 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use super::*;
-use ledger::key::SigningKey;
-use ledger::msp::{Msp, Msps, Usage};
 use ledger_api::Context;
+use ledger_identity::key::SigningKey;
+use ledger_identity::msp::{Msp, Msps, Usage};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 

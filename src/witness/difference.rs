@@ -7,8 +7,9 @@
 use super::judge::{Judge, halve};
 use crate::orderer::Shared;
 use crate::peers::{Dialer, Member};
+use bytes::Bytes;
+use ledger::Ledger;
 use ledger::writes::Write;
-use ledger::{Bytes, Ledger};
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{DigestRequest, WritesRequest};
 use std::collections::BTreeMap;

@@ -4,9 +4,9 @@ use crate::support::network::{NodeWish, free_address, now, register_robots};
 use crate::support::wait::PATIENCE;
 use crate::support::{Fleet, Process, connect, programs, until};
 use futures::future::join_all;
-use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Context};
+use ledger_identity::Role;
 use std::process::Command;
 use std::time::{Duration, Instant};
 

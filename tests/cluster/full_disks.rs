@@ -9,8 +9,8 @@ use crate::support::network::message;
 use crate::support::small_disk::{SmallDisk, fill};
 use crate::support::wait::PATIENCE;
 use crate::support::{until, wire};
-use ledger::Code;
 use ledger_api::{Call, Context};
+use ledger_rejection::Code;
 use std::process::Command;
 use std::sync::Arc;
 

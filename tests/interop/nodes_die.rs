@@ -3,10 +3,10 @@
 
 use crate::world::{Process, route, run};
 use crate::{call, network, programs};
-use ledger::Bytes;
-use ledger::identity::Role;
-use ledger::key::KeyKind;
+use bytes::Bytes;
 use ledger_api::{Client, Context};
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
 use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use ros_bridge::{names::TopicName, queue::Limits, sample::Sample, shm};
 use rustix::process::Signal;

@@ -1,10 +1,11 @@
 //! A real network for the tests of this folder: a `ledgerd` process, two users, a robot called Rover, and bridges as
 //! processes of their own.
 
-use ledger::identity::Role;
-use ledger::key::KeyKind;
-use ledger::{Bytes, Hash};
+use bytes::Bytes;
 use ledger_api::{Client, Context, Enrolment};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 use std::fs::{self, File};

@@ -2,8 +2,8 @@
 
 use crate::support::network::{NodePlace, NodeWish, free_address, now};
 use crate::support::{Ctl, Fleet, Process, eventually, programs};
-use ledger::identity::Role;
 use ledger_api::Context;
+use ledger_identity::Role;
 use serde_json::Value;
 use std::fs::{self, Permissions};
 use std::os::unix::fs::PermissionsExt;

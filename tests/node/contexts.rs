@@ -3,9 +3,9 @@
 use crate::join::{Newcomer, token};
 use crate::support::network::now;
 use crate::support::{Ctl, Dev, Fleet, Process, connect, programs};
-use ledger::certificate::Certificate;
-use ledger::identity::Role;
 use ledger_api::Context;
+use ledger_identity::Role;
+use ledger_identity::certificate::Certificate;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;

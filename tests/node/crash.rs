@@ -6,10 +6,11 @@ use crate::support::wait::PATIENCE;
 use crate::support::{Dice, Fleet, connect, until};
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use ledger::identity::Role;
 use ledger::transaction::Transaction;
-use ledger::{Code, Hash};
 use ledger_api::{Call, Client, Committed, Context};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -164,7 +165,7 @@ async fn nothing_acknowledged_is_lost_and_nothing_is_executed_twice() {
 }
 
 /// Starts the node; answers with its state digest at a height.
-async fn auditor_digest(fleet: &Fleet, owner: &Context, height: u64) -> ledger::Bytes {
+async fn auditor_digest(fleet: &Fleet, owner: &Context, height: u64) -> bytes::Bytes {
     let mut node = fleet.nodes[0].start();
     let client = connect(owner).await;
     // After a start, the last blocks are executed when the node leads again.

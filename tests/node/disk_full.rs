@@ -5,9 +5,9 @@ use crate::support::small_disk::{SmallDisk, fill};
 use crate::support::wait::PATIENCE;
 use crate::support::wire;
 use crate::support::{Fleet, Process, connect, until};
-use ledger::Code;
-use ledger::identity::Role;
 use ledger_api::Call;
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use std::fs;
 use std::time::{Duration, Instant};
 
@@ -151,8 +151,8 @@ async fn who_holds_a_robot_releases_it_and_is_revoked_while_messages_find_no_roo
     assert!(!held().await.contains("Turtlebot4") && held().await.contains("Husky"), "{}", held().await);
     let refused = client.invoke("abac", "acquire", acquire("Turtlebot4")).await.unwrap_err();
     assert_eq!(refused.code, Code::DiskFull, "{refused}");
-    let certificate = ledger::certificate::Certificate::parse(&salma.chain[0]).unwrap();
-    let issuer = hex::encode(ledger::Hash::of(&[&certificate.issuer_name]).0);
+    let certificate = ledger_identity::certificate::Certificate::parse(&salma.chain[0]).unwrap();
+    let issuer = hex::encode(ledger_hash::Hash::of(&[&certificate.issuer_name]).0);
     let revoked = vec![issuer.into(), hex::encode(&certificate.serial).into()];
     boss.invoke("msp", "revoke", revoked).await.unwrap();
     assert!(!held().await.contains("Husky"), "{}", held().await);

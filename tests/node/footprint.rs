@@ -2,10 +2,10 @@
 
 use crate::support::network::{SERVICE, register_robots};
 use crate::support::{Fleet, connect};
-use ledger::Bytes;
-use ledger::identity::Role;
-use ledger::segment::{HEADER_BYTES, LogPosition, RECORD_HEADER_BYTES, RecordHeader, SegmentHeader};
+use bytes::Bytes;
 use ledger_abac::Grant;
+use ledger_identity::Role;
+use ledger_storage::segment::{HEADER_BYTES, LogPosition, RECORD_HEADER_BYTES, RecordHeader, SegmentHeader};
 use std::fs;
 use std::path::Path;
 

@@ -3,17 +3,19 @@
 use crate::support::network::{message, now, register_robots};
 use crate::support::wire::{self, code, submit};
 use crate::support::{Dice, Fleet, Process, connect};
+use bytes::Bytes;
 use futures::StreamExt;
-use ledger::identity::{Identity, Role};
-use ledger::key::KeyKind;
-use ledger::msp::Msps;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
-use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_api::v1::enrolment_client::EnrolmentClient;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::{Client, Context, Enrolment, v1};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_identity::msp::Msps;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -319,7 +321,7 @@ async fn bytes_that_are_no_good_transaction_are_refused_each_with_its_code() {
     target.survived("changed transactions").await;
 
     let strange = Hash::of(&[b"elsewhere"]);
-    let stranger = ledger::key::SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+    let stranger = ledger_identity::key::SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
     let cases = [
         (1003, target.signed(|body| body.network = Bytes::copy_from_slice(&strange.0))),
         (1005, target.signed(|body| body.creator = Bytes::copy_from_slice(&strange.0))),

@@ -2,12 +2,14 @@
 
 use crate::support::network::free_address;
 use crate::support::{Fleet, Process, connect, programs, until};
+use bytes::Bytes;
 use ledger::governance::InviteOrganisation;
-use ledger::identity::Role;
-use ledger::key::{KeyKind, SigningKey};
-use ledger::{Bytes, Code, Hash};
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Context, Enrolment};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::Command;

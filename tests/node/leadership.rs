@@ -3,10 +3,10 @@
 use crate::support::network::{NodeWish, free_address, message, now, register_robots};
 use crate::support::process::Process;
 use crate::support::{Fleet, connect, until};
-use ledger::Code;
-use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Client, Committed, Context, Options};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};

@@ -3,7 +3,7 @@
 use crate::join::Newcomer;
 use crate::support::ctl::Ctl;
 use crate::support::{Fleet, until};
-use ledger::identity::Role;
+use ledger_identity::Role;
 use serde_json::Value;
 
 /// A node in `network status`, if it is there.

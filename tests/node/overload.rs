@@ -3,13 +3,14 @@
 
 use crate::support::network::{message, register_robots};
 use crate::support::{Fleet, Process, connect, until, wire};
+use bytes::Bytes;
 use futures::StreamExt;
 use futures::stream::FuturesUnordered;
-use ledger::identity::Role;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code};
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Call, Client, Context, v1};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use rustix::process::Signal;
 use std::collections::BTreeMap;
 use std::time::Duration;

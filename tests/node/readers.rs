@@ -3,11 +3,11 @@
 use crate::support::network::register_robots;
 use crate::support::wait::{PATIENCE, until};
 use crate::support::{Dev, Fleet, connect, eventually, wire};
-use ledger::Code;
-use ledger::identity::Role;
 use ledger_api::v1::SubscribeRequest;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Client, Context, Options, Subscription, from_status};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use serde_json::Value;
 use std::process::{Child, Stdio};
 use std::time::Instant;
@@ -138,7 +138,7 @@ async fn subscriptions_to_what_does_not_exist_are_refused_with_what_does() {
 async fn take_all_places(
     who: &Context,
     taken: &mut Vec<tonic::Streaming<ledger_api::v1::Delivery>>,
-) -> ledger::Rejection {
+) -> ledger_rejection::Rejection {
     loop {
         let mut gateway = GatewayClient::new(wire::channel(who, true).await);
         match gateway.subscribe(SubscribeRequest::default()).await {

@@ -3,9 +3,9 @@
 use crate::support::directory::copy;
 use crate::support::network::{message, register_robots};
 use crate::support::{Dice, Fleet, Process, connect, until};
-use ledger::Bytes;
-use ledger::identity::Role;
+use bytes::Bytes;
 use ledger_api::{Client, Context};
+use ledger_identity::Role;
 use std::fs;
 use std::path::{Path, PathBuf};
 

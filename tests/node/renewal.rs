@@ -2,9 +2,9 @@
 
 use crate::support::network::NodeWish;
 use crate::support::{Fleet, connect, network, until};
-use ledger::certificate::Certificate;
-use ledger::identity::Role;
 use ledger_api::{Client, Context};
+use ledger_identity::Role;
+use ledger_identity::certificate::Certificate;
 use std::path::Path;
 
 /// Microseconds.

@@ -3,12 +3,12 @@
 use crate::support::network::{message, register_robots};
 use crate::support::wait::PATIENCE;
 use crate::support::{Fleet, connect, wire};
-use ledger::Bytes;
-use ledger::identity::Role;
+use bytes::Bytes;
 use ledger_abac::MessageEvent;
 use ledger_api::v1::SubscribeRequest;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Client, Context, Subscription};
+use ledger_identity::Role;
 use std::time::Instant;
 
 const QUIET: &str = "Husky/cmd_vel";

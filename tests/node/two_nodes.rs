@@ -3,10 +3,10 @@
 use crate::support::ctl::verify;
 use crate::support::network::{message, register_robots};
 use crate::support::{Fleet, connect, until, wire};
-use ledger::Code;
-use ledger::identity::Role;
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Call, Client, Context, Subscription};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use std::time::Duration;
 
 /// Longer than any wait of the test.

@@ -5,8 +5,8 @@ use crate::support::network::{message, register_robots};
 use crate::support::wait::eventually;
 use crate::support::{Fleet, connect};
 use ledger::block::Payload;
-use ledger::identity::Role;
-use ledger::segment::{
+use ledger_identity::Role;
+use ledger_storage::segment::{
     HEADER_BYTES, LogPosition, RECORD_HEADER_BYTES, Record, RecordHeader, SegmentHeader, decode_record, encode_record,
 };
 use std::fs;

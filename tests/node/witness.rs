@@ -3,11 +3,11 @@
 use crate::support::ctl::verify;
 use crate::support::network::{NodePlace, NodeWish, free_address, message, now, register_robots};
 use crate::support::{Fleet, connect, until};
-use ledger::identity::Role;
-use ledger::state::{SledStore, Store};
-use ledger::verify::STATE_DIRECTORY;
-use ledger::{Bytes, WriteSet};
+use bytes::Bytes;
 use ledger_api::{Client, Context};
+use ledger_identity::Role;
+use ledger_storage::layout::STATE_DIRECTORY;
+use ledger_storage::state::{SledStore, Store, WriteSet};
 
 fn wish(name: &str, organisation: &str) -> NodeWish {
     NodeWish { name: name.into(), organisation: organisation.into(), voter: true, address: free_address() }

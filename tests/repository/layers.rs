@@ -6,27 +6,87 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 11] = [
-    ("ledger", &["ledger"]),
-    ("ledger-raft", &["ledger"]),
+const LAYERS: [(&str, &[&str]); 16] = [
+    ("ledger-hash", &[]),
+    ("ledger-rejection", &[]),
+    // The deliberate bugs of the mutation check.
+    ("ledger-mutation", &[]),
+    // Keys and certificates: no file, no chain.
+    ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
+    // Files: no signature, no chaincode.
+    ("ledger-storage", &["ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
+    ("ledger", &["ledger", "ledger-hash", "ledger-identity", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
+    ("ledger-raft", &["ledger", "ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
     ("ledger-contract", &[]),
-    ("ledger-abac", &["ledger", "ledger-contract"]),
-    ("ledger-api", &["ledger"]),
+    (
+        "ledger-abac",
+        &[
+            "ledger",
+            "ledger-contract",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-mutation",
+            "ledger-rejection",
+            "ledger-storage",
+        ],
+    ),
+    ("ledger-api", &["ledger", "ledger-hash", "ledger-identity", "ledger-rejection"]),
     // Messages by their definitions: nothing of a ledger.
     ("ros-message", &[]),
-    ("ros-bridge", &["ledger", "ledger-api", "ros-message"]),
+    ("ros-bridge", &["ledger", "ledger-api", "ledger-hash", "ledger-identity", "ledger-rejection", "ros-message"]),
     // Never abac: whoever only talks to nodes needs neither Cedar nor a world state.
-    ("ledgerctl", &["ledger", "ledger-contract", "ledger-api", "ros-message"]),
-    ("ledgerd", &["ledger", "ledger-raft", "ledger-abac", "ledger-api", "ros-bridge", "ros-message"]),
-    ("inventory", &["ledger", "ledger-api", "ledgerd"]),
+    (
+        "ledgerctl",
+        &[
+            "ledger",
+            "ledger-api",
+            "ledger-contract",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-rejection",
+            "ledger-storage",
+            "ros-message",
+        ],
+    ),
+    (
+        "ledgerd",
+        &[
+            "ledger",
+            "ledger-abac",
+            "ledger-api",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-raft",
+            "ledger-rejection",
+            "ledger-storage",
+            "ros-bridge",
+            "ros-message",
+        ],
+    ),
+    (
+        "inventory",
+        &["ledger", "ledger-api", "ledger-hash", "ledger-identity", "ledger-rejection", "ledger-storage", "ledgerd"],
+    ),
     // The simulation drives what a node drives, without a node.
-    ("ledgerd-sim", &["ledger", "ledger-raft", "ledger-abac"]),
+    (
+        "ledgerd-sim",
+        &[
+            "ledger",
+            "ledger-abac",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-mutation",
+            "ledger-raft",
+            "ledger-rejection",
+            "ledger-storage",
+        ],
+    ),
 ];
 
 /// Crates that are kept behind few files, so that they can be replaced: who uses them, and where they are named.
 const BEHIND: [(&str, &str, &[&str]); 2] = [
-    ("sled", "ledger", &["crates/ledger/src/state/sled_store.rs"]),
+    ("sled", "ledger-storage", &["crates/storage/src/state/sled_store.rs"]),
     (
         "raft",
         "ledger-raft",

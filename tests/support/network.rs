@@ -3,11 +3,12 @@
 use super::process::Process;
 use super::wait::{PATIENCE, until};
 use super::{Ctl, programs};
-use ledger::identity::Role;
-use ledger::key::KeyKind;
-use ledger::{Bytes, Code};
+use bytes::Bytes;
 use ledger_api::context::Context;
 use ledger_api::{Client, Options};
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
 use ledgerd::ca::CertificateAuthority;
 use ledgerd::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use rustls_pki_types::CertificateDer;

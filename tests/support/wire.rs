@@ -31,14 +31,14 @@ pub async fn channel(context: &Context, named: bool) -> Channel {
 }
 
 /// Submits bytes that need be no transaction.
-pub async fn submit(channel: &Channel, transaction: impl Into<ledger::Bytes>) -> Result<SubmitResponse, tonic::Status> {
+pub async fn submit(channel: &Channel, transaction: impl Into<bytes::Bytes>) -> Result<SubmitResponse, tonic::Status> {
     submit_from(channel, transaction, 0).await
 }
 
 /// As [`submit`], without the promise that no other node has it.
 pub async fn submit_again(
     channel: &Channel,
-    transaction: impl Into<ledger::Bytes>,
+    transaction: impl Into<bytes::Bytes>,
 ) -> Result<SubmitResponse, tonic::Status> {
     let request = v1::SubmitRequest { transaction: transaction.into(), ..v1::SubmitRequest::default() };
     GatewayClient::new(channel.clone()).submit(request).await.map(tonic::Response::into_inner)
@@ -47,7 +47,7 @@ pub async fn submit_again(
 /// As [`submit`], to be looked at from a height on.
 pub async fn submit_from(
     channel: &Channel,
-    transaction: impl Into<ledger::Bytes>,
+    transaction: impl Into<bytes::Bytes>,
     min_height: u64,
 ) -> Result<SubmitResponse, tonic::Status> {
     let request = v1::SubmitRequest { transaction: transaction.into(), min_height, first_attempt: true };

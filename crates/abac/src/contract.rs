@@ -4,7 +4,10 @@ use crate::arguments::Arguments;
 use crate::authorize::{self, Decider};
 use crate::nearest::did_you_mean;
 use crate::{grant, policies, publish, revoke, robot, service, settings, store};
-use ledger::{Bytes, Chaincode, Context, Event, Foretold, Rejection, Revocation};
+use bytes::Bytes;
+use ledger::{Chaincode, Context, Foretold, Revocation};
+use ledger_rejection::Rejection;
+use ledger_storage::result::Event;
 
 /// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
 /// JSON.
@@ -66,7 +69,7 @@ impl AccessControl {
     /// The chaincode, with the thread on which it evaluates policies.
     ///
     /// # Errors
-    /// [`ledger::Code::Internal`] if the operating system gives no thread.
+    /// [`ledger_rejection::Code::Internal`] if the operating system gives no thread.
     pub fn new() -> Result<Self, Rejection> {
         Ok(Self { decider: Decider::new()? })
     }
@@ -75,7 +78,7 @@ impl AccessControl {
     /// itself: how long it takes, and what it reads, can so be measured.
     ///
     /// # Errors
-    /// As `set`: unknown names, [`ledger::Code::StaleEpoch`], [`ledger::Code::NotHolder`], what policies say.
+    /// As `set`: unknown names, [`ledger_rejection::Code::StaleEpoch`], [`ledger_rejection::Code::NotHolder`], what policies say.
     pub fn may_publish(&self, ctx: &Context<'_>, service: &str, epoch: u64) -> Result<(), Rejection> {
         let target = self.decider.target(ctx, service)?;
         authorize::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)

@@ -12,10 +12,13 @@ use crate::robot;
 use crate::service::{self, LEASE_MS_MIN, Target};
 use crate::store;
 use crate::timestamp::rfc3339;
-use ledger::identity::{Identity, Role};
-use ledger::mutation::{Mutation, active, lease_clock};
-use ledger::{Bytes, Code, Context, Hash, Rejection};
+use bytes::Bytes;
+use ledger::Context;
 use ledger_contract::{Grant, Mode, Reason, Released};
+use ledger_hash::Hash;
+use ledger_identity::{Identity, Role};
+use ledger_mutation::{Mutation, active, lease_clock};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -9,7 +9,10 @@
 //! It is not the gate: the robot's bridge checks signature, epoch, sequence and age of every message for itself.
 //!
 //! ```
-//! use ledger::{Bytes, Environment, Hash, Overlay, Registry, state::MemoryState};
+//! use bytes::Bytes;
+//! use ledger::{Environment, Registry};
+//! use ledger_hash::Hash;
+//! use ledger_storage::state::{MemoryState, Overlay};
 //! use std::sync::Arc;
 //!
 //! let mut registry = Registry::new();
@@ -20,7 +23,7 @@
 //! let mut overlay = Overlay::new(Arc::new(MemoryState::default()));
 //! let robots = Registry::invoke(environment, &mut overlay, &mut Vec::new(), "abac", "robots", &[])?;
 //! assert_eq!(robots, Bytes::from("[]"));
-//! # Ok::<(), ledger::Rejection>(())
+//! # Ok::<(), ledger_rejection::Rejection>(())
 //! ```
 //!
 //! | module | what is there |

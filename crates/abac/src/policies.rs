@@ -6,8 +6,11 @@ use crate::policy::{DEFAULT_POLICY, POLICY_BYTES_MAX, Texts};
 use crate::revoke;
 use crate::robot;
 use crate::store;
-use ledger::{Bytes, Code, Context, Hash, Rejection};
+use bytes::Bytes;
+use ledger::Context;
 use ledger_contract::{PolicyChange, PolicyEntry};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 
 /// Most policies of one organisation.
 const POLICIES_MAX: usize = 64;

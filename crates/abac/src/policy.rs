@@ -15,8 +15,9 @@ use cedar_policy::{
     Authorizer, Context, Decision, Entities, Entity, EntityId, EntityTypeName, EntityUid, PolicyId, PolicySet, Request,
     RestrictedExpression, Schema, ValidationMode, Validator,
 };
-use ledger::mutation::{Mutation, active};
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_mutation::{Mutation, active};
+use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};

@@ -10,8 +10,11 @@ use crate::contract::NAME;
 use crate::grant;
 use crate::service::Target;
 use crate::store;
-use ledger::{Bytes, Code, Context, Event, Foretold, Rejection};
+use bytes::Bytes;
+use ledger::{Context, Foretold};
 use ledger_contract::{MessageEvent, Published};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
 use serde::{Deserialize, Serialize};
 
 /// Most messages of one `set`.

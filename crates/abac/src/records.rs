@@ -3,7 +3,9 @@
 //! The state is asked every time, and a record counts only for exactly the bytes that it was parsed from. So what is
 //! remembered saves time and never changes an answer, in simulated calls and in executed ones.
 
-use ledger::{Bytes, Context, Rejection};
+use bytes::Bytes;
+use ledger::Context;
+use ledger_rejection::Rejection;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -78,8 +80,9 @@ fn same(a: &Bytes, b: &Bytes) -> bool {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::state::MemoryState;
-    use ledger::{Environment, Hash, Overlay, Registry};
+    use ledger::{Environment, Registry};
+    use ledger_hash::Hash;
+    use ledger_storage::state::{MemoryState, Overlay};
     use std::cell::Cell;
 
     /// Runs `body` in a context in which keys can be written.

@@ -10,8 +10,9 @@ use crate::grant::{self, Holding};
 use crate::robot::{self, Robot, SERVICES_MAX};
 use crate::service::Target;
 use crate::store;
-use ledger::{Context, Rejection, Revocation};
+use ledger::{Context, Revocation};
 use ledger_contract::{Reason, Released};
+use ledger_rejection::Rejection;
 
 /// Most grants that one call or the start of one block ends with an event each.
 const ENDINGS_MAX: usize = 256;

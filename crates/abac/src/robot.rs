@@ -7,9 +7,12 @@ use crate::nearest::did_you_mean;
 use crate::revoke;
 use crate::service::{Service, Target};
 use crate::store;
-use ledger::identity::{Identity, Role};
-use ledger::{Bytes, Code, Context, Hash, Rejection};
+use bytes::Bytes;
+use ledger::Context;
 use ledger_contract::{Direction, Reason, Released, RobotAsset, RobotEvent, RobotSpec, ServiceSpec};
+use ledger_hash::Hash;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 

@@ -5,8 +5,9 @@ use crate::grant;
 use crate::nearest::did_you_mean;
 use crate::robot::{self, Robot};
 use crate::store;
-use ledger::{Code, Context, Rejection};
+use ledger::Context;
 use ledger_contract::{Direction, Grant, Mode, ServiceSpec, ServiceState};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

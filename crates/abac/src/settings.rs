@@ -8,8 +8,10 @@ use crate::revoke;
 use crate::robot::{self, Robot};
 use crate::service::{self, Service, direction_name};
 use crate::store;
-use ledger::{Bytes, Context, Rejection};
+use bytes::Bytes;
+use ledger::Context;
 use ledger_contract::{RobotChange, RobotSettings, ServiceSpec, SettingChange};
+use ledger_rejection::Rejection;
 
 /// Longest JSON of settings, in bytes: a stop message of 64 KiB in hexadecimal digits, and the rest.
 const SETTINGS_BYTES_MAX: usize = 256 * 1024;

@@ -14,7 +14,9 @@
 //!
 //! ␀ is a NUL byte: topics and identities contain `/`, so a `/` could not tell where one ends.
 
-use ledger::{Bytes, Code, Context, Rejection};
+use bytes::Bytes;
+use ledger::Context;
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 

@@ -6,10 +6,12 @@ mod stream;
 pub(crate) use diagnosis::{Expected, explain, explain_clock, other_network, way_back};
 
 use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
+use bytes::Bytes;
 use hyper_util::rt::TokioIo;
-use ledger::certificate::Certificate;
-use ledger::identity::IdentityError;
-use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::IdentityError;
+use ledger_identity::certificate::Certificate;
+use ledger_rejection::{Code, Rejection};
 use rustls::pki_types::ServerName;
 use rustls::{AlertDescription, ClientConfig};
 use std::error::Error as StdError;

@@ -29,10 +29,11 @@ use crate::connect::{self, Credentials};
 use crate::tls::{ServerTrust, TlsIdentity, Trusted};
 use crate::v1;
 use files::bad_file;
-use ledger::certificate::Certificate;
-use ledger::key::SigningKey;
-use ledger::msp::Msps;
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::key::SigningKey;
+use ledger_identity::msp::Msps;
+use ledger_rejection::{Code, Rejection};
 use lock::Lock;
 use rustls_pki_types::CertificateDer;
 use serde::{Deserialize, Serialize};
@@ -40,7 +41,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// Longest name of a context, in bytes.
-pub const CONTEXT_NAME_BYTES_MAX: usize = ledger::identity::NEW_NAME_BYTES_MAX;
+pub const CONTEXT_NAME_BYTES_MAX: usize = ledger_identity::NEW_NAME_BYTES_MAX;
 
 /// Who this machine is on which network, and how to reach it.
 #[derive(Clone, Debug)]

@@ -2,7 +2,8 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;

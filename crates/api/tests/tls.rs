@@ -1,14 +1,14 @@
 //! Who may connect to whom: handshakes over an in-memory connection.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use ledger::Hash;
-use ledger::identity::{Identity, IdentityError, Role};
-use ledger::key::{KeyKind, SigningKey};
-use ledger::msp::{Msp, Msps};
 use ledger_api::tls::{
     Refusal, ServerTrust, TlsError, TlsIdentity, TrustSource, client_config, client_config_expecting, client_identity,
     refusal, server_config,
 };
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::{Identity, IdentityError, Role};
 use rcgen::{
     BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose, date_time_ymd,
 };

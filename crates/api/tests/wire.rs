@@ -1,10 +1,11 @@
 //! The proto file and the ledger's own encoding of transactions are the same bytes.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use ledger::key::{KeyKind, SigningKey};
+use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
-use ledger::{Bytes, Hash};
 use ledger_api::v1;
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
 use prost::Message;
 use ring::rand::SystemRandom;
 

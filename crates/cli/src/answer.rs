@@ -1,7 +1,8 @@
 //! What a chaincode returned: bytes that are JSON, text, or neither.
 
 use crate::json;
-use ledger::{Bytes, Code, Rejection};
+use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::value::RawValue;

@@ -7,8 +7,8 @@ use crate::command::{
 use crate::failure::Failure;
 use crate::output::{Format, Output};
 use crate::upkeep::Upkeep;
-use ::ledger::{Code, Rejection};
 use clap::{Parser, Subcommand};
+use ledger_rejection::{Code, Rejection};
 
 /// The command line of a permissioned ledger for ROS 2 fleets.
 #[derive(Debug, Parser)]

@@ -1,11 +1,11 @@
 //! Which context we act as: `--context`, else `LEDGERCTL_CONTEXT`, else the one of `context use`.
 
 use crate::cli::Global;
-use ledger::Rejection;
-use ledger::certificate::Certificate;
-use ledger::identity::Identity;
 use ledger_api::Context;
 pub(crate) use ledger_api::home;
+use ledger_identity::Identity;
+use ledger_identity::certificate::Certificate;
+use ledger_rejection::Rejection;
 use std::path::{Path, PathBuf};
 
 /// Names the context to act as, where `--context` does not.

@@ -1,7 +1,7 @@
 //! Why a command ended early, how that is told, and with which exit code.
 
 use crate::output::Format;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::process::ExitCode;

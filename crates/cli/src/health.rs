@@ -152,7 +152,7 @@ impl Certificate {
     }
 
     /// That of whoever asks.
-    pub(crate) fn own(identity: &ledger::identity::Identity) -> Self {
+    pub(crate) fn own(identity: &ledger_identity::Identity) -> Self {
         let (not_before, not_after) = (identity.not_before, identity.not_after);
         Self { kind: "own".to_owned(), name: identity.id(), not_before, not_after }
     }

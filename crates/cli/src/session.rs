@@ -2,9 +2,11 @@
 
 use crate::cli::Global;
 use crate::context;
-use ledger::identity::Identity;
-use ledger::{Bytes, Code, Hash, Rejection};
+use bytes::Bytes;
 use ledger_api::{Client, Committed, Context};
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_rejection::{Code, Rejection};
 
 /// The chaincode that keeps robots, grants and policies.
 pub(crate) const ABAC: &str = "abac";

@@ -7,9 +7,9 @@
 use crate::cli::Global;
 use crate::output::{Format, warn};
 use crate::{context, time};
-use ledger::Rejection;
 use ledger_api::context::{Renewed, warning_due};
 use ledger_api::{Client, Context};
+use ledger_rejection::Rejection;
 use std::cell::RefCell;
 use std::time::Duration;
 use tokio::task::JoinHandle;

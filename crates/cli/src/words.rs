@@ -2,7 +2,7 @@
 //! `PAYLOAD`, people have typed `--for` and `--hex`.
 
 use crate::time;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 
 /// What people type for the arguments of a function.
 pub(crate) struct Words {

@@ -2,10 +2,10 @@
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-use ledger::Hash;
-use ledger::key::SigningKey;
-use ledger::msp::{Msp, Msps};
 use ledger_api::Context;
+use ledger_hash::Hash;
+use ledger_identity::key::SigningKey;
+use ledger_identity::msp::{Msp, Msps};
 use rcgen::{BasicConstraints, CertificateParams, CustomExtension, DnType, IsCa, Issuer, KeyPair, KeyUsagePurpose};
 use std::process::{Command, Output, Stdio};
 use std::sync::Arc;

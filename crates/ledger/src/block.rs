@@ -3,15 +3,17 @@
 //! A block is a committed entry of the ordering log and its height is the entry's index. The leader decides
 //! the [`Payload`]; the [`Header`] is computed by every node alike when it applies the entry.
 
-use crate::entry::{Entry, EntryKind};
-use crate::rejection::Rejection;
-use crate::{Hash, code::Code};
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::entry::{Entry, EntryKind};
+use ledger_storage::results::INDEXED_TRANSACTIONS_MAX;
 use prost::Message;
 use ring::digest::{Context as Sha256, SHA256};
 
 /// Most transactions in one block. Bounds the work of one step of the executor.
 pub const TRANSACTIONS_MAX: usize = 4096;
+const _: () = assert!(TRANSACTIONS_MAX <= INDEXED_TRANSACTIONS_MAX, "every transaction of a block can be found");
 /// Most bytes of transactions in one block, so that a block fits one record, one message and one write.
 pub const PAYLOAD_BYTES_MAX: usize = 8 * 1024 * 1024;
 

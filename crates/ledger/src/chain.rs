@@ -6,27 +6,28 @@ mod storage;
 
 pub use admission::{Admission, Ground, Refusal, Step};
 
-use crate::Hash;
 use crate::block::{Header, Payload, leaf};
-use crate::certificate::Certificate;
-use crate::chaincode::{Context, Environment, Overlay, Registry, StateRead};
-use crate::code::Code;
-use crate::entry::Entry;
+use crate::chaincode::{Context, Environment, Registry};
 use crate::execution::{Execution, Executor, genesis};
+use crate::foretold;
 use crate::governance::{self, Governance, ORGANISATION_KEYS, certificate_key, revoked_key};
 use crate::identities::{Identities, check_organisation, check_revoked};
-use crate::identity::Identity;
 use crate::members::Membership;
-use crate::msp::Msps;
 use crate::network::Genesis;
-use crate::rejection::Rejection;
-use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
-use crate::results::{Place, ResultStore, Window};
-use crate::state::{State, Tip};
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use crate::verified::Verified;
+use crate::window::Window;
 use crate::writes::{RecentWrites, Write};
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::msp::Msps;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::entry::Entry;
+use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
+use ledger_storage::results::{Place, ResultStore};
+use ledger_storage::state::{Overlay, State, StateRead, Tip};
 use std::ops::Bound;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
@@ -306,7 +307,7 @@ impl Ledger {
     }
 
     fn record(&self, place: Place) -> Result<Option<TransactionRecord>, Rejection> {
-        let found = self.results.transaction(place, &self.registry)?;
+        let found = foretold::transaction(&self.results, place, &self.registry)?;
         let Place { height, position: index } = place;
         Ok(found.map(|(time, result)| TransactionRecord { height, index, time, result }))
     }
@@ -316,7 +317,11 @@ impl Ledger {
     /// # Errors
     /// A fault of the store.
     pub fn result(&self, height: u64) -> Result<Option<BlockResult>, Rejection> {
-        if height == 0 { Ok(Some(self.genesis.clone())) } else { self.results.whole(height, &self.registry) }
+        if height == 0 {
+            Ok(Some(self.genesis.clone()))
+        } else {
+            foretold::whole(&self.results, height, &self.registry)
+        }
     }
 
     /// The same for who has read the block.
@@ -325,7 +330,7 @@ impl Ledger {
     /// As [`Ledger::result`]; [`Code::Corrupt`] if the two do not belong together.
     pub fn result_of(&self, block: &Entry) -> Result<Option<BlockResult>, Rejection> {
         let stored = self.results.get(block.index)?;
-        stored.map(|stored| stored.complete(block, &self.registry)).transpose()
+        stored.map(|stored| foretold::complete(stored, block, &self.registry)).transpose()
     }
 
     /// Time, hash and digest of the block at a height; none as for [`Ledger::result`]. Reads less than that.

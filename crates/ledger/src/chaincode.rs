@@ -2,42 +2,17 @@
 //!
 //! A chaincode is a Rust type that implements [`Chaincode`]. It is compiled into the node and called through a
 //! [`Context`], which is all it may know: no clock, no randomness, no IO, so that every node computes the same.
-//!
-//! ```
-//! use ledger::{Bytes, Chaincode, Code, Context, Rejection};
-//!
-//! /// Counts.
-//! struct Counter;
-//!
-//! impl Chaincode for Counter {
-//!     fn name(&self) -> &'static str { "counter" }
-//!
-//!     fn invoke(&self, ctx: &mut Context<'_>, function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
-//!         let who = ctx.submitter()?.id();
-//!         match function {
-//!             "add" => {
-//!                 let count = ctx.get(who.as_bytes()).map_or(0, |v| v.len());
-//!                 ctx.put(who.as_bytes(), vec![b'|'; count + 1]);
-//!                 Ok(Bytes::from((count + 1).to_string()))
-//!             }
-//!             _ => Err(Rejection::unknown_function("counter", function, &["add"])),
-//!         }
-//!     }
-//! }
-//! ```
 
 mod context;
-mod overlay;
 mod registry;
 
 pub use context::{Context, Environment};
-pub use overlay::{Overlay, StateRead, WriteSet};
 pub use registry::Registry;
 
-use crate::code::Code;
-use crate::identity::Identity;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_identity::Identity;
+use ledger_rejection::Rejection;
+use ledger_storage::result::Event;
 
 /// A program that every node executes in block order.
 pub trait Chaincode: Send + Sync {
@@ -49,7 +24,7 @@ pub trait Chaincode: Send + Sync {
     ///
     /// # Errors
     /// A [`Rejection`] undoes every write of the call and becomes the verdict. A panic does the same with
-    /// [`Code::ChaincodePanic`].
+    /// [`ChaincodePanic`](ledger_rejection::Code::ChaincodePanic).
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
 
     /// What a successful call answers and emits, where the call alone tells. A node then keeps neither: it has the call in
@@ -135,32 +110,5 @@ impl Revocation {
     /// Is this the certificate of that identity?
     pub fn names(&self, identity: &Identity) -> bool {
         self.issuer == identity.issuer && self.serial == identity.serial
-    }
-}
-
-/// Something that a chaincode tells the world, delivered to subscribers in block order together with the
-/// transaction that caused it.
-#[derive(Clone, PartialEq, Eq, prost::Message)]
-pub struct Event {
-    /// The chaincode that emitted it.
-    #[prost(string, tag = "1")]
-    pub chaincode: String,
-    /// What happened, e.g. `message` or `granted`.
-    #[prost(string, tag = "2")]
-    pub name: String,
-    /// What it happened to, e.g. the service `Turtlebot4/cmd_vel`. Subscribers filter by it.
-    #[prost(string, tag = "3")]
-    pub subject: String,
-    /// Details, usually JSON. What the transaction holds already is not repeated here.
-    #[prost(bytes = "bytes", tag = "4")]
-    pub payload: Bytes,
-}
-
-impl Rejection {
-    /// The refusal of a function that a chaincode does not have.
-    pub fn unknown_function(chaincode: &str, function: &str, known: &[&str]) -> Self {
-        Self::new(Code::UnknownFunction, format!("chaincode {chaincode:?} has no function {function:?}"))
-            .found(function.to_owned())
-            .wanted(format!("one of {}", known.join(", ")))
     }
 }

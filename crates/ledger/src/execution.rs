@@ -1,21 +1,20 @@
 //! The execution of one block: a function of the block and the state before it, the same on every node.
 
 use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
-use crate::chaincode::{Environment, Event, Overlay, Registry, StateRead};
-use crate::code::Code;
-use crate::entry::{Entry, EntryKind};
+use crate::chaincode::{Environment, Registry};
 use crate::governance::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::identities::Identities;
-use crate::identity::Identity;
-use crate::mutation::{Mutation, active};
 use crate::network::Genesis;
-use crate::rejection::Rejection;
-use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
-use crate::results::Window;
-use crate::state::Tip;
 use crate::transaction::Transaction;
-use crate::{Hash, WriteSet};
+use crate::window::Window;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_mutation::{Mutation, active};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::entry::{Entry, EntryKind};
+use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Event, TransactionResult};
+use ledger_storage::state::{Overlay, StateRead, Tip, WriteSet};
 use ring::digest::{Context as Sha256, SHA256};
 use std::collections::HashSet;
 use std::sync::{Arc, PoisonError, RwLock};

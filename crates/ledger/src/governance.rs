@@ -70,13 +70,12 @@ pub use revocations::RevocationRecord;
 pub(crate) use read::members_record;
 pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, certificate_key, revoked_key};
 
-use crate::WriteSet;
 use crate::chaincode::{Chaincode, Context};
-use crate::code::Code;
 use crate::members::Membership;
 use crate::network::Genesis;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::WriteSet;
 use store::{full, json};
 
 /// Name of the chaincode.

@@ -1,16 +1,15 @@
 //! Whose signature is whose: certificates known to the ledger, verified once and remembered.
 
-use crate::Hash;
-use crate::chaincode::{Overlay, StateRead};
-use crate::code::Code;
 use crate::governance::{self, certificate_key, revoked_key};
-use crate::identity::Identity;
-use crate::key::KeyKind;
-use crate::msp::{Msp, Msps};
-use crate::mutation::{Mutation, active};
-use crate::rejection::Rejection;
 use crate::transaction::Transaction;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::key::KeyKind;
+use ledger_identity::msp::{Msp, Msps};
+use ledger_mutation::{Mutation, active};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::{Overlay, StateRead};
 use std::collections::HashMap;
 use std::sync::{Arc, PoisonError, RwLock};
 

@@ -1,46 +1,61 @@
-//! The domain of the ledger: transactions, blocks, the chain, chaincode and identities.
+//! The ledger: transactions, blocks, and what executing them means.
 //!
-//! Nothing here knows a network, an async runtime or a clock: time and randomness are arguments, and the disk is
-//! a trait. So the whole of it runs in a simulator as it runs in a node.
+//! Nothing here knows a network, an async runtime or a clock: time and randomness are arguments, and files are behind
+//! [`ledger_storage`]. So the whole of it runs in a simulator as it runs in a node.
+//!
+//! | module | what is there |
+//! |---|---|
+//! | [`transaction`] | a signed call: its bytes, its id, its limits |
+//! | [`block`], [`members`] | what a committed entry of the log means: transactions, or a change of the voters |
+//! | [`Ledger`] | the chain as far as it is executed: admission, applying blocks, queries, storing |
+//! | [`Chaincode`] | a program that every node executes; [`Context`] is all that it may know |
+//! | [`governance`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
+//! | [`network`] | the genesis |
+//! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
+//! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
+//!
+//! A chaincode of one's own:
+//!
+//! ```
+//! use bytes::Bytes;
+//! use ledger::{Chaincode, Context};
+//! use ledger_rejection::{Code, Rejection};
+//!
+//! /// Counts.
+//! struct Counter;
+//!
+//! impl Chaincode for Counter {
+//!     fn name(&self) -> &'static str { "counter" }
+//!
+//!     fn invoke(&self, ctx: &mut Context<'_>, function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
+//!         let who = ctx.submitter()?.id();
+//!         match function {
+//!             "add" => {
+//!                 let count = ctx.get(who.as_bytes()).map_or(0, |v| v.len());
+//!                 ctx.put(who.as_bytes(), vec![b'|'; count + 1]);
+//!                 Ok(Bytes::from((count + 1).to_string()))
+//!             }
+//!             _ => Err(Rejection::unknown_function("counter", function, &["add"])),
+//!         }
+//!     }
+//! }
+//! ```
 
-pub mod archive;
 pub mod block;
-pub mod block_store;
-pub mod certificate;
 mod chain;
 mod chaincode;
-mod code;
-pub mod disk;
-pub mod entry;
 mod execution;
+mod foretold;
 pub mod governance;
-mod hash;
 mod identities;
-pub mod identity;
-pub mod key;
 pub mod members;
-pub mod msp;
-#[doc(hidden)]
-pub mod mutation;
 pub mod network;
-mod rejection;
-pub mod result;
-pub mod results;
-pub mod retention;
-pub mod segment;
-pub mod snapshot;
-pub mod state;
 pub mod transaction;
 mod verified;
-#[cfg(feature = "sled")]
+#[cfg(feature = "verify")]
 pub mod verify;
+mod window;
 pub mod writes;
 
-pub use bytes::Bytes;
 pub use chain::{Admission, Ground, Ledger, Outcome, Refusal, Seal, Step, TransactionRecord};
-pub use chaincode::{
-    Chaincode, Context, Environment, Event, Foretold, Overlay, Registry, Revocation, StateRead, WriteSet,
-};
-pub use code::{Class, Code};
-pub use hash::Hash;
-pub use rejection::Rejection;
+pub use chaincode::{Chaincode, Context, Environment, Foretold, Registry, Revocation};

@@ -4,8 +4,8 @@
 //! them here as well lets a node recover its members from the log, and refuse an impossible change before it is
 //! ordered.
 
-use crate::entry::{Entry, EntryKind};
 use bytes::Bytes;
+use ledger_storage::entry::{Entry, EntryKind};
 use prost::Message as _;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;

@@ -1,9 +1,8 @@
 //! The genesis of a network: what all its nodes agree on before the first block.
 
-use crate::Hash;
-use crate::code::Code;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -120,6 +119,14 @@ impl Genesis {
             return Err(wrong("no node is a voter".into()));
         }
         Ok((genesis, Hash::of(&[b"ledgerd genesis v1\0", bytes])))
+    }
+
+    /// The name of the network that a genesis founds.
+    ///
+    /// # Errors
+    /// As [`Genesis::from_bytes`].
+    pub fn network_of(bytes: &[u8]) -> Result<Hash, Rejection> {
+        Self::from_bytes(bytes).map(|(_, network)| network)
     }
 
     /// The node of that organisation and name.

@@ -4,18 +4,19 @@
 //! stored as the exact bytes that its creator sent; its id is the SHA-256 of its body, so a rewritten signature
 //! (ECDSA allows many) is still the same transaction.
 
-use crate::Hash;
 use crate::block::PAYLOAD_BYTES_MAX;
-use crate::code::Code;
-use crate::identity::Identity;
-use crate::key::{PublicKey, SigningKey};
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::key::{PublicKey, SigningKey};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::retention::KEPT_MIN_US;
 use prost::Message;
 use std::sync::Arc;
 
 /// How far `not_after` may lie ahead of block time, and so how long ids must be remembered: microseconds.
 pub const NOT_AFTER_AHEAD_MAX: u64 = 120_000_000;
+const _: () = assert!(KEPT_MIN_US >= 2 * NOT_AFTER_AHEAD_MAX, "a block is kept while its verdicts may be asked for");
 /// Most bytes of one encoded transaction; a node's configuration may allow less, never more.
 pub const TRANSACTION_BYTES_MAX: usize = PAYLOAD_BYTES_MAX / 2;
 /// Most arguments of one call.
@@ -246,7 +247,7 @@ fn check_form(body: &Body) -> Result<(), Rejection> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::key::KeyKind;
+    use ledger_identity::key::KeyKind;
     use ring::rand::SystemRandom;
 
     fn body() -> Body {

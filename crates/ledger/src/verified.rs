@@ -1,6 +1,6 @@
 //! Which signatures this node has verified, so that it verifies each once.
 
-use crate::Hash;
+use ledger_hash::Hash;
 use std::collections::HashSet;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

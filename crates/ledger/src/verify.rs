@@ -9,17 +9,17 @@ mod attested;
 mod begin;
 mod replay;
 
-use crate::Hash;
-use crate::block_store::{StoreError, oldest};
 use crate::chaincode::Registry;
-use crate::code::Code;
-use crate::disk::RealDisk;
 use crate::network::Genesis;
-use crate::rejection::Rejection;
-use crate::results::{RESULTS_DIRECTORY, ResultStore};
-use crate::segment::{Found, Record, scan};
-use crate::state::{SledStore, State};
 use begin::Beginning;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::{StoreError, check_oldest};
+use ledger_storage::disk::RealDisk;
+use ledger_storage::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, STATE_DIRECTORY};
+use ledger_storage::results::ResultStore;
+use ledger_storage::segment::{Found, Record, scan};
+use ledger_storage::state::{SledStore, State};
 use replay::Verification;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -28,11 +28,6 @@ use std::sync::Arc;
 
 pub use attested::Dissent;
 pub use begin::Begun;
-
-pub use crate::archive::{BLOCKS_DIRECTORY, GENESIS_FILE};
-
-/// The world state of a node, in its data directory.
-pub const STATE_DIRECTORY: &str = "state";
 
 /// What a verification found; only made if everything is right.
 #[derive(Clone, Debug, Default, Serialize)]
@@ -89,7 +84,7 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
     })?;
     let kept = (stored_state(&directory.join(STATE_DIRECTORY))?, stored_results(directory, network)?);
     let records = scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))?;
-    oldest::check(&disk, &records).map_err(|error| in_directory(&error))?;
+    check_oldest(&disk, &records).map_err(|error| in_directory(&error))?;
     let beginning = Beginning::find(directory, &genesis, registry, records.base())?;
     let mut verification = Verification::begin(beginning, kept, Report { network, ..Report::default() })?;
     for found in records {

@@ -1,8 +1,8 @@
 //! What recent blocks wrote, to find the key with which two nodes that differ began to differ.
 
-use crate::Hash;
-use crate::chaincode::WriteSet;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_storage::state::WriteSet;
 use std::collections::VecDeque;
 
 /// Most blocks whose writes are kept.

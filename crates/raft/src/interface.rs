@@ -1,9 +1,10 @@
 //! What goes into the engine and what comes out.
 
 use crate::message::PeerMessage;
-use ledger::entry::Entry;
+use bytes::Bytes;
 use ledger::members::{Membership, MembershipChange};
-use ledger::{Bytes, Rejection};
+use ledger_rejection::Rejection;
+use ledger_storage::entry::Entry;
 
 /// How urgent a transaction is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

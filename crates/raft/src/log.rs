@@ -2,8 +2,8 @@
 
 use crate::message::ENTRIES_MAX;
 use crate::message::convert::entry_into_raft;
-use ledger::block_store::{BlockStore, StoreError};
 use ledger::members::Membership;
+use ledger_storage::block_store::{BlockStore, StoreError};
 use raft::eraftpb::{ConfState, Entry, HardState, Snapshot};
 use raft::{GetEntriesContext, RaftState, Result, Storage, StorageError};
 use std::sync::Arc;
@@ -93,7 +93,7 @@ impl Storage for Log {
             (false, None) => (low..high)
                 .map(|index| match self.store.entry(index) {
                     Ok(Some(mut entry)) => {
-                        entry.data = ledger::Bytes::new();
+                        entry.data = bytes::Bytes::new();
                         Ok(entry_into_raft(entry))
                     }
                     Ok(None) => Err(Self::unavailable(index, None)),

@@ -22,9 +22,9 @@
 
 pub(crate) mod convert;
 
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
-use ledger::entry::EntryKind;
+use ledger_storage::entry::EntryKind;
 use prost::Message as _;
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
 
@@ -86,7 +86,7 @@ pub struct Transactions {
     /// Of the data lane.
     #[prost(bytes = "bytes", repeated, tag = "2")]
     pub data: Vec<Bytes>,
-    /// Returned only: the number of the [`ledger::Code`] that says why.
+    /// Returned only: the number of the [`ledger_rejection::Code`] that says why.
     #[prost(uint32, tag = "3")]
     pub code: u32,
 }

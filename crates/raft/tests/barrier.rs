@@ -1,11 +1,12 @@
 //! A new leader orders only when it has executed everything that was there before it.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::SimDisk;
-use ledger::{Bytes, Hash};
+use ledger_hash::Hash;
 use ledger_raft::{Engine, EngineConfig, Input, Lane, Membership, Output};
+use ledger_storage::block_store::{BlockStore, Options};
+use ledger_storage::disk::SimDisk;
 use std::sync::Arc;
 
 /// A lone voter on a disk, driven by hand: what it commits is executed only when the test says so.

@@ -4,10 +4,10 @@
 mod cluster;
 
 use cluster::{Cluster, Faults};
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::SimDisk;
-use ledger::{Code, block_store::Base};
 use ledger_raft::{Behind, Engine, EngineConfig, EngineError, Input, Lane, Membership, PeerMessage, Role};
+use ledger_rejection::Code;
+use ledger_storage::block_store::{Base, BlockStore, Options};
+use ledger_storage::disk::SimDisk;
 use std::sync::Arc;
 
 /// Orders this many blocks through whoever leads.

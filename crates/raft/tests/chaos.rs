@@ -158,7 +158,7 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
     coverage.reads += cluster.nodes.values().map(|node| node.reads.len() as u64).sum::<u64>();
     coverage.blocks += cluster.chosen.len() as u64;
     coverage.changes +=
-        cluster.chosen.iter().filter(|entry| entry.kind != ledger::entry::EntryKind::Normal).count() as u64;
+        cluster.chosen.iter().filter(|entry| entry.kind != ledger_storage::entry::EntryKind::Normal).count() as u64;
     (cluster.trace, cluster.chosen.len())
 }
 

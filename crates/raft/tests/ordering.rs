@@ -3,11 +3,12 @@
 
 mod cluster;
 
+use bytes::Bytes;
 use cluster::{Cluster, transactions};
 use ledger::block::Payload;
-use ledger::entry::EntryKind;
-use ledger::{Bytes, Code};
 use ledger_raft::{Change, EngineConfig, Input, Lane, MembershipChange, PeerMessage, Role, Transactions};
+use ledger_rejection::Code;
+use ledger_storage::entry::EntryKind;
 
 fn change(changes: impl IntoIterator<Item = Change>) -> Input {
     Input::ChangeMembership(MembershipChange::new(changes))
@@ -430,11 +431,11 @@ fn block_time_never_goes_back_across_leaders_and_restarts() {
 
 #[test]
 fn commits_stop_when_the_executor_falls_behind_and_go_on_when_it_catches_up() {
-    use ledger::block_store::{BlockStore, Options};
     use ledger_raft::{Engine, EngineConfig, Membership, Output};
+    use ledger_storage::block_store::{BlockStore, Options};
     use std::sync::Arc;
 
-    let disk = ledger::disk::SimDisk::new(1);
+    let disk = ledger_storage::disk::SimDisk::new(1);
     let (store, _) = BlockStore::open(Arc::new(disk), Options::new([7; 32], || 1)).unwrap();
     let store = Arc::new(store);
     let mut config = EngineConfig::new(1, Membership::new([1], []), 1);

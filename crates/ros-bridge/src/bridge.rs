@@ -5,8 +5,8 @@ mod tests;
 
 use std::{path::Path, sync::Arc, time::Duration};
 
-use ledger::{Class, Code, Rejection};
 use ledger_api::{Client, Context, home};
+use ledger_rejection::{Class, Code, Rejection};
 use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 

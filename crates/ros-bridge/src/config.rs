@@ -30,7 +30,8 @@ use std::{
     time::Duration,
 };
 
-use ledger::{Bytes, Code, Rejection};
+use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
 
 use self::table::Table;
 use crate::{

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 
 use crate::{

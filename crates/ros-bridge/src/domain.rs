@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 
 use crate::dds::DOMAIN_MAX;
 

@@ -4,7 +4,7 @@
 
 use std::fmt;
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 
 /// The result of everything in this crate that can fail.
 pub type Result<T> = std::result::Result<T, Error>;

@@ -6,12 +6,11 @@ use std::{
     time::Duration,
 };
 
-use ledger::{
-    Bytes, Hash,
-    key::{KeyKind, SigningKey},
-    msp::{Msp, Msps},
-    transaction::{Body, Transaction},
-};
+use bytes::Bytes;
+use ledger::transaction::{Body, Transaction};
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_identity::msp::{Msp, Msps};
 use rcgen::{
     BasicConstraints, CertificateParams, CertifiedIssuer, DistinguishedName, DnType, IsCa, KeyPair, KeyUsagePurpose,
     date_time_ymd,

@@ -23,12 +23,11 @@ mod tests;
 
 use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
-use ledger::{
-    Bytes, Hash,
-    identity::Identity,
-    msp::Msps,
-    transaction::{NOT_AFTER_AHEAD_MAX, Transaction},
-};
+use bytes::Bytes;
+use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::msp::Msps;
 
 use self::{clock::Clock, identities::Identities, sequences::Sequences};
 pub use self::{clock::Now, refused::Refused};

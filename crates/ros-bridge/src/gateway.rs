@@ -2,13 +2,14 @@
 
 use std::{collections::BTreeMap, time::Duration};
 
+use bytes::Bytes;
 use futures::{
     FutureExt,
     future::BoxFuture,
     stream::{self, BoxStream, StreamExt},
 };
-use ledger::{Bytes, Code, Rejection};
 use ledger_api::{Answer, Call, Client, Subscription, v1::Delivery};
+use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
 /// The access-control chaincode.

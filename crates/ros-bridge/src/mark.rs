@@ -19,7 +19,7 @@
 //! ```
 //! A mark is no proof: a local process can copy it, and then is not taken in. That harms nobody else.
 
-use ledger::Hash;
+use ledger_hash::Hash;
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
 
 const DOMAIN: &[u8] = b"ledgerd bridge";

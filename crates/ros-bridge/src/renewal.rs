@@ -2,9 +2,9 @@
 
 use crate::bridge::context_of;
 use crate::config::Config;
-use ledger::Rejection;
 use ledger_api::context::{RenewalRule, Renewed, warning_due};
 use ledger_api::{Client, renewal_due};
+use ledger_rejection::Rejection;
 use std::time::Duration;
 
 /// Time between two looks at the certificate, also after a renewal that failed.

@@ -1,6 +1,7 @@
 //! What the bridge reads of the ledger's answers and events: the parts of their JSON that it uses.
 
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, de::DeserializeOwned};
 
 use crate::{

@@ -6,7 +6,7 @@ mod network;
 
 use std::{process::Command, sync::Arc, time::Duration};
 
-use ledger::Hash;
+use ledger_hash::Hash;
 use ros_bridge::{
     dds::{Change, Participant, Reader, Role, Writer},
     door::Door,

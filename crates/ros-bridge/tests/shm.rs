@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use ledger::Hash;
+use ledger_hash::Hash;
 use ros_bridge::{
     door::Door,
     mark::Mark,

@@ -1,6 +1,8 @@
 //! The chaincode: what it is called, what it does, what it keeps.
 
-use ledger::{Bytes, Chaincode, Code, Context, Rejection};
+use bytes::Bytes;
+use ledger::{Chaincode, Context};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Name under which the chaincode is called.

@@ -2,8 +2,9 @@
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-use ledger::{Bytes, Code};
+use bytes::Bytes;
 use ledger_api::{Client, Context};
+use ledger_rejection::Code;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::path::PathBuf;

@@ -3,9 +3,9 @@
 use super::*;
 use crate::ca::CertificateAuthority;
 use crate::setup::{self, NetworkPlan, PlannedNode, PlannedOrganisation};
-use ledger::key::{KeyKind, SigningKey};
-use ledger::msp::Msp;
 use ledger::transaction::{Body, NONCE_BYTES};
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_identity::msp::Msp;
 use std::collections::BTreeMap;
 use tempfile::TempDir;
 

@@ -3,10 +3,10 @@
 use super::History;
 use crate::rounds;
 use crate::support::Dice;
-use ledger::block_store::{BlockStore, Options, StoreError};
-use ledger::disk::{Disk, SimDisk};
-use ledger::entry::Entry;
-use ledger::segment::{Found, HEADER_BYTES, LogPosition, Record, scan};
+use ledger_storage::block_store::{BlockStore, Options, StoreError};
+use ledger_storage::disk::{Disk, SimDisk};
+use ledger_storage::entry::Entry;
+use ledger_storage::segment::{Found, HEADER_BYTES, LogPosition, Record, scan};
 use std::path::PathBuf;
 use std::sync::Arc;
 

@@ -9,7 +9,7 @@ use crate::rounds;
 use crate::support::directory::copy;
 use crate::support::network::NodePlace;
 use crate::support::{Dice, until};
-use ledger::verify::STATE_DIRECTORY;
+use ledger_storage::layout::STATE_DIRECTORY;
 use std::fs;
 use std::path::PathBuf;
 

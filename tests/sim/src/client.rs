@@ -10,8 +10,10 @@ use crate::invariant::Check;
 use crate::node::{Answer, Reply, Request, What};
 use crate::people::{CERTIFICATES, Person};
 use crate::world::{Event, World};
+use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
-use ledger::{Bytes, Class, Code, Hash};
+use ledger_hash::Hash;
+use ledger_rejection::{Class, Code};
 use serde::Deserialize;
 use std::collections::BTreeMap;
 

@@ -1,6 +1,6 @@
 //! What was really done to the cluster, counted where it is done: a fault that was only planned tests nothing.
 
-use ledger::Code;
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::fmt;
 

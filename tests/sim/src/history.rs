@@ -1,6 +1,8 @@
 //! What the clients did and saw, in real (virtual) time: what the oracle judges in the end.
 
-use ledger::{Bytes, Code, Hash};
+use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::Code;
 
 /// Everything that all clients did.
 #[derive(Debug, Default)]

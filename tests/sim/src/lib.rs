@@ -12,8 +12,8 @@
 //! [`invariant`], one file each. In the end [`oracle`] replays the chain through a small model of access control, written
 //! apart from the product, and looks at every client's view in real time.
 //!
-//! What is real: `ledger_raft::Engine`, `ledger::block_store::BlockStore`, `ledger::Ledger` with the chaincodes `msp` and
-//! `abac`. What is simulated: disks ([`ledger::disk::SimDisk`]), network, clocks, clients, and the threads of the node
+//! What is real: `ledger_raft::Engine`, `ledger_storage::block_store::BlockStore`, `ledger::Ledger` with the chaincodes `msp` and
+//! `abac`. What is simulated: disks ([`ledger_storage::disk::SimDisk`]), network, clocks, clients, and the threads of the node
 //! that drive all that (`node`, `world`; compare `src/orderer.rs`). What it is not: a test of sockets, TLS, gRPC, threads
 //! or sled; tests/cluster does those with real processes.
 //!

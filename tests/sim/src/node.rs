@@ -9,13 +9,16 @@ pub use shelf::Shelf;
 
 use crate::clock::Clock;
 use crate::coverage::Fault;
-use ledger::block_store::BlockStore;
-use ledger::disk::SimDisk;
-use ledger::entry::Entry;
-use ledger::snapshot::Snapshots;
-use ledger::state::State;
-use ledger::{Bytes, Code, Hash, Ledger, Refusal};
+use bytes::Bytes;
+use ledger::{Ledger, Refusal};
+use ledger_hash::Hash;
 use ledger_raft::{Engine, Input, Lane};
+use ledger_rejection::Code;
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::Entry;
+use ledger_storage::snapshot::Snapshots;
+use ledger_storage::state::State;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 

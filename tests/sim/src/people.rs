@@ -2,12 +2,13 @@
 //! every transaction has the same bytes in every run.
 
 use crate::clock::EPOCH;
-use ledger::certificate::{ATTRIBUTES_OID, encode_attributes};
-use ledger::identity::Identity;
-use ledger::key::{KeyKind, SigningKey};
-use ledger::msp::{Msp, Msps};
+use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
-use ledger::{Bytes, Hash};
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::certificate::{ATTRIBUTES_OID, encode_attributes};
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_identity::msp::{Msp, Msps};
 use rcgen::{
     BasicConstraints, CertificateParams, CertifiedIssuer, CustomExtension, DistinguishedName, DnType, IsCa, KeyPair,
     KeyUsagePurpose, PKCS_ED25519, SerialNumber, date_time_ymd,

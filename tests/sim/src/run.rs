@@ -8,7 +8,7 @@ use crate::oracle;
 use crate::people::People;
 use crate::plan::HEAL_MAX;
 use crate::world::World;
-use ledger::Code;
+use ledger_rejection::Code;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 

@@ -25,11 +25,13 @@ use crate::people::People;
 use crate::plan::Plan;
 use crate::random::Random;
 use crate::trace::Trace;
-use ledger::entry::Entry;
+use bytes::Bytes;
 use ledger::members::Membership;
 use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
-use ledger::{Bytes, Chaincode, Hash, Outcome};
+use ledger::{Chaincode, Outcome};
+use ledger_hash::Hash;
 use ledger_raft::Desired;
+use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

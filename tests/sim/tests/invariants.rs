@@ -2,14 +2,16 @@
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+use bytes::Bytes;
+use ledger::Outcome;
 use ledger::block::Header;
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::SimDisk;
-use ledger::entry::{Entry, EntryKind, HardState};
 use ledger::members::Membership;
-use ledger::result::{BlockKind, EmittedEvent, TransactionResult};
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Event, Hash, Outcome};
+use ledger_hash::Hash;
+use ledger_storage::block_store::{BlockStore, Options};
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::{Entry, EntryKind, HardState};
+use ledger_storage::result::{BlockKind, EmittedEvent, Event, TransactionResult};
 use ledgerd_sim::client::{Call, sign};
 use ledgerd_sim::invariant::{
     AcknowledgedIsDurable, ChainAgreement, CommittedIsImmutable, DeniedByDefault, ElectionSafety, EpochsGrow,

@@ -5,7 +5,7 @@
 
 #![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
 
-use ledger::mutation::{Mutation, turn_on};
+use ledger_mutation::{Mutation, turn_on};
 use ledgerd_sim::people::People;
 use ledgerd_sim::run::run;
 use std::sync::{Arc, Mutex, PoisonError};

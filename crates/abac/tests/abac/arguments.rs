@@ -1,7 +1,8 @@
 //! Every function against arguments it cannot use.
 
 use crate::fleet::{Fleet, TURTLEBOT, bytes, owner};
-use ledger::{Bytes, Class, Code};
+use bytes::Bytes;
+use ledger_rejection::{Class, Code};
 
 const FUNCTIONS: [&str; 16] = [
     "GetSubmittingClientIdentity",

@@ -1,12 +1,14 @@
 //! The network of the paper in memory: two organisations, their people, three robots, and a block at a time.
 
-use ledger::identity::{Identity, Role};
-use ledger::key::PublicKey;
-use ledger::state::MemoryState;
-use ledger::{
-    Bytes, Chaincode, Code, Context, Environment, Event, Hash, Overlay, Registry, Rejection, Revocation, WriteSet,
-};
+use bytes::Bytes;
+use ledger::{Chaincode, Context, Environment, Registry, Revocation};
 use ledger_abac::AccessControl;
+use ledger_hash::Hash;
+use ledger_identity::key::PublicKey;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
+use ledger_storage::state::{MemoryState, Overlay, WriteSet};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};

@@ -1,7 +1,7 @@
 //! Who may follow what: decided when somebody subscribes, before there is an event.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, robot, salma};
-use ledger::Code;
+use ledger_rejection::Code;
 
 const BRIDGE: [&str; 5] = ["message", "granted", "renewed", "released", "robot"];
 

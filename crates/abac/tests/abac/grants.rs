@@ -1,9 +1,9 @@
 //! Leases, epochs and how they end.
 
 use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, farhad, identity, owner, robot, salma};
-use ledger::Code;
-use ledger::identity::Role;
 use ledger_abac::{Grant, Reason, Released, ServiceState};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 
 #[test]
 fn a_held_service_says_who_holds_it_until_when() {

@@ -1,8 +1,8 @@
 //! Services in open mode.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, farhad, owner, robot, salma};
-use ledger::Code;
 use ledger_abac::{Grant, Mode, Reason, Released, RobotAsset};
+use ledger_rejection::Code;
 
 fn open() -> Fleet {
     let mut fleet = Fleet::empty();

@@ -1,8 +1,9 @@
 //! Plays the paper: Salma and Farhad of Org1, three robots of Org2.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, salma};
-use ledger::{Code, Event};
 use ledger_abac::{Authorization, Caller, Grant, Mode, Reason, Released, RobotAsset};
+use ledger_rejection::Code;
+use ledger_storage::result::Event;
 use serde_json::{Value, json};
 
 #[test]

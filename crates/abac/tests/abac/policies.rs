@@ -1,8 +1,9 @@
 //! Policies on the ledger: whose they are, what they change, and how hostile ones fare.
 
 use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, START, TURTLEBOT, admin1, farhad, owner, robot, salma};
-use ledger::{Bytes, Code};
+use bytes::Bytes;
 use ledger_abac::{DEFAULT_POLICY, Grant, POLICY_BYTES_MAX, PolicyChange, PolicyEntry, Reason};
+use ledger_rejection::Code;
 
 const ALL: &str = "permit (principal, action, resource);";
 

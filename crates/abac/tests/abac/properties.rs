@@ -1,9 +1,10 @@
 //! What holds after any sequence of calls.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, admin1, bytes, farhad, identity, owner, robot, salma};
-use ledger::identity::{Identity, Role};
-use ledger::{Bytes, Code};
+use bytes::Bytes;
 use ledger_abac::{DEFAULT_POLICY, Grant};
+use ledger_identity::{Identity, Role};
+use ledger_rejection::Code;
 use proptest::prelude::*;
 use std::collections::BTreeMap;
 

@@ -1,8 +1,9 @@
 //! `set` under a grant.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, bytes, farhad, salma};
-use ledger::{Bytes, Code};
+use bytes::Bytes;
 use ledger_abac::{Grant, MESSAGES_PER_CALL_MAX, MessageEvent, Published};
+use ledger_rejection::Code;
 
 #[test]
 fn an_old_epoch_is_refused_after_a_newer_grant() {

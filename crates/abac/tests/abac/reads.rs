@@ -1,9 +1,11 @@
 //! What publishing reads of the state: it must not grow with robots, users and policies.
 
 use crate::fleet::{Fleet, TURTLEBOT, TWIST, bytes, owner, robot, salma};
-use ledger::state::MemoryState;
-use ledger::{Bytes, Context, Overlay, Registry, Rejection, StateRead};
+use bytes::Bytes;
+use ledger::{Context, Registry};
 use ledger_abac::Grant;
+use ledger_rejection::Rejection;
+use ledger_storage::state::{MemoryState, Overlay, StateRead};
 use std::sync::{Arc, Mutex};
 
 /// A state that notes what is asked of it.

@@ -1,9 +1,9 @@
 //! Registering robots: who may, and whom a robot trusts.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, identity, owner, robot, salma};
-use ledger::Code;
-use ledger::identity::Role;
 use ledger_abac::{Direction, Mode, Reason, Released, RobotAsset, RobotEvent};
+use ledger_identity::Role;
+use ledger_rejection::Code;
 
 #[test]
 fn only_an_admin_registers_robots() {

@@ -5,7 +5,7 @@ use super::dialer::is_final;
 use super::in_flight::RETRY_AFTER;
 use super::session::Up;
 use crate::v1;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tonic::Streaming;

@@ -5,12 +5,14 @@ use super::Client;
 use super::session::Up;
 use crate::report::accepted;
 use crate::v1;
+use bytes::Bytes;
 use ledger::governance::{
     CancelRegistration, Identities, IdentityRecord, ListIdentities, NAME as MSP, Register, RevokeIdentity,
     RevokedIdentity,
 };
-use ledger::identity::Role;
-use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_rejection::{Code, Rejection};
 use ring::rand::SecureRandom;
 use serde::Serialize;
 use serde::de::DeserializeOwned;

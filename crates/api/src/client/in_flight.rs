@@ -10,8 +10,10 @@ use super::session::Session;
 use crate::report::accepted;
 use crate::tls::TlsIdentity;
 use crate::v1::SubmitResponse;
+use bytes::Bytes;
 use ledger::transaction::{TRANSACTION_BYTES_MAX, Transaction};
-use ledger::{Bytes, Class, Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_rejection::{Class, Code, Rejection};
 use std::collections::HashMap;
 use std::collections::hash_map;
 use std::pin::Pin;
@@ -448,8 +450,8 @@ impl Future for Pending {
 mod tests {
     use super::*;
     use crate::v1::Verdict as Answered;
-    use ledger::key::{KeyKind, SigningKey};
     use ledger::transaction::{Body, NONCE_BYTES};
+    use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
 
     fn transaction(key: &SigningKey, nonce: u8) -> Transaction {

@@ -14,7 +14,7 @@ use crate::v1::enrolment_client::EnrolmentClient;
 use crate::v1::gateway_client::GatewayClient;
 use crate::v1::{NetworkRequest, NetworkResponse, SubmitResponse};
 use ledger::transaction::Transaction;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::pin::{Pin, pin};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Weak};

@@ -4,7 +4,7 @@
 //! Where the file system knows no such step, the old one waits as `.NAME.old` in between: whatever a crash leaves behind,
 //! [`finish_replacement`] sees one complete context. One program at a time does this: see [`super::lock`].
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;

@@ -4,7 +4,7 @@ use super::CONTEXT_NAME_BYTES_MAX;
 use super::Context;
 use super::files::{self, bad_file};
 use super::lock::Lock;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::fs;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -120,7 +120,7 @@ pub(super) fn directory_of(home: &Path, name: &str) -> Result<PathBuf, Rejection
 
 /// A context may have every name that an identity can be registered with, and no other.
 pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
-    if ledger::identity::check_new_name(name).is_ok() {
+    if ledger_identity::check_new_name(name).is_ok() {
         return Ok(());
     }
     let shown: String = name.chars().take(CONTEXT_NAME_BYTES_MAX).collect();

@@ -2,8 +2,8 @@
 
 use super::files;
 use crate::v1;
-use ledger::msp::{Msp, Msps};
-use ledger::{Code, Rejection};
+use ledger_identity::msp::{Msp, Msps};
+use ledger_rejection::{Code, Rejection};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
 use serde::{Deserialize, Serialize};

@@ -8,8 +8,9 @@
 
 use super::{files, home};
 use crate::context::files::bad_file;
-use ledger::key::{KeyKind, SigningKey};
-use ledger::{Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};

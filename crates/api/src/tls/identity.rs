@@ -1,11 +1,11 @@
 //! Our own side of a connection: certificate chain and private key.
 
 use super::provider;
-use ledger::Hash;
-use ledger::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
-use ledger::identity::IdentityError;
-use ledger::key::{KEY_BYTES_MAX, KeyError, PublicKey, SigningKey};
-use ledger::msp::PRESENTED_MAX;
+use ledger_hash::Hash;
+use ledger_identity::IdentityError;
+use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
+use ledger_identity::key::{KEY_BYTES_MAX, KeyError, PublicKey, SigningKey};
+use ledger_identity::msp::PRESENTED_MAX;
 use rustls::SignatureScheme;
 use rustls::client::ResolvesClientCert;
 use rustls::pki_types::pem::PemObject;

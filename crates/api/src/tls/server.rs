@@ -4,7 +4,7 @@ use super::identity::{TlsError, TlsIdentity};
 use super::refusal::Refusal;
 use super::trust::{TrustSource, client_identity};
 use super::{ALPN, VERSIONS, provider};
-use ledger::identity::IdentityError;
+use ledger_identity::IdentityError;
 use rustls::client::danger::HandshakeSignatureValid;
 use rustls::crypto::{CryptoProvider, verify_tls13_signature};
 use rustls::pki_types::{CertificateDer, UnixTime};

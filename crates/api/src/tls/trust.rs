@@ -3,9 +3,9 @@
 use super::identity::{TlsError, TlsIdentity};
 use super::refusal::Refusal;
 use super::{ALPN, VERSIONS, provider};
-use ledger::Hash;
-use ledger::identity::{Identity, IdentityError, Role};
-use ledger::msp::{Msp, Msps, Usage};
+use ledger_hash::Hash;
+use ledger_identity::msp::{Msp, Msps, Usage};
+use ledger_identity::{Identity, IdentityError, Role};
 use rustls::client::Resumption;
 use rustls::client::danger::{HandshakeSignatureValid, ServerCertVerified, ServerCertVerifier};
 use rustls::crypto::{CryptoProvider, verify_tls13_signature};

@@ -1,11 +1,12 @@
 //! A certificate authority for tests, and contexts of its users.
 
 use crate::fake::Fake;
-use ledger::key::{KeyKind, SigningKey};
-use ledger::msp::{Msp, Msps};
-use ledger::{Bytes, Hash};
+use bytes::Bytes;
 use ledger_api::Context;
 use ledger_api::tls::TlsIdentity;
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_identity::msp::{Msp, Msps};
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateSigningRequestParams, CertifiedIssuer, DistinguishedName, DnType,
     IsCa, KeyPair, KeyUsagePurpose, date_time_ymd,

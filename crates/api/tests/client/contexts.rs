@@ -1,9 +1,10 @@
 //! Contexts on disk.
 
 use crate::authority::Authority;
-use ledger::key::{KeyKind, SigningKey};
-use ledger::{Code, Hash, Rejection};
 use ledger_api::Context;
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_rejection::{Code, Rejection};
 use ring::rand::SystemRandom;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;

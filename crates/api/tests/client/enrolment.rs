@@ -2,9 +2,10 @@
 
 use crate::authority::{Authority, NETWORK};
 use crate::fake::Fake;
-use ledger::key::KeyKind;
-use ledger::{Code, Hash};
 use ledger_api::{Client, Enrolment};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
 use std::sync::Arc;
 
 #[tokio::test]

@@ -2,14 +2,16 @@
 
 use crate::authority::{Authority, NETWORK};
 use crate::plugged::Plugged;
-use ledger::identity::Identity;
-use ledger::msp::Msps;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::tls::{TrustSource, server_config};
 use ledger_api::v1::enrolment_server::{Enrolment, EnrolmentServer};
 use ledger_api::v1::gateway_server::{Gateway, GatewayServer};
 use ledger_api::{to_status, v1};
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::msp::Msps;
+use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::io;
 use std::pin::Pin;

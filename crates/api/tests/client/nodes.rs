@@ -2,8 +2,9 @@
 
 use crate::authority::Authority;
 use crate::fake::{Fake, until};
-use ledger::{Code, Hash};
 use ledger_api::{Client, Context, Options};
+use ledger_hash::Hash;
+use ledger_rejection::Code;
 use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

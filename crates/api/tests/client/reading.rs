@@ -2,8 +2,9 @@
 
 use crate::authority::Authority;
 use crate::fake::Fake;
-use ledger::{Code, Hash, Rejection};
 use ledger_api::Client;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 
 #[tokio::test]

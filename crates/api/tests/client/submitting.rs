@@ -2,9 +2,11 @@
 
 use crate::authority::Authority;
 use crate::fake::{Chain, Fake, Reaction, until};
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code, Hash, Rejection};
 use ledger_api::{Call, Client, Context, Options};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;

@@ -1,8 +1,9 @@
 //! Bytes: hexadecimal text, files, standard input.
 
 use crate::failure::unreadable;
+use bytes::Bytes;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
-use ledger::{Bytes, Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use std::io::Read;
 use std::path::Path;
 

@@ -6,7 +6,9 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::Session;
-use ledger::{Bytes, Hash, Rejection};
+use ::bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 

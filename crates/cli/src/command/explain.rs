@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -8,7 +8,7 @@ use crate::output::{Facts, Output};
 use crate::session::{ABAC, Session};
 use crate::time;
 use crate::words::Words;
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger_api::Committed;
 use ledger_contract::{Grant, Mode, Released};
 use serde::Serialize;
@@ -69,7 +69,7 @@ struct Granted {
     /// Block time of the transaction, microseconds.
     time: u64,
     height: u64,
-    transaction: ledger::Hash,
+    transaction: ledger_hash::Hash,
     #[serde(skip)]
     renewed: bool,
 }
@@ -127,7 +127,7 @@ struct Ended {
     released: Vec<Released>,
     time: u64,
     height: u64,
-    transaction: ledger::Hash,
+    transaction: ledger_hash::Hash,
 }
 
 impl Facts for Ended {
@@ -169,7 +169,7 @@ mod tests {
             lease_ms: 10_000,
             next_seq: 0,
         };
-        Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction: ledger::Hash::ZERO, renewed }
+        Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction: ledger_hash::Hash::ZERO, renewed }
     }
 
     fn text(facts: &impl Facts) -> String {

@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, printable_lines};
 use crate::session::{ABAC, Session};
 use crate::words::Words;
-use ledger::Bytes;
+use ::bytes::Bytes;
 use ledger_contract::{PolicyChange, PolicyEntry};
 use serde::Serialize;
 use std::io::{self, Write};

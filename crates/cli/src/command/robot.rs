@@ -10,7 +10,7 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::words::Words;
 use crate::{json, time};
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger_contract::{Released, RobotAsset, RobotSpec, ServiceSpec};
 use serde::Serialize;
 use serde_json::value::RawValue;

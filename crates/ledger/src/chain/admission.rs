@@ -6,15 +6,14 @@
 //! a leader's queue; else that copy is executed later. Only the client knows the second, and says so with its first attempt.
 
 use super::Ledger;
-use crate::Hash;
 use crate::block::leaf;
-use crate::code::Code;
 use crate::execution::check_network;
-use crate::identity::Identity;
-use crate::mutation::{Mutation, active};
-use crate::rejection::Rejection;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_mutation::{Mutation, active};
+use ledger_rejection::{Code, Rejection};
 use std::sync::{Arc, PoisonError};
 
 use super::TransactionRecord;

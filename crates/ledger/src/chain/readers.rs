@@ -1,9 +1,9 @@
 //! Who may read what: asked when somebody subscribes, and again for every event.
 
 use super::{Context, Ledger, check_organisation, check_revoked};
-use crate::chaincode::Event;
-use crate::identity::Identity;
-use crate::rejection::Rejection;
+use ledger_identity::Identity;
+use ledger_rejection::Rejection;
+use ledger_storage::result::Event;
 
 impl Ledger {
     /// May this identity see this event? Decided on the committed state.

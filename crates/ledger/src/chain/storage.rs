@@ -1,10 +1,11 @@
 //! What a ledger keeps on disk: storing it, snapshots of it, dropping what is old.
 
 use super::Ledger;
-use crate::rejection::Rejection;
-use crate::snapshot::Snapshots;
-use crate::state::Tip;
+use crate::foretold::Completing;
 use crate::transaction::NOT_AFTER_AHEAD_MAX;
+use ledger_rejection::Rejection;
+use ledger_storage::snapshot::Snapshots;
+use ledger_storage::state::Tip;
 use std::sync::PoisonError;
 
 /// Block time between two snapshots for each block that a network wants between them, in microseconds, at least; but no
@@ -22,7 +23,7 @@ impl Ledger {
     /// snapshots that are due on the way. Runs beside everything else.
     ///
     /// # Errors
-    /// [`Code::DiskFull`](crate::Code::DiskFull), [`Code::DiskFailed`](crate::Code::DiskFailed): nothing is lost, the blocks have it.
+    /// [`Code::DiskFull`](ledger_rejection::Code::DiskFull), [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed): nothing is lost, the blocks have it.
     pub fn flush(&self, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
         self.flush_up_to(u64::MAX, snapshots)
     }
@@ -56,7 +57,10 @@ impl Ledger {
         if !self.is_snapshot_due(stored) {
             return;
         }
-        if let Err(fault) = snapshots.make(stored, &self.state, (&self.results, &self.registry)) {
+        let since = stored.time.saturating_sub(NOT_AFTER_AHEAD_MAX);
+        let mut completing = Completing::new(&self.results, &self.registry, stored.height);
+        let mut complete = |height, result| completing.complete(height, result);
+        if let Err(fault) = snapshots.make(stored, &self.state, (&self.results, since), &mut complete) {
             // The next one may succeed; blocks are kept until one does.
             tracing::error!(height = stored.height, %fault, "cannot make a snapshot");
         }
@@ -85,7 +89,7 @@ impl Ledger {
     /// Answers with the height of the oldest result that is left.
     ///
     /// # Errors
-    /// [`Code::DiskFailed`](crate::Code::DiskFailed).
+    /// [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed).
     pub fn prune_results(&self, keep_from: u64) -> Result<u64, Rejection> {
         self.results.prune(keep_from, self.tip().time.saturating_sub(NOT_AFTER_AHEAD_MAX))
     }

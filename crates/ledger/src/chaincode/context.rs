@@ -1,12 +1,12 @@
 //! What a chaincode sees of the world while it runs.
 
-use super::overlay::Overlay;
-use super::{Chaincode, Event, Registry, Revocation};
-use crate::Hash;
-use crate::code::Code;
-use crate::identity::Identity;
-use crate::rejection::Rejection;
+use super::{Chaincode, Registry, Revocation};
 use bytes::{BufMut, Bytes, BytesMut};
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
+use ledger_storage::state::Overlay;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Deepest chain of chaincodes calling each other.

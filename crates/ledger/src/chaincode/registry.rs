@@ -1,11 +1,11 @@
 //! The chaincodes that a node has installed.
 
 use super::context::{Context, Environment, run};
-use super::overlay::Overlay;
-use super::{Chaincode, Event, Foretold};
-use crate::code::Code;
-use crate::rejection::Rejection;
+use super::{Chaincode, Foretold};
 use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
+use ledger_storage::state::Overlay;
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;

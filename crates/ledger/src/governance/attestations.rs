@@ -6,12 +6,11 @@
 use super::caller::{node, object};
 use super::nodes::{self, NodeRecord};
 use super::store::{self, ATTESTATIONS, attestation_key, json};
-use crate::Hash;
 use crate::chaincode::Context;
-use crate::code::Code;
 use crate::members::NODES_MAX;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most attestations: one of each node.

@@ -2,10 +2,9 @@
 
 use super::store::organisation_key;
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::identity::{Identity, Role};
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
 /// Longest address, in bytes.
@@ -70,7 +69,7 @@ pub(super) fn bad(function: &str, name: &str, wanted: &str) -> Rejection {
 
 /// Checks the name of an organisation or a node.
 pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
-    crate::identity::check_name(name).map_err(|error| Rejection { code: Code::BadName, ..Rejection::from(error) })
+    ledger_identity::check_name(name).map_err(|error| Rejection { code: Code::BadName, ..Rejection::from(error) })
 }
 
 /// Checks `HOST:PORT`.

@@ -8,15 +8,15 @@ use super::identities::{self, KnownIdentity};
 use super::nodes::{self, NodeRecord};
 use super::organisations;
 use super::store::{self, CARRIERS, carrier_key, json};
-use crate::Hash;
-use crate::certificate::Certificate;
-use crate::chaincode::{Context, StateRead};
-use crate::code::Code;
-use crate::identity::{Identity, Role};
-use crate::key::{PublicKey, SigningKey};
+use crate::chaincode::Context;
 use crate::members::NODES_MAX;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::key::{PublicKey, SigningKey};
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::StateRead;
 use serde::{Deserialize, Serialize};
 
 /// Most records that are read: every node might carry the CAs of several organisations.

@@ -21,11 +21,12 @@ pub(super) use revocation::revoke;
 
 use super::caller::{admin, object};
 use super::store::{self, REVOKED, identity_key, issued_key, json, registered_key};
-use crate::Hash;
-use crate::chaincode::{Context, StateRead};
-use crate::identity::{NAME_BYTES_MAX, Role};
-use crate::rejection::Rejection;
+use crate::chaincode::Context;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::{NAME_BYTES_MAX, Role};
+use ledger_rejection::Rejection;
+use ledger_storage::state::StateRead;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -8,14 +8,13 @@ use super::caller::{admin, check_address, check_name, node, object};
 use super::organisations;
 use super::proposals::{Action, decide};
 use super::store::{self, INVITATIONS, invitation_key, json};
-use crate::Hash;
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::identity::NAME_BYTES_MAX;
-use crate::key::{PublicKey, SigningKey};
 use crate::network::FoundingOrganisation;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::NAME_BYTES_MAX;
+use ledger_identity::key::{PublicKey, SigningKey};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Longest life of an invitation, in microseconds of block time: thirty days.

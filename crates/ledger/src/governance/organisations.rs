@@ -4,15 +4,14 @@ use super::caller::{admin, object, text};
 use super::nodes;
 use super::proposals::{Action, decide};
 use super::store::{self, ORGANISATIONS, former_key, json, organisation_key};
-use crate::Hash;
-use crate::certificate::Certificate;
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::identity::{Identity, NAME_BYTES_MAX};
-use crate::msp::{Msp, Msps};
 use crate::network::FoundingOrganisation;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::{Identity, NAME_BYTES_MAX};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most organisations of a network.

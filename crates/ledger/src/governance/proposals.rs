@@ -8,12 +8,11 @@ use super::caller::{admin, bad, text};
 use super::nodes::{self, NodeRole};
 use super::store::{self, NEXT_PROPOSAL, PROPOSALS, json, proposal_key};
 use super::{invitations, organisations};
-use crate::Hash;
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::identity::Identity;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 

@@ -7,12 +7,11 @@ use super::organisations::ORGANISATIONS_MAX;
 use super::store::{
     ATTESTATIONS, MEMBERS_KEY, NODES, ORGANISATIONS, invitation_key, json, list_state, parse, read_state,
 };
-use crate::chaincode::StateRead;
-use crate::code::Code;
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::StateRead;
 
 /// The records of the nodes in order of ids, removed ones among them: what the network wants (see
 /// [`super::desired`]).

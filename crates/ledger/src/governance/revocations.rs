@@ -3,13 +3,12 @@
 use super::caller::{bad, submitter};
 use super::organisations;
 use super::store::{self, REVOKED, json};
-use crate::Hash;
-use crate::certificate::Certificate;
 use crate::chaincode::{Context, Revocation};
-use crate::code::Code;
-use crate::identity::{Identity, Role};
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most entries that a list answers with.

@@ -18,11 +18,11 @@
 //! | `carrier/<organisation>/<node's organisation>/<node>` | [`super::CarrierRecord`] |
 
 use super::NAME;
-use crate::Hash;
-use crate::chaincode::{Context, StateRead};
-use crate::code::Code;
-use crate::rejection::Rejection;
+use crate::chaincode::Context;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::StateRead;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -46,7 +46,7 @@ pub(crate) fn certificate_key(fingerprint: &Hash) -> Bytes {
     full(&known_certificate_key(fingerprint))
 }
 
-/// The full key of a revocation; `key` is [`crate::identity::Identity::revocation_key`].
+/// The full key of a revocation; `key` is [`ledger_identity::Identity::revocation_key`].
 pub(crate) fn revoked_key(key: &[u8]) -> Bytes {
     full(&[REVOKED, key].concat())
 }

@@ -1,12 +1,11 @@
 //! What nodes have signed about the chain, compared with what its blocks give.
 
-use crate::Hash;
 use crate::chain::Outcome;
-use crate::chaincode::Event;
-use crate::code::Code;
 use crate::governance::{self, Attest, Attestation};
-use crate::rejection::Rejection;
-use crate::state::Tip;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::result::Event;
+use ledger_storage::state::Tip;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 

@@ -1,16 +1,16 @@
 //! Where execution begins: with the genesis, or with a snapshot if the blocks begin above 1.
 
-use crate::Hash;
-use crate::archive::{SNAPSHOTS_DIRECTORY, oldest_snapshot, snapshot_name};
 use crate::chain::Ledger;
 use crate::chaincode::Registry;
-use crate::code::Code;
 use crate::network::Genesis;
-use crate::rejection::Rejection;
-use crate::results::ResultStore;
-use crate::segment::Base;
-use crate::snapshot::Snapshot;
-use crate::state::{MemoryState, State};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::archive::{oldest_snapshot, snapshot_name};
+use ledger_storage::layout::SNAPSHOTS_DIRECTORY;
+use ledger_storage::results::ResultStore;
+use ledger_storage::segment::Base;
+use ledger_storage::snapshot::Snapshot;
+use ledger_storage::state::{MemoryState, State};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -3,14 +3,15 @@
 use super::attested::Attested;
 use super::begin::{Beginning, Begun};
 use super::{Report, wrong};
-use crate::Hash;
 use crate::chain::Ledger;
-use crate::code::Code;
-use crate::entry::Entry;
-use crate::rejection::Rejection;
-use crate::result::BlockResult;
-use crate::results::{RESULTS_DIRECTORY, ResultStore};
-use crate::state::{State, Tip};
+use crate::foretold::complete;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::entry::Entry;
+use ledger_storage::layout::RESULTS_DIRECTORY;
+use ledger_storage::result::BlockResult;
+use ledger_storage::results::ResultStore;
+use ledger_storage::state::{State, Tip};
 use std::collections::VecDeque;
 
 /// Writes of the verified state that gather before they are moved together.
@@ -114,7 +115,7 @@ impl Verification {
         let Some(kept) = kept else { return check_signed(&computed, height, place) };
         self.report.results_compared += 1;
         let difference = if computed.hash() == kept.hash() {
-            match kept.complete(block, self.ledger.registry()) {
+            match complete(kept, block, self.ledger.registry()) {
                 Ok(kept) => difference(&computed, &kept),
                 Err(apart) => Some(apart.message),
             }

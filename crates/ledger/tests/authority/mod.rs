@@ -1,9 +1,9 @@
 //! An organisation's CA and the people and nodes to whom it gives certificates, valid from 2029 to 2031.
 #![allow(dead_code, clippy::allow_attributes, reason = "each test binary uses its own part")]
 
-use ledger::Bytes;
-use ledger::key::{KeyKind, SigningKey};
+use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
+use ledger_identity::key::{KeyKind, SigningKey};
 use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
 use ring::rand::SystemRandom;
 

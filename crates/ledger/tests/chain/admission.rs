@@ -1,9 +1,11 @@
 //! What a node may say about a transaction that it would refuse.
 
 use crate::world::{NOW, SECOND, User, World, block, codes};
-use ledger::key::KeyKind;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
-use ledger::{Admission, Code, Ground, Hash, Ledger, Refusal, Rejection, Step};
+use ledger::{Admission, Ground, Ledger, Refusal, Step};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::{Code, Rejection};
 
 fn call(world: &World, user: &User, function: &str, args: &[&str]) -> Transaction {
     user.sign(&user.body(world.network, function, args))

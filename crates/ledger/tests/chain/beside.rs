@@ -1,14 +1,17 @@
 //! Results that are kept beside their blocks: shorter, and the same for every reader.
 
 use crate::world::{NOW, SECOND, User, World, entry};
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::{Disk, SimDisk};
-use ledger::entry::{Entry, EntryKind, HardState};
-use ledger::key::KeyKind;
-use ledger::results::ResultStore;
-use ledger::snapshot::Snapshots;
-use ledger::state::{SledStore, State};
-use ledger::{Bytes, Code, Hash, Ledger};
+use bytes::Bytes;
+use ledger::Ledger;
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
+use ledger_storage::block_store::{BlockStore, Options};
+use ledger_storage::disk::{Disk, SimDisk};
+use ledger_storage::entry::{Entry, EntryKind, HardState};
+use ledger_storage::results::ResultStore;
+use ledger_storage::snapshot::Snapshots;
+use ledger_storage::state::{SledStore, State};
 use std::path::Path;
 use std::sync::Arc;
 

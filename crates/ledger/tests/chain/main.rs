@@ -12,12 +12,15 @@ mod snapshot;
 mod together;
 mod world;
 
+use bytes::Bytes;
+use ledger::Admission;
 use ledger::block::Payload;
-use ledger::disk::SimDisk;
-use ledger::entry::{Entry, EntryKind};
-use ledger::key::KeyKind;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Bytes, Code, Hash};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::{Entry, EntryKind};
 use world::{NOW, SECOND, World, block, codes, entry, note};
 
 #[test]

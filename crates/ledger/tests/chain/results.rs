@@ -1,12 +1,14 @@
 //! Results beside the chain: kept, found, cut, dropped, and what decides about duplicates.
 
 use crate::world::{NOW, SECOND, User, World, block, codes, entry};
-use ledger::disk::{Disk, Fault, SimDisk};
-use ledger::entry::Entry;
-use ledger::key::KeyKind;
-use ledger::results::RESULTS_FILE_BYTES_MAX;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Code, Hash, Ledger};
+use ledger::{Admission, Ledger};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
+use ledger_storage::disk::{Disk, Fault, SimDisk};
+use ledger_storage::entry::Entry;
+use ledger_storage::results::RESULTS_FILE_BYTES_MAX;
 
 /// Somebody who writes notes, and blocks of them.
 struct Writer {

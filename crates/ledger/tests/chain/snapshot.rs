@@ -1,14 +1,15 @@
 //! Snapshots: the same bytes on every node, and a ledger that goes on from them as the others do.
 
 use crate::world::{NOW, SECOND, SNAPSHOT_EVERY, User, World, codes, entry};
-use ledger::disk::{Disk, SimDisk};
-use ledger::entry::Entry;
-use ledger::key::KeyKind;
-use ledger::results::ResultStore;
-use ledger::snapshot::{Item, Manifest, Snapshot, Snapshots};
-use ledger::state::{MemoryState, State, Store};
+use ledger::Ledger;
 use ledger::transaction::{Body, Transaction};
-use ledger::{Code, Ledger};
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
+use ledger_storage::disk::{Disk, SimDisk};
+use ledger_storage::entry::Entry;
+use ledger_storage::results::ResultStore;
+use ledger_storage::snapshot::{Item, Manifest, Snapshot, Snapshots};
+use ledger_storage::state::{MemoryState, State, Store};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -219,7 +220,7 @@ fn a_ledger_on_a_snapshot_goes_on_as_the_others_and_knows_the_same_duplicates() 
 fn entry_of(chain: &Chain, index: u64, time: u64) -> Entry {
     let call = world_call(&chain.world, &chain.salma, time, "put", &["later", &index.to_string()]);
     let data = ledger::block::Payload { time, transactions: vec![call.encoded().clone()] }.to_bytes();
-    Entry { index, term: 1, kind: ledger::entry::EntryKind::Normal, data }
+    Entry { index, term: 1, kind: ledger_storage::entry::EntryKind::Normal, data }
 }
 
 #[test]
@@ -257,7 +258,7 @@ fn a_snapshot_is_fetched_chunk_by_chunk_over_crashes_and_lies() {
     let name = "00000000000000000030.snap";
     assert_eq!(disk.list().unwrap(), [name]);
     assert_eq!(bytes(&from, name), bytes(&disk, name));
-    let other = Manifest { network: ledger::Hash::ZERO, ..manifest };
+    let other = Manifest { network: ledger_hash::Hash::ZERO, ..manifest };
     assert_eq!(chain.snapshots(&disk).install(other).map(drop).unwrap_err().code, Code::WrongNetwork);
 }
 
@@ -328,7 +329,7 @@ fn a_state_that_was_not_filled_to_the_end_is_refused() {
 struct Shared(Arc<MemoryState>);
 
 impl Store for Shared {
-    fn get(&self, key: &[u8]) -> Result<Option<ledger::Bytes>, ledger::Rejection> {
+    fn get(&self, key: &[u8]) -> Result<Option<bytes::Bytes>, ledger_rejection::Rejection> {
         Store::get(&*self.0, key)
     }
 
@@ -337,11 +338,15 @@ impl Store for Shared {
         prefix: &[u8],
         after: Option<&[u8]>,
         limit: usize,
-    ) -> Result<Vec<(ledger::Bytes, ledger::Bytes)>, ledger::Rejection> {
+    ) -> Result<Vec<(bytes::Bytes, bytes::Bytes)>, ledger_rejection::Rejection> {
         Store::range(&*self.0, prefix, after, limit)
     }
 
-    fn write(&self, batch: &ledger::WriteSet, tip: (&[u8], &[u8])) -> Result<(), ledger::Rejection> {
+    fn write(
+        &self,
+        batch: &ledger_storage::state::WriteSet,
+        tip: (&[u8], &[u8]),
+    ) -> Result<(), ledger_rejection::Rejection> {
         self.0.write(batch, tip)
     }
 }

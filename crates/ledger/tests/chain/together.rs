@@ -1,9 +1,10 @@
 //! Signatures that are checked together: the same verdicts as if each were checked alone.
 
 use crate::world::{NOW, User, World, block, codes, entry};
-use ledger::key::KeyKind;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Code, Ledger};
+use ledger::{Admission, Ledger};
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
 
 /// A world, and people whose certificates its ledgers get to know.
 struct Crowd {

@@ -1,16 +1,18 @@
 //! A network of two organisations, and a node's ledger without a node.
 
 pub(crate) use crate::authority::{Ca, User};
+use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::disk::SimDisk;
-use ledger::entry::{Entry, EntryKind};
 use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
-use ledger::results::ResultStore;
-use ledger::state::{MemoryState, SledStore, State};
 use ledger::transaction::{Body, Transaction};
-use ledger::{
-    Bytes, Chaincode, Code, Context, Event, Foretold, Hash, Ledger, Outcome, Registry, Rejection, Revocation,
-};
+use ledger::{Chaincode, Context, Foretold, Ledger, Outcome, Registry, Revocation};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::{Entry, EntryKind};
+use ledger_storage::result::Event;
+use ledger_storage::results::ResultStore;
+use ledger_storage::state::{MemoryState, SledStore, State};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -185,7 +187,7 @@ pub(crate) fn block(ledger: &Ledger, time: u64, transactions: &[&Transaction]) -
 }
 
 pub(crate) fn codes(outcome: &Outcome) -> Vec<Code> {
-    outcome.results.iter().map(ledger::result::TransactionResult::code).collect()
+    outcome.results.iter().map(ledger_storage::result::TransactionResult::code).collect()
 }
 
 pub(crate) fn note(ledger: &Ledger, reader: &User, key: &str) -> String {

@@ -1,7 +1,7 @@
 use crate::world::{DAY, Network, code, is_executed, json, waiting};
-use ledger::Code;
 use ledger::governance::{Decision, NodeRole};
-use ledger::key::KeyKind;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
 
 fn promote(id: u64) -> String {
     format!(r#"{{"id":{id},"role":"voter"}}"#)

@@ -1,7 +1,8 @@
 use crate::world::{Network, code, is_executed};
 use ledger::governance::{self, AttestationRecord};
-use ledger::key::KeyKind;
-use ledger::{Code, Hash};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
 
 fn attest(height: u64, digest: u8, content: Option<u8>) -> String {
     let (hash, digest) = (Hash::ZERO, Hash([digest; 32]));

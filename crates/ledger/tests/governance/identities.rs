@@ -1,11 +1,13 @@
 use crate::world::{DAY, Network, SECOND, User, code, json};
+use bytes::Bytes;
 use ledger::governance::{
     CarrierRecord, CarryCa, ENROLMENT_REPEAT_MAX, Identities, IdentityRecord, KnownIdentity, LocalSecret,
     RENEWAL_PAUSE, Recorded, RevokedIdentity,
 };
-use ledger::identity::Role;
-use ledger::key::KeyKind;
-use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::{Code, Rejection};
 use serde_json::json as value;
 
 /// The secret that everybody has here.

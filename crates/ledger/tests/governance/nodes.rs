@@ -1,7 +1,7 @@
 use crate::world::{Network, code, is_executed, json, waiting};
-use ledger::Code;
 use ledger::governance::{self, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired};
-use ledger::key::KeyKind;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;

@@ -1,9 +1,10 @@
 use crate::world::{Ca, DAY, Network, SECOND, code, is_executed, json, waiting};
+use bytes::Bytes;
 use ledger::governance::{self, JoinOrganisation, NodeRole, Organisation};
-use ledger::key::KeyKind;
-use ledger::key::SigningKey;
 use ledger::network::FoundingOrganisation;
-use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_rejection::{Code, Rejection};
 
 fn key() -> SigningKey {
     SigningKey::from_seed(&[7; 32]).unwrap()

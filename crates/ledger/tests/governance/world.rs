@@ -1,16 +1,20 @@
 //! Organisations with their people and nodes, and a ledger that executes what they sign, a block a second.
 
 pub(crate) use crate::authority::{Ca, User};
+use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::entry::{Entry, EntryKind};
 use ledger::governance::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
-use ledger::identity::Role;
-use ledger::key::KeyKind;
 use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
-use ledger::results::ResultStore;
-use ledger::state::{MemoryState, State};
 use ledger::transaction::{Body, Transaction};
-use ledger::{Bytes, Chaincode, Code, Context, Event, Hash, Ledger, Registry, Rejection};
+use ledger::{Chaincode, Context, Ledger, Registry};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_identity::key::KeyKind;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::entry::{Entry, EntryKind};
+use ledger_storage::result::Event;
+use ledger_storage::results::ResultStore;
+use ledger_storage::state::{MemoryState, State};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::sync::Arc;
@@ -101,7 +105,7 @@ impl Network {
         let entry = Entry { index: self.ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data };
         let outcome = self.ledger.apply(&entry).unwrap();
         self.events = outcome.events.into_iter().map(|emitted| emitted.event).collect();
-        outcome.results.iter().map(ledger::result::TransactionResult::outcome).collect()
+        outcome.results.iter().map(ledger_storage::result::TransactionResult::outcome).collect()
     }
 
     /// One call in a block of its own.

@@ -7,8 +7,8 @@
 use super::Engine;
 use crate::interface::Output;
 use crate::message::{Behind, PeerMessage, RaftKind, RaftMessage};
-use ledger::mutation::{Mutation, active};
-use ledger::{Code, Rejection};
+use ledger_mutation::{Mutation, active};
+use ledger_rejection::{Code, Rejection};
 use raft::StateRole;
 use raft::eraftpb::{Message, MessageType};
 

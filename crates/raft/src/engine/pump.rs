@@ -11,10 +11,10 @@ use crate::log::membership;
 use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
 use crate::message::{ENTRIES_MAX, PeerMessage, RaftMessage};
 use ledger::block::Payload;
-use ledger::block_store::StoreError;
-use ledger::entry::{Entry, EntryKind, HardState};
 use ledger::members::MembershipChange;
-use ledger::mutation::{Mutation, active};
+use ledger_mutation::{Mutation, active};
+use ledger_storage::block_store::StoreError;
+use ledger_storage::entry::{Entry, EntryKind, HardState};
 use raft::eraftpb::{Message, MessageType};
 use raft::{INVALID_ID, StateRole};
 

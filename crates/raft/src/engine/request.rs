@@ -3,9 +3,9 @@
 use super::Engine;
 use crate::interface::{Input, Output};
 use crate::message::convert::proposal;
-use ledger::entry::EntryKind;
 use ledger::members::MembershipChange;
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::entry::EntryKind;
 
 /// Length of the name of a read.
 pub(super) const READ_NAME_BYTES: usize = 24;

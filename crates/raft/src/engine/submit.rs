@@ -4,8 +4,9 @@ use super::Engine;
 use crate::interface::{Lane, Output, Role};
 use crate::message::{PeerMessage, Transactions};
 use crate::queue::Waiting;
+use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
-use ledger::{Bytes, Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 
 impl Engine {
     /// A client of this node wants a transaction ordered.

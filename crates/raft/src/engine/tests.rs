@@ -5,8 +5,8 @@ mod learners;
 use super::*;
 use crate::Lane;
 use crate::message::{RaftKind, RaftMessage, WireEntry};
-use ledger::block_store::Options;
-use ledger::disk::SimDisk;
+use ledger_storage::block_store::Options;
+use ledger_storage::disk::SimDisk;
 
 fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     let disk = SimDisk::new(id);
@@ -108,7 +108,7 @@ fn less_is_ordered_ahead_while_execution_takes_long() {
     assert!(engine.is_leader());
     // Orders and executes a transaction; what its block leaves to the next one.
     let mut room_after = |took: u64| {
-        let mut inputs = vec![Input::Submit { lane: Lane::Data, transaction: ledger::Bytes::from_static(b"drive") }];
+        let mut inputs = vec![Input::Submit { lane: Lane::Data, transaction: bytes::Bytes::from_static(b"drive") }];
         while let Some(input) = inputs.pop() {
             let mut out = Vec::new();
             engine.step(1000, input, &mut out);
@@ -153,7 +153,7 @@ fn a_true_refusal_still_leads_the_probe_back() {
 #[test]
 fn hostile_messages_change_nothing_and_never_panic() {
     let huge = u64::MAX;
-    let entry = |index| WireEntry { index, term: 1, kind: 1, data: ledger::Bytes::new() };
+    let entry = |index| WireEntry { index, term: 1, kind: 1, data: bytes::Bytes::new() };
     let hostile = [
         message(2, RaftKind::Heartbeat, |message| message.commit = huge),
         message(2, RaftKind::Append, |message| {
@@ -198,7 +198,7 @@ fn follower() -> Engine {
     step(
         &mut engine,
         message(2, RaftKind::Append, |message| {
-            message.entries = vec![WireEntry { index: 1, term: 1, kind: 1, data: ledger::Bytes::new() }];
+            message.entries = vec![WireEntry { index: 1, term: 1, kind: 1, data: bytes::Bytes::new() }];
             message.commit = 1;
         }),
     );
@@ -216,7 +216,7 @@ fn nothing_that_promises_goes_out_before_it_is_on_disk() {
     out.clear();
     let append = message(2, RaftKind::Append, |message| {
         message.term = 3;
-        message.entries = vec![WireEntry { index: 1, term: 3, kind: 1, data: ledger::Bytes::new() }];
+        message.entries = vec![WireEntry { index: 1, term: 3, kind: 1, data: bytes::Bytes::new() }];
     });
     engine.step(0, append.clone(), &mut out);
     let flushed: Vec<_> = out.iter().filter(|output| matches!(output, Output::Flush { .. })).cloned().collect();
@@ -358,7 +358,7 @@ fn read_ready(out: &[Output]) -> Vec<u64> {
         .collect()
 }
 
-fn heartbeat_contexts(out: &[Output]) -> Vec<ledger::Bytes> {
+fn heartbeat_contexts(out: &[Output]) -> Vec<bytes::Bytes> {
     out.iter()
         .filter_map(|output| match output {
             Output::Send { to: 3, message: PeerMessage::Raft(message) }
@@ -423,7 +423,7 @@ fn a_heartbeat_that_knows_less_is_answered_with_what_is_committed_on_this_disk()
     let mut engine = engine(1, &[1, 2, 3], &[]);
     let append = message(2, RaftKind::Append, |message| {
         message.entries =
-            (1..=3).map(|index| WireEntry { index, term: 1, kind: 1, data: ledger::Bytes::new() }).collect();
+            (1..=3).map(|index| WireEntry { index, term: 1, kind: 1, data: bytes::Bytes::new() }).collect();
         message.commit = 2;
     });
     let mut out = Vec::new();

@@ -2,9 +2,9 @@
 //! outside.
 
 use super::{RaftKind, RaftMessage, WireEntry};
-use ledger::Bytes;
-use ledger::entry::{Entry, EntryKind};
+use bytes::Bytes;
 use ledger::members::MembershipChange;
+use ledger_storage::entry::{Entry, EntryKind};
 use raft::eraftpb;
 use raft::eraftpb::MessageType;
 

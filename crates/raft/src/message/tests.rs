@@ -1,6 +1,6 @@
 use super::convert::{entry_from_raft, entry_into_raft};
 use super::*;
-use ledger::entry::Entry;
+use ledger_storage::entry::Entry;
 use proptest::prelude::*;
 
 fn raft(kind: RaftKind) -> RaftMessage {

@@ -6,9 +6,11 @@
 //! order goes: it belongs to whoever has most waiting.
 
 use super::{QueueStatus, Waiting};
+use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
 use ledger::transaction::claimed_creator;
-use ledger::{Bytes, Code, Hash, Rejection};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 
 /// What a transaction costs to execute beside its bytes, in bytes that cost about as much.

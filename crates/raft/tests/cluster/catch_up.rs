@@ -1,9 +1,9 @@
 //! What nodes do beside ordering: drop old blocks, lose their disks, fetch from others what replication does not bring.
 
 use super::Cluster;
-use ledger::block_store::Base;
-use ledger::disk::SimDisk;
-use ledger::entry::HardState;
+use ledger_storage::block_store::Base;
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::HardState;
 use std::sync::Arc;
 
 /// What happened.

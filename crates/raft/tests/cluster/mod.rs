@@ -4,12 +4,12 @@
 
 mod catch_up;
 
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::block_store::{BlockStore, Options};
-use ledger::disk::SimDisk;
-use ledger::entry::{Entry, EntryKind};
 use ledger_raft::{Desired, Engine, EngineConfig, Input, Lane, Membership, Output, PeerMessage, Role, next_step};
+use ledger_storage::block_store::{BlockStore, Options};
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::{Entry, EntryKind};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
@@ -65,14 +65,14 @@ pub struct Node {
     pub state: Vec<Entry>,
     /// How much of it survives a crash.
     saved: usize,
-    pub dropped: Vec<(Bytes, ledger::Code)>,
-    pub refused: Vec<(Input, ledger::Rejection)>,
+    pub dropped: Vec<(Bytes, ledger_rejection::Code)>,
+    pub refused: Vec<(Input, ledger_rejection::Rejection)>,
     pub reads: Vec<(u64, u64)>,
     pub members: Membership,
     /// What is to happen when a process that is stopped goes on; none while it runs.
     held: Option<Vec<Event>>,
     /// Why the engine has stopped for good.
-    pub failed: Option<ledger::Rejection>,
+    pub failed: Option<ledger_rejection::Rejection>,
 }
 
 pub struct Cluster {

@@ -10,9 +10,11 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+use bytes::Bytes;
 use fake::{Fake, Fate};
-use ledger::{Bytes, Code, transaction::Transaction};
+use ledger::transaction::Transaction;
 use ledger_api::Context;
+use ledger_rejection::Code;
 use serde_json::json;
 
 use super::*;

@@ -2,7 +2,7 @@
 
 use std::ops::RangeInclusive;
 
-use ledger::{Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
 /// How alike two keys must be (Jaro-Winkler) for one to be suggested for the other.

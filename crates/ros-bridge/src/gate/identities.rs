@@ -5,7 +5,11 @@ use std::{
     sync::Arc,
 };
 
-use ledger::{Bytes, Hash, identity::Identity, msp::Msps, transaction::Transaction};
+use bytes::Bytes;
+use ledger::transaction::Transaction;
+use ledger_hash::Hash;
+use ledger_identity::Identity;
+use ledger_identity::msp::Msps;
 
 use super::Refused;
 use crate::service::Revoked;

@@ -2,7 +2,8 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use crate::fixture::{NONE, NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
-use ledger::{Bytes, transaction::Transaction};
+use bytes::Bytes;
+use ledger::transaction::Transaction;
 use proptest::prelude::*;
 
 use super::{Delivered, Gate, HOLDERS_MAX, Refused};
@@ -68,7 +69,7 @@ fn a_forged_signature_does_not_pass() {
 fn a_transaction_for_another_network_does_not_pass() {
     let network = Network::new();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
-    let elsewhere = User { network: ledger::Hash([9; 32]), ..network.salma.clone() };
+    let elsewhere = User { network: ledger_hash::Hash([9; 32]), ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &elsewhere, &elsewhere.set(3, 1, &TWIST)), Err(Refused::WrongNetwork));
 }
 
@@ -352,7 +353,7 @@ fn the_revoked_do_not_pass_and_the_robot_they_moved_stops() {
     assert!(gate.revoked(&network.salma.revocation(&network)));
     assert!(!gate.is_moving());
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 2, &TWIST)), Err(Refused::Revoked));
-    assert!(!gate.revoked(&Revoked { issuer: ledger::Hash::ZERO, serial: "zz".into() }));
+    assert!(!gate.revoked(&Revoked { issuer: ledger_hash::Hash::ZERO, serial: "zz".into() }));
 }
 
 #[test]

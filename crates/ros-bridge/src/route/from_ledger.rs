@@ -9,12 +9,13 @@ use std::{
     time::{Duration, Instant},
 };
 
+use bytes::Bytes;
 use futures::StreamExt;
-use ledger::{Bytes, Rejection};
 use ledger_api::{
     Subscription,
     v1::{Delivery, EventRecord},
 };
+use ledger_rejection::Rejection;
 use tokio::time::{sleep_until, timeout};
 
 use super::{Clocks, Stop, local::Outlet, stopped};

@@ -105,7 +105,7 @@ pub(crate) fn silence(facts: &Facts<'_>, now: Instant) -> Option<Silence> {
     if let Some((name, line, _)) = live.refused.as_ref().filter(|(_, _, at)| is_recent(Some(*at))) {
         return if !to_ledger {
             fault("gate", format!("the gate lets nothing pass: {line}"))
-        } else if no_grant && *name == ledger::Code::NotHolder.name() {
+        } else if no_grant && *name == ledger_rejection::Code::NotHolder.name() {
             fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
         } else {
             fault("refused", format!("the ledger refuses: {line}"))

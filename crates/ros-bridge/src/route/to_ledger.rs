@@ -8,13 +8,14 @@ use std::{
     time::{Duration, Instant},
 };
 
+use bytes::Bytes;
 use futures::{
     FutureExt, StreamExt,
     future::{BoxFuture, OptionFuture},
     stream::FuturesUnordered,
 };
-use ledger::{Bytes, Code, Rejection};
 use ledger_api::{Subscription, v1::Delivery};
+use ledger_rejection::{Code, Rejection};
 
 use super::{Clocks, Stop, local::Inlet, stopped};
 use crate::{

@@ -1,10 +1,12 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
-use ledger::identity::{Identity, Role};
-use ledger::key::PublicKey;
-use ledger::state::MemoryState;
-use ledger::{Environment, Event, Hash, Overlay, Registry};
+use ledger::{Environment, Registry};
+use ledger_hash::Hash;
+use ledger_identity::key::PublicKey;
+use ledger_identity::{Identity, Role};
+use ledger_storage::result::Event;
+use ledger_storage::state::{MemoryState, Overlay};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -203,7 +205,7 @@ fn the_same_calls_give_the_same_state_and_events_everywhere() {
         world.found(&member("Org1", "Salma"), "pallet");
         world.found(&member("Org2", "Farhad"), "crate");
         world.call(&member("Org1", "Salma"), "collected", &["1"]).unwrap();
-        (ledger::StateRead::range(&*world.state, b"", None, usize::MAX).unwrap(), world.events)
+        (ledger_storage::state::StateRead::range(&*world.state, b"", None, usize::MAX).unwrap(), world.events)
     };
     assert_eq!(run(), run());
 }

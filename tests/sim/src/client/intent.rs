@@ -4,7 +4,7 @@ use super::READER;
 use crate::clock::EPOCH;
 use crate::policy::Policy;
 use crate::world::World;
-use ledger::Bytes;
+use bytes::Bytes;
 
 /// The services of the simulated robots.
 pub const SERVICES: [&str; 3] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel", "Husky/arm"];

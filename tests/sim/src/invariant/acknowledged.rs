@@ -2,8 +2,8 @@
 //! of the voters; and what a node once called durable is there after every crash.
 
 use super::{Check, Violation};
-use ledger::block_store::BlockStore;
 use ledger::members::Membership;
+use ledger_storage::block_store::BlockStore;
 use std::collections::{BTreeMap, BTreeSet};
 
 const NAME: &str = "acknowledged is durable";

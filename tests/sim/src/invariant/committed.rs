@@ -2,8 +2,8 @@
 //! each once; and a log that is opened again still has the entries that were committed in it.
 
 use super::{Check, Violation};
-use ledger::block_store::BlockStore;
-use ledger::entry::Entry;
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::entry::Entry;
 
 const NAME: &str = "committed is immutable";
 

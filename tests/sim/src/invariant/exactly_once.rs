@@ -2,7 +2,8 @@
 //! once; whatever comes of a repetition, it changes nothing.
 
 use super::{Check, Executed, Violation};
-use ledger::{Code, Hash};
+use ledger_hash::Hash;
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 
 const NAME: &str = "exactly once";

@@ -2,7 +2,7 @@
 //! leaders of all higher-numbered terms.
 
 use super::{Check, Violation};
-use ledger::block_store::BlockStore;
+use ledger_storage::block_store::BlockStore;
 
 const NAME: &str = "leader completeness";
 

@@ -5,9 +5,9 @@
 //! always the same.
 
 use super::{Check, Violation};
-use ledger::Hash;
-use ledger::block_store::BlockStore;
-use ledger::entry::Entry;
+use ledger_hash::Hash;
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;
 
 const NAME: &str = "log matching";

@@ -2,7 +2,8 @@
 //! the transaction's own, was not executed and never is, whichever node has a copy.
 
 use super::{Check, Executed, Violation};
-use ledger::{Code, Hash};
+use ledger_hash::Hash;
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 
 const NAME: &str = "refused is final";

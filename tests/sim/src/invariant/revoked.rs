@@ -3,7 +3,7 @@
 
 use super::{Check, Executed, Violation};
 use crate::people::People;
-use ledger::Code;
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

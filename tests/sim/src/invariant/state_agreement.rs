@@ -1,7 +1,8 @@
 //! State agreement (design.md §7.2): the same state digest at the same height on every node.
 
 use super::{Check, Executed, Violation};
-use ledger::{Hash, Outcome};
+use ledger::Outcome;
+use ledger_hash::Hash;
 use std::collections::BTreeMap;
 
 const NAME: &str = "state agreement";
@@ -76,4 +77,4 @@ impl StateAgreement {
 }
 
 /// All keys and values of a node, in order.
-type World = Vec<(ledger::Bytes, ledger::Bytes)>;
+type World = Vec<(bytes::Bytes, bytes::Bytes)>;

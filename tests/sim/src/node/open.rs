@@ -2,12 +2,14 @@
 //! doubt about it.
 
 use super::Node;
-use ledger::block_store::{BlockStore, Options, StoreError};
-use ledger::entry::Entry;
-use ledger::results::ResultStore;
-use ledger::snapshot::Snapshots;
-use ledger::state::{State, Store};
-use ledger::{Chaincode, Code, Hash, Ledger, Registry, Rejection};
+use ledger::{Chaincode, Ledger, Registry};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::{BlockStore, Options, StoreError};
+use ledger_storage::entry::Entry;
+use ledger_storage::results::ResultStore;
+use ledger_storage::snapshot::Snapshots;
+use ledger_storage::state::{State, Store};
 use std::sync::Arc;
 
 /// Bytes of blocks read at once.

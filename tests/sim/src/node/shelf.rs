@@ -1,8 +1,9 @@
 //! Where a simulated node keeps its world state: whole batches only, and nothing that was not flushed. A process that
 //! dies leaves it as the last flush did.
 
-use ledger::state::{MemoryState, Store};
-use ledger::{Bytes, Code, Rejection, StateRead, WriteSet};
+use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::state::{MemoryState, StateRead, Store, WriteSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -4,9 +4,11 @@ mod grants;
 
 use crate::people::{People, Person};
 use crate::policy::{Asked, Policy, Says};
-use ledger::identity::Role;
+use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
-use ledger::{Bytes, Code, Hash};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;

@@ -4,10 +4,11 @@ use super::model::Model;
 use crate::history::{Kind, Outcome};
 use crate::invariant::Violation;
 use crate::world::World;
-use ledger::entry::EntryKind;
-use ledger::result::TransactionResult;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code};
+use ledger_rejection::Code;
+use ledger_storage::entry::EntryKind;
+use ledger_storage::result::TransactionResult;
 use serde::Deserialize;
 
 const NAME: &str = "the oracle agrees";

@@ -4,7 +4,8 @@
 use crate::history::{Kind, Outcome, Verdict};
 use crate::invariant::Violation;
 use crate::world::World;
-use ledger::{Code, Hash};
+use ledger_hash::Hash;
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 
 const NAME: &str = "clients see one history";

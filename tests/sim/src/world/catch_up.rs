@@ -6,11 +6,11 @@ use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Running;
-use ledger::block_store::{Base, StoreError};
-use ledger::entry::{Entry, HardState};
-use ledger::snapshot::Snapshot;
-use ledger::{Code, Rejection};
 use ledger_raft::Input;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::{Base, StoreError};
+use ledger_storage::entry::{Entry, HardState};
+use ledger_storage::snapshot::Snapshot;
 
 /// Most blocks of one answer of a peer.
 const BATCH_MAX: u64 = 64;

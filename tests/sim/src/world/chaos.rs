@@ -4,8 +4,8 @@ use super::{Event, Undo, World};
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::Check;
-use ledger::disk::Fault as DiskFault;
 use ledger_raft::{Input, Lane};
+use ledger_storage::disk::Fault as DiskFault;
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicU64, Ordering};
 

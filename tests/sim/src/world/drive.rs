@@ -5,10 +5,11 @@ use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::Check;
 use crate::node::{Answer, Refused, WAIT_MAX};
-use ledger::block_store::StoreError;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Code};
 use ledger_raft::{Input, Output, PeerMessage, RaftKind, Role, RoleChange, next_step, successor};
+use ledger_rejection::Code;
+use ledger_storage::block_store::StoreError;
 
 /// Pause before a write is tried again that found no space (`src/orderer.rs`).
 const FULL_DISK_PAUSE: u64 = 100 * MILLISECOND;

@@ -3,10 +3,12 @@
 use super::{Block, Timer, World};
 use crate::invariant::{Check, Executed};
 use crate::node::Answer;
-use ledger::entry::Entry;
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Bytes, Hash, Ledger, Outcome};
+use ledger::{Ledger, Outcome};
+use ledger_hash::Hash;
 use ledger_raft::Input;
+use ledger_storage::entry::Entry;
 
 impl World {
     /// Executes everything that is committed at a node.

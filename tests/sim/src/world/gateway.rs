@@ -3,9 +3,11 @@
 use super::{Event, World};
 use crate::invariant::Check;
 use crate::node::{Answer, Read, Refused, Reply, Request, WAIT_FOR_HEIGHT, Waiter, Waiting, What};
+use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Bytes, Code, Ground, Refusal, Rejection, Step};
+use ledger::{Admission, Ground, Refusal, Step};
 use ledger_raft::{Input, Lane};
+use ledger_rejection::{Code, Rejection};
 
 impl World {
     /// A request arrives.

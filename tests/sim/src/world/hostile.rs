@@ -3,7 +3,8 @@
 use super::World;
 use crate::client::{Call, SERVICES, sign};
 use crate::clock::{EPOCH, SECOND};
-use ledger::{Bytes, Hash};
+use bytes::Bytes;
+use ledger_hash::Hash;
 
 impl World {
     /// One of the things that execution must refuse, or ignore, on every node alike.

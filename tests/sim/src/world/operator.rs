@@ -5,7 +5,7 @@ use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Node;
-use ledger::segment::{Found, LogPosition, scan};
+use ledger_storage::segment::{Found, LogPosition, scan};
 
 /// A node whose disk is lost, and the new one that takes its place.
 #[derive(Clone, Copy, Debug)]

@@ -5,12 +5,13 @@ use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Opened, Running, open, open_blocks};
-use ledger::block_store::{BlockStore, StoreError};
-use ledger::disk::SimDisk;
-use ledger::entry::Entry;
-use ledger::{Chaincode, Hash, Ledger};
+use ledger::{Chaincode, Ledger};
 use ledger_abac::AccessControl;
+use ledger_hash::Hash;
 use ledger_raft::{Engine, EngineConfig};
+use ledger_storage::block_store::{BlockStore, StoreError};
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::Entry;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -151,7 +152,7 @@ impl World {
     pub(super) fn executed(&mut self, id: u64, ledger: &Ledger, entry: &Entry) -> Check {
         #[cfg(feature = "mutations")]
         if let Some(node) = self.nodes.get(&id) {
-            ledger::mutation::set_wall_clock(node.clock.wall(self.now));
+            ledger_mutation::set_wall_clock(node.clock.wall(self.now));
         }
         let index = entry.index;
         let outcome = ledger

@@ -4,10 +4,11 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::{context, time};
-use ledger::certificate::Certificate;
-use ledger::{Hash, Rejection};
 use ledger_api::context::RenewalRule;
 use ledger_api::{Context, renewal_due};
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
+use ledger_rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -75,7 +76,7 @@ impl Details {
     fn of(loaded: &Context, home: &Path) -> Result<Self, Rejection> {
         let identity = context::identity(loaded)?;
         let Certificate { not_before, not_after, .. } = loaded.certificate()?;
-        let authority = |msp: &ledger::msp::Msp| Authority {
+        let authority = |msp: &ledger_identity::msp::Msp| Authority {
             organisation: msp.organisation().to_owned(),
             ca_fingerprints: msp.roots().map(|root| Hash::of(&[root])).collect(),
         };

@@ -2,7 +2,8 @@
 
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
-use ledger::archive::{Extent, Report, archive};
+use ledger::network::Genesis;
+use ledger_storage::archive::{Extent, Report, archive};
 use serde::Serialize;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -52,7 +53,7 @@ impl Facts for Archived<'_> {
 
 impl Archive {
     pub(crate) fn run(self, output: &mut Output) -> Result<(), Failure> {
-        let report = archive(&self.directory, &self.to, Extent::Committed)?;
+        let report = archive(&self.directory, &self.to, Extent::Committed, &Genesis::network_of)?;
         output.show(&Archived { archive: &self.to, report })
     }
 }

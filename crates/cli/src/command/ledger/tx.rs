@@ -9,8 +9,9 @@ use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
 use ledger::transaction::Transaction;
-use ledger::{Code, Hash, Rejection};
 use ledger_api::v1;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -8,8 +8,9 @@ use crate::confirm::confirm;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{MSP, Session};
+use bytes::Bytes;
 use ledger::governance::{CarrierRecord, NodeRecord, NodeRole, SetNodeRole};
-use ledger::{Bytes, Rejection};
+use ledger_rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -61,8 +61,8 @@ pub(super) fn joined<'a>(names: impl IntoIterator<Item = &'a String>) -> String 
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::Hash;
     use ledger::governance::Proposal;
+    use ledger_hash::Hash;
 
     fn decision(executed: bool) -> Decision {
         let action = Action::SetNodeRole { id: 2, node: "Org2/node2".into(), role: NodeRole::Voter };

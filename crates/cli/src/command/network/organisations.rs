@@ -5,7 +5,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger::governance::{NodeRole, Organisation};
 use serde::Serialize;
 use std::io::{self, Write};

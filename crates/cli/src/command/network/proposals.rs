@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
-use ledger::Bytes;
+use bytes::Bytes;
 use ledger::governance::{Decision, Proposal};
 use serde::Serialize;
 use std::io::{self, Write};

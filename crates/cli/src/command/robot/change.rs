@@ -7,8 +7,9 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
 use crate::words::{self, Words};
-use ledger::{Bytes, Code, Rejection};
+use bytes::Bytes;
 use ledger_contract::{Reason, RobotChange, SettingChange};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

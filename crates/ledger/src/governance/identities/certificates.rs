@@ -12,14 +12,13 @@ use super::{
     CERTIFICATES_MAX, ENROLMENT_REPEAT_MAX, IdentityRecord, IssuedCertificate, LocalSecret, RENEWAL_PAUSE, Use, find,
     is_revoked, write,
 };
-use crate::Hash;
-use crate::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::identity::{Identity, Role, check_name};
-use crate::msp::{Msp, Msps};
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
+use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::{Identity, Role, check_name};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

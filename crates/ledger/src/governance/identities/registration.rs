@@ -3,13 +3,12 @@
 use super::super::caller::{admin, object};
 use super::super::store::{identity_key, json};
 use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
-use crate::Hash;
-use crate::certificate::encode_attributes;
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::identity::{Role, check_new_name};
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::certificate::encode_attributes;
+use ledger_identity::{Role, check_new_name};
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -6,9 +6,8 @@ use super::super::store::json;
 use super::registration::{unknown, void};
 use super::{IssuedCertificate, find, is_revoked};
 use crate::chaincode::Context;
-use crate::code::Code;
-use crate::rejection::Rejection;
 use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Argument of `revoke_identity`.

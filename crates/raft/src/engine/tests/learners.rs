@@ -69,7 +69,7 @@ fn what_is_held_back_goes_to_a_learner_that_becomes_a_voter_and_is_forgotten_by_
 #[test]
 fn a_learner_hands_out_what_is_committed_before_its_own_disk_has_it() {
     let commits = |engine: &mut Engine| {
-        let entries = (1..=2).map(|index| WireEntry { index, term: 1, kind: 1, data: ledger::Bytes::new() }).collect();
+        let entries = (1..=2).map(|index| WireEntry { index, term: 1, kind: 1, data: bytes::Bytes::new() }).collect();
         let append = message(1, RaftKind::Append, |message| (message.entries, message.commit) = (entries, 2));
         let mut out = Vec::new();
         engine.step(1000, append, &mut out);

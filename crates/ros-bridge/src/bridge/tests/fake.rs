@@ -2,12 +2,14 @@
 
 use std::sync::{Arc, Mutex};
 
+use bytes::Bytes;
 use futures::{FutureExt, StreamExt, future::BoxFuture};
-use ledger::{Bytes, Code, Rejection, transaction::Transaction};
+use ledger::transaction::Transaction;
 use ledger_api::{
     Answer, Subscription,
     v1::{Delivery, EventRecord},
 };
+use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::UnboundedReceiverStream;

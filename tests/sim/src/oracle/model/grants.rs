@@ -2,8 +2,9 @@
 
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
-use ledger::identity::Role;
-use ledger::{Code, Hash};
+use ledger_hash::Hash;
+use ledger_identity::Role;
+use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 

@@ -5,8 +5,8 @@ use crate::output::{Facts, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
 use ledger::governance::{CancelInvitation, Invitation};
-use ledger::identity::Role;
-use ledger::{Code, Rejection};
+use ledger_identity::Role;
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 

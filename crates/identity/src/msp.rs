@@ -1,0 +1,261 @@
+//! Whom an organisation vouches for: its authorities (MSP, as in Fabric), and the check of a certificate against
+//! those of all organisations.
+//!
+//! The path itself is checked by rustls-webpki. What it leaves to its callers is checked here: the validity, path
+//! length and CA flag of the root, key usage, and that no certificate passes for two organisations.
+
+mod path;
+
+use crate::certificate::{Certificate, at_most, malformed};
+use crate::identity::{Identity, IdentityError, check_name, printable};
+use crate::key::PublicKey;
+use ledger_hash::Hash;
+use rustls_pki_types::{CertificateDer, TrustAnchor};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::sync::Arc;
+
+/// Most roots of one organisation.
+pub const ROOTS_MAX: usize = 8;
+
+/// Most intermediate authorities that one organisation declares.
+pub const INTERMEDIATES_MAX: usize = 8;
+
+/// Most certificates that may come along with a certificate, its issuers and their root.
+pub const PRESENTED_MAX: usize = 4;
+
+/// What a certificate is used for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Usage {
+    /// To sign transactions and to call others.
+    Client,
+    /// To be called: the TLS server's side.
+    Server,
+}
+
+/// The authorities of one organisation.
+#[derive(Clone, Debug)]
+pub struct Msp {
+    organisation: String,
+    roots: Vec<Authority>,
+    intermediates: Vec<Authority>,
+}
+
+/// The certificate of an authority.
+#[derive(Clone, Debug)]
+struct Authority {
+    der: CertificateDer<'static>,
+    certificate: Certificate,
+    /// Name, key and name constraints, as webpki wants a root.
+    anchor: TrustAnchor<'static>,
+}
+
+impl Authority {
+    fn new(der: &[u8]) -> Result<Self, IdentityError> {
+        let certificate = Certificate::parse(der)?;
+        certificate.check_authority()?;
+        let der = CertificateDer::from(der.to_vec());
+        let anchor = webpki::anchor_from_trusted_cert(&der)
+            .map_err(|error| malformed(format!("{error} in an authority's certificate"), "an X.509 version 3 CA"))?
+            .to_owned();
+        Ok(Self { der, certificate, anchor })
+    }
+
+    fn all(ders: &[impl AsRef<[u8]>]) -> Result<Vec<Self>, IdentityError> {
+        ders.iter().map(|der| Self::new(der.as_ref())).collect()
+    }
+}
+
+impl Msp {
+    /// An organisation with its roots and, if its roots do not sign identities themselves, the intermediates that
+    /// do. Certificates are in DER. Their validity is checked at each use, not here.
+    ///
+    /// # Errors
+    /// [`IdentityError::BadName`], [`IdentityError::TooLarge`], [`IdentityError::NotAnAuthority`], and
+    /// [`IdentityError::Malformed`] if a certificate cannot be read or there is no root.
+    pub fn new(
+        organisation: &str,
+        roots: &[impl AsRef<[u8]>],
+        intermediates: &[impl AsRef<[u8]>],
+    ) -> Result<Self, IdentityError> {
+        check_name(organisation)?;
+        at_most("roots", roots.len(), ROOTS_MAX)?;
+        at_most("intermediates", intermediates.len(), INTERMEDIATES_MAX)?;
+        if roots.is_empty() {
+            return Err(malformed(format!("no root of {organisation}"), "at least one root of each organisation"));
+        }
+        Ok(Self {
+            organisation: organisation.to_owned(),
+            roots: Authority::all(roots)?,
+            intermediates: Authority::all(intermediates)?,
+        })
+    }
+
+    /// The organisation's name.
+    pub fn organisation(&self) -> &str {
+        &self.organisation
+    }
+
+    /// The roots, in DER.
+    pub fn roots(&self) -> impl Iterator<Item = &[u8]> {
+        self.roots.iter().map(|root| root.der.as_ref())
+    }
+
+    /// The declared intermediates, in DER.
+    pub fn intermediates(&self) -> impl Iterator<Item = &[u8]> {
+        self.intermediates.iter().map(|intermediate| intermediate.der.as_ref())
+    }
+
+    fn authorities(&self) -> impl Iterator<Item = &Authority> {
+        self.roots.iter().chain(&self.intermediates)
+    }
+}
+
+/// The authorities of all organisations of a network. Cheap to clone, so that a changed set replaces the old one
+/// while checks against the old one finish.
+#[derive(Clone, Debug, Default)]
+pub struct Msps {
+    organisations: BTreeMap<String, Arc<Msp>>,
+    /// Distinguished name (DER) of each declared authority -> its organisation.
+    names: HashMap<Vec<u8>, String>,
+    /// Public key (DER) of each declared authority -> its organisation.
+    keys: HashMap<Vec<u8>, String>,
+}
+
+impl Msps {
+    /// No organisation yet: every certificate is refused.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Adds an organisation, or replaces it if there is one of this name.
+    ///
+    /// # Errors
+    /// [`IdentityError::SharedAuthority`] if another organisation has an authority of the same name or key. Nothing
+    /// is changed then.
+    pub fn insert(&mut self, msp: Msp) -> Result<(), IdentityError> {
+        let mut changed = self.clone();
+        changed.remove(&msp.organisation);
+        for authority in msp.authorities() {
+            let Authority { certificate, .. } = authority;
+            for (owners, claimed) in
+                [(&mut changed.names, &certificate.subject_name), (&mut changed.keys, &certificate.public_key_info)]
+            {
+                let owner = owners.entry(claimed.clone()).or_insert_with(|| msp.organisation.clone());
+                if *owner != msp.organisation {
+                    return Err(IdentityError::SharedAuthority {
+                        subject: printable(&certificate.subject),
+                        first: owner.clone(),
+                        second: msp.organisation.clone(),
+                    });
+                }
+            }
+        }
+        changed.organisations.insert(msp.organisation.clone(), Arc::new(msp));
+        *self = changed;
+        Ok(())
+    }
+
+    /// Removes an organisation; its certificates are refused from then on. False if there was none of this name.
+    pub fn remove(&mut self, organisation: &str) -> bool {
+        self.names.retain(|_, owner| owner != organisation);
+        self.keys.retain(|_, owner| owner != organisation);
+        self.organisations.remove(organisation).is_some()
+    }
+
+    /// One organisation.
+    pub fn get(&self, organisation: &str) -> Option<&Msp> {
+        self.organisations.get(organisation).map(Arc::as_ref)
+    }
+
+    /// All organisations, in the order of their names.
+    pub fn iter(&self) -> impl Iterator<Item = &Msp> {
+        self.organisations.values().map(Arc::as_ref)
+    }
+
+    /// Verifies the certificate of somebody who signs or calls, at a time in microseconds since the UNIX epoch.
+    ///
+    /// `presented` are certificates that came along; declared intermediates need not be among them, and a root is
+    /// ignored. Whether the certificate was revoked is asked elsewhere, by [`Identity::revocation_key`].
+    ///
+    /// The answer may be kept for as long as [`Identity::check_validity`] agrees and this set does not change.
+    ///
+    /// # Errors
+    /// [`IdentityError`]: the first rule that is broken, in the order form, issuer, validity, use, signature, path.
+    pub fn verify(&self, der: &[u8], presented: &[CertificateDer<'_>], at: u64) -> Result<Identity, IdentityError> {
+        self.verify_for(Usage::Client, der, presented, at)
+    }
+
+    /// As [`Msps::verify`], for a given use of the certificate.
+    ///
+    /// # Errors
+    /// As [`Msps::verify`].
+    pub fn verify_for(
+        &self,
+        usage: Usage,
+        der: &[u8],
+        presented: &[CertificateDer<'_>],
+        at: u64,
+    ) -> Result<Identity, IdentityError> {
+        let certificate = Certificate::parse(der)?;
+        let presented = read_presented(presented)?;
+        let candidates = self.candidates(&certificate, &presented);
+        let mut refused = IdentityError::Untrusted {
+            issuer: printable(&certificate.issuer),
+            wanted: self.organisations.keys().cloned().collect(),
+        };
+        if candidates.is_empty() {
+            return Err(refused);
+        }
+        certificate.check_validity(at)?;
+        certificate.check_holder(usage)?;
+        let name = certificate.name()?;
+        let role = certificate.role()?;
+        let attributes = certificate.attributes()?;
+        let public_key = PublicKey::from_spki(&certificate.public_key_info)
+            .map_err(|reason| IdentityError::UnsupportedKey { subject: printable(&certificate.subject), reason })?;
+        let leaf = path::Leaf { der: CertificateDer::from(der), certificate: &certificate, usage, at };
+        for msp in candidates {
+            match leaf.path_to(msp, &presented) {
+                Ok(validity) => {
+                    return Ok(Identity {
+                        organisation: msp.organisation.clone(),
+                        name: name.to_owned(),
+                        role,
+                        attributes,
+                        issuer: Hash::of(&[&certificate.issuer_name]).0,
+                        serial: certificate.serial.clone(),
+                        fingerprint: Hash::of(&[der]).0,
+                        public_key,
+                        not_before: validity.not_before,
+                        not_after: validity.not_after,
+                    });
+                }
+                Err(error) => refused = path::more_telling(refused, error),
+            }
+        }
+        Err(refused)
+    }
+
+    /// The organisations whose authorities the certificate or its presented issuers name. If the issuer itself is
+    /// declared, only the organisation that declared it: nobody else can speak in its name.
+    fn candidates(&self, certificate: &Certificate, presented: &[Authority]) -> Vec<&Msp> {
+        let names: BTreeSet<&String> = match self.names.get(&certificate.issuer_name) {
+            Some(organisation) => BTreeSet::from([organisation]),
+            None => presented.iter().filter_map(|found| self.names.get(&found.certificate.issuer_name)).collect(),
+        };
+        names.into_iter().filter_map(|name| self.get(name)).collect()
+    }
+}
+
+/// Reads the certificates that came along. Roots are left out (they come from the MSP only), and each name may
+/// occur once: otherwise a hostile peer could make the search for a path expensive.
+fn read_presented(ders: &[CertificateDer<'_>]) -> Result<Vec<Authority>, IdentityError> {
+    at_most("presented certificates", ders.len(), PRESENTED_MAX)?;
+    let mut authorities = Authority::all(ders)?;
+    authorities.retain(|found| found.certificate.subject_name != found.certificate.issuer_name);
+    let names: BTreeSet<_> = authorities.iter().map(|found| &found.certificate.subject_name).collect();
+    if names.len() < authorities.len() {
+        return Err(malformed("two presented issuers of one name".into(), "each issuer of the path once"));
+    }
+    Ok(authorities)
+}

@@ -1,0 +1,75 @@
+//! Refusals that explain themselves.
+
+use crate::code::Code;
+use std::fmt;
+
+/// Why something was refused: a stable code and the four lines that a person needs.
+///
+/// ```text
+/// error: Farhad may not acquire Husky        [LGR-3001]
+///   found   attributes Turtlebot4=true
+///   wanted  attribute Husky=true
+///   try     ask an admin of Org1 for the attribute, then enrol again
+/// ```
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Rejection {
+    /// The stable code.
+    pub code: Code,
+    /// What was refused, in one line without a full stop.
+    pub message: String,
+    /// What was found; empty if the message says it all.
+    pub found: String,
+    /// What would have been accepted; empty if the message says it all.
+    pub wanted: String,
+    /// What to do next; empty if there is nothing to do.
+    pub next: String,
+}
+
+impl Rejection {
+    /// A refusal with a code and its first line.
+    pub fn new(code: Code, message: impl Into<String>) -> Self {
+        Self { code, message: message.into(), found: String::new(), wanted: String::new(), next: String::new() }
+    }
+
+    /// The refusal of a function that a chaincode does not have.
+    pub fn unknown_function(chaincode: &str, function: &str, known: &[&str]) -> Self {
+        Self::new(Code::UnknownFunction, format!("chaincode {chaincode:?} has no function {function:?}"))
+            .found(function.to_owned())
+            .wanted(format!("one of {}", known.join(", ")))
+    }
+
+    /// Adds what was found.
+    #[must_use]
+    pub fn found(mut self, found: impl Into<String>) -> Self {
+        self.found = found.into();
+        self
+    }
+
+    /// Adds what was wanted.
+    #[must_use]
+    pub fn wanted(mut self, wanted: impl Into<String>) -> Self {
+        self.wanted = wanted.into();
+        self
+    }
+
+    /// Adds what to do next.
+    #[must_use]
+    pub fn next(mut self, next: impl Into<String>) -> Self {
+        self.next = next.into();
+        self
+    }
+}
+
+impl fmt::Display for Rejection {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} [{}]", self.message, self.code)?;
+        for (label, text) in [("found ", &self.found), ("wanted", &self.wanted), ("try   ", &self.next)] {
+            if !text.is_empty() {
+                write!(f, "\n  {label}  {text}")?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl std::error::Error for Rejection {}

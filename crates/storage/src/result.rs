@@ -1,0 +1,187 @@
+//! What executing a block gave: verdicts, responses and events. Kept beside the chain; executing it again gives the
+//! same.
+
+use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use prost::Message;
+
+/// What became of one transaction.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct TransactionResult {
+    /// Number of the [`Code`].
+    #[prost(uint32, tag = "1")]
+    pub code: u32,
+    /// What the function returned.
+    #[prost(bytes = "bytes", tag = "2")]
+    pub response: Bytes,
+    /// First line of a refusal.
+    #[prost(string, tag = "3")]
+    pub message: String,
+    /// See [`Rejection::found`].
+    #[prost(string, tag = "4")]
+    pub found: String,
+    /// See [`Rejection::wanted`].
+    #[prost(string, tag = "5")]
+    pub wanted: String,
+    /// See [`Rejection::next`].
+    #[prost(string, tag = "6")]
+    pub next: String,
+    /// Id of the transaction, 32 bytes; empty where the bytes are no transaction.
+    #[prost(bytes = "bytes", tag = "7")]
+    pub id: Bytes,
+    /// Until when the id is remembered, in block time. None if this is not the verdict on the id: it was executed before,
+    /// or nobody who is known has signed it.
+    #[prost(uint64, optional, tag = "8")]
+    pub not_after: Option<u64>,
+}
+
+impl TransactionResult {
+    /// Id of the transaction; zero where the bytes are no transaction.
+    pub fn id(&self) -> Hash {
+        Hash::from_slice(&self.id).unwrap_or(Hash::ZERO)
+    }
+
+    /// The stable code; a number that this version does not know reads as [`Code::Internal`].
+    pub fn code(&self) -> Code {
+        u16::try_from(self.code).ok().and_then(Code::from_number).unwrap_or(Code::Internal)
+    }
+
+    /// The response or the refusal.
+    ///
+    /// # Errors
+    /// The refusal.
+    pub fn outcome(&self) -> Result<Bytes, Rejection> {
+        match self.code() {
+            Code::Ok => Ok(self.response.clone()),
+            code => Err(Rejection {
+                code,
+                message: self.message.clone(),
+                found: self.found.clone(),
+                wanted: self.wanted.clone(),
+                next: self.next.clone(),
+            }),
+        }
+    }
+}
+
+impl From<Result<Bytes, Rejection>> for TransactionResult {
+    fn from(outcome: Result<Bytes, Rejection>) -> Self {
+        match outcome {
+            Ok(response) => Self { response, ..Self::default() },
+            Err(Rejection { code, message, found, wanted, next }) => {
+                Self { code: code.number().into(), message, found, wanted, next, ..Self::default() }
+            }
+        }
+    }
+}
+
+/// Something that a chaincode tells the world, delivered to subscribers in block order together with the
+/// transaction that caused it.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Event {
+    /// The chaincode that emitted it.
+    #[prost(string, tag = "1")]
+    pub chaincode: String,
+    /// What happened, e.g. `message` or `granted`.
+    #[prost(string, tag = "2")]
+    pub name: String,
+    /// What it happened to, e.g. the service `Turtlebot4/cmd_vel`. Subscribers filter by it.
+    #[prost(string, tag = "3")]
+    pub subject: String,
+    /// Details, usually JSON. What the transaction holds already is not repeated here.
+    #[prost(bytes = "bytes", tag = "4")]
+    pub payload: Bytes,
+}
+
+/// An event and what caused it.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct EmittedEvent {
+    /// Position of the transaction in the block; none if the block itself caused it.
+    #[prost(uint32, optional, tag = "1")]
+    pub index: Option<u32>,
+    /// The event.
+    #[prost(message, required, tag = "2")]
+    pub event: Event,
+}
+
+/// What kind of entry a block is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, prost::Enumeration)]
+#[repr(i32)]
+pub enum BlockKind {
+    /// Transactions, perhaps none.
+    Transactions = 0,
+    /// A change of the nodes that order.
+    Membership = 1,
+    /// The first block.
+    Genesis = 2,
+}
+
+/// What executing a block gave.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct BlockResult {
+    /// Its term.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
+    /// Block time, microseconds since the UNIX epoch.
+    #[prost(uint64, tag = "2")]
+    pub time: u64,
+    /// Hash of its header, 32 bytes. The header itself follows from the block and the hash of the one before.
+    #[prost(bytes = "bytes", tag = "3")]
+    pub hash: Bytes,
+    /// State digest after it, 32 bytes.
+    #[prost(bytes = "bytes", tag = "4")]
+    pub digest: Bytes,
+    /// What it is.
+    #[prost(enumeration = "BlockKind", tag = "5")]
+    pub kind: i32,
+    /// One for each transaction.
+    #[prost(message, repeated, tag = "6")]
+    pub results: Vec<TransactionResult>,
+    /// In the order in which they were emitted.
+    #[prost(message, repeated, tag = "7")]
+    pub events: Vec<EmittedEvent>,
+}
+
+impl BlockResult {
+    /// Hash of the block's header.
+    pub fn hash(&self) -> Hash {
+        Hash::from_slice(&self.hash).unwrap_or(Hash::ZERO)
+    }
+
+    /// State digest after the block.
+    pub fn digest(&self) -> Hash {
+        Hash::from_slice(&self.digest).unwrap_or(Hash::ZERO)
+    }
+
+    /// The transactions whose ids this block has taken: position, id, and until when it is remembered.
+    pub fn taken(&self) -> impl Iterator<Item = (u32, Hash, u64)> + '_ {
+        (0u32..).zip(&self.results).filter_map(|(position, result)| Some((position, result.id(), result.not_after?)))
+    }
+
+    /// Only what blocks determine: without the words of refusals and without events, which may differ between versions
+    /// of the program.
+    pub fn determined(mut self) -> Self {
+        self.events.clear();
+        for result in &mut self.results {
+            for text in [&mut result.message, &mut result.found, &mut result.wanted, &mut result.next] {
+                text.clear();
+            }
+        }
+        self
+    }
+
+    /// The bytes that are stored.
+    pub fn to_bytes(&self) -> Bytes {
+        self.encode_to_vec().into()
+    }
+
+    /// Reads what was stored.
+    ///
+    /// # Errors
+    /// [`Code::Corrupt`].
+    pub fn from_bytes(bytes: Bytes) -> Result<Self, Rejection> {
+        Self::decode(bytes)
+            .map_err(|error| Rejection::new(Code::Corrupt, format!("a stored block result cannot be read: {error}")))
+    }
+}

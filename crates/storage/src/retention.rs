@@ -1,0 +1,196 @@
+//! How long a node keeps blocks.
+//!
+//! Blocks are dropped in whole segments, the oldest first, and only those that a snapshot of this node makes needless: what
+//! is left can be executed from that snapshot, by this node after a restart, by one that joins, and by an auditor.
+
+use crate::block_store::Finished;
+use ledger_rejection::{Code, Rejection};
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::str::FromStr;
+
+/// Shortest age that can be set, microseconds.
+pub const AGE_MIN_US: u64 = 10 * 60 * 1_000_000;
+
+/// Blocks of this time are kept in any case, however large, microseconds: twice as long as a transaction may be repeated,
+/// and its verdict asked for.
+pub const KEPT_MIN_US: u64 = 4 * 60 * 1_000_000;
+
+const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
+
+/// Smallest limit of the size, bytes: several segments at their default size.
+pub const SIZE_MIN_BYTES: u64 = 64 << 20;
+
+/// A setting of the node. Reads and prints as `forever`, an age like `30d` or `12h`, or a size like `20GiB` or `500MiB`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "String", into = "String")]
+pub enum Retention {
+    /// Everything is kept.
+    #[default]
+    Forever,
+    /// Blocks older than this are dropped, microseconds of block time.
+    Age(u64),
+    /// The oldest blocks are dropped when finished segments are larger than this, bytes.
+    Size(u64),
+}
+
+/// What is known of a node's blocks.
+pub struct Kept<'a> {
+    /// Its finished segments, the oldest first.
+    pub finished: &'a [Finished],
+    /// Height of the oldest snapshot that the node keeps; without one nothing is dropped.
+    pub oldest_snapshot: Option<u64>,
+    /// Block time of the newest block executed, microseconds.
+    pub time: u64,
+    /// Block time at a height; none if it is not known, then the block is kept.
+    pub time_of: &'a dyn Fn(u64) -> Option<u64>,
+}
+
+impl Retention {
+    /// From which block on this node keeps its blocks and what follows from them: to be given to
+    /// [`BlockStore::prune`](crate::block_store::BlockStore::prune). 0: nothing is dropped.
+    pub fn keep_from(&self, kept: &Kept<'_>) -> u64 {
+        let Some(snapshot) = kept.oldest_snapshot else { return 0 };
+        let mut bytes: u64 = kept.finished.iter().map(|segment| segment.bytes).sum();
+        let mut keep_from = 0;
+        for segment in kept.finished {
+            let newest = segment.next_index.saturating_sub(1);
+            // Short evaluation matters: the block time is read from disk.
+            let wanted = match self {
+                Self::Forever => false,
+                Self::Age(_) => true,
+                Self::Size(bytes_max) => bytes > *bytes_max,
+            };
+            if !wanted || newest > snapshot {
+                break;
+            }
+            let age_min = if let Self::Age(age) = self { *age } else { 0 };
+            let limit = kept.time.saturating_sub(age_min.max(KEPT_MIN_US));
+            if (kept.time_of)(newest).is_none_or(|time| time >= limit) {
+                break;
+            }
+            bytes -= segment.bytes;
+            keep_from = segment.next_index;
+        }
+        keep_from
+    }
+}
+
+const AGES: [(&str, u64); 3] = [("d", 86_400_000_000), ("h", 3_600_000_000), ("min", 60_000_000)];
+const SIZES: [(&str, u64); 3] = [("TiB", 1 << 40), ("GiB", 1 << 30), ("MiB", 1 << 20)];
+
+impl FromStr for Retention {
+    type Err = Rejection;
+
+    fn from_str(text: &str) -> Result<Self, Rejection> {
+        let refuse = |wanted: &str| {
+            Rejection::new(Code::BadConfiguration, "this is not how long blocks can be kept")
+                .found(format!("{text:?}"))
+                .wanted(wanted)
+        };
+        if text == "forever" {
+            return Ok(Self::Forever);
+        }
+        let split = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
+        let (number, unit) = text.split_at(split);
+        let number = |factor: u64| number.parse::<u64>().ok().and_then(|number| number.checked_mul(factor));
+        let find = |units: &[(&str, u64)]| units.iter().find(|(name, _)| *name == unit).and_then(|(_, f)| number(*f));
+        match (find(&AGES), find(&SIZES)) {
+            (Some(age), _) if age >= AGE_MIN_US => Ok(Self::Age(age)),
+            (Some(_), _) => Err(refuse("at least 10min")),
+            (_, Some(size)) if size >= SIZE_MIN_BYTES => Ok(Self::Size(size)),
+            (_, Some(_)) => Err(refuse("at least 64MiB")),
+            _ => Err(refuse("forever, an age like 30d, 12h or 90min, or a size like 2TiB, 20GiB or 500MiB")),
+        }
+    }
+}
+
+impl fmt::Display for Retention {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (number, units) = match self {
+            Self::Forever => return f.write_str("forever"),
+            Self::Age(age) => (*age, AGES),
+            Self::Size(size) => (*size, SIZES),
+        };
+        // The smallest unit, if none divides it: no such value is ever read.
+        let fits = units.iter().find(|(_, factor)| number % factor == 0).or(units.last());
+        let (unit, factor) = fits.copied().unwrap_or(("", 1));
+        write!(f, "{}{unit}", number / factor)
+    }
+}
+
+impl TryFrom<String> for Retention {
+    type Error = Rejection;
+
+    fn try_from(text: String) -> Result<Self, Rejection> {
+        text.parse()
+    }
+}
+
+impl From<Retention> for String {
+    fn from(retention: Retention) -> Self {
+        retention.to_string()
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    const MINUTE: u64 = 60_000_000;
+
+    /// Ten segments of 100 blocks and 100 MiB; a block a minute.
+    fn kept_from(retention: &str, oldest_snapshot: Option<u64>) -> u64 {
+        let finished: Vec<Finished> = (0..10)
+            .map(|i| Finished { first_index: i * 100 + 1, next_index: i * 100 + 101, bytes: 100 << 20 })
+            .collect();
+        let time_of = |height: u64| Some(height * MINUTE);
+        let kept = Kept { finished: &finished, oldest_snapshot, time: 1050 * MINUTE, time_of: &time_of };
+        retention.parse::<Retention>().unwrap().keep_from(&kept)
+    }
+
+    #[test]
+    fn blocks_beyond_age_or_size_are_dropped_in_whole_segments() {
+        assert_eq!(kept_from("forever", Some(1000)), 0);
+        // Block 450 is 600 minutes old.
+        assert_eq!(kept_from("600min", Some(1000)), 401);
+        assert_eq!(kept_from("10h", Some(1000)), 401);
+        assert_eq!(kept_from("1d", Some(1000)), 0);
+        assert_eq!(kept_from("300MiB", Some(1000)), 701);
+        assert_eq!(kept_from("1GiB", Some(1000)), 0);
+    }
+
+    #[test]
+    fn nothing_is_dropped_that_no_snapshot_holds() {
+        assert_eq!(kept_from("64MiB", None), 0);
+        assert_eq!(kept_from("64MiB", Some(500)), 501);
+        assert_eq!(kept_from("64MiB", Some(499)), 401);
+        assert_eq!(kept_from("10min", Some(250)), 201);
+    }
+
+    #[test]
+    fn blocks_of_the_last_minutes_are_kept_however_large() {
+        let finished = [Finished { first_index: 1, next_index: 11, bytes: 1 << 40 }];
+        for (age, keep_from) in [(KEPT_MIN_US, 0), (KEPT_MIN_US + 1, 11)] {
+            let time_of = |_| Some(5 * MINUTE);
+            let kept =
+                Kept { finished: &finished, oldest_snapshot: Some(10), time: 5 * MINUTE + age, time_of: &time_of };
+            assert_eq!(Retention::Size(SIZE_MIN_BYTES).keep_from(&kept), keep_from);
+            let unknown = |_| None;
+            let kept = Kept { time_of: &unknown, ..kept };
+            assert_eq!(Retention::Size(SIZE_MIN_BYTES).keep_from(&kept), 0);
+        }
+    }
+
+    #[test]
+    fn a_setting_prints_as_it_is_read() {
+        for text in ["forever", "30d", "12h", "90min", "20GiB", "500MiB", "2TiB"] {
+            assert_eq!(text.parse::<Retention>().unwrap().to_string(), text);
+        }
+        assert_eq!("24h".parse::<Retention>().unwrap().to_string(), "1d");
+        for text in ["", "never", "9min", "63MiB", "30", "d", "-1d", "1.5h", "99999999999999TiB", "1 d"] {
+            assert_eq!(text.parse::<Retention>().unwrap_err().code, Code::BadConfiguration, "{text}");
+        }
+    }
+}
