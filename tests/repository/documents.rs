@@ -1,6 +1,7 @@
 //! What the documents promise.
 
 use crate::sources::{files, read, root};
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::process::Command;
 
@@ -81,9 +82,20 @@ fn links_lead_somewhere() {
         let text = read(&path);
         let directory = path.parent().unwrap_or(root());
         for link in text.split("](").skip(1).filter_map(|rest| rest.split_once(')')).map(|(link, _)| link) {
-            let file = link.split('#').next().unwrap_or_default();
-            let there = file.is_empty() || file.contains("://") || directory.join(Path::new(file)).exists();
+            let (file, anchor) = link.split_once('#').unwrap_or((link, ""));
+            if file.contains("://") {
+                continue;
+            }
+            let target = if file.is_empty() { path.clone() } else { directory.join(Path::new(file)) };
+            let there = target.exists() && (anchor.is_empty() || anchors(&read(&target)).contains(anchor));
             assert!(there, "{} links to {link}, which is not there", path.display());
         }
     }
+}
+
+/// The headings of a document as the links to them name them.
+fn anchors(text: &str) -> BTreeSet<String> {
+    let headings = text.lines().filter(|line| line.starts_with('#')).map(|line| line.trim_start_matches('#').trim());
+    let kept = |c: char| c.is_alphanumeric() || c == '-' || c == '_';
+    headings.map(|heading| heading.to_lowercase().replace(' ', "-").chars().filter(|c| kept(*c)).collect()).collect()
 }

@@ -5,5 +5,7 @@
 mod architecture;
 mod documents;
 mod events;
+mod keys;
 mod layers;
 mod sources;
+mod words;

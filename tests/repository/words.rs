@@ -1,0 +1,149 @@
+//! The words of the documents: plain sentences that are read once.
+
+use crate::sources::{files, read, root};
+
+/// Longest sentence, in words.
+const WORDS_MAX: usize = 30;
+
+/// Words at whose begin a reader waits for the verb: "Who changes it holds a lock".
+const BARE: [&str; 6] = ["Who", "What", "Whoever", "Whatever", "Whom", "Whose"];
+
+/// A paragraph or an item of a list: the number of its first line, and its text on one line.
+struct Paragraph {
+    line: usize,
+    text: String,
+}
+
+/// What belongs to a line of a text.
+enum Line<'a> {
+    /// Neither prose nor part of it: a blank line, a heading, a row of a table.
+    Ends,
+    /// Prose that begins a new paragraph, such as an item of a list.
+    Begins(&'a str),
+    /// Prose that may go on with the paragraph before.
+    Prose(&'a str),
+}
+
+/// Collects paragraphs from lines, in order.
+fn collect<'a>(lines: impl Iterator<Item = Line<'a>>) -> Vec<Paragraph> {
+    let mut found: Vec<Paragraph> = Vec::new();
+    let mut open = false;
+    for (line, number) in lines.zip(1..) {
+        let (words, begins) = match line {
+            Line::Ends => {
+                open = false;
+                continue;
+            }
+            Line::Begins(words) => (words, true),
+            Line::Prose(words) => (words, !open),
+        };
+        match found.last_mut().filter(|_| !begins) {
+            Some(paragraph) => paragraph.text = format!("{} {words}", paragraph.text),
+            None => found.push(Paragraph { line: number, text: words.to_owned() }),
+        }
+        open = true;
+    }
+    found
+}
+
+/// The paragraphs of a document, without code, tables and headings.
+fn paragraphs(text: &str) -> Vec<Paragraph> {
+    let mut code = false;
+    collect(text.lines().map(|line| {
+        let line = line.trim();
+        if line.starts_with("```") {
+            code = !code;
+            return Line::Ends;
+        }
+        if code || line.is_empty() || line.starts_with(['|', '#', '<']) {
+            return Line::Ends;
+        }
+        item(line).map_or(Line::Prose(line), Line::Begins)
+    }))
+}
+
+/// The text of an item of a list.
+fn item(line: &str) -> Option<&str> {
+    let number = line.trim_start_matches(|c: char| c.is_ascii_digit());
+    let numbered = number.strip_prefix(". ").filter(|_| number.len() < line.len());
+    numbered.or(line.strip_prefix("- ")).or(line.strip_prefix("* "))
+}
+
+/// The comments of a file of settings; a line that is a setting, even one that is commented out, is none.
+fn comments(text: &str) -> Vec<Paragraph> {
+    collect(text.lines().map(|line| line.strip_prefix("# ").map_or(Line::Ends, Line::Prose)))
+}
+
+/// The words of each sentence, with code as one word, and links and stress as what they show.
+fn sentences(text: &str) -> Vec<Vec<String>> {
+    let shown = without_links(&text.split('`').step_by(2).collect::<Vec<_>>().join("`code`")).replace('*', "");
+    let words: Vec<&str> = shown.split_whitespace().collect();
+    let mut found = vec![Vec::new()];
+    for (at, word) in words.iter().enumerate() {
+        if let Some(sentence) = found.last_mut() {
+            sentence.push((*word).to_owned());
+        }
+        let ends = word.trim_end_matches([')', '"', '\'']).ends_with(['.', '!', '?']);
+        let next = words.get(at + 1).and_then(|next| next.chars().next());
+        if ends && next.is_some_and(|c| !c.is_lowercase()) {
+            found.push(Vec::new());
+        }
+    }
+    found
+}
+
+/// `[words](target)` as its words.
+fn without_links(text: &str) -> String {
+    let mut shown = String::new();
+    let mut rest = text;
+    while let Some((before, after)) = rest.split_once("](") {
+        shown.push_str(&before.replacen('[', "", 1));
+        rest = after.split_once(')').map_or("", |(_, rest)| rest);
+    }
+    shown + rest
+}
+
+/// What is wrong with the sentences of these paragraphs, by file and line.
+fn faults(file: &str, paragraphs: &[Paragraph]) -> Vec<String> {
+    let mut faults = Vec::new();
+    for paragraph in paragraphs {
+        for sentence in sentences(&paragraph.text) {
+            let words = sentence.iter().filter(|word| word.chars().any(char::is_alphanumeric)).count();
+            let place = format!("{file}:{}: {}", paragraph.line, sentence.join(" "));
+            if words > WORDS_MAX {
+                faults.push(format!("{words} words of {WORDS_MAX}: {place}"));
+            }
+            let first = sentence.first().map(|word| word.trim_matches(|c: char| !c.is_alphanumeric()));
+            let question = sentence.last().is_some_and(|word| word.ends_with('?'));
+            if first.is_some_and(|first| BARE.contains(&first)) && !question {
+                faults.push(format!("name the subject: {place}"));
+            }
+        }
+    }
+    faults
+}
+
+/// A path as the repository names it.
+fn named(path: &std::path::Path) -> String {
+    path.strip_prefix(root()).unwrap_or(path).to_string_lossy().into_owned()
+}
+
+#[test]
+fn sentences_of_the_documents_are_short_and_name_their_subject() {
+    let faults: Vec<_> =
+        files(root(), ".md").iter().flat_map(|path| faults(&named(path), &paragraphs(&read(path)))).collect();
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn a_long_sentence_and_a_bare_subject_are_found() {
+    let long = "word ".repeat(31);
+    let text = format!(
+        "# Head\n\n{long}\n\n- Who reads `this and\nthat` waits. What is it? It is\n  [a link](x.md) to it.\n\n| {long} |\n"
+    );
+    let found = faults("file", &paragraphs(&text));
+    let told: Vec<_> = found.iter().map(|fault| fault.trim_end_matches(" word")).collect();
+    assert_eq!(told, ["31 words of 30: file:3:", "name the subject: file:5: Who reads `code` waits."]);
+    let settings = comments("# Words of a setting. Whom it\n# concerns.\n#name = \"What\"\n");
+    assert_eq!(faults("file", &settings), ["name the subject: file:1: Whom it concerns."]);
+}
