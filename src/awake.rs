@@ -97,7 +97,7 @@ impl Until {
         let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
         if let Err(error) = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, idle) {
             // Without it they would be in the way of those that they are to help.
-            tracing::info!(?error, "processors may sleep: no thread may have the class SCHED_IDLE here");
+            tracing::info!(%error, "processors may sleep: no thread may have the class SCHED_IDLE here");
             return;
         }
         // Else each pause takes as much longer as the kernel may wait for other timers, 50 us.

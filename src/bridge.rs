@@ -27,7 +27,7 @@ impl NodeBridge {
         let Some(settings) = settings(config)? else { return Ok(None) };
         let (stop, mut stopping) = watch::channel(false);
         let task = tokio::spawn(async move {
-            let mut told = String::new();
+            let (mut told, mut down) = (String::new(), false);
             loop {
                 let started = tokio::select! {
                     started = start(settings.clone(), address.clone()) => started,
@@ -35,7 +35,12 @@ impl NodeBridge {
                 };
                 match started {
                     Ok((bridge, client)) => {
-                        tracing::info!("the bridge runs");
+                        // An outage and its end have the same level.
+                        match std::mem::take(&mut down) {
+                            true => tracing::warn!("the bridge runs again"),
+                            false => tracing::info!("the bridge runs"),
+                        }
+                        told.clear();
                         let lost = tokio::select! {
                             () = stopped(&mut stopping) => None,
                             () = ros_bridge::keep_renewed(&settings, &client) => None,
@@ -44,15 +49,16 @@ impl NodeBridge {
                         let summary = serde_json::to_string(&bridge.stop().await).unwrap_or_default();
                         tracing::info!(summary, "the bridge has stopped");
                         match lost {
-                            Some(reason) => tracing::error!(%reason, "the bridge starts again"),
+                            Some(reason) => tracing::warn!(%reason, "the bridge has failed; starting it again"),
                             None => return,
                         }
+                        down = true;
                     }
                     // The same reason once, not every two seconds.
                     Err(reason) if told == reason.message => {}
                     Err(reason) => {
-                        tracing::warn!(%reason, "the bridge cannot start yet; trying on");
-                        told = reason.message;
+                        tracing::warn!(%reason, "the bridge cannot start yet; trying again");
+                        (told, down) = (reason.message, true);
                     }
                 }
                 tokio::select! {
@@ -68,7 +74,7 @@ impl NodeBridge {
     pub(crate) async fn stop(self) {
         self.stop.send_replace(true);
         if let Err(error) = self.task.await {
-            tracing::error!(%error, "the bridge ended before its time");
+            tracing::error!(%error, "the bridge ended too early");
         }
     }
 }

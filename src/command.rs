@@ -168,7 +168,9 @@ pub(crate) fn stop_signal() -> impl Future<Output = ()> {
     use tokio::signal::unix::{Signal, SignalKind, signal};
     let listen = |kind| {
         let listening = signal(kind);
-        listening.inspect_err(|error| tracing::warn!(%error, ?kind, "cannot wait for this signal")).ok()
+        listening
+            .inspect_err(|error| tracing::warn!(%error, signal = kind.as_raw_value(), "cannot wait for this signal"))
+            .ok()
     };
     async fn received(signal: Option<Signal>) {
         match signal {

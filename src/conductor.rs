@@ -68,12 +68,12 @@ impl Conductor {
                 }
                 if self.catch_up.is_known()? {
                     if told {
-                        tracing::warn!("this node knows the network as it is by now");
+                        tracing::warn!("this node has learnt the current members of the network");
                     }
                     self.start_engine()?;
                     far_behind = false;
                 } else if !std::mem::replace(&mut told, true) {
-                    tracing::warn!("no node says what the network is by now; asking on");
+                    tracing::warn!("no node tells the current members of the network; asking again");
                 } else if tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await.is_ok() {
                     return Ok(());
                 }
@@ -92,7 +92,7 @@ impl Conductor {
             match self.catch_up.run(Some(behind)).await? {
                 Caught::Up => {
                     if std::mem::take(&mut helpless) {
-                        tracing::warn!("another node has helped this one to catch up");
+                        tracing::warn!("another node has helped this node to catch up");
                     }
                 }
                 Caught::Snapshot => {
@@ -104,7 +104,7 @@ impl Conductor {
                     if !std::mem::replace(&mut helpless, true) {
                         tracing::warn!(
                             wanted = behind.first_index - 1,
-                            "nobody could help this node to catch up; trying on"
+                            "no node could help this node to catch up; trying again"
                         );
                     }
                     let _stopping = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;

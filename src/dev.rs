@@ -247,7 +247,7 @@ fn forget_contexts(home: &Path, written: &Written) {
         if Context::load(home, Some(name)).is_ok_and(|context| context.network == written.network)
             && let Err(rejection) = Context::remove(home, name)
         {
-            tracing::warn!(%rejection, "a context stays behind");
+            tracing::warn!(%rejection, "cannot remove a context of the old network");
         }
     }
 }

@@ -333,7 +333,7 @@ fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
         .map_err(|error| Rejection::new(Code::Internal, format!("an argument cannot be written: {error}")))
 }
 
-/// A name from outside, cut for a log line or message; print it with `{:?}`.
+/// A name from outside for a log line or a message: cut, and with control characters escaped.
 fn printable(name: &str) -> String {
-    name.chars().take(128).collect()
+    name.chars().take(128).flat_map(char::escape_debug).collect()
 }

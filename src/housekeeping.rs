@@ -66,7 +66,7 @@ impl Housekeeping {
         drop(self.stop);
         for thread in self.threads {
             if thread.join().is_err() {
-                tracing::error!("a thread of housekeeping had panicked");
+                tracing::error!("a thread of housekeeping panicked");
             }
         }
     }
@@ -131,7 +131,7 @@ impl Trouble {
             Err(fault) => {
                 let reason = fault.to_string();
                 if reason != self.reason {
-                    tracing::error!(%fault, "cannot {}; trying on", self.what);
+                    tracing::error!(%fault, "cannot {}; trying again", self.what);
                     self.reason = reason;
                 }
             }

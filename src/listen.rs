@@ -73,7 +73,9 @@ pub(crate) fn accept(
                         let _closing = established.send(Ok(connection)).await;
                     }
                     Ok(Err(reason)) => tracing::info!(%address, %reason, "connection refused"),
-                    Err(_) => tracing::info!(%address, limit = ?HANDSHAKE_TIME_MAX, "handshake took too long"),
+                    Err(_) => {
+                        tracing::info!(%address, limit_s = HANDSHAKE_TIME_MAX.as_secs(), "the handshake took too long")
+                    }
                 }
                 drop(permit);
             });

@@ -184,7 +184,7 @@ impl Node {
             behind: watch::Sender::new(None),
             fatal: Box::new(move |reason| {
                 let reason = advised(reason, &told);
-                tracing::error!(%reason, "the node cannot go on");
+                tracing::error!(%reason, "the node cannot continue");
                 failed.send_replace(Some(Ended::Failed(reason)));
             }),
             start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
@@ -312,7 +312,7 @@ impl Node {
                 return Err(reason);
             }
         };
-        tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {:?}", started.elapsed());
+        tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {} ms", started.elapsed().as_millis());
         let scrub = Scrub::start(Arc::clone(&testimony.shared))
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let (me, members, fatal) = (view.me.clone(), directory.subscribe(), Arc::clone(&testimony.shared));

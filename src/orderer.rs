@@ -151,7 +151,7 @@ impl Orderer {
         self.stop.store(true, Ordering::Relaxed);
         for thread in self.threads.drain(..) {
             if thread.join().is_err() {
-                tracing::error!("a thread of the orderer had panicked");
+                tracing::error!("a thread of the orderer panicked");
             }
         }
     }

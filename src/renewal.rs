@@ -79,7 +79,7 @@ impl Keeper {
             Err(reason) => {
                 *failed = true;
                 let days = left / DAY;
-                tracing::warn!(%reason, "the node's certificate cannot be renewed; it ends in {days} days, trying on");
+                tracing::warn!(%reason, "the node's certificate cannot be renewed; it ends in {days} days; trying again");
                 Duration::from_micros(left / 10).clamp(RETRY_PAUSE.0, RETRY_PAUSE.1)
             }
         }
@@ -138,7 +138,7 @@ pub(crate) fn revive(
     let renewed = renewal.finish(&certificate, msps)?;
     store(data, identity, &renewed)?;
     identity.renew(&renewed);
-    tracing::warn!("the node's certificate had run out; its own CA has renewed it");
+    tracing::warn!("the node's certificate had expired; its own CA has renewed it");
     Ok(())
 }
 

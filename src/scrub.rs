@@ -50,7 +50,7 @@ impl Scrub {
     pub(crate) fn stop(self) {
         drop(self.stop);
         if self.thread.join().is_err() {
-            tracing::error!("the thread that looks for damage had panicked");
+            tracing::error!("the thread that looks for damage panicked");
         }
     }
 }

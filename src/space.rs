@@ -203,7 +203,7 @@ impl Space {
                 tracing::error!(%path, free, of, "there is space on the disk again; everything is accepted")
             }
             Accepts::Ends => {
-                tracing::error!(%path, free, of, "the disk is almost full; nothing is accepted but what ends control");
+                tracing::error!(%path, free, of, "the disk is almost full; only calls that end control are accepted");
             }
             Accepts::Nothing => tracing::error!(%path, free, of, "the disk is full; nothing more is accepted"),
         }

@@ -52,7 +52,7 @@ impl Stores {
             set_aside(&config.data.join(STATE_DIRECTORY))?;
             set_aside(&config.data.join(RESULTS_DIRECTORY))?;
             tracing::warn!(
-                "world state and results differed from the other nodes'; they are made anew from the blocks"
+                "world state and results differed from those of other nodes; the node rebuilds them from the blocks"
             );
         }
         let open = || open_ledger(&config.data, genesis_bytes, &registry, &store, &snapshots);
@@ -67,7 +67,7 @@ impl Stores {
             Err(fault) => return Err(fault),
         };
         if diverged && let Err(error) = std::fs::remove_file(&mark) {
-            tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start makes the state anew again");
+            tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start will rebuild the world state again");
         }
         Ok(Self { genesis, ledger: Arc::new(ledger), store, snapshots })
     }
@@ -99,10 +99,10 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
         if damaged { Rejection { message, ..refused } } else { refused }
     })?;
     if let Some(torn) = &recovery.torn {
-        tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a write that was cut off and never acknowledged");
+        tracing::warn!(file = %torn.file, offset = torn.offset, bytes = torn.bytes, "removed a torn write that was never acknowledged");
     }
     for file in &recovery.ignored {
-        tracing::warn!(%file, "not a file of the block store; left alone");
+        tracing::warn!(%file, "this file does not belong to the block store; it is left alone");
     }
     Ok(store)
 }
@@ -168,7 +168,7 @@ fn fill(kept: &SledStore, results: &ResultStore, store: &BlockStore, snapshots: 
             .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
             .next(format!("{REJOIN}: it comes back as a new node and fetches everything again")));
     };
-    tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "world state begins with a snapshot");
+    tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "the world state begins with a snapshot");
     snapshot.fill(kept, results)
 }
 

@@ -45,7 +45,7 @@ impl Dialer {
                 match tokio::time::timeout(patience, dialer.ask_one(&member)).await {
                     Ok(Ok(offer)) => Some(offer).filter(ours),
                     Ok(Err(reason)) => {
-                        tracing::debug!(peer = %member.full_name(), reason, "does not say what it has");
+                        tracing::debug!(peer = %member.full_name(), reason, "the peer does not tell what it holds");
                         None
                     }
                     Err(_) => None,

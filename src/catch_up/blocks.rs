@@ -60,7 +60,7 @@ impl CatchUp {
             let confirming = match self.confirming(offer, offers, behind) {
                 Ok(confirming) => confirming,
                 Err(Unconfirmed) => {
-                    tracing::info!(peer = %offer.member.full_name(), "has blocks, but no node of another organisation confirms them");
+                    tracing::info!(peer = %offer.member.full_name(), "no node of another organisation confirms the blocks of this peer");
                     continue;
                 }
             };
@@ -70,7 +70,7 @@ impl CatchUp {
                 if is_own(&fault) {
                     return Err(fault);
                 }
-                tracing::warn!(peer = %offer.member.full_name(), %fault, "cannot fetch more from this node");
+                tracing::warn!(peer = %offer.member.full_name(), %fault, "cannot fetch more blocks from this peer");
             }
         }
         let reached = self.shared.ledger.tip().height;
@@ -189,7 +189,9 @@ async fn confirm(end: &End, confirming: &[Offer]) -> Result<(), Rejection> {
                 .wanted(format!("block hash {}, which follows from the fetched blocks", end.hash)));
             }
             Ok(None) => {}
-            Err(reason) => tracing::debug!(peer = %offer.member.full_name(), %reason, "does not confirm"),
+            Err(reason) => {
+                tracing::debug!(peer = %offer.member.full_name(), %reason, "the peer does not confirm the blocks")
+            }
         }
     }
     Err(Rejection::new(Code::Behind, format!("no other organisation's node has block {} yet", end.height))

@@ -50,7 +50,7 @@ impl CatchUp {
                 Ok(caught) => return Ok(caught),
                 Err(fault) if is_own(&fault) => return Err(fault),
                 Err(fault) => {
-                    tracing::warn!(peer = %offer.member.full_name(), %fault, "cannot take this node's snapshot");
+                    tracing::warn!(peer = %offer.member.full_name(), %fault, "cannot use the snapshot of this peer");
                 }
             }
         }
@@ -124,7 +124,7 @@ impl CatchUp {
         let base = Base { index: tip.height, term: tip.term };
         let begun = tokio::task::spawn_blocking(move || store.begin_after(base)).await;
         begun.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with the log"))??;
-        tracing::info!(height = tip.height, digest = %tip.digest, "a snapshot takes the place of what was dropped");
+        tracing::info!(height = tip.height, digest = %tip.digest, "a snapshot replaces the dropped blocks");
         Ok(Caught::Snapshot)
     }
 }

@@ -103,7 +103,7 @@ impl Shared {
         }
         Err(Rejection::new(Code::NotAdmin, format!("{} may not decide who carries this CA", admin.id()))
             .found(format!("an admin of {}", admin.organisation))
-            .wanted(format!("an admin of {:?}", super::printable(organisation))))
+            .wanted(format!("an admin of {}", super::printable(organisation))))
     }
 
     /// The offer is by a node of the organisation, as the ledger knows it now.

@@ -48,7 +48,7 @@ impl EnrolmentService {
             opened = self.opened(&organisations, &name, &request.secret).await?;
         }
         let Some((organisation, opened)) = opened else {
-            tracing::warn!(name = ?printable(&name), %source, "refused to enrol: no such name, or another secret");
+            tracing::warn!(name = printable(&name), %source, "refused to enrol: no such name, or another secret");
             return Err(CertificateAuthority::refusal());
         };
         self.check_known(&organisation)?;
@@ -62,9 +62,9 @@ impl EnrolmentService {
             (_, told) => told.map(|()| Bytes::new()),
         }
         .inspect_err(|refused| {
-            tracing::warn!(organisation, name = ?printable(&name), code = %refused.code, "refused to enrol");
+            tracing::warn!(organisation, name = printable(&name), code = %refused.code, "refused to enrol");
         })?;
-        tracing::info!(organisation, name = ?printable(&name), "enrolled");
+        tracing::info!(organisation, name = printable(&name), "enrolled");
         Ok(self.shared.certified(&organisation, certificate))
     }
 
@@ -188,7 +188,7 @@ impl EnrolmentService {
         match self.record_certificate(organisation, &der, Ground::Local(made)).await {
             Err(refused) if refused.code == Code::EnrolmentRefused => Err(CertificateAuthority::refusal()),
             Err(unreachable) if is_unreachable(&unreachable) => {
-                tracing::warn!(organisation, name, reason = %unreachable, "a certificate is handed out by this machine's word; the ledger will have it later");
+                tracing::warn!(organisation, name, reason = %unreachable, "a certificate is issued from this machine's own registry; the ledger will record it later");
                 Ok(der.into())
             }
             done => done,

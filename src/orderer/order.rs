@@ -208,7 +208,7 @@ impl Order {
             return;
         }
         if let Some(step) = next_step(&self.shared.directory.desired(), &self.engine.status()) {
-            tracing::info!(change = self.described(&step), "leading the members to what the ledger wants");
+            tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
             self.step(step);
         }
     }

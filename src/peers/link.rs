@@ -72,7 +72,7 @@ impl Way {
             }
             // The same reason once, not twice a second.
             if reason != last_reason {
-                tracing::info!(peer = %member.full_name(), address = %member.address, %reason, "not connected; trying on");
+                tracing::info!(peer = %member.full_name(), address = %member.address, %reason, "not connected; trying again");
                 last_reason = reason;
             }
             if tokio::time::timeout(pause, wake.notified()).await.is_ok() {

@@ -74,14 +74,14 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
             let frame = tokio::select! {
                 biased;
                 () = &mut removed => {
-                    tracing::info!(peer = %member.full_name(), "is no member any more; closing its stream");
+                    tracing::info!(peer = %member.full_name(), "the peer is no longer a member; closing its stream");
                     return Err(Status::permission_denied("this node was removed from the network"));
                 }
                 frame = frames.message() => frame?,
             };
             let Some(PeerFrame { message }) = frame else { return Ok(Response::new(PeerClosed {})) };
             let message = PeerMessage::decode(message).map_err(|error| {
-                tracing::warn!(peer = %member.full_name(), %error, "message is not usable; closing the stream");
+                tracing::warn!(peer = %member.full_name(), %error, "the peer sent an unusable message; closing the stream");
                 Status::invalid_argument(error.to_string())
             })?;
             if !(self.deliver)(member.id, message) {

@@ -7,5 +7,6 @@ mod documents;
 mod events;
 mod keys;
 mod layers;
+mod logs;
 mod sources;
 mod words;

@@ -263,10 +263,10 @@ impl Engine {
                 match self.admit(from, message) {
                     Ok(message) => {
                         if let Err(error) = self.raw.step(message) {
-                            tracing::debug!(from, %error, "message has no effect");
+                            tracing::debug!(from, %error, "a message of a peer has no effect");
                         }
                     }
-                    Err(reason) => return tracing::warn!(from, reason, "message of a peer is ignored"),
+                    Err(reason) => return tracing::warn!(from, reason, "a message of a peer is ignored"),
                 }
                 if let Some(known) = heartbeat {
                     self.tell_what_is_held(from, known);

@@ -198,7 +198,7 @@ impl Bridge {
         self.stop.send_replace(true);
         for task in self.tasks {
             if let Err(error) = task.await {
-                tracing::error!(%error, "a route ended before its time");
+                tracing::error!(%error, "a route ended too early");
             }
         }
         Summary { domain: self.domain, routes: self.counters.iter().map(Counters::summary).collect() }

@@ -16,7 +16,7 @@ const DAY: u64 = 24 * 3600 * 1_000_000;
 pub async fn keep_renewed(config: &Config, client: &Client) {
     loop {
         if let Err(reason) = look(config, client).await {
-            tracing::warn!(%reason, "the bridge's certificate cannot be renewed; trying on");
+            tracing::warn!(%reason, "the bridge's certificate cannot be renewed; trying again");
         }
         tokio::time::sleep(LOOK).await;
     }
@@ -45,7 +45,7 @@ async fn look(config: &Config, client: &Client) -> Result<(), Rejection> {
     let current = context.identity()?;
     if current.own().creator != client.creator() {
         client.renew(&current);
-        tracing::info!("the bridge goes on with a renewed certificate");
+        tracing::info!("the bridge uses its renewed certificate");
     }
     Ok(())
 }

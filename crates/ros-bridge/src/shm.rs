@@ -220,7 +220,7 @@ impl Publisher {
         *loan.user_header_mut() = encode_header(self.origin, sequence, self.mark);
         let reached = loan.write_from_slice(wire).send().map_err(|error| failed(&what(), &error))?;
         if let Err(error) = self.notifier.notify() {
-            tracing::debug!(topic = %self.topic, ?error, "a subscriber in shared memory was not woken");
+            tracing::debug!(topic = %self.topic, %error, "a subscriber in shared memory was not woken");
         }
         Ok(reached)
     }
@@ -276,7 +276,7 @@ impl Drop for Subscriber {
         self.stop.store(true, Ordering::Release);
         // Without the wake-up the thread sees the flag within WAIT_MAX.
         if let Err(error) = self.waker.notify() {
-            tracing::debug!(?error, "shared memory thread not woken");
+            tracing::debug!(%error, "the thread of shared memory was not woken");
         }
     }
 }
@@ -320,7 +320,7 @@ impl Pump {
         while !self.stop.load(Ordering::Acquire) {
             self.drain();
             if let Err(error) = self.listener.timed_wait(|_| (), WAIT_MAX) {
-                tracing::error!(topic = %self.topic, ?error, "shared memory subscription ended");
+                tracing::error!(topic = %self.topic, %error, "the subscription in shared memory has ended");
                 break;
             }
         }
@@ -333,7 +333,7 @@ impl Pump {
                 Ok(Some(sample)) => self.take(sample.user_header(), sample.payload()),
                 Ok(None) => return,
                 Err(error) => {
-                    tracing::warn!(topic = %self.topic, ?error, "shared memory not readable now");
+                    tracing::warn!(topic = %self.topic, %error, "cannot read shared memory now");
                     return;
                 }
             }
@@ -355,7 +355,7 @@ impl Pump {
             }
             Err(error) => {
                 self.queue.count_dropped();
-                tracing::warn!(topic = %self.topic, %error, "sample from shared memory dropped");
+                tracing::warn!(topic = %self.topic, %error, "a sample from shared memory was dropped");
             }
         }
     }
@@ -379,14 +379,17 @@ fn decode_header(header: &Header) -> ([u8; 16], u64, Option<Mark>) {
 }
 
 /// Tries again what fails while others create or clean up the same thing.
-fn retry<T, E: std::fmt::Debug>(what: &str, mut attempt: impl FnMut() -> std::result::Result<T, E>) -> Result<T> {
+fn retry<T, E: std::fmt::Debug + std::fmt::Display>(
+    what: &str,
+    mut attempt: impl FnMut() -> std::result::Result<T, E>,
+) -> Result<T> {
     let mut tries = 1;
     loop {
         match attempt() {
             Ok(done) => return Ok(done),
             Err(error) if tries >= OPEN_TRIES_MAX => return Err(failed(what, &error)),
             Err(error) => {
-                tracing::debug!(what, ?error, tries, "trying again");
+                tracing::debug!(what, %error, tries, "trying again");
                 tries += 1;
                 std::thread::sleep(OPEN_PAUSE);
             }

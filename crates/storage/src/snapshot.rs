@@ -70,7 +70,7 @@ impl Snapshots {
                 Ok(found) if found.manifest().network == network && found.manifest().height == height => {
                     kept.push(Arc::new(found));
                 }
-                Ok(_) => tracing::warn!(%name, "a snapshot of something else is left alone"),
+                Ok(_) => tracing::warn!(%name, "a snapshot of another kind or network is left alone"),
                 Err(fault) if fault.code == Code::Corrupt => tracing::warn!(%fault, "a damaged snapshot is left alone"),
                 Err(fault) => return Err(fault),
             }

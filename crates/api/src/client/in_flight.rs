@@ -237,7 +237,8 @@ impl InFlight {
     /// Takes an answer and tells those who wait for it, unless it calls for another attempt.
     pub(super) fn answer(&self, answer: SubmitResponse) -> Effect {
         let Some(id) = Hash::from_slice(&answer.id) else {
-            tracing::warn!(verdict = ?answer.verdict, "the node answered without an id");
+            let code = answer.verdict.as_ref().map(|verdict| verdict.code);
+            tracing::warn!(code, "the node answered without an id");
             return Effect::Nothing;
         };
         let mut table = self.lock();

@@ -79,7 +79,7 @@ impl Ledger {
             // What is not kept any more is older than the longest period.
             Ok(None) => true,
             Err(fault) => {
-                tracing::error!(height = tip.height, %fault, "no snapshot is made: it cannot be told whether one is due");
+                tracing::error!(height = tip.height, %fault, "no snapshot is made: cannot compute whether one is due");
                 false
             }
         }

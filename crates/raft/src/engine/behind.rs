@@ -33,7 +33,7 @@ impl Engine {
             .collect();
         behind.sort_unstable();
         for to in behind {
-            tracing::debug!(to, first_index, "peer needs blocks that were dropped");
+            tracing::debug!(to, first_index, "a peer needs blocks that were dropped");
             out.push(Output::Send { to, message: PeerMessage::Behind(Behind { first_index }) });
         }
     }
@@ -43,7 +43,7 @@ impl Engine {
     pub(super) fn told_behind(&self, from: u64, first_index: u64, out: &mut Vec<Output>) {
         let committed = self.raw.raft.raft_log.committed;
         if self.is_leader() || self.leader() != Some(from) || committed >= first_index.saturating_sub(1) {
-            tracing::debug!(from, first_index, "peer takes this node for far behind, which it is not");
+            tracing::debug!(from, first_index, "a peer believes that this node is far behind, but it is not");
             return;
         }
         out.push(Output::Behind { from, first_index });
@@ -72,7 +72,7 @@ impl Engine {
     pub(super) fn has_lost_blocks(&mut self, from: u64, committed: u64, out: &mut Vec<Output>) {
         let last = self.raw.raft.raft_log.last_index();
         if !self.membership.is_voter(self.config.id) {
-            tracing::warn!(from, last, committed, "blocks are missing that this node has acknowledged before");
+            tracing::warn!(from, last, committed, "this node has lost blocks that it had acknowledged");
             out.push(Output::Behind { from, first_index: committed.saturating_add(1) });
             return;
         }

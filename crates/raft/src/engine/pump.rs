@@ -63,7 +63,8 @@ impl Engine {
             self.wants_empty = false;
         }
         self.told = change;
-        tracing::debug!(node = self.config.id, ?change, "leadership");
+        let leading = change.role == Role::Leader;
+        tracing::debug!(node = self.config.id, leading, leader = change.leader, term = change.term, "leadership");
         out.push(Output::Role(change));
     }
 

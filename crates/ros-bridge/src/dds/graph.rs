@@ -92,7 +92,7 @@ impl Graph {
         }
         let info = ParticipantEntitiesInfo::new(Gid::from(self.participant), vec![node]);
         if let Err(error) = self.announcements.write(info, None) {
-            tracing::warn!(%error, "ros2 node info will be out of date: announcement not sent");
+            tracing::warn!(%error, "ros2 node info will be out of date: cannot announce the bridge");
         }
     }
 }

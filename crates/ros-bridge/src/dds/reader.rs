@@ -124,7 +124,7 @@ impl Pump {
                     Some(Ok(change)) => self.take(change.writer_guid, change.sequence_number.into(), change.sample),
                     Some(Err(error)) => {
                         self.queue.count_dropped();
-                        tracing::warn!(topic = %self.topic, %error, "sample dropped");
+                        tracing::warn!(topic = %self.topic, %error, "a sample was dropped");
                     }
                     None => break,
                 },
@@ -136,7 +136,7 @@ impl Pump {
                 _ = alive.tick() => {}
             }
         }
-        tracing::error!(topic = %self.topic, "DDS has ended: nothing is read any more");
+        tracing::error!(topic = %self.topic, "DDS has ended: no sample is read any more");
         self.queue.close();
     }
 
@@ -148,7 +148,7 @@ impl Pump {
         if sample.wire().len() > self.sample_bytes_max {
             self.queue.count_dropped();
             let (bytes, bytes_max) = (sample.wire().len(), self.sample_bytes_max);
-            tracing::warn!(topic = %self.topic, bytes, bytes_max, "sample dropped: larger than the limit");
+            tracing::warn!(topic = %self.topic, bytes, bytes_max, "a sample was dropped: larger than the limit");
             return;
         }
         let received = Instant::now();
@@ -194,7 +194,7 @@ impl Pump {
                 tracing::warn!(topic = %self.topic, policy, "a publisher offers less than this route requests");
             }
             DataReaderStatus::SampleLost { count } => {
-                tracing::debug!(topic = %self.topic, lost = count.count(), "samples lost before they reached us");
+                tracing::debug!(topic = %self.topic, lost = count.count(), "samples were lost before they reached the bridge");
             }
             _ => {}
         }

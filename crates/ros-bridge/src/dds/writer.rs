@@ -219,5 +219,5 @@ async fn watch<const ID: u8>(writer: Arc<DataWriter<Bytes, Raw<ID>>>, topic: Top
             _ => {}
         }
     }
-    tracing::error!(%topic, "DDS has ended: nothing is written any more");
+    tracing::error!(%topic, "DDS has ended: no sample is written any more");
 }

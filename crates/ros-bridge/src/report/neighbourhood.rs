@@ -168,10 +168,10 @@ impl Neighbourhood {
                 tracing::info!(
                     service,
                     topic = topic.as_str(),
-                    "another bridge delivers {service} on {topic}: what comes back from there is not taken in"
+                    "another bridge delivers {service} on {topic}: samples from there are not taken in"
                 );
             }
-            Err(error) => tracing::warn!(%topic, %error, "what another bridge delivers here is not heard"),
+            Err(error) => tracing::warn!(%topic, %error, "cannot hear what another bridge delivers here"),
         }
     }
 }

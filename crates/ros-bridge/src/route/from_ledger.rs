@@ -233,8 +233,8 @@ impl FromLedger {
             Ok(delivery) => delivery,
             Err(refused) => {
                 let reason = line(&refused);
-                tracing::error!(service = self.route.service, reason, "the ledger tells no more");
-                self.counters.lock().live.waiting = Some(format!("the ledger tells no more: {reason}"));
+                tracing::error!(service = self.route.service, reason, "the ledger has ended the subscription");
+                self.counters.lock().live.waiting = Some(format!("the ledger has ended the subscription: {reason}"));
                 if self.gate.is_moving() {
                     self.halt("refused").await;
                 }
@@ -282,7 +282,7 @@ impl FromLedger {
                     counts.summary.unpublished += 1;
                     let name = if matches!(error, Error::Slow(_)) { "slow" } else { "unpublished" };
                     if let Some(silent) = self.complaint.worth(name, Instant::now()) {
-                        tracing::warn!(service = self.route.service, %error, not_logged = silent, "not published");
+                        tracing::warn!(service = self.route.service, %error, not_logged = silent, "a message was not published");
                     }
                 }
             }
@@ -311,7 +311,7 @@ impl FromLedger {
         drop(counts);
         if let Some(silent) = self.complaint.worth(refused.name(), Instant::now()) {
             let (service, reason, meaning) = (&self.route.service, refused.name(), refused.meaning());
-            tracing::warn!(service, height, reason, meaning, not_logged = silent, "the gate let a message not pass");
+            tracing::warn!(service, height, reason, meaning, not_logged = silent, "the gate dropped a message");
         }
     }
 
@@ -335,7 +335,12 @@ impl FromLedger {
         self.counters.lock().live.waiting = Some(format!("the service is not known: {failure}"));
         if let Some(silent) = self.complaint.worth("description", Instant::now()) {
             let service = &self.route.service;
-            tracing::warn!(service, reason = failure, not_logged = silent, "service not known: nothing passes");
+            tracing::warn!(
+                service,
+                reason = failure,
+                not_logged = silent,
+                "the service is not known, so nothing passes"
+            );
         }
         if self.gate.is_moving() {
             self.halt("no_service").await;

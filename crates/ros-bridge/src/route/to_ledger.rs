@@ -177,7 +177,7 @@ impl ToLedger {
                     }
                     Err(refused) => {
                         if let Some(not_logged) = self.no_news.worth(refused.code.name(), Instant::now()) {
-                            tracing::warn!(reason = line(&refused), not_logged, "no news about grants");
+                            tracing::warn!(reason = line(&refused), not_logged, "cannot receive news about grants");
                         }
                     }
                 },
@@ -188,7 +188,7 @@ impl ToLedger {
                             self.publishing.learn(height, now.epoch, now.next_seq);
                             self.tell_grant(None);
                         }
-                        Err(refused) => tracing::warn!(reason = line(&refused), "own grant not known"),
+                        Err(refused) => tracing::warn!(reason = line(&refused), "cannot read the bridge's own grant"),
                     }
                 }
                 Some(outcome) = under_way.next() => {
@@ -260,7 +260,7 @@ impl ToLedger {
         drop(counts);
         if let Some(not_logged) = self.complaint.worth(refused.code.name(), now) {
             let service = &self.publishing.service;
-            tracing::warn!(service, reason = line(&refused), not_logged, "samples are no messages of the type");
+            tracing::warn!(service, reason = line(&refused), not_logged, "samples do not fit the type");
         }
         false
     }
@@ -284,7 +284,7 @@ impl ToLedger {
         drop(counts);
         if let Some(silent) = self.complaint.worth(refused.code.name(), now) {
             let service = &self.publishing.service;
-            tracing::warn!(service, reason = line(&refused), not_logged = silent, "samples are refused");
+            tracing::warn!(service, reason = line(&refused), not_logged = silent, "the ledger refuses samples");
         }
         matches!(refused.code, Code::NotHolder | Code::StaleEpoch | Code::StaleSequence)
     }
