@@ -156,7 +156,7 @@ fn free_port(listen: &str) -> Result<String, Rejection> {
             };
             Err(Rejection::new(Code::BadConfiguration, format!("cannot listen on {listen}"))
                 .found(error.to_string())
-                .wanted("an address of this machine that nobody listens on")
+                .wanted("an address of this machine that no program listens on")
                 .next(next))
         }
     }

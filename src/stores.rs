@@ -76,7 +76,7 @@ impl Stores {
 fn open_directory(directory: &Path) -> Result<RealDisk, Rejection> {
     RealDisk::open(directory).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot open {}: {error}", directory.display()))
-            .next("check that no other node uses this directory, and who may write it")
+            .next("check that no other node uses this directory, and which users may write it")
     })
 }
 

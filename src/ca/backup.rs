@@ -41,7 +41,7 @@ pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &P
     if found < PASSPHRASE_CHARS_MIN {
         return Err(Rejection::new(Code::BadArgument, "the passphrase is too short")
             .found(format!("{found} characters"))
-            .wanted(format!("at least {PASSPHRASE_CHARS_MIN}: who finds the file can try as many as they like"))
+            .wanted(format!("at least {PASSPHRASE_CHARS_MIN}: anybody who finds the file can try without limit"))
             .next("four or five random words are easy to write down"));
     }
     let failed = |error: pkcs8::Error| Rejection::new(Code::Internal, format!("the key cannot be encrypted: {error}"));

@@ -55,7 +55,7 @@ impl Receiver {
         let refused = |found: String| {
             Rejection::new(Code::BadSignature, "the sealed key cannot be opened")
                 .found(found)
-                .wanted("what a node that carries the CA has sealed for this node just now")
+                .wanted("a key that a node with the CA has just sealed for this node")
                 .next("ledgerctl ca carry NODE begins anew")
         };
         if sealed.len() > SEALED_BYTES_MAX {

@@ -67,7 +67,7 @@ impl CatchUp {
         let (trusted, vouched) = (self.dialer.trust.msps(), self.bootstrap.as_ref().filter(|_| offer.vouched));
         let revoked = |identity: &Identity| self.shared.ledger.check_revoked(identity).is_err();
         if vouched.is_none() && claim.attested_by(&answer.attestations, &trusted, &revoked).is_empty() {
-            return Err(Rejection::new(Code::Untrusted, "nobody whom this node trusts attests the snapshot")
+            return Err(Rejection::new(Code::Untrusted, "no organisation that this node trusts attests the snapshot")
                 .found(format!("height {}, {} attestations", claim.height, answer.attestations.len()))
                 .wanted("a node of an organisation that this node knows")
                 .next("wait until the nodes have attested it, which takes some seconds"));

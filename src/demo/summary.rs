@@ -121,9 +121,7 @@ impl Summary {
     pub(super) fn check(&self) -> Result<(), Rejection> {
         match self.faults() {
             faults if faults.is_empty() => Ok(()),
-            faults => {
-                Err(Rejection::new(Code::Internal, "the experiment did not go as it should").found(faults.join("; ")))
-            }
+            faults => Err(Rejection::new(Code::Internal, "the experiment failed").found(faults.join("; "))),
         }
     }
 

@@ -101,7 +101,7 @@ impl Shared {
         if admin.organisation == organisation {
             return Ok(());
         }
-        Err(Rejection::new(Code::NotAdmin, format!("{} may not decide who carries this CA", admin.id()))
+        Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the nodes that carry this CA", admin.id()))
             .found(format!("an admin of {}", admin.organisation))
             .wanted(format!("an admin of {}", super::printable(organisation))))
     }

@@ -118,7 +118,7 @@ pub(super) fn overloaded(
             oldest.as_millis()
         ))
         .wanted(format!("at most {} ms (order.wait_ms)", wait_max.as_millis()))
-        .next("send less often; send what is current instead of this, or this again after 100 ms")
+        .next("send less often; send newer data instead, or the same call again after 100 ms")
 }
 
 /// What a call is about: usually a service.

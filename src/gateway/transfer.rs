@@ -50,7 +50,7 @@ impl NodeView {
 
     async fn transfer(&self, caller: &Identity, to: u64) -> Result<RoleChange, Rejection> {
         if caller.role != ledger_identity::Role::Admin {
-            return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose who leads", caller.id()))
+            return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the leader", caller.id()))
                 .found(format!("role {}", caller.role))
                 .wanted("role admin"));
         }

@@ -53,7 +53,7 @@ pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<S
         Rejection::new(Code::BadFile, format!("cannot use {}", blocks.display()))
             .found(error.to_string())
             .wanted("the data directory of a node that is stopped")
-            .next("stop the node, and look who may write the directory")
+            .next("stop the node, and check which users may write the directory")
     })?;
     let (genesis, network) = Genesis::from_bytes(
         &durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)

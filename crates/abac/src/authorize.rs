@@ -400,7 +400,9 @@ fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verd
     if target.service.direction == Direction::Feed && action != Action::Subscribe {
         return Rejection::new(Code::DeniedByPolicy, format!("{refused}: it is a feed of the robot"))
             .found(format!("role {} of {}", principal.role, principal.organisation))
-            .wanted(format!("what the policies of {owner} permit; by default its robots, nodes and admins"))
+            .wanted(format!(
+                "a call that the policies of {owner} permit; by default those of its robots, nodes and admins"
+            ))
             .next(format!("subscribe to it: ledgerctl echo {}", target.id));
     }
     if !robot.trusted.contains(&principal.organisation) {

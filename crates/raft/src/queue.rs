@@ -100,10 +100,10 @@ impl Queues {
     pub(crate) fn take_late(&mut self, now: u64, wait_us_max: u64, data_cost_max: usize) -> Vec<(Waiting, Rejection)> {
         let waited = |waiting: &Waiting| now.saturating_sub(waiting.since) / 1000;
         let refuse = |waiting: Waiting| {
-            let reason = Rejection::new(Code::Overloaded, "more comes than can be ordered in time")
+            let reason = Rejection::new(Code::Overloaded, "more arrives than can be ordered in time")
                 .found(format!("it waited {} ms to be ordered", waited(&waiting)))
                 .wanted(format!("at most {} ms", wait_us_max / 1000))
-                .next("send less often; send what is current instead of this, or this again after 100 ms");
+                .next("send less often; send newer data instead, or the same call again after 100 ms");
             (waiting, reason)
         };
         self.data.take_late(now, wait_us_max, data_cost_max).into_iter().map(refuse).collect()

@@ -243,7 +243,7 @@ pub(crate) fn circle(service: &str, topic: &str, routes: [(usize, Direction); 2]
             word(up),
             word(down)
         ))
-        .wanted("what comes from the ledger on another topic than what goes there")
+        .wanted("different topics for the two directions")
         .next(format!("give route {two} another topic, e.g. topic = \"/watched\", or remove one of both"))
 }
 

@@ -84,7 +84,7 @@ impl FromStr for Retention {
 
     fn from_str(text: &str) -> Result<Self, Rejection> {
         let refuse = |wanted: &str| {
-            Rejection::new(Code::BadConfiguration, "this is not how long blocks can be kept")
+            Rejection::new(Code::BadConfiguration, "this is no time or size for which blocks can be kept")
                 .found(format!("{text:?}"))
                 .wanted(wanted)
         };

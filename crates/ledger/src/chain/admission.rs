@@ -118,7 +118,7 @@ impl Refusal {
     /// The answer where nobody can know yet what becomes of it.
     pub fn open(&self) -> Rejection {
         let id = self.transaction.as_ref().map(Transaction::id).unwrap_or(Hash::ZERO);
-        Rejection::new(Code::Timeout, format!("whether transaction {id} is executed is not known yet"))
+        Rejection::new(Code::Timeout, format!("the verdict on transaction {id} is not known yet"))
             .found(format!(
                 "this node would refuse it ({} {}), but may not be the first that it was given to",
                 self.rejection.code, self.rejection.message

@@ -105,7 +105,7 @@ impl<'a> Context<'a> {
     pub fn submitter(&self) -> Result<&'a Identity, Rejection> {
         self.environment
             .submitter
-            .ok_or_else(|| Rejection::new(Code::CertificateRequired, "this call needs a signer, and nobody signed it"))
+            .ok_or_else(|| Rejection::new(Code::CertificateRequired, "this call needs a signer, but it is not signed"))
     }
 
     /// Block time, microseconds since the UNIX epoch. The only clock there is.

@@ -77,7 +77,7 @@ pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     // Before ordering, this is the committed height, which may be attested; in the block, it is the block itself,
     // whose hash nobody could know when they signed.
     if attest.height > ctx.height() {
-        return Err(Rejection::new(Code::BadArgument, "only what was executed can be attested")
+        return Err(Rejection::new(Code::BadArgument, "only an executed block can be attested")
             .found(format!("height {}", attest.height))
             .wanted(format!("at most {}", ctx.height())));
     }

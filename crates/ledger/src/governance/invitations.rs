@@ -154,7 +154,7 @@ pub(super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
         let name: String = name.chars().take(NAME_BYTES_MAX).collect();
         return Err(Rejection::new(Code::NotFound, format!("no invitation of {name:?} stands"))
             .wanted("an invitation that was approved and not answered yet")
-            .next("ledgerctl network invite --list; what is not approved yet: ledgerctl network proposals"));
+            .next("ledgerctl network invite --list; open proposals: ledgerctl network proposals"));
     };
     if !invitation.by.is_empty() && invitation.by != caller.organisation {
         return Err(Rejection::new(Code::NotAdmin, format!("{} may not cancel this invitation", caller.id()))

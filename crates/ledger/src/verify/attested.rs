@@ -138,7 +138,7 @@ impl Height {
             format!("block {height}: {} attested another block or state than these blocks give", names.join(", "));
         Err(Rejection::new(Code::ChainInvalid, what)
             .found(format!("block hash {}, state digest {}; {agreeing} nodes agree", self.hash, self.digest))
-            .wanted("what most of those who attested this height or a later one have signed")
+            .wanted("the state that most members attested at this height or a later one")
             .next("compare with the directory of one of these nodes"))
     }
 }

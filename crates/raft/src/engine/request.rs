@@ -34,7 +34,7 @@ impl Engine {
     pub(super) fn read_index(&mut self, context: u64, out: &mut Vec<Output>) {
         let raft = &self.raw.raft;
         let reason = if self.leader().is_none() {
-            Rejection::new(Code::NoLeader, "no leader is known, so nobody can confirm a read").next("ask again later")
+            Rejection::new(Code::NoLeader, "no leader is known, so no node can confirm a read").next("ask again later")
         } else if self.is_leader() && !raft.commit_to_current_term() {
             Rejection::new(Code::NoLeader, "the leader is new and has committed nothing yet").next("ask again later")
         } else if raft.pending_read_count() >= READS_PENDING_MAX {

@@ -71,7 +71,7 @@ impl Held {
                     "{name}: they differ from byte {at} on, and the archive calls {} committed",
                     self.commit
                 ))
-                .wanted("a node that continues what was archived")
+                .wanted("a node whose blocks continue the archive")
                 .next(
                     "keep both; run `ledgerd verify` on the archive, and on the node's directory while it is stopped",
                 ));

@@ -88,7 +88,7 @@ impl ResultStore {
         let writing = self.writing.lock().unwrap_or_else(PoisonError::into_inner);
         if writing.failed {
             return Err(Rejection::new(Code::DiskFailed, "results cannot be written: a sync has failed before")
-                .next("restart the node: it executes again what is missing"));
+                .next("restart the node: it executes the missing blocks again"));
         }
         Ok(writing)
     }

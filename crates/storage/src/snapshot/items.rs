@@ -132,7 +132,7 @@ impl<'a> Items<'a> {
 
     fn wrong(&self, what: &str) -> Rejection {
         let height = self.snapshot.manifest().height;
-        Rejection::new(Code::Corrupt, format!("the snapshot of height {height} is not one: {what}"))
+        Rejection::new(Code::Corrupt, format!("the bytes of the snapshot of height {height} are no snapshot: {what}"))
             .next("take another snapshot, from another node")
     }
 }

@@ -241,7 +241,7 @@ impl<'a> Senders<'a> {
             self.known.insert(creator, identity);
         }
         let signer = self.known.get(&creator).ok_or_else(|| {
-            Rejection::new(Code::UnknownCreator, format!("nobody knows who signed transaction {}", transaction.id()))
+            Rejection::new(Code::UnknownCreator, format!("the signer of transaction {} is not known", transaction.id()))
                 .found(format!("no certificate with fingerprint {creator}"))
                 .wanted("the certificate with the first message of a sender")
                 .next("the node left it out: ask another node")

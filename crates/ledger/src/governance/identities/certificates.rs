@@ -138,7 +138,7 @@ fn check_as_registered(record: &IdentityRecord, holder: &Identity, ground: Groun
         let attributes: Vec<_> = attributes.iter().map(|(key, value)| format!("{key}={value}")).collect();
         format!("role {role}, attributes {}", attributes.join(", "))
     };
-    Err(Rejection::new(Code::WrongRole, format!("the certificate does not say what is registered for {}", record.id()))
+    Err(Rejection::new(Code::WrongRole, format!("the certificate does not match the registration of {}", record.id()))
         .found(said(holder.role, &holder.attributes))
         .wanted(said(record.role, &record.attributes))
         .next("try again in a moment; for another role, register another name"))

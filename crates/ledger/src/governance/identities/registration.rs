@@ -109,7 +109,7 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
         return Err(Rejection::new(Code::NotFound, format!("no secret of {} can be cancelled", record.id()))
             .found(if record.certificates.is_empty() { "one that has expired" } else { "a name that has enrolled" })
             .wanted("a registration whose secret was not used yet")
-            .next(format!("to end what it may do: ledgerctl identity revoke {name}")));
+            .next(format!("to end its rights: ledgerctl identity revoke {name}")));
     }
     void(ctx, record)?;
     Ok(Bytes::new())
