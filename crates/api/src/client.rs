@@ -87,7 +87,7 @@ pub struct Committed {
     pub index: u32,
     /// Block time, microseconds since the UNIX epoch.
     pub time: u64,
-    /// What the function returned.
+    /// The answer of the function.
     pub response: Bytes,
 }
 
@@ -137,8 +137,9 @@ impl Client {
         Ok(Self { session, credentials: Arc::new(credentials), random: SystemRandom::new() })
     }
 
-    /// Signs a call now. The certificate comes along until the ledger is known to have it. When it is submitted for the first
-    /// time, by this client, the node is told that no other node has seen it; so give it to no other client before.
+    /// Signs a call now. The certificate comes along until the ledger is known to have it. When it is submitted for the
+    /// first time, by this client, the node is told that no other node has seen it; so give it to no other client
+    /// before.
     ///
     /// # Errors
     /// [`Code::Malformed`] or [`Code::TooLarge`] if the call cannot be a transaction.
@@ -188,10 +189,10 @@ impl Client {
 
     /// Submits a transaction and waits for its verdict. Waits also while too much is in flight.
     ///
-    /// A lost connection, a timeout and "not now" are answered by sending the same bytes again, through another node
-    /// if there is one: the id makes sure that it is executed once. What is final is not repeated. A refusal is the chain's
-    /// verdict, or a promise that the transaction never becomes part of the chain; while neither is known, a retry is told to
-    /// ask again, and in the end that the outcome is unknown.
+    /// A lost connection, a timeout and "not now" are answered by sending the same bytes again, through another node if
+    /// there is one: the id makes sure that it is executed once. A final answer is not repeated. A refusal is the
+    /// chain's verdict, or a promise that the transaction never becomes part of the chain; while neither is known, a
+    /// retry is told to ask again, and in the end that the outcome is unknown.
     ///
     /// # Errors
     /// As [`Client::invoke`].
@@ -200,8 +201,8 @@ impl Client {
         self.session.send(&transaction, room, Patience::Call).await
     }
 
-    /// Submits a transaction at once and answers with its future verdict, which need not be awaited. If too much is
-    /// in flight, the verdict is [`Code::Overloaded`] and nothing was sent. A node that says so is not asked again either,
+    /// Submits a transaction at once and answers with its future verdict, which need not be awaited. If too much is in
+    /// flight, the verdict is [`Code::Overloaded`] and nothing was sent. A node that says so is not asked again either,
     /// other than by [`Client::submit`]: this is for commands, and by then there is a newer one.
     pub fn submit_nowait(&self, transaction: &Transaction) -> Pending {
         match self.session.in_flight.room_now(transaction) {
@@ -227,7 +228,7 @@ impl Client {
     }
 
     /// Goes on with a renewed certificate of the same identity: it signs what comes next, and a new connection shows
-    /// it. What is in flight is sent again there, and executed once.
+    /// it. Transactions in flight are sent again there, and executed once.
     pub fn renew(&self, identity: &TlsIdentity) {
         self.credentials.identity.renew(identity);
         self.session.reconnect();

@@ -34,7 +34,7 @@ const CONNECTION_WINDOW_BYTES: u32 = 4 * 1024 * 1024;
 /// The name that TLS asks for; it is not checked (see [`crate::tls`]).
 const SERVER_NAME: &str = "node.ledgerd.internal";
 
-/// What connections as an identity need: who one is, on which network, and which nodes are accepted. Clones share the
+/// The needs of connections as an identity: the identity, the network, and the accepted nodes. Clones share the
 /// identity, and so see it renewed.
 #[derive(Clone)]
 pub struct Credentials {
@@ -185,7 +185,7 @@ fn handshake(address: &str, certificate: &[u8], error: &std::io::Error) -> Rejec
 }
 
 /// The node ended the connection with an alert, which nearly always means our certificate. Alerts say little: nodes
-/// send "unknown" for most faults. What we see ourselves in the certificate says more.
+/// send "unknown" for most faults. Our own look at the certificate says more.
 fn alerted(address: &str, certificate: &[u8], alert: AlertDescription) -> Rejection {
     if let Some(outdated) = outdated(certificate) {
         let mut rejection = Rejection::from(outdated);

@@ -43,7 +43,7 @@ use std::sync::Arc;
 /// Longest name of a context, in bytes.
 pub const CONTEXT_NAME_BYTES_MAX: usize = ledger_identity::NEW_NAME_BYTES_MAX;
 
-/// Who this machine is on which network, and how to reach it.
+/// The identity of this machine on a network, and the way to reach it.
 #[derive(Clone, Debug)]
 pub struct Context {
     /// Name of the context: the name of its directory.
@@ -64,7 +64,7 @@ pub struct Context {
     pub msps: Arc<Msps>,
     /// Is the certificate renewed at use?
     pub renew: RenewalRule,
-    /// What was learnt of the network since.
+    /// The network as it was learnt since.
     pub memory: Memory,
 }
 
@@ -178,7 +178,7 @@ impl Context {
         Ok(())
     }
 
-    /// What connections as this identity need.
+    /// The needs of connections as this identity.
     ///
     /// # Errors
     /// [`Code::BadFile`] if certificate and key do not belong together.
@@ -205,7 +205,7 @@ impl Context {
             .map_err(|error| Rejection::new(Code::BadFile, format!("context {:?}: {error}", self.name)))
     }
 
-    /// What the own certificate says: name, role, attributes, validity. Nothing of it is verified.
+    /// The content of the own certificate: name, role, attributes, validity. Nothing of it is verified.
     ///
     /// # Errors
     /// [`Code::CertificateMalformed`].
@@ -213,7 +213,7 @@ impl Context {
         Ok(Certificate::parse(self.chain.first().map(AsRef::as_ref).unwrap_or_default())?)
     }
 
-    /// What its owner does once the certificate has expired.
+    /// Advice to its owner once the certificate has expired.
     pub fn way_back(&self) -> String {
         match self.certificate() {
             Ok(own) => connect::way_back(&own, Some(&self.organisation)),

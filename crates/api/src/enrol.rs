@@ -38,7 +38,7 @@ impl Enrolment {
         Self { node: node.into(), ca_fingerprint }
     }
 
-    /// What the node says of its network. Nothing but the CA is verified.
+    /// The node's description of its network. Nothing but the CA is verified.
     ///
     /// # Errors
     /// [`Code::Unreachable`], [`Code::Untrusted`] if the fingerprint is another.

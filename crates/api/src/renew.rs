@@ -58,7 +58,7 @@ impl Renewal {
     /// Asks the nodes in turn, and those that they name, until one that carries the CA answers.
     ///
     /// # Errors
-    /// What the last one said, or the first that knew more than that it is not the one to ask.
+    /// The answer of the last node, or of the first that knew more than that it carries no CA.
     pub async fn ask(
         &self,
         nodes: &[String],
@@ -97,7 +97,7 @@ impl Renewal {
         answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))
     }
 
-    /// Checks what the CA has certified: our key, for the same identity. What follows it in the chain stays.
+    /// Checks what the CA has certified: our key, for the same identity. The rest of the chain stays.
     ///
     /// # Errors
     /// [`Code::Untrusted`] if it is something else.

@@ -1,8 +1,8 @@
 //! Mutual TLS 1.3 between clients, bridges and nodes.
 //!
-//! What counts is the identity in the certificate, checked against the network's organisations
-//! ([`ledger_identity::msp::Msps`]); host names are not checked, because robots move between addresses. A server must show a
-//! certificate of role node: a user's certificate never passes as a node's. A client may come without a
+//! The identity in the certificate counts, checked against the network's organisations
+//! ([`ledger_identity::msp::Msps`]); host names are not checked, because robots move between addresses. A server must
+//! show a certificate of role node: a user's certificate never passes as a node's. A client may come without a
 //! certificate; it can then only enrol, which the gateway decides.
 //!
 //! Sessions are never resumed: resumption would skip the check of the certificate, and so outlive a revocation.

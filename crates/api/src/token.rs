@@ -31,14 +31,14 @@ pub struct JoinToken {
     pub organisation: String,
     /// Name of the new node.
     pub node: String,
-    /// Who comes in.
+    /// The newcomer.
     pub kind: JoinKind,
     /// Of a node: its one-time secret for enrolment. Of an organisation: the seed of the invitation's Ed25519 key, 64
     /// hex digits.
     pub secret: String,
 }
 
-/// Who comes in with a token.
+/// The newcomer that a token admits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum JoinKind {

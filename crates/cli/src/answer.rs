@@ -1,4 +1,4 @@
-//! What a chaincode returned: bytes that are JSON, text, or neither.
+//! The answer of a chaincode: bytes that are JSON, text, or neither.
 
 use crate::json;
 use bytes::Bytes;

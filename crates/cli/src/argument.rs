@@ -1,4 +1,4 @@
-//! What people type, read into what we need. Every refusal says what was found and what is wanted.
+//! Arguments as people type them, read into our types. Every refusal says what was found and what is wanted.
 
 pub(crate) mod attribute;
 pub(crate) mod bytes;

@@ -30,12 +30,12 @@ pub(crate) fn directory(home: &Path, name: &str) -> PathBuf {
     home.join("contexts").join(name)
 }
 
-/// Who the context's certificate says we are, whether it is still valid or not.
+/// Our identity by the context's certificate, whether it is still valid or not.
 pub(crate) fn identity(context: &Context) -> Result<Identity, Rejection> {
     verified(context, context.chain.first().map(AsRef::as_ref).unwrap_or_default())
 }
 
-/// Whose certificate this is, by the organisations that the context knows, at the beginning of its validity.
+/// The owner of this certificate, by the organisations that the context knows, at the beginning of its validity.
 pub(crate) fn verified(context: &Context, der: &[u8]) -> Result<Identity, Rejection> {
     let at = Certificate::parse(der)?.not_before;
     Ok(context.msps.verify(der, context.chain.get(1..).unwrap_or_default(), at)?)

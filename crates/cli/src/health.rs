@@ -1,4 +1,4 @@
-//! What must be watched: voters, disks, certificates; in words for people, and as an exit code for monitoring.
+//! The health of a network: voters, disks, certificates; in words for people, and as an exit code for monitoring.
 
 use crate::failure::Failure;
 use crate::output::printable;
@@ -25,8 +25,8 @@ const CA_ENDING_US: u64 = 180 * 86_400_000_000;
 pub(crate) struct Check {
     /// For monitoring: end with 0 if all is well, with 1 if something needs attention
     ///
-    /// Attention need: a voter or node that is silent, a disk of which less than a tenth is free, a certificate near its
-    /// end, a node whose state differs. Without a quorum the exit code is 4 with and without this.
+    /// Attention need: a voter or node that is silent, a disk of which less than a tenth is free, a certificate near
+    /// its end, a node whose state differs. Without a quorum the exit code is 4 with and without this.
     #[arg(long)]
     check: bool,
 }
@@ -42,7 +42,7 @@ impl Check {
     }
 }
 
-/// Who orders, and who of them answers.
+/// The voters, and those of them that answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 pub(crate) struct Voters {
     /// How many vote.

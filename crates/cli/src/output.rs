@@ -1,4 +1,4 @@
-//! What a command found out, for people or for programs.
+//! The result of a command, for people or for programs.
 //!
 //! A command fills a struct of facts and shows it: `-o table` (the default) calls [`Facts::text`], `-o json` writes
 //! the struct as one line of JSON. So both always tell the same.

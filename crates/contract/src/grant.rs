@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 pub struct Grant {
     /// The service, e.g. `Turtlebot4/cmd_vel`.
     pub service: String,
-    /// Who holds it, e.g. `Org1/Salma`.
+    /// The holder, e.g. `Org1/Salma`.
     pub holder: String,
     /// The fencing token: grows by one with every grant of the service and never comes again.
     pub epoch: u64,
@@ -47,7 +47,7 @@ pub enum Reason {
 pub struct Released {
     /// The service.
     pub service: String,
-    /// Who held it.
+    /// The former holder.
     pub holder: String,
     /// The epoch that ended.
     pub epoch: u64,

@@ -15,7 +15,7 @@ pub struct RobotSpec {
     /// so that an organisation that joins later cannot grant itself access.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trusted: Option<Vec<String>>,
-    /// What it offers.
+    /// Its services.
     pub services: Vec<ServiceSpec>,
 }
 
@@ -31,7 +31,7 @@ pub struct RobotAsset {
     /// The topics it publishes (feeds), separated by commas.
     #[serde(rename = "PubTopic")]
     pub pub_topic: String,
-    /// Who operates it, e.g. `Org1/Salma`: the oldest holder of a command service; empty if there is none.
+    /// Its operator, e.g. `Org1/Salma`: the oldest holder of a command service; empty if there is none.
     #[serde(rename = "owner")]
     pub operator: String,
     /// Is it under operation?
@@ -43,7 +43,7 @@ pub struct RobotAsset {
     pub attribute_required: String,
     /// Organisations whose attributes count.
     pub trusted: Vec<String>,
-    /// What it offers and who holds it.
+    /// Its services and their holders.
     pub services: Vec<ServiceState>,
 }
 

@@ -5,7 +5,8 @@ use crate::robot::RobotAsset;
 use crate::service::{Direction, Mode};
 use serde::{Deserialize, Serialize};
 
-/// What `configure` changes. What is not named stays as it is. The first two belong to the robot, the others to a service.
+/// What `configure` changes. Settings that are not named stay unchanged. The first two belong to the robot, the others
+/// to a service.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotSettings {
@@ -56,8 +57,8 @@ pub struct SettingChange {
     pub topic: String,
     /// Its name as in [`RobotSettings`], or `service` for a whole one.
     pub setting: String,
-    /// What it was; empty if there was none.
+    /// The value before; empty if there was none.
     pub before: String,
-    /// What it is; empty if there is none now.
+    /// The value now; empty if there is none.
     pub after: String,
 }

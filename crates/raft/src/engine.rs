@@ -62,7 +62,7 @@ pub struct Engine {
     config: EngineConfig,
     raw: RawNode<Log>,
     store: Arc<BlockStore>,
-    /// What waits to be ordered, or to be forwarded to the leader.
+    /// Transactions that wait to be ordered, or to be forwarded to the leader.
     queues: Queues,
     /// In order of number; the first always needs a flush.
     pending: VecDeque<PendingReady>,
@@ -89,7 +89,7 @@ pub struct Engine {
     last_time: u64,
     /// A deadline passed: order a block even if nothing waits.
     wants_empty: bool,
-    /// What was last told.
+    /// The last reported role.
     told: RoleChange,
     /// Elections this node has started; varies its timeouts within a term.
     attempts: u64,
@@ -99,8 +99,8 @@ pub struct Engine {
     transfer_rest: usize,
     /// Ticks since the start.
     ticks: u64,
-    /// When each member was last heard of, in ticks, as a leader counts: from its election or the member's coming in on.
-    /// The crate's own mark (`recent_active`) is cleared with every check of the quorum.
+    /// When each member was last heard of, in ticks, as a leader counts: from its election or the member's coming in
+    /// on. The crate's own mark (`recent_active`) is cleared with every check of the quorum.
     heard: BTreeMap<u64, u64>,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
     reads: u64,
@@ -287,8 +287,8 @@ impl Engine {
         }
     }
 
-    /// Standing for election needs a vote of one's own (the crate forgets to ask when told to), a log that is on the own
-    /// disk, and a state machine that is not far behind.
+    /// Standing for election needs a vote of one's own (the crate forgets to ask when told to), a log that is on the
+    /// own disk, and a state machine that is not far behind.
     fn may_campaign(&self) -> bool {
         let raft = &self.raw.raft;
         let log = &raft.raft_log;
@@ -299,7 +299,7 @@ impl Engine {
             && log.committed - self.applied.min(log.committed) <= CAMPAIGN_LAG_MAX
     }
 
-    /// Who leads, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
+    /// The leader, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
     /// for election itself; here a leader that was not heard of for the longest election timeout is unknown.
     fn leader(&self) -> Option<u64> {
         let raft = &self.raw.raft;

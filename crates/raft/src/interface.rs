@@ -1,4 +1,4 @@
-//! What goes into the engine and what comes out.
+//! The inputs and outputs of the engine.
 
 use crate::message::PeerMessage;
 use bytes::Bytes;
@@ -15,16 +15,16 @@ pub enum Lane {
     Data,
 }
 
-/// What happened, told to the engine.
+/// An event, told to the engine.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Input {
     /// One step of the logical clock. Timeouts are counted in these.
     Tick,
     /// A message came from the authenticated peer `from`.
     Message {
-        /// Who sent it: from the connection's certificate, never from the message.
+        /// The sender: from the connection's certificate, never from the message.
         from: u64,
-        /// What it says.
+        /// The message.
         message: PeerMessage,
     },
     /// A client wants this transaction ordered.
@@ -50,8 +50,8 @@ pub enum Input {
         at: u64,
     },
     /// A linearizable read wants to know how far this node must be. Answered by [`Output::ReadReady`] or
-    /// [`Output::Refused`], or, when a message is lost, the leader changes meanwhile, or is so new that it has committed
-    /// nothing (it drops what others ask), not at all: ask again after a timeout, with another context.
+    /// [`Output::Refused`], or, when a message is lost, the leader changes meanwhile, or is so new that it has
+    /// committed nothing (it drops what others ask), not at all: ask again after a timeout, with another context.
     ReadIndex {
         /// Comes back with the answer; must not repeat while the engine lives.
         context: u64,
@@ -73,7 +73,7 @@ pub enum Input {
     },
 }
 
-/// What the driver must do. In the order given.
+/// An action for the driver. In the order given.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Output {
     /// Send this message; losing it is allowed, holding it back is not needed.
@@ -90,7 +90,7 @@ pub enum Output {
     },
     /// These blocks are committed: execute them. Each comes exactly once, in order of height.
     Commit(Vec<Entry>),
-    /// Who leads has changed.
+    /// The leader has changed.
     Role(RoleChange),
     /// The members have changed with the block of this height. The execution of the block keeps them
     /// ([`ledger::Ledger::members`]), so that [`crate::EngineConfig`] knows them at the next start.
@@ -116,7 +116,7 @@ pub enum Output {
     },
     /// A read, transfer or change of members cannot be done now.
     Refused {
-        /// What was asked.
+        /// The request.
         input: Box<Input>,
         /// Why.
         reason: Rejection,
@@ -135,7 +135,7 @@ pub enum Output {
     Failed(Rejection),
 }
 
-/// What a node is to the others.
+/// The role of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Role {
     /// Follows, and may vote if it is a voter.
@@ -146,7 +146,7 @@ pub enum Role {
     Leader,
 }
 
-/// Who leads, as far as this node knows.
+/// The leader, as far as this node knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct RoleChange {
     /// The leader, if one is known.

@@ -9,7 +9,7 @@
 //!                                                  Persisted, messages -> majority -> Commit in order, once
 //! ```
 //!
-//! What it is not: it verifies no signature, executes nothing and knows no addresses. A transaction is bytes.
+//! Its limits: it verifies no signature, executes nothing and knows no addresses. A transaction is bytes.
 //!
 //! The driver's duties, all of them:
 //! - call [`Engine::step`] with [`Input::Tick`] at a steady pace, and once at the start;
@@ -24,7 +24,7 @@
 //!   Messages may be lost, repeated and reordered.
 //!
 //! The `raft` crate panics when its invariants are broken (a committed entry lost, a disk that forgot). That is
-//! left so: the process ends and the disk is the truth. What peers send cannot reach those panics: see
+//! left so: the process ends and the disk is the truth. Messages of peers cannot reach those panics: see
 //! `engine/guard.rs`.
 //!
 //! Only `engine`, `log` and `message` name the `raft` crate, so that it can be replaced.

@@ -22,7 +22,8 @@ impl Log {
     /// `applied` is the last height that the state machine holds. It is committed, whatever the hard state says: the
     /// commit index is not flushed for its own sake and may lag behind. So is what came before a log that was cut off.
     ///
-    /// Blocks that were fetched from a peer may be of a term that this node never heard of: then it has not voted in it.
+    /// Blocks that were fetched from a peer may be of a term that this node never heard of: then it has not voted in
+    /// it.
     pub(crate) fn new(store: Arc<BlockStore>, members: &Membership, applied: u64) -> Self {
         let stored = store.hard_state();
         let newest = store.term(store.last_index()).unwrap_or(0);
@@ -58,7 +59,7 @@ impl Storage for Log {
     ///   index and term are enough;
     /// - to look for changes of members before an election (no size limit): the kind is needed, the data is not.
     ///
-    /// Old segments may be dropped by another thread at any moment. What is not there any more is `Compacted`, and never
+    /// Old segments may be dropped by another thread at any moment. An entry that was dropped is `Compacted`, and never
     /// a gap.
     fn entries(
         &self,
@@ -121,8 +122,8 @@ impl Storage for Log {
         Ok(self.store.last_index())
     }
 
-    /// Asked for when a peer needs blocks that were dropped. It is told so (`engine/behind.rs`) and fetches them itself:
-    /// the crate knows of no snapshot, so `ProgressState::Snapshot` never happens.
+    /// Asked for when a peer needs blocks that were dropped. It is told so (`engine/behind.rs`) and fetches them
+    /// itself: the crate knows of no snapshot, so `ProgressState::Snapshot` never happens.
     fn snapshot(&self, _request_index: u64, _to: u64) -> Result<Snapshot> {
         Err(StorageError::SnapshotTemporarilyUnavailable.into())
     }

@@ -1,4 +1,4 @@
-//! What nodes say to each other about ordering, in our own protobuf types.
+//! Messages between nodes about ordering, in our own protobuf types.
 //!
 //! ```text
 //! message PeerMessage { oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; } }
@@ -94,7 +94,7 @@ pub struct Transactions {
 /// A message of Raft; which fields count depends on its kind.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct RaftMessage {
-    /// What it is.
+    /// Its kind.
     #[prost(enumeration = "RaftKind", tag = "1")]
     pub kind: i32,
     /// The sender's term.
@@ -106,7 +106,7 @@ pub struct RaftMessage {
     /// The entry that the message is about.
     #[prost(uint64, tag = "4")]
     pub index: u64,
-    /// What the sender knows to be committed.
+    /// The commit index that the sender knows.
     #[prost(uint64, tag = "5")]
     pub commit: u64,
     /// Term of the entry at `commit`.

@@ -1,4 +1,4 @@
-//! What waits to become a block: two lanes, each bounded in count and bytes, and the data lane in time.
+//! Transactions that wait to become a block: two lanes, each bounded in count and bytes, and the data lane in time.
 
 mod fair;
 
@@ -83,7 +83,7 @@ impl Queues {
         self.control.is_empty() && self.data.is_empty()
     }
 
-    /// What the next block holds: control first, then data until it costs `data_cost_max`, together up to about
+    /// The content of the next block: control first, then data until it costs `data_cost_max`, together up to about
     /// `bytes_target`; at least one transaction, unless only data waits and may cost nothing.
     pub(crate) fn cut(&self, bytes_target: usize, data_cost_max: usize) -> Cut {
         let control = self.control.cut(0, 0, bytes_target, usize::MAX);

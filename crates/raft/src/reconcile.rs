@@ -17,13 +17,13 @@ pub const PROMOTION_LAG_MAX: u64 = 1000;
 /// The members that the ledger wants. A node in neither set shall not be a member; one in both shall vote.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Desired {
-    /// Who shall vote.
+    /// The wanted voters.
     pub voters: BTreeSet<u64>,
-    /// Who shall follow.
+    /// The wanted learners.
     pub learners: BTreeSet<u64>,
 }
 
-/// What a leader should do next to bring the members to what is desired; nothing if all is done, or while something is
+/// The next step of a leader towards the wanted members; nothing if all is done, or while something is
 /// under way, or while waiting for a node to catch up.
 ///
 /// In this order, one step at a time:
@@ -34,8 +34,8 @@ pub struct Desired {
 /// 3. a leader that shall lose its own vote hands over to the desired voter that has caught up most, which goes on;
 /// 4. nodes that shall be no members go.
 ///
-/// A change is made only if a majority of the voters after it answers and is near the end of the log: a network is never
-/// led into a membership that cannot order. So there is always a voter left, too.
+/// A change is made only if a majority of the voters after it answers and is near the end of the log: a network is
+/// never led into a membership that cannot order. So there is always a voter left, too.
 pub fn next_step(desired: &Desired, status: &Status) -> Option<Input> {
     if !status.may_propose || status.changing || status.transferring_to.is_some() || desired.voters.is_empty() {
         return None;

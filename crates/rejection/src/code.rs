@@ -6,7 +6,7 @@
 
 use std::fmt;
 
-/// What kind of answer a code is; decides the exit code of command-line tools.
+/// The kind of answer of a code; decides the exit code of command-line tools.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Class {
     /// It worked.
@@ -56,8 +56,9 @@ macro_rules! codes {
             /// How a client should react.
             pub const fn class(self) -> Class { match self { $(Self::$variant => Class::$class,)* } }
 
-            /// Does a refusal before ordering with this code promise that the transaction is never executed? The others speak
-            /// of a node, not of the transaction; or ask for the certificate, with which it is the same transaction.
+            /// Does a refusal before ordering with this code promise that the transaction is never executed? The others
+            /// speak of a node, not of the transaction; or ask for the certificate, with which it is the same
+            /// transaction.
             pub const fn is_final(self) -> bool { self.number() < 4000 && !matches!(self, Self::UnknownCreator) }
 
             /// The code with this number, if there is one.
@@ -96,7 +97,7 @@ codes! {
     BadArgument = 1011 "BAD_ARGUMENT" Invalid;
     /// The chaincode panicked; nothing it wrote was kept.
     ChaincodePanic = 1012 "CHAINCODE_PANIC" Failure;
-    /// What was asked for does not exist.
+    /// The requested thing does not exist.
     NotFound = 1013 "NOT_FOUND" Invalid;
     /// A chaincode called too deep or wrote too much.
     LimitExceeded = 1014 "LIMIT_EXCEEDED" Invalid;

@@ -15,13 +15,13 @@ use std::fmt;
 pub struct Rejection {
     /// The stable code.
     pub code: Code,
-    /// What was refused, in one line without a full stop.
+    /// The refusal, in one line without a full stop.
     pub message: String,
-    /// What was found; empty if the message says it all.
+    /// The value that was found; empty if the message says it all.
     pub found: String,
-    /// What would have been accepted; empty if the message says it all.
+    /// The value that would have been accepted; empty if the message says it all.
     pub wanted: String,
-    /// What to do next; empty if there is nothing to do.
+    /// Advice for the next step; empty if there is none.
     pub next: String,
 }
 

@@ -29,7 +29,7 @@ use crate::{
 /// Pause before a bridge that cannot start yet tries again.
 const RETRY_PAUSE: Duration = Duration::from_secs(2);
 
-/// What all routes of a bridge have done.
+/// The counters of all routes of a bridge.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
     /// The ROS domain.
@@ -95,9 +95,9 @@ impl Bridge {
     /// the configuration names, which was stored at enrolment and needs no trust in a node.
     ///
     /// # Errors
-    /// [`Code::NoContext`]; [`Code::BadConfiguration`] if two routes close a circle, or `ROS_DOMAIN_ID` names no domain;
-    /// [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has
-    /// another type than its service; [`Code::MiddlewareFailed`]; what the ledger says if it does not answer.
+    /// [`Code::NoContext`]; [`Code::BadConfiguration`] if two routes close a circle, or `ROS_DOMAIN_ID` names no
+    /// domain; [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has another type
+    /// than its service; [`Code::MiddlewareFailed`]; what the ledger says if it does not answer.
     pub async fn start(config: Config, client: Client) -> Result<Self, Rejection> {
         let context = context_of(&config)?;
         Self::start_with(config, Arc::new(client), &context).await
@@ -188,7 +188,7 @@ impl Bridge {
             .next("start the bridge again, or let a service unit do it")
     }
 
-    /// What the routes have done so far.
+    /// The counters of the routes so far.
     pub fn summary(&self) -> Summary {
         Summary { domain: self.domain, routes: self.counters.iter().map(Counters::summary).collect() }
     }

@@ -1,4 +1,4 @@
-//! What a bridge is told to do: `bridge.toml`, or the table `[bridge]` of a node.
+//! The settings of a bridge: `bridge.toml`, or the table `[bridge]` of a node.
 //!
 //! ```toml
 //! context = "Salma"            # who the bridge is towards the ledger; or context_dir = "/path/to/contexts/Salma"
@@ -62,7 +62,7 @@ const REPORT_S_DEFAULT: u64 = 60;
 /// The settings of a bridge.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
-    /// Whose context it uses towards the ledger.
+    /// The context that it uses towards the ledger.
     pub identity: IdentitySource,
     /// ROS 2 domain of the local graph; none = that of `ROS_DOMAIN_ID`, else 0.
     pub domain_id: Option<u16>,
@@ -72,7 +72,7 @@ pub struct Config {
     pub shared_memory: bool,
     /// Time between two lines with counters, while something is refused.
     pub report_every: Duration,
-    /// What is joined.
+    /// The routes.
     pub routes: Vec<RouteConfig>,
 }
 
@@ -123,7 +123,7 @@ pub struct RouteConfig {
 }
 
 impl RouteConfig {
-    /// What the local readers of this route accept and keep: no more samples than its depth, the newest.
+    /// The limits of the local readers of this route: they keep its depth of samples, the newest.
     pub(crate) fn limits(&self) -> Limits {
         Limits {
             sample_bytes_max: self.sample_bytes_max,

@@ -1,4 +1,4 @@
-//! What a route has done: counted while it runs, summed up when it ends.
+//! The counters of a route: kept while it runs, summed up when it ends.
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -19,7 +19,7 @@ const LATENCY_US_MAX: u64 = 60_000_000;
 /// The same complaint is logged at most this often.
 const COMPLAINT_EVERY: Duration = Duration::from_secs(10);
 
-/// What a route has done so far.
+/// The counters of a route so far.
 #[derive(Clone, Debug, Serialize)]
 pub struct RouteSummary {
     /// The service.
@@ -75,7 +75,7 @@ pub(crate) struct Counters {
     door: Option<Arc<Door>>,
 }
 
-/// What is counted.
+/// The counters.
 #[derive(Debug)]
 pub(crate) struct Counts {
     pub(crate) summary: RouteSummary,
@@ -83,7 +83,7 @@ pub(crate) struct Counts {
     latency: Option<Histogram<u64>>,
 }
 
-/// What happened last on a route, and how it stands.
+/// The last events on a route, and its present state.
 #[derive(Debug, Default)]
 pub(crate) struct Live {
     /// The node gave a sign of life.
@@ -98,7 +98,7 @@ pub(crate) struct Live {
     pub(crate) needs_grant: bool,
     /// Does somebody hold the service? Where samples go to the ledger: the bridge's own user.
     pub(crate) held: bool,
-    /// What the route waits for, before anything can pass.
+    /// The condition that the route waits for, before anything can pass.
     pub(crate) waiting: Option<String>,
 }
 

@@ -13,7 +13,7 @@
 //!   another byte order comes; samples written before readers matched that one are lost, as at any
 //!   start.
 //! - **History is counted in samples**, and kept per topic after reading: `depth` times the largest
-//!   message is the memory of a topic. What waits for us is limited in bytes by [`crate::queue`].
+//!   message is the memory of a topic. The bytes that wait for us are limited by [`crate::queue`].
 //! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, RustDDS 50 s). A
 //!   reliable writer keeps what it has not acknowledged, up to [`WRITER_BYTES_MAX`], and then refuses.
 //! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) loses its DDS: the thread that waits

@@ -14,11 +14,11 @@ pub const ROS_DOMAIN_ID: &str = "ROS_DOMAIN_ID";
 pub struct Domain {
     /// Its number.
     pub id: u16,
-    /// Who chose it.
+    /// The setting that chose it.
     pub chosen_by: ChosenBy,
 }
 
-/// Who chose a domain.
+/// The setting that chose a domain.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ChosenBy {
     /// The setting `domain_id`.

@@ -12,7 +12,8 @@
 //! - **A stop must not be lost.** The first sample of a publisher that was quiet is taken in, unless the same was delivered
 //!   just now: it may be somebody who stops the robot with one message. One sample makes no loop.
 //!
-//! A node that mixes its own commands with what the ledger delivered, under one publisher, cannot be told from a source.
+//! A node that mixes its own commands with what the ledger delivered, under one publisher, cannot be told from a
+//! source.
 
 use std::{
     collections::{BTreeMap, HashMap, HashSet, VecDeque},
@@ -34,10 +35,10 @@ const PUBLISHERS_MAX: usize = 1024;
 /// Most repetitions remembered of a publisher that is no source; beyond it they are forgotten.
 const REPETITIONS_MAX: usize = 256;
 
-/// Who published a sample: the GUID of a DDS writer, or the origin in shared memory.
+/// The publisher of a sample: the GUID of a DDS writer, or the origin in shared memory.
 type Source = [u8; 16];
 
-/// What was delivered to the local graph, and what came from it, shared by all routes of a bridge.
+/// Payloads that were delivered to the local graph or came from it, shared by all routes of a bridge.
 #[derive(Debug, Default)]
 pub struct Delivered {
     window: Mutex<Window>,
@@ -57,12 +58,12 @@ struct Window {
     newest: u64,
 }
 
-/// What explains that a payload comes again.
+/// An earlier payload that explains a repetition.
 #[derive(Debug, Clone, Copy)]
 struct Explanation {
     number: u64,
     at: Instant,
-    /// Who sent it, if it came from the graph; none if it was delivered there.
+    /// The sender, if it came from the graph; none if it was delivered there.
     from: Option<Source>,
 }
 
@@ -129,7 +130,7 @@ impl Window {
     }
 }
 
-/// What the door decides on a sample.
+/// The decision of the door on a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Entry {
     /// It may go to the ledger.
@@ -152,7 +153,7 @@ pub struct Door {
     complaint: Mutex<Complaint>,
 }
 
-/// What is known of a publisher.
+/// The record of a publisher.
 #[derive(Debug)]
 enum Publisher {
     /// It has sent something of its own.

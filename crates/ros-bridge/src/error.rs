@@ -66,13 +66,13 @@ impl From<Error> for Rejection {
 /// The four lines of an error message.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Explained {
-    /// What could not be done.
+    /// The failed action.
     pub what: String,
-    /// What was found instead of what was wanted.
+    /// The value that was found.
     pub found: String,
-    /// What would have been right.
+    /// The value that was wanted.
     pub wanted: String,
-    /// What to do next; empty if there is no good advice.
+    /// Advice for the next step; empty if there is none.
     pub hint: String,
 }
 

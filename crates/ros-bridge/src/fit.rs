@@ -5,7 +5,7 @@ use ros_message::{Library, Message};
 
 use crate::{names::TypeName, sample::Sample};
 
-/// What samples of a route are compared with.
+/// The type with which samples of a route are compared.
 pub(crate) struct Fit(Option<Message>);
 
 impl Fit {

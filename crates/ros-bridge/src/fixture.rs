@@ -33,7 +33,7 @@ pub(crate) struct User {
     pub(crate) network: Hash,
     pub(crate) key: Arc<SigningKey>,
     pub(crate) certificate: Bytes,
-    /// What is signed as `not_after`.
+    /// The call that is signed as `not_after`.
     pub(crate) not_after: u64,
 }
 

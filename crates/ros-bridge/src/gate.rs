@@ -44,7 +44,7 @@ const HOLDERS_MAX: usize = 1024;
 /// Arguments of `set` before the payloads: service, epoch, first sequence number.
 const SET_ARGUMENTS: usize = 3;
 
-/// What stays the same while a gate is open.
+/// The constants of an open gate.
 #[derive(Clone, Debug)]
 pub struct Settings {
     /// The network.
@@ -81,18 +81,18 @@ pub struct Gate {
     clock: Clock,
     /// The newest epoch that was seen.
     epoch: u64,
-    /// Who holds the service.
+    /// The holders of the service.
     holders: BTreeMap<String, Holding>,
     /// When the gate was opened, or its last stop by itself, by the wall clock (microseconds): what bridges signed
     /// before does not pass, whatever block time the node gives it.
     signed_since: u64,
     /// Nothing from before this block time passes (microseconds).
     not_before: u64,
-    /// Who moved the robot last, since its last stop.
+    /// The last driver of the robot since its last stop.
     driver: Option<Driver>,
 }
 
-/// What is known of a grant.
+/// The record of a grant.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Holding {
     epoch: u64,
@@ -100,7 +100,7 @@ struct Holding {
     lease_us: u64,
 }
 
-/// Who moves the robot.
+/// A driver of the robot.
 #[derive(Debug)]
 struct Driver {
     identity: Arc<Identity>,
@@ -108,7 +108,7 @@ struct Driver {
     until: u64,
 }
 
-/// What the service's description says about who may publish.
+/// The rule of the service's description for publishers.
 #[derive(Debug)]
 struct Rules {
     needs_grant: bool,

@@ -1,4 +1,4 @@
-//! What a bridge needs of the ledger, so that routes can be tested without one.
+//! The calls that a bridge needs of the ledger, so that routes can be tested without one.
 
 use std::{collections::BTreeMap, time::Duration};
 

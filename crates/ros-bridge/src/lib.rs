@@ -4,7 +4,7 @@
 //! from shared memory, and puts such bytes back on the other side. It never decodes a message, so
 //! any message type works by its name alone.
 //!
-//! What it is not: a DDS implementation (that is `rustdds`), a typed ROS 2 client, or a place where
+//! It is not: a DDS implementation (that is `rustdds`), a typed ROS 2 client, or a place where
 //! rights are decided (that is the ledger, and on the robot's side the gate).
 //!
 //! # Map

@@ -1,7 +1,8 @@
 //! The mark by which the bridges of a network know each other.
 //!
-//! What a bridge publishes came from the ledger, and must not get there again: neither through this bridge nor through
-//! another one, of whatever user or organisation. So every endpoint of a bridge says of which network and service it is.
+//! Samples that a bridge publishes came from the ledger, and must not get there again: neither through this bridge nor
+//! through another one, of whatever user or organisation. So every endpoint of a bridge says of which network and
+//! service it is.
 //!
 //! - **On DDS** the mark is the QoS policy *lifespan* of the writer, and of a reader whose samples go to the ledger.
 //!   Lifespan is part of the discovery data that each DDS carries, so a mark is known before the first sample is. A

@@ -132,7 +132,7 @@ impl From<TypeName> for String {
     }
 }
 
-/// What is wrong with a topic name, if anything.
+/// The fault of a topic name, if it has one.
 fn topic_fault(text: &str) -> Option<String> {
     if text.is_empty() {
         return Some("it is empty".to_owned());
@@ -146,7 +146,7 @@ fn topic_fault(text: &str) -> Option<String> {
     rest.split('/').find_map(token_fault)
 }
 
-/// What is wrong with one part of a name between slashes, if anything.
+/// The fault of one part of a name between slashes, if it has one.
 fn token_fault(token: &str) -> Option<String> {
     if token.is_empty() {
         return Some("it has an empty part: two slashes in a row, or one at the end".to_owned());

@@ -15,7 +15,7 @@ use tokio::sync::Notify;
 
 use crate::sample::Sample;
 
-/// What a reader accepts and keeps.
+/// The limits of a reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Largest sample taken, in bytes with its header; larger ones are dropped and counted.
@@ -37,7 +37,7 @@ impl Default for Limits {
 pub struct Incoming {
     /// The message.
     pub sample: Sample,
-    /// Who published it: the GUID of the DDS writer, or the origin in shared memory.
+    /// The publisher: the GUID of the DDS writer, or the origin in shared memory.
     pub source: [u8; 16],
     /// The source's own count of its samples.
     pub sequence: u64,

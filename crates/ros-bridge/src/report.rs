@@ -1,8 +1,8 @@
-//! What a bridge says about itself while it runs: on the log, as text or as JSON.
+//! The reports of a bridge about itself while it runs: on the log, as text or as JSON.
 //!
-//! One line when it is ready, and one for each route; when publishers and subscribers on its topics come and leave; when the
-//! node is lost, and when one answers again; why a route is silent, and when it carries messages again; and, as long as
-//! something is refused, the counters. All of it is limited in rate.
+//! One line when it is ready, and one for each route; when publishers and subscribers on its topics come and leave;
+//! when the node is lost, and when one answers again; why a route is silent, and when it carries messages again; and,
+//! as long as something is refused, the counters. All of it is limited in rate.
 
 mod neighbourhood;
 mod silent;
@@ -49,7 +49,7 @@ pub(crate) struct Watched {
     /// Do users publish and the robot listens?
     pub(crate) is_command: bool,
     pub(crate) counters: Counters,
-    /// Who uses the topic in shared memory.
+    /// The other users of the topic in shared memory.
     pub(crate) in_memory: Option<Peers>,
 }
 
@@ -64,7 +64,7 @@ pub(crate) struct Reporter {
     node: String,
     heard: Instant,
     is_lost: bool,
-    /// What was counted when the counters were last looked at.
+    /// The counters at the last look.
     counted: Vec<RouteSummary>,
 }
 

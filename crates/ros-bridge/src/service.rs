@@ -1,4 +1,4 @@
-//! What the bridge reads of the ledger's answers and events: the parts of their JSON that it uses.
+//! The ledger's answers and events as the bridge reads them: the parts of their JSON that it uses.
 
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
@@ -48,7 +48,7 @@ pub struct Service {
 pub struct Grant {
     /// The service.
     pub service: String,
-    /// Who holds it, e.g. `Org1/Salma`.
+    /// The holder, e.g. `Org1/Salma`.
     pub holder: String,
     /// The fencing token.
     pub epoch: u64,
@@ -64,7 +64,7 @@ pub struct Grant {
 pub struct Released {
     /// The service.
     pub service: String,
-    /// Who held it.
+    /// The former holder.
     pub holder: String,
     /// The epoch that ended.
     pub epoch: u64,
@@ -81,14 +81,14 @@ pub struct Revoked {
     pub serial: String,
 }
 
-/// What the caller may do now, as `abac authorize` answers.
+/// The rights of the caller now, as `abac authorize` answers.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Authorization {
     pub(crate) epoch: u64,
     pub(crate) next_seq: u64,
 }
 
-/// Who the caller is, as `abac GetSubmittingClientIdentity` answers.
+/// The identity of the caller, as `abac GetSubmittingClientIdentity` answers.
 #[derive(Clone, Debug, Deserialize)]
 pub(crate) struct Caller {
     pub(crate) id: String,

@@ -13,7 +13,7 @@
 //! - All processes run as the same user. The first one to open a service sets its limits ([`PUBLISHERS_MAX`],
 //!   [`SUBSCRIBERS_MAX`], [`BUFFER_SAMPLES`]); ours refuses a service that was opened with less.
 //!
-//! What a killed process leaves behind is removed when the next node starts or opens a service; two processes that
+//! The remains of a killed process are removed when the next node starts or opens a service; two processes that
 //! do so at the same time can disturb each other, so opening is tried several times.
 //!
 //! iceoryx2 would take over SIGINT and SIGTERM; that is switched off. Arrays of bytes are sendable without any
@@ -289,7 +289,7 @@ pub(crate) struct Peers {
 }
 
 impl Peers {
-    /// Whom it counts.
+    /// The endpoints that it counts.
     pub(crate) fn role(&self) -> Role {
         self.role
     }
@@ -303,7 +303,7 @@ impl Peers {
     }
 }
 
-/// What the thread behind a subscriber holds.
+/// The state of the thread behind a subscriber.
 struct Pump {
     port: subscriber::Subscriber<Service, [u8], Header>,
     listener: Listener<Service>,

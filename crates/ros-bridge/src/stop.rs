@@ -8,7 +8,7 @@ use crate::{
     sample::{CDR_LE, Sample},
 };
 
-/// What a stop message is made of, in CDR order.
+/// The parts of a stop message, in CDR order.
 enum Part {
     /// `std_msgs/msg/Header` with time zero ("now" to controllers that look) and no frame.
     Header,

@@ -4,13 +4,13 @@
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct Fault {
-    /// What was refused.
+    /// The refused thing.
     pub message: String,
-    /// What was found instead.
+    /// The value that was found.
     pub found: String,
-    /// What would have been accepted.
+    /// The value that would have been accepted.
     pub wanted: String,
-    /// What to do next.
+    /// Advice for the next step.
     pub next: String,
 }
 

@@ -4,7 +4,8 @@ use crate::definition::{Count, Primitive};
 use crate::written::Written;
 use std::sync::Arc;
 
-/// A type of message that can be read and written: made by [`Library::message`](crate::Library::message). Cloning is cheap.
+/// A type of message that can be read and written: made by [`Library::message`](crate::Library::message). Cloning is
+/// cheap.
 #[derive(Clone, Debug)]
 pub struct Message {
     pub(crate) structure: Arc<Structure>,
@@ -28,7 +29,7 @@ pub(crate) struct Field {
     pub(crate) name: Arc<str>,
     pub(crate) element: Element,
     pub(crate) count: Count,
-    /// What it is if nobody says otherwise; zero, empty, or the fields' own defaults without it.
+    /// Its default; zero, empty, or the fields' own defaults without it.
     pub(crate) default: Option<Written>,
 }
 

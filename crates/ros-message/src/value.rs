@@ -64,8 +64,8 @@ fn not_finite(value: f64) -> &'static str {
 }
 
 impl Value {
-    /// YAML in block style, each line ended. Of strings, arrays and sequences at most `length_max` characters or elements
-    /// are written, and `...` behind them.
+    /// YAML in block style, each line ended. Of strings, arrays and sequences at most `length_max` characters or
+    /// elements are written, and `...` behind them.
     pub fn to_yaml(&self, length_max: Option<usize>) -> String {
         let mut yaml = Yaml { text: String::new(), length_max: length_max.unwrap_or(usize::MAX) };
         match self {
@@ -202,7 +202,7 @@ fn yaml_not_finite(value: f64) -> &'static str {
 
 /// May the text stand without quotes? Only where no reader of YAML takes it for something else.
 fn is_plain(text: &str) -> bool {
-    /// What readers of YAML 1.1 take for a boolean or for nothing.
+    /// Texts that readers of YAML 1.1 take for a boolean or for nothing.
     const WORDS: [&str; 11] = ["true", "false", "yes", "no", "on", "off", "null", "y", "n", "nan", "inf"];
     let inner = |c: char| c.is_alphanumeric() || matches!(c, '_' | '/' | '-' | '.' | ' ');
     text.starts_with(|c: char| c.is_alphabetic() || matches!(c, '_' | '/'))

@@ -1,4 +1,4 @@
-//! What a person wrote for a message, before anybody knows its type.
+//! The text of a person for a message, before its type is known.
 //!
 //! `1`, `yes` and `left` are texts here: what they mean is for the field that they are written for. So `data: yes` is a text
 //! in a `std_msgs/msg/String` and true in a `std_msgs/msg/Bool`.
@@ -28,7 +28,7 @@ impl Written {
         yaml::parse(text)
     }
 
-    /// What it is, for people.
+    /// Its kind, for people.
     pub(crate) fn shown(&self) -> String {
         match self {
             Self::Nothing => "nothing".to_owned(),

@@ -1,8 +1,8 @@
 //! Finding a node that serves: the best first, the next ones soon after it, never all of their patience in a row.
 //!
 //! A node that was killed refuses at once, one that was stopped or cut off says nothing: so nobody is waited for longer
-//! than [`STAGGER`] before the next one is asked too. A node that answers but cannot have anything ordered is taken only
-//! if no other one can.
+//! than [`STAGGER`] before the next one is asked too. A node that answers but cannot have anything ordered is taken
+//! only if no other one can.
 
 use super::clock::middle;
 use super::in_flight::Sent;
@@ -47,7 +47,7 @@ pub(super) struct Opened {
     pub(super) connection: Connection,
     pub(super) requests: mpsc::UnboundedSender<Sent>,
     pub(super) answers: Streaming<SubmitResponse>,
-    /// What the node says of its network, and of itself.
+    /// The node's description of its network and of itself.
     pub(super) told: NetworkResponse,
     /// When its clock showed what it says.
     pub(super) at: std::time::Instant,

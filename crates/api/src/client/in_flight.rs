@@ -51,7 +51,7 @@ pub(super) struct Sent {
     pub(super) first_attempt: bool,
 }
 
-/// What an answer means for the connection.
+/// The effect of an answer on the connection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Effect {
     Nothing,
@@ -61,7 +61,7 @@ pub(super) enum Effect {
     DoubtClock,
 }
 
-/// What a full queue of the node means for a transaction.
+/// The effect of a full queue of the node on a transaction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Patience {
     /// It is sent again until its time is over.
@@ -75,7 +75,7 @@ pub(super) struct InFlight {
     table: Mutex<Table>,
     room: Arc<Semaphore>,
     fresh: Fresh,
-    /// Who signs.
+    /// The signer.
     identity: TlsIdentity,
     /// The creator whose certificate the ledger is known to have. After a renewal it is another one than ours.
     introduced: Mutex<Option<Hash>>,
@@ -104,7 +104,7 @@ struct Entry {
     number: u64,
     encoded: Bytes,
     waiter: oneshot::Sender<Verdict>,
-    /// Who else submitted the same transaction.
+    /// The other submitters of the same transaction.
     others: Vec<oneshot::Sender<Verdict>>,
     deadline: Instant,
     state: State,
@@ -117,7 +117,7 @@ struct Entry {
     signed_here: bool,
     /// Was it sent without any answer? Then it may have been executed, until a node says what became of it.
     uncertain: bool,
-    /// What a node said when it could not take it.
+    /// The reason of a node that could not take it.
     refused: Option<Rejection>,
     _room: OwnedSemaphorePermit,
 }

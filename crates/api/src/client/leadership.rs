@@ -9,7 +9,7 @@ use ledger_rejection::{Code, Rejection};
 use std::time::Instant;
 use tokio::time::sleep;
 
-/// Who leads.
+/// The leader.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Leadership {
     /// The leader's id.

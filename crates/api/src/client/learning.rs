@@ -19,7 +19,7 @@ const NOTE_MAX: Duration = Duration::from_secs(1);
 /// The nodes of a client, in the order to try them.
 pub(super) struct Nodes {
     addresses: Mutex<Vec<String>>,
-    /// What learns; none if the nodes were chosen once and for all.
+    /// The part that learns; none if the nodes were chosen once and for all.
     learner: Option<Mutex<Learner>>,
 }
 
@@ -113,12 +113,12 @@ impl Nodes {
     }
 }
 
-/// What a look around has found.
+/// The result of a look around.
 pub(super) struct Look {
-    /// What our node says now, if it answers.
+    /// The present answer of our node, if it answers.
     pub(super) told: Option<NetworkResponse>,
-    /// A connection to a better node, if there is one: if ours can have nothing ordered, any that can; if ours is another
-    /// organisation's, one of our own.
+    /// A connection to a better node, if there is one: if ours can have nothing ordered, any that can; if ours is
+    /// another organisation's, one of our own.
     pub(super) better: Option<Opened>,
 }
 

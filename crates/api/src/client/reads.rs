@@ -13,10 +13,10 @@ use std::time::Instant;
 use tokio::time::{sleep, timeout, timeout_at};
 use tonic::{Response, Status};
 
-/// What a query answered.
+/// The answer of a query.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Answer {
-    /// What the function returned.
+    /// The answer of the function.
     pub response: Bytes,
     /// Height of the state that answered.
     pub height: u64,
@@ -24,8 +24,8 @@ pub struct Answer {
 
 impl Client {
     /// Calls a function on the committed state, throwing its writes away. The answer reflects everything that any node
-    /// had acknowledged to anybody before this call: that costs a round from the node to the leader, and from there to a
-    /// majority.
+    /// had acknowledged to anybody before this call: that costs a round from the node to the leader, and from there to
+    /// a majority.
     ///
     /// # Errors
     /// The verdict, if it is not 0; [`Code::NoLeader`] if no leader could confirm it before the deadline;
@@ -36,8 +36,8 @@ impl Client {
         self.query_for(v1::QueryRequest { chaincode, function, args, min_height, may_be_stale: false }).await
     }
 
-    /// As [`Client::query`], on whatever state of at least this height the node has; 0 = any. Asks nobody else, so it is
-    /// answered without a leader, too, and may be older than what others were told.
+    /// As [`Client::query`], on whatever state of at least this height the node has; 0 = any. Asks nobody else, so it
+    /// is answered without a leader, too, and may be older than what others were told.
     ///
     /// # Errors
     /// As [`Client::query`]; [`Code::Behind`] if no node reaches the height in time.
@@ -89,7 +89,7 @@ impl Client {
         self.ask(ask, |_| Ok(())).await
     }
 
-    /// What the node refused lately before it was ordered, newest first; for admins. 0 = the node's default number.
+    /// Calls that the node refused lately before ordering, newest first; for admins. 0 = the node's default number.
     ///
     /// # Errors
     /// [`Code::NotAdmin`]; else as [`Client::status`].
@@ -98,7 +98,7 @@ impl Client {
         Ok(self.ask(ask, |_| Ok(())).await?.denials)
     }
 
-    /// What the node says of its network.
+    /// The node's description of its network.
     ///
     /// # Errors
     /// As [`Client::status`].

@@ -1,9 +1,9 @@
 //! Why a node and this machine do not accept each other, where the certificates alone tell it badly.
 //!
 //! A network that was made anew has another CA under the same name; a clock that is wrong makes good certificates look
-//! expired; a certificate that has expired is refused by an alert that says "unknown". In these cases the node is asked,
-//! without showing or believing anything, what it says of its network and its clock. That only chooses the words: refused
-//! it stays.
+//! expired; a certificate that has expired is refused by an alert that says "unknown". In these cases the node is
+//! asked, without showing or believing anything, what it says of its network and its clock. That only chooses the
+//! words: refused it stays.
 
 use super::Connection;
 use crate::tls::unverified_config;
@@ -23,7 +23,7 @@ const CLOCK_OFF: u64 = 5 * 60 * 1_000_000;
 const SECOND: u64 = 1_000_000;
 const DAY: u64 = 24 * 3600 * SECOND;
 
-/// Whom this machine looks for, and as whom.
+/// The nodes that this machine looks for, and its own identity.
 #[derive(Clone, Debug)]
 pub(crate) struct Expected {
     /// Name of the network.
@@ -122,7 +122,7 @@ fn ended(own: &Certificate, organisation: Option<&str>, now: u64) -> Rejection {
         .next(way_back(own, organisation))
 }
 
-/// What the owner of a certificate does that has expired.
+/// Advice to the owner of an expired certificate.
 pub(crate) fn way_back(own: &Certificate, organisation: Option<&str>) -> String {
     let name = own.name().unwrap_or("NAME");
     let organisation = organisation.unwrap_or("the organisation");

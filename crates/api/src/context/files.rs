@@ -1,8 +1,8 @@
 //! Reading and replacing the files of contexts.
 //!
 //! A context is written as a new directory `.NAME.new`, synced, and then changes places with the old one in one step.
-//! Where the file system knows no such step, the old one waits as `.NAME.old` in between: whatever a crash leaves behind,
-//! [`finish_replacement`] sees one complete context. One program at a time does this: see [`super::lock`].
+//! Where the file system knows no such step, the old one waits as `.NAME.old` in between: whatever a crash leaves
+//! behind, [`finish_replacement`] sees one complete context. One program at a time does this: see [`super::lock`].
 
 use ledger_rejection::{Code, Rejection};
 use rustix::fs::{CWD, RenameFlags, renameat_with};
@@ -17,7 +17,7 @@ pub(super) const SETTINGS: &str = "context.toml";
 pub(super) const CERTIFICATE: &str = "certificate.pem";
 pub(super) const KEY: &str = "key.pem";
 pub(super) const MSPS: &str = "msps.json";
-/// What was learnt since the enrolment; may be missing.
+/// The network as it was learnt since the enrolment; may be missing.
 pub(super) const NODES: &str = "nodes.json";
 
 /// Largest file of a context that is read, in bytes.

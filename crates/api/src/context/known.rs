@@ -1,11 +1,11 @@
-//! What was learnt of a network since a context was made: where its nodes are, and whose certificates they have.
+//! A network as it was learnt since a context was made: the addresses of its nodes, and their organisations.
 //!
-//! A context is made from the answer of one node on one day. Nodes join, move and go, organisations join and renew their
-//! CA. Every node tells it as the ledger has it, at every use, and `nodes.json` in the context keeps it. The file is a
-//! memory and no more: without it, or if it is damaged, the nodes of the enrolment are asked and tell it again.
+//! A context is made from the answer of one node on one day. Nodes join, move and go, organisations join and renew
+//! their CA. Every node tells it as the ledger has it, at every use, and `nodes.json` in the context keeps it. The file
+//! is a memory and no more: without it, or if it is damaged, the nodes of the enrolment are asked and tell it again.
 //!
-//! Roots that were learnt decide which *nodes* are talked to. The gate of a robot's bridge does not believe them: it goes
-//! by the organisations of the enrolment, so that no node can invent an organisation whose commands would count.
+//! Roots that were learnt decide which *nodes* are talked to. The gate of a robot's bridge does not believe them: it
+//! goes by the organisations of the enrolment, so that no node can invent an organisation whose commands would count.
 
 use super::Context;
 use super::files;
@@ -49,7 +49,7 @@ struct Known {
     organisations: Vec<Stored>,
 }
 
-/// What a context has learnt, and where it keeps that. Empty in a context that was not stored yet.
+/// The knowledge of a context, and its file. Empty in a context that was not stored yet.
 #[derive(Clone, Debug, Default)]
 pub struct Memory {
     known: Known,
@@ -102,7 +102,8 @@ impl Context {
     }
 
     /// The addresses at which a node may answer, in the order to try them: the one that served last, the one that was
-    /// given at enrolment, those of the own organisation, the others; at last what the network does not tell (any more).
+    /// given at enrolment, those of the own organisation, the others; at last what the network does not tell (any
+    /// more).
     pub fn addresses(&self) -> Vec<String> {
         let known = &self.memory.known;
         let told = |address: &&String| known.nodes.iter().any(|node| node.address == **address);
@@ -151,12 +152,12 @@ impl Context {
         Ok(true)
     }
 
-    /// Notes on the disk what was learnt, if the context is stored and holds something else. Nothing else of the context
-    /// is touched.
+    /// Notes on the disk what was learnt, if the context is stored and holds something else. Nothing else of the
+    /// context is touched.
     ///
     /// # Errors
-    /// [`Code::BadFile`](ledger_rejection::Code::BadFile) if the disk is full, the context read-only or removed meanwhile. A
-    /// command goes on all the same.
+    /// [`Code::BadFile`](ledger_rejection::Code::BadFile) if the disk is full, the context read-only or removed
+    /// meanwhile. A command goes on all the same.
     pub fn note(&self) -> Result<(), Rejection> {
         let (Some(directory), Some(text)) = (&self.memory.directory, self.memory.to_json()?) else { return Ok(()) };
         let path = directory.join(files::NODES);

@@ -49,7 +49,7 @@ impl RenewalRule {
     }
 }
 
-/// What became of a renewal that nobody had to ask for.
+/// The outcome of an automatic renewal.
 #[derive(Debug)]
 pub enum Renewed {
     /// It was not due, is switched off, has failed lately, or another program does it.
@@ -95,8 +95,8 @@ impl Context {
     /// context. If another program is at it, what that one gets is the answer.
     ///
     /// # Errors
-    /// As [`Renewal::finish`], what the CA says, and [`Code::BadFile`](ledger_rejection::Code::BadFile) before anything is asked
-    /// for if the context cannot be changed.
+    /// As [`Renewal::finish`], what the CA says, and [`Code::BadFile`](ledger_rejection::Code::BadFile) before anything
+    /// is asked for if the context cannot be changed.
     pub async fn renew(&self, client: &Client) -> Result<Self, Rejection> {
         let home = match self.home() {
             Some(home) => home,

@@ -28,14 +28,14 @@ pub enum TlsError {
     /// A file cannot be read.
     #[error("cannot read {what} {path:?}: {reason}; try checking the path and the permissions of the file")]
     File {
-        /// What the file should hold.
+        /// The wanted content of the file.
         what: &'static str,
         /// The file.
         path: String,
         /// Why not.
         reason: String,
     },
-    /// What a file holds cannot be used.
+    /// The content of a file cannot be used.
     #[error("{path}: {reason}")]
     In {
         /// The file.
@@ -54,7 +54,7 @@ pub enum TlsError {
     /// The text holds no usable certificate chain.
     #[error("found {found}, wanted a certificate chain in PEM (\"BEGIN CERTIFICATE\"), the own certificate first")]
     Chain {
-        /// What is there instead.
+        /// The content that was found.
         found: String,
     },
     /// A certificate of the chain cannot be read.
@@ -149,7 +149,7 @@ impl TlsIdentity {
         })
     }
 
-    /// What is shown and signed with now.
+    /// The certificate and key of this moment.
     pub fn own(&self) -> Arc<Own> {
         Arc::clone(&self.current.read().unwrap_or_else(PoisonError::into_inner))
     }

@@ -18,7 +18,7 @@ pub enum Refusal {
     /// Somebody who is not a node presents itself as a server.
     #[error("found a server with the certificate of {id}, whose role is {role}, wanted the certificate of a node")]
     NotANode {
-        /// Whose certificate.
+        /// The owner of the certificate.
         id: String,
         /// Its role.
         role: Role,
@@ -26,9 +26,9 @@ pub enum Refusal {
     /// A node, but another one.
     #[error("found node {found}, wanted node {wanted}")]
     OtherNode {
-        /// Who answers.
+        /// The node that answers.
         found: String,
-        /// Who was expected.
+        /// The node that was expected.
         wanted: String,
     },
     /// No presented certificate has the pinned fingerprint.
@@ -42,7 +42,7 @@ pub enum Refusal {
     /// The certificate was revoked.
     #[error("found the certificate of {id}, which was revoked, wanted one that was not")]
     Revoked {
-        /// Whose certificate.
+        /// The owner of the certificate.
         id: String,
     },
     /// The server presents no certificate.
@@ -51,7 +51,7 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// What to do next, in one line.
+    /// Advice for the next step, in one line.
     pub fn remedy(&self) -> String {
         match self {
             Self::Identity(error) => error.remedy(),

@@ -32,7 +32,8 @@ pub fn server_config(identity: TlsIdentity, trust: Arc<dyn TrustSource>) -> Resu
     Ok(config)
 }
 
-/// The refusal as the error whose alert tells the client most. What an alert cannot say is in the node's log only.
+/// The refusal as the error whose alert tells the client most. Details that an alert cannot carry are in the node's log
+/// only.
 fn told(refusal: Refusal) -> rustls::Error {
     let error = match &refusal {
         Refusal::Revoked { .. } => CertificateError::Revoked,

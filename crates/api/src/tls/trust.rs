@@ -1,4 +1,4 @@
-//! Whom a client accepts as server, and the checks that both sides share.
+//! The servers that a client accepts, and the checks that both sides share.
 
 use super::identity::{TlsError, TlsIdentity};
 use super::refusal::Refusal;
@@ -14,11 +14,11 @@ use rustls::{ClientConfig, DigitallySignedStruct, PeerIncompatible, SignatureSch
 use std::fmt;
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// What stands for the organisation while only the fingerprint of its CA is known.
+/// A stand-in for the organisation while only the fingerprint of its CA is known.
 const UNKNOWN_ORGANISATION: &str = "unknown organisation";
 
-/// What is trusted at the moment of a handshake: asked anew for each, so that organisations may join and
-/// certificates may be revoked while connections come and go.
+/// The organisations that are trusted at the moment of a handshake: asked anew for each, so that organisations may join
+/// and certificates may be revoked while connections come and go.
 pub trait TrustSource: Send + Sync {
     /// The organisations of the network.
     fn msps(&self) -> Arc<Msps>;
@@ -37,7 +37,7 @@ pub struct Trusted {
 }
 
 impl Trusted {
-    /// What is known from enrolment, and what was learnt.
+    /// The knowledge from the enrolment and since.
     pub fn new(enrolled: Arc<Msps>, learnt: Option<Arc<Msps>>) -> Self {
         Self { enrolled, learnt: RwLock::new(learnt) }
     }
@@ -130,7 +130,7 @@ pub fn client_config(identity: Option<TlsIdentity>, trust: ServerTrust) -> Resul
 }
 
 /// The settings of a client that shows nothing and accepts anybody: to hear from a server that was refused what it says
-/// of itself. What is heard is good for advice, and for nothing else.
+/// of itself. The answer is good for advice, and for nothing else.
 pub(crate) fn unverified_config() -> Result<ClientConfig, TlsError> {
     let provider = provider();
     let builder = ClientConfig::builder_with_provider(Arc::clone(&provider))

@@ -68,7 +68,7 @@ fn unknown(text: &str, near: Option<Code>) -> Rejection {
         ))
 }
 
-/// What the book says about a code, without its heading.
+/// The paragraph of the book about a code, without its heading.
 fn paragraph(code: Code) -> Option<&'static str> {
     let heading = format!("\n## {code} {}\n", code.name());
     let (_, rest) = BOOK.split_once(heading.as_str())?;

@@ -121,7 +121,7 @@ impl Renew {
     }
 }
 
-/// What ended, and the transaction that ended it.
+/// The ended grants, and the transaction that ended them.
 #[derive(Serialize)]
 struct Ended {
     released: Vec<Released>,

@@ -332,7 +332,7 @@ impl Facts for Person {
     }
 }
 
-/// What was revoked.
+/// The revoked certificates.
 #[derive(Serialize)]
 struct Revoked {
     name: String,

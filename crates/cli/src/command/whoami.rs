@@ -39,7 +39,7 @@ struct Who {
     now: u64,
 }
 
-/// What a node says about us.
+/// The report of a node about us.
 #[derive(Serialize)]
 #[serde(tag = "state", rename_all = "lowercase")]
 enum Online {

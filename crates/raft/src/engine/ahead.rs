@@ -1,8 +1,8 @@
-//! What is ordered and not executed yet, and how much of that a leader allows.
+//! Blocks that are ordered and not executed yet, and the limit that a leader sets to them.
 //!
-//! What is ordered cannot be overtaken, so control waits behind it. How long depends on the machine and on what else it
-//! does: the limit follows from how long blocks wait for their execution and take for it. A machine with processors to
-//! spare gets large blocks, which cost less for each transaction; one that has none gets small ones.
+//! Ordered transactions cannot be overtaken, so control waits behind them. How long depends on the machine and on what
+//! else it does: the limit follows from how long blocks wait for their execution and take for it. A machine with
+//! processors to spare gets large blocks, which cost less for each transaction; one that has none gets small ones.
 
 use std::collections::VecDeque;
 
@@ -63,8 +63,9 @@ impl Ahead {
         }
     }
 
-    /// What the data of the next block may cost. What waits for a majority, after `until`, does not count, or a distant
-    /// one would be the limit. A block takes at most half of what is allowed: two keep disk and executor busy.
+    /// The limit for the cost of the data of the next block. What waits for a majority, after `until`, does not count,
+    /// or a distant one would be the limit. A block takes at most half of what is allowed: two keep disk and executor
+    /// busy.
     pub(super) fn room(&self, until: u64) -> usize {
         let waiting: usize = self.blocks.iter().take_while(|block| block.index <= until).map(|block| block.cost).sum();
         self.allowed.saturating_sub(waiting).min(self.allowed.div_ceil(2))

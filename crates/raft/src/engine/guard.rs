@@ -1,4 +1,4 @@
-//! What a peer's message must satisfy before the `raft` crate sees it.
+//! Conditions for a peer's message before the `raft` crate sees it.
 //!
 //! Peers are authenticated, but a broken or hostile one must not bring others down. The crate trusts messages and
 //! panics (or counts wrongly) on some that no correct peer sends; each check here names the place. It also holds the

@@ -1,8 +1,8 @@
 //! The ready loop: from the `raft` crate's state to outputs.
 //!
 //! Order matters here. A leader's messages go out before its own disk has the entries (the majority may be others).
-//! Everybody else's messages promise something (a vote, an acknowledgement), so they wait until what they promise is
-//! on the disk: [`PendingReady`]. Learners have no part in that: a leader sends them what is committed, and they hand it
+//! Everybody else's messages promise something (a vote, an acknowledgement), so they wait until what they promise is on
+//! the disk: [`PendingReady`]. Learners have no part in that: a leader sends them what is committed, and they hand it
 //! out before their own disk has it, as a majority of the voters has.
 
 use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
@@ -121,7 +121,7 @@ impl Engine {
         }
     }
 
-    /// What the data of the next block may cost: nothing while enough is committed that is not executed.
+    /// The limit for the cost of the data of the next block: nothing while enough is committed that is not executed.
     pub(super) fn room_ahead(&self) -> usize {
         let log = &self.raw.raft.raft_log;
         self.ahead.room(log.committed.min(log.persisted))

@@ -1,4 +1,4 @@
-//! What is asked of the engine besides ordering: reads, transfers of leadership, changes of members.
+//! Requests to the engine besides ordering: reads, transfers of leadership, changes of members.
 
 use super::Engine;
 use crate::interface::{Input, Output};

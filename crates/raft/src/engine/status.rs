@@ -56,7 +56,7 @@ impl Engine {
 pub struct Status {
     /// This node.
     pub id: u64,
-    /// Who leads, in which term, and what this node is.
+    /// The leader, the term, and the role of this node.
     pub role: RoleChange,
     /// Last height known to be committed.
     pub commit: u64,

@@ -23,7 +23,7 @@ const KINDS: [(RaftKind, MessageType); 11] = [
 ];
 
 impl RaftMessage {
-    /// What the engine wants to say; `None` for what never crosses the wire.
+    /// A message from the engine; `None` for what never crosses the wire.
     pub(crate) fn from_raft(mut message: eraftpb::Message) -> Option<Self> {
         let (kind, _) = KINDS.iter().find(|(_, of)| *of == message.get_msg_type())?;
         let mut entries: Vec<eraftpb::Entry> = message.take_entries().into();
@@ -47,7 +47,7 @@ impl RaftMessage {
         })
     }
 
-    /// What the engine is told; `None` for an unknown kind.
+    /// A message to the engine; `None` for an unknown kind.
     pub(crate) fn into_raft(self, from: u64, to: u64) -> Option<eraftpb::Message> {
         let (kind, of) = KINDS.iter().find(|(kind, _)| i32::from(*kind) == self.kind)?;
         let mut message = eraftpb::Message::default();

@@ -13,7 +13,7 @@ use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 
-/// What a transaction costs to execute beside its bytes, in bytes that cost about as much.
+/// The cost of executing a transaction beside its bytes, in bytes that cost about as much.
 const TRANSACTION_COST_BYTES: usize = 256;
 /// So many transactions may wait however long they do: after a stall of the disk or an election they are soon done,
 /// while a longer queue of old ones delays what is new.
@@ -42,7 +42,7 @@ struct Place {
     number: u64,
 }
 
-/// What one creator has waiting.
+/// The waiting transactions of one creator.
 #[derive(Debug, Default)]
 struct Backlog {
     transactions: usize,
@@ -197,7 +197,7 @@ fn cost(transaction: &Bytes) -> usize {
     transaction.len() + TRANSACTION_COST_BYTES
 }
 
-/// Who wants it ordered. What is no transaction belongs to nobody, who is one creator like others.
+/// Its creator. What is no transaction belongs to nobody, who is one creator like others.
 fn creator(transaction: &Bytes) -> Hash {
     claimed_creator(transaction).unwrap_or_default()
 }

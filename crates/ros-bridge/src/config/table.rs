@@ -10,7 +10,7 @@ const ALIKE: f64 = 0.7;
 
 /// A table that is being read.
 pub(super) struct Table<'f> {
-    /// What messages begin with, e.g. `route 2: `.
+    /// The beginning of messages, e.g. `route 2: `.
     place: String,
     left: toml::Table,
     asked: Vec<&'static str>,
@@ -83,7 +83,7 @@ impl<'f> Table<'f> {
         }
     }
 
-    /// What is left was not asked for.
+    /// Keys that are left are unknown.
     pub(super) fn finish(mut self) {
         for key in std::mem::take(&mut self.left).keys() {
             let alike = self.asked.iter().map(|known| (strsim::jaro_winkler(key, known), known));

@@ -1,4 +1,4 @@
-//! What other ROS 2 tools see of us: one node with its readers and writers.
+//! The bridge as other ROS 2 tools see it: one node with its readers and writers.
 //!
 //! Every ROS 2 participant publishes on `ros_discovery_info` which nodes it holds and which DDS
 //! endpoints belong to each. Without it `ros2 topic info` shows our endpoints as of an unknown node.

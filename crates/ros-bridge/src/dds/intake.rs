@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Most writers remembered at a time; those that left are forgotten first.
 const WRITERS_MAX: usize = 4096;
 
-/// What happened to a sample at the door.
+/// The outcome for a sample at the door.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Verdict {
     /// New: give it out.

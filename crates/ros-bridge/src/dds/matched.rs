@@ -1,4 +1,4 @@
-//! Who is on the other end: counted, so that callers wait on a condition instead of a time.
+//! Endpoints on the other end: counted, so that callers wait on a condition instead of a time.
 
 use std::collections::BTreeSet;
 
@@ -6,7 +6,7 @@ use tokio::sync::watch;
 
 use super::prefix;
 
-/// What discovery has found for one endpoint.
+/// The findings of discovery for one endpoint.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Matching {
     /// Endpoints of other participants that are matched now.

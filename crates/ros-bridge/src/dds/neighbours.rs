@@ -1,4 +1,4 @@
-//! Who else is in the domain: the publishers and subscribers of other participants, as discovery knows them.
+//! Neighbours in the domain: the publishers and subscribers of other participants, as discovery knows them.
 
 use std::{
     collections::{BTreeMap, BTreeSet},
@@ -49,7 +49,7 @@ pub struct Neighbour {
     pub topic: String,
     /// The DDS type, `geometry_msgs::msg::dds_::Twist_`.
     pub type_name: String,
-    /// What it offers or requests.
+    /// The QoS that it offers or requests.
     pub qos: QosPolicies,
     /// Set by bridges.
     pub mark: Option<Mark>,
@@ -63,7 +63,7 @@ impl Neighbour {
     }
 }
 
-/// What has changed.
+/// The change.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Change {
     /// It was not there before.

@@ -96,7 +96,7 @@ impl Drop for Reader {
     }
 }
 
-/// What the task behind a reader holds.
+/// The state of the task behind a reader.
 struct Pump {
     topic: TopicName,
     intake: Intake,

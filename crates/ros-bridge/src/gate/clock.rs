@@ -1,4 +1,4 @@
-//! What time it is, for a robot that trusts nobody's clock: the later of what it knows. Later only shortens what is
+//! The time, for a robot that trusts no single clock: the latest time that it knows. Later only shortens what is
 //! accepted.
 
 /// The time, as whoever runs the gate reads it.

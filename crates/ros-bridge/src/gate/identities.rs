@@ -1,4 +1,4 @@
-//! Whose signature is whose, by the robot's own check against the network's organisations.
+//! The owners of signatures, by the robot's own check against the network's organisations.
 
 use std::{
     collections::{BTreeSet, HashMap},

@@ -1,4 +1,4 @@
-//! Who else is on the topics of a bridge, and what that means for its routes.
+//! The neighbours on the topics of a bridge, and their meaning for its routes.
 
 use std::{
     collections::BTreeMap,
@@ -27,7 +27,7 @@ const LINES_IN: Duration = Duration::from_secs(10);
 /// Most publishers of other bridges that are listened to.
 const LISTENED_MAX: usize = 16;
 
-/// What is known of the others.
+/// The known neighbours.
 pub(super) struct Neighbourhood {
     local: Local,
     routes: Arc<[Watched]>,
@@ -103,7 +103,7 @@ impl Neighbourhood {
         }
     }
 
-    /// Who is at the other end of a route.
+    /// The endpoints at the other end of a route.
     pub(super) fn surroundings(&self, watched: &Watched) -> Surroundings {
         let mut surroundings = Surroundings::default();
         let (topic, wanted) = (watched.topic.dds(), watched.route.message.dds());
@@ -186,7 +186,7 @@ fn count_in_memory(watched: &Watched) -> usize {
     watched.in_memory.as_ref().map_or(0, crate::shm::Peers::count)
 }
 
-/// Whom a route is connected with.
+/// The endpoints with which a route is connected.
 fn other_end(direction: Direction) -> Role {
     match direction {
         Direction::ToLedger => Role::Publisher,
@@ -208,7 +208,7 @@ fn misfit(watched: &Watched, neighbour: &Neighbour) -> Option<String> {
     offered.compliance_failure_wrt(requested).map(|policy| format!("{policy:?}").to_lowercase())
 }
 
-/// What is told.
+/// The line to write.
 enum Line {
     Note(String),
     Warning(String),
@@ -232,7 +232,7 @@ impl Lines {
     }
 }
 
-/// What it means for a route that somebody came to its topic, or left.
+/// The meaning of an arrival or a departure on its topic for a route.
 fn meaning(watched: &Watched, neighbour: &Neighbour, came: bool) -> Option<Line> {
     let (service, topic, role) = (&watched.route.service, watched.topic.as_str(), neighbour.role.name());
     let is_same_service = neighbour.mark == Some(watched.mark);

@@ -10,7 +10,7 @@ const SETTLE: Duration = Duration::from_secs(2);
 /// Between two lines about a route.
 const PAUSE: Duration = Duration::from_secs(5);
 
-/// What was told about a route.
+/// The last line about a route.
 #[derive(Debug, Default)]
 pub(super) struct Teller {
     told: Option<&'static str>,
@@ -19,7 +19,7 @@ pub(super) struct Teller {
     last: Option<Instant>,
 }
 
-/// What is to be told.
+/// The line to write.
 #[derive(Debug, PartialEq, Eq)]
 enum Line {
     Silent(Silence),

@@ -38,7 +38,7 @@ const LINGER: Duration = Duration::from_millis(200);
 /// A subscription that has to show a certificate again is renewed at most this often.
 const RENEW_EVERY: Duration = Duration::from_secs(1);
 
-/// What an event asks for.
+/// The action that an event asks for.
 #[derive(Debug, PartialEq, Eq)]
 enum Act {
     Nothing,
@@ -55,7 +55,7 @@ enum Act {
 /// Transactions of one block by their position: the first event of each carries it.
 type Shown = HashMap<u32, (Bytes, Bytes)>;
 
-/// What an event means to the gate.
+/// The meaning of an event to the gate.
 fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown: &mut Shown, now: Now) -> Act {
     if !event.transaction.is_empty() {
         shown.insert(event.index, (event.transaction.clone(), event.certificate.clone()));
@@ -161,7 +161,7 @@ impl FromLedger {
         self.outlet.in_memory()
     }
 
-    /// What it has done.
+    /// Its counters.
     pub(crate) fn counters(&self) -> &Counters {
         &self.counters
     }

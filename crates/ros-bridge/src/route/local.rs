@@ -43,7 +43,7 @@ impl Local {
         &self.participant
     }
 
-    /// What bridges deliver to this graph, as far as it is known.
+    /// The known deliveries of bridges to this graph.
     pub(crate) fn delivered(&self) -> &Arc<Delivered> {
         &self.delivered
     }

@@ -9,10 +9,10 @@ use crate::{
     names::quoted,
 };
 
-/// What is not longer ago counts as now.
+/// An event that is not older counts as present.
 const RECENT: Duration = Duration::from_secs(2);
 
-/// What is known about a route.
+/// The known state of a route.
 pub(crate) struct Facts<'a> {
     pub(crate) service: &'a str,
     pub(crate) direction: Direction,
@@ -22,7 +22,7 @@ pub(crate) struct Facts<'a> {
     pub(crate) live: &'a Live,
 }
 
-/// Who is at the other end of a route, in the local graph.
+/// The other end of a route, in the local graph.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
 pub(crate) struct Surroundings {
     /// Publishers or subscribers that this route is, or will be, connected with. Not counting bridges of this network.

@@ -36,7 +36,7 @@ const BATCH_BYTES_MAX: usize = 256 * 1024;
 /// The own grant is asked for at most this often.
 const REFRESH_EVERY: Duration = Duration::from_millis(500);
 
-/// What is known of the own grant, and the next sequence number.
+/// The own grant as far as it is known, and the next sequence number.
 #[derive(Debug)]
 struct Publishing {
     service: String,
@@ -60,7 +60,7 @@ impl Publishing {
         head.into_iter().map(Bytes::from).chain(samples.iter().map(|incoming| incoming.sample.wire().clone())).collect()
     }
 
-    /// What events tell about the own grant.
+    /// Events about the own grant.
     fn hear(&mut self, delivery: &Delivery) {
         for event in &delivery.events {
             match event.name.as_str() {
@@ -114,7 +114,7 @@ pub(crate) struct ToLedger {
     under_way_bytes: usize,
 }
 
-/// What became of samples that were submitted together.
+/// The outcome of samples that were submitted together.
 struct Outcome {
     /// When each was taken in.
     received: Vec<Instant>,

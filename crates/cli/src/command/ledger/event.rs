@@ -1,4 +1,4 @@
-//! What a block or a transaction told the world.
+//! The events of a block or a transaction.
 
 use crate::answer::Answer;
 use ledger_api::v1;

@@ -70,7 +70,7 @@ struct Node {
     certificates: Vec<Certificate>,
     #[serde(skip_serializing_if = "String::is_empty")]
     divergence: String,
-    /// What somebody should look at.
+    /// Points that need attention.
     attention: Vec<String>,
     /// When it was asked.
     #[serde(skip)]

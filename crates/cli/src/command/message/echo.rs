@@ -31,8 +31,9 @@ const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 
 /// Print the messages of a service as they are committed, until Ctrl-C.
 ///
-/// Each message is YAML as `ros2 topic echo` prints it, behind a comment with block, time, sender, epoch and sequence number,
-/// and ends with `---`. The sender's signature is checked. A type without a definition is shown in hexadecimal digits. With
+/// Each message is YAML as `ros2 topic echo` prints it, behind a comment with block, time, sender, epoch and sequence
+/// number, and ends with `---`. The sender's signature is checked. A type without a definition is shown in hexadecimal
+/// digits. With
 /// `-o json` each line is an object.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
@@ -80,7 +81,7 @@ struct Message {
     seq: u64,
     #[serde(rename = "type")]
     type_name: String,
-    /// What it says; left out where that is not known.
+    /// Its content; left out where that is not known.
     #[serde(skip_serializing_if = "Option::is_none")]
     message: Option<Value>,
     /// Why it is not known although the type is.

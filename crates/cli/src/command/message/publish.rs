@@ -30,9 +30,9 @@ const WORDS: Words = Words { arguments: &[("PAYLOAD", "the message")], help: "le
 
 /// Publish a message on a service, under the grant that you hold.
 ///
-/// The message is YAML or JSON, as after `ros2 topic pub`; fields that are left out are zero, and `now` or `auto` is the
-/// time of a stamp or a header. Or it is bytes: CDR, with its header of four bytes in front, such as 00 01 00 00 for little
-/// endian. On a service in open mode no grant is needed.
+/// The message is YAML or JSON, as after `ros2 topic pub`; fields that are left out are zero, and `now` or `auto` is
+/// the time of a stamp or a header. Or it is bytes: CDR, with its header of four bytes in front, such as 00 01 00 00
+/// for little endian. On a service in open mode no grant is needed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -81,7 +81,7 @@ fn rate(text: &str) -> Result<f64, String> {
         .ok_or_else(|| format!("wanted messages per second, above 0 and at most {RATE_HZ_MAX}"))
 }
 
-/// What is to be published, before the type of the service is known.
+/// The message to publish, before the type of the service is known.
 enum Content {
     Written(Written),
     Bytes(Bytes),

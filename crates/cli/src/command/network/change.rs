@@ -36,8 +36,8 @@ pub(crate) struct Demote {
 
 /// Remove a node from the network; for admins.
 ///
-/// An organisation does that with its own nodes at once; for others' it needs approval. Its id never comes back: to bring
-/// the machine in again, invite it as a new node.
+/// An organisation does that with its own nodes at once; for others' it needs approval. Its id never comes back: to
+/// bring the machine in again, invite it as a new node.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -91,7 +91,7 @@ impl Remove {
     }
 }
 
-/// What an organisation would be without after this node has left, a sentence each.
+/// The losses of an organisation after this node has left, a sentence each.
 fn lost(node: &NodeRecord, nodes: &[NodeRecord], carriers: &[CarrierRecord]) -> Vec<String> {
     let organisation = &node.organisation;
     let live = nodes.iter().filter(|other| other.role != NodeRole::Removed && other.organisation == *organisation);
@@ -147,7 +147,7 @@ async fn decide(
     output.show(&Decided { decision: answer::parse(&called.response, "the decision")?, done })
 }
 
-/// Who leads now.
+/// The present leader.
 #[derive(Serialize)]
 struct Leads {
     leader_id: u64,

@@ -5,7 +5,7 @@ use ledger::governance::{Action, Decision, NodeRole};
 use serde::Serialize;
 use std::io::{self, Write};
 
-/// What became of a wish.
+/// The outcome of a wish.
 #[derive(Serialize)]
 pub(super) struct Decided {
     #[serde(flatten)]

@@ -22,8 +22,9 @@ use std::io::{self, Write};
 
 /// Invite a node of your organisation, or another organisation; for admins.
 ///
-/// Prints a token: one word for `ledgerd join`, which holds a secret and is good once. A node joins as a learner. Another
-/// organisation joins once more than half of the organisations have approved; it founds its own CA on its own machine.
+/// Prints a token: one word for `ledgerd join`, which holds a secret and is good once. A node joins as a learner.
+/// Another organisation joins once more than half of the organisations have approved; it founds its own CA on its own
+/// machine.
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("who").required(true).args(["node", "organisation", "list", "cancel"]))]
 #[command(after_help = "\
@@ -65,7 +66,7 @@ struct Invited {
     /// End of the invitation, microseconds since the UNIX epoch.
     #[serde(skip_serializing_if = "Option::is_none")]
     expires: Option<u64>,
-    /// What the organisations decided; none for a node.
+    /// The decision of the organisations; none for a node.
     #[serde(skip_serializing_if = "Option::is_none")]
     decision: Option<Decision>,
     command: String,

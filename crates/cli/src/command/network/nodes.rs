@@ -32,7 +32,7 @@ impl Facts for Known {
     }
 }
 
-/// What a node is in the ordering; none if it is not in it.
+/// The role of a node in the ordering; none if it is not in it.
 pub(super) fn actual(members: &Membership, id: u64) -> Option<&'static str> {
     match (members.is_voter(id), members.contains(id)) {
         (true, _) => Some("voter"),
@@ -41,7 +41,7 @@ pub(super) fn actual(members: &Membership, id: u64) -> Option<&'static str> {
     }
 }
 
-/// What to call a node that is not in the ordering.
+/// The word for a node that is not in the ordering.
 pub(super) fn absent(wanted: NodeRole) -> &'static str {
     if wanted == NodeRole::Removed { "removed" } else { "joining" }
 }

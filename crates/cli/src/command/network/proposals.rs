@@ -91,7 +91,7 @@ impl Facts for Standing {
     }
 }
 
-/// What is left of a proposal.
+/// The rest of a proposal.
 #[derive(Serialize)]
 struct Withdrawn(Proposal);
 

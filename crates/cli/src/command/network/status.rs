@@ -25,7 +25,8 @@ const PATIENCE: Duration = Duration::from_secs(3);
 /// Show how every node of the network is.
 ///
 /// Asks each node itself. IS is what it does in the ordering, SHALL BE what the ledger wants, ATTESTED the last height
-/// whose state it has signed. Ends with 4 if nothing can be ordered: no majority of the voters answers, or nobody leads.
+/// whose state it has signed. Ends with 4 if nothing can be ordered: no majority of the voters answers, or nobody
+/// leads.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -51,7 +52,7 @@ struct Overview {
     nodes: Vec<Node>,
     /// Those of the CAs, and the own one; each node has its own.
     certificates: Vec<Certificate>,
-    /// What somebody should look at.
+    /// Points that need attention.
     attention: Vec<String>,
     /// When it was asked.
     #[serde(skip)]
@@ -65,16 +66,16 @@ struct Node {
     name: String,
     organisation: String,
     address: String,
-    /// What it shall be.
+    /// Its wanted role.
     wanted: NodeRole,
-    /// What it is: voter, learner, joining or removed.
+    /// Its present role: voter, learner, joining or removed.
     role: String,
     leader: bool,
     reachable: bool,
     /// Why it is not reachable.
     #[serde(skip_serializing_if = "String::is_empty")]
     reason: String,
-    /// What it says of itself; none if it is not reachable.
+    /// Its own report; none if it is not reachable.
     height: Option<u64>,
     committed: Option<u64>,
     first_height: Option<u64>,

@@ -16,7 +16,7 @@ struct Open {
     /// `node` or `organisation`.
     what: &'static str,
     name: String,
-    /// Who has invited.
+    /// The inviting admin.
     by: String,
     /// Until when, microseconds since the UNIX epoch.
     expires: u64,
