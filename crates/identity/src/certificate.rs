@@ -26,7 +26,7 @@ const SERIAL_BYTES_MAX: usize = 21;
 /// Most values of one kind (CN, OU) that a subject may hold.
 const SUBJECT_VALUES_MAX: usize = 16;
 
-/// What a certificate says; nothing of it is verified.
+/// The content of a certificate; nothing of it is verified.
 #[derive(Clone, Debug)]
 pub struct Certificate {
     /// The subject, for people.
@@ -227,8 +227,8 @@ fn seconds(time: ASN1Time) -> u64 {
     u64::try_from(time.timestamp()).unwrap_or(0)
 }
 
-/// The serial number, if it is an INTEGER in its shortest form and not negative: then its bytes are unique for the number,
-/// and a revocation cannot be evaded by writing it differently.
+/// The serial number, if it is an INTEGER in its shortest form and not negative: then its bytes are unique for the
+/// number, and a revocation cannot be evaded by writing it differently.
 fn serial(bytes: &[u8]) -> Result<Vec<u8>, IdentityError> {
     at_most("bytes of serial number", bytes.len(), SERIAL_BYTES_MAX)?;
     match bytes {

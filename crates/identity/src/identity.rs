@@ -1,4 +1,4 @@
-//! Who somebody is: what an organisation's certificate says, after it was verified.
+//! Identities: the content of an organisation's certificate, after it was verified.
 //!
 //! An [`Identity`] is only made by [`crate::msp::Msps::verify`]. Its organisation is the one whose root verified
 //! the certificate; what the subject claims in its `O` is never read.
@@ -17,7 +17,7 @@ use std::fmt;
 /// Longest name of an identity or an organisation, in bytes.
 pub const NAME_BYTES_MAX: usize = 128;
 
-/// What an identity is for. In a certificate it is an organisational unit (OU) of the subject.
+/// The purpose of an identity. In a certificate it is an organisational unit (OU) of the subject.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Role {
@@ -67,7 +67,7 @@ pub struct Identity {
     pub organisation: String,
     /// The common name of the subject; see [`check_name`].
     pub name: String,
-    /// What it is for.
+    /// Its role.
     pub role: Role,
     /// The attributes that its organisation signed into the certificate.
     pub attributes: BTreeMap<String, String>,
@@ -92,7 +92,7 @@ impl Identity {
         [&self.organisation, "/", &self.name].concat()
     }
 
-    /// What a revocation names: the issuer (32 bytes), then the serial number.
+    /// The name of a certificate in a revocation: the issuer (32 bytes), then the serial number.
     pub fn revocation_key(&self) -> Vec<u8> {
         [self.issuer.as_slice(), &self.serial].concat()
     }

@@ -1,7 +1,7 @@
 //! Keys and signatures: Ed25519 (the default for keys we make) and ECDSA P-256 (accepted everywhere).
 //!
-//! Every signature has exactly one accepted encoding. For P-256 that needs two rules that the curve alone does
-//! not give: strict DER, and the lower of the two values of `s` that verify (see `key/ecdsa.rs`). For Ed25519 it needs the
+//! Every signature has exactly one accepted encoding. For P-256 that needs two rules that the curve alone does not
+//! give: strict DER, and the lower of the two values of `s` that verify (see `key/ecdsa.rs`). For Ed25519 it needs the
 //! rules of ZIP 215, so that each node gives the same answer however many signatures it checks at once (see
 //! `key/ed25519.rs`).
 
@@ -71,7 +71,7 @@ pub enum KeyError {
     /// No such algorithm.
     #[error("found key kind {found:?}, wanted \"ed25519\" or \"p256\"")]
     UnknownKind {
-        /// What was asked for, cut to 32 characters.
+        /// The requested kind, cut to 32 characters.
         found: String,
     },
     /// The text holds no private key in PKCS#8 PEM.
@@ -80,13 +80,13 @@ pub enum KeyError {
          try `openssl pkcs8 -topk8 -nocrypt -in OLD -out NEW`"
     )]
     NotPem {
-        /// What the PEM reader says.
+        /// The words of the PEM reader.
         reason: String,
     },
     /// The bytes are not a private key of ours.
     #[error("found a private key that is not usable ({reason}), wanted Ed25519 or ECDSA P-256 in PKCS#8")]
     Rejected {
-        /// What the key reader says.
+        /// The words of the key reader.
         reason: String,
     },
     /// The public key of a certificate is of another kind.
@@ -266,7 +266,7 @@ pub struct PublicKey {
     kind: KeyKind,
     /// 32 bytes of Ed25519, or the uncompressed point (65 bytes) of P-256.
     bytes: Vec<u8>,
-    /// What the bytes of an Ed25519 key stand for.
+    /// The point behind the bytes of an Ed25519 key.
     point: Option<ed25519::Point>,
 }
 

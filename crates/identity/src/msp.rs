@@ -1,4 +1,4 @@
-//! Whom an organisation vouches for: its authorities (MSP, as in Fabric), and the check of a certificate against
+//! The authorities of an organisation (MSP, as in Fabric), and the check of a certificate against
 //! those of all organisations.
 //!
 //! The path itself is checked by rustls-webpki. What it leaves to its callers is checked here: the validity, path
@@ -23,7 +23,7 @@ pub const INTERMEDIATES_MAX: usize = 8;
 /// Most certificates that may come along with a certificate, its issuers and their root.
 pub const PRESENTED_MAX: usize = 4;
 
-/// What a certificate is used for.
+/// The use of a certificate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Usage {
     /// To sign transactions and to call others.

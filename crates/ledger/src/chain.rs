@@ -40,7 +40,7 @@ pub struct Ledger {
     registry: Registry,
     state: Arc<State>,
     results: Arc<ResultStore>,
-    /// What the genesis block gave: it is in no file.
+    /// The result of the genesis block, which is in no file.
     genesis: BlockResult,
     /// Blocks between two snapshots.
     snapshot_every: u64,
@@ -53,7 +53,7 @@ pub struct Ledger {
     flushing: Mutex<()>,
 }
 
-/// What a block came to, for those who wait for it.
+/// The outcome of a block, for those who wait for it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Outcome {
     /// The link of the chain.
@@ -62,7 +62,7 @@ pub struct Outcome {
     pub hash: Hash,
     /// State digest after the block.
     pub digest: Hash,
-    /// What kind of block it is.
+    /// The kind of the block.
     pub kind: BlockKind,
     /// The transactions as they were signed.
     pub transactions: Vec<Bytes>,
@@ -74,7 +74,7 @@ pub struct Outcome {
     pub events: Vec<EmittedEvent>,
 }
 
-/// What binds a block to those before it, and to what they did.
+/// The link of a block to those before it, and to their effects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seal {
     /// Block time, microseconds since the UNIX epoch.
@@ -94,7 +94,7 @@ pub struct TransactionRecord {
     pub index: u32,
     /// Block time, microseconds since the UNIX epoch.
     pub time: u64,
-    /// What became of it.
+    /// Its verdict.
     pub result: TransactionResult,
 }
 
@@ -169,7 +169,7 @@ impl Ledger {
         self.state.tip().unwrap_or(Tip { height: 0, term: 0, time: 0, hash: self.network, digest: Hash::ZERO })
     }
 
-    /// Who votes and who follows, as of [`Ledger::tip`].
+    /// The voters and learners, as of [`Ledger::tip`].
     ///
     /// # Errors
     /// A fault of the store; [`Code::Corrupt`] if the record cannot be read.
@@ -312,7 +312,7 @@ impl Ledger {
         Ok(found.map(|(time, result)| TransactionRecord { height, index, time, result }))
     }
 
-    /// What executing the block at a height gave; none if it was not executed yet, or was dropped.
+    /// The result of executing the block at a height; none if it was not executed yet, or was dropped.
     ///
     /// # Errors
     /// A fault of the store.
@@ -351,8 +351,8 @@ impl Ledger {
         &self.results
     }
 
-    /// What the block at a height wrote to the world state, in order of keys; none if that is not kept any more: it is
-    /// for some [4096](crate::writes::WRITES_BLOCKS_MAX) blocks, and not over a restart.
+    /// The writes of the block at a height to the world state, in order of keys; none if that is not kept any more: it
+    /// is for some [4096](crate::writes::WRITES_BLOCKS_MAX) blocks, and not over a restart.
     pub fn writes(&self, height: u64) -> Option<Vec<Write>> {
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).get(height)
     }

@@ -27,10 +27,10 @@ pub trait Chaincode: Send + Sync {
     /// [`ChaincodePanic`](ledger_rejection::Code::ChaincodePanic).
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
 
-    /// What a successful call answers and emits, where the call alone tells. A node then keeps neither: it has the call in
-    /// its block. What differs from what [`Chaincode::invoke`] gave is kept as it was given.
+    /// What a successful call answers and emits, where the call alone tells. A node then keeps neither: it has the call
+    /// in its block. What differs from what [`Chaincode::invoke`] gave is kept as it was given.
     ///
-    /// What is said of a call must never change: results that were kept without it are read with it.
+    /// The foretold outcome of a call must never change: results that were kept without it are read with it.
     fn foretell(&self, _function: &str, _args: &[Bytes]) -> Option<Foretold> {
         None
     }
@@ -69,9 +69,9 @@ pub trait Chaincode: Send + Sync {
         &[]
     }
 
-    /// May the submitter of `ctx` follow events of these names about these subjects? No names, or no subjects, stand for
-    /// all that they may read. Asked when somebody subscribes, and again while the subscription lasts: without an answer
-    /// here, who asks for what they may not read would hear nothing and never learn why.
+    /// May the submitter of `ctx` follow events of these names about these subjects? No names, or no subjects, stand
+    /// for all that they may read. Asked when somebody subscribes, and again while the subscription lasts: without an
+    /// answer here, who asks for what they may not read would hear nothing and never learn why.
     ///
     /// # Errors
     /// The reason why not; the subscription is then refused, or ends with it.
@@ -91,13 +91,13 @@ pub trait Chaincode: Send + Sync {
 /// What [`Chaincode::foretell`] says.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Foretold {
-    /// What the call answers.
+    /// The answer of the call.
     pub response: Bytes,
-    /// What it emits, in order.
+    /// Its events, in order.
     pub events: Vec<Event>,
 }
 
-/// What names a revoked certificate: never its fingerprint, because a signature can be rewritten.
+/// The name of a revoked certificate: never its fingerprint, because a signature can be rewritten.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Revocation {
     /// SHA-256 of the issuer's distinguished name as in the certificate.

@@ -19,7 +19,7 @@ use ring::digest::{Context as Sha256, SHA256};
 use std::collections::HashSet;
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// What the execution of a block needs besides the block.
+/// The needs of the execution of a block besides the block.
 pub(crate) struct Executor<'a> {
     pub(crate) network: Hash,
     pub(crate) registry: &'a Registry,
@@ -31,7 +31,7 @@ pub(crate) struct Executor<'a> {
     pub(crate) window: &'a RwLock<Window>,
 }
 
-/// What the execution of a block gave.
+/// The outcome of the execution of a block.
 pub(crate) struct Execution {
     pub(crate) tip: Tip,
     pub(crate) header: Header,
@@ -146,7 +146,7 @@ impl Executor<'_> {
         }
     }
 
-    /// Whose signatures this node has verified, now or before.
+    /// The signers whose signatures this node has verified, now or before.
     fn verify_together(&self, decoded: &[Result<Transaction, Rejection>], leaves: &[Hash], time: u64) -> Vec<bool> {
         let mut verified: Vec<_> = leaves.iter().map(self.verified).collect();
         let rest = (0..).zip(decoded).filter(|(position, _)| verified.get(*position) == Some(&false));
@@ -173,8 +173,8 @@ impl Executor<'_> {
         Ok((identity, new))
     }
 
-    /// An id is executed once: neither twice in this block, nor again in a later one. Ids that block time has passed are
-    /// not asked for: they are refused as expired, whether or not the window still has them.
+    /// An id is executed once: neither twice in this block, nor again in a later one. Ids that block time has passed
+    /// are not asked for: they are refused as expired, whether or not the window still has them.
     fn check_first(&self, transaction: &Transaction, taken: &HashSet<Hash>, time: u64) -> Result<(), Rejection> {
         let (id, not_after) = (transaction.id(), transaction.body().not_after);
         let window = self.window.read().unwrap_or_else(PoisonError::into_inner);

@@ -1,5 +1,5 @@
-//! Results as a node keeps them, made whole: what the block tells and what its calls [foretell](crate::Chaincode::foretell) is put
-//! back.
+//! Results as a node keeps them, made whole: what the block tells and what its calls
+//! [foretell](crate::Chaincode::foretell) is put back.
 
 use crate::block::Payload;
 use crate::chaincode::{Foretold, Registry};
@@ -25,7 +25,7 @@ pub(crate) fn whole(results: &ResultStore, height: u64, registry: &Registry) -> 
     }
 }
 
-/// What became of a transaction, and the time of its block; none if that was dropped.
+/// The outcome of a transaction, and the time of its block; none if that was dropped.
 ///
 /// # Errors
 /// As [`ResultStore::get`].
@@ -67,7 +67,7 @@ impl<'a> Completing<'a> {
         block.map(|block| complete(stored, &block, self.registry)).transpose()
     }
 
-    /// What became of one transaction; none if its block was dropped, or has no such transaction.
+    /// The outcome of one transaction; none if its block was dropped, or has no such transaction.
     ///
     /// # Errors
     /// As [`Completing::complete`].

@@ -35,7 +35,8 @@
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its name;
 //! `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial number;
 //! `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with organisation,
-//! name, role and who did it, and `certified` with the [`IssuedCertificate`], all with `ORGANISATION/NAME`; `ca_carried` and
+//! name, role and who did it, and `certified` with the [`IssuedCertificate`], all with `ORGANISATION/NAME`;
+//! `ca_carried` and
 //! `ca_dropped` with the [`CarrierRecord`] and the node.
 
 mod attestations;
@@ -151,7 +152,7 @@ impl Chaincode for Governance {
         &EVENTS
     }
 
-    /// What takes rights away; for admins only.
+    /// Functions that take rights away; for admins only.
     fn ends(&self, function: &str) -> bool {
         matches!(function, "revoke" | "set_node_role" | "remove_organisation" | "approve")
     }

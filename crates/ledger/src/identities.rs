@@ -1,4 +1,4 @@
-//! Whose signature is whose: certificates known to the ledger, verified once and remembered.
+//! The owners of signatures: certificates known to the ledger, verified once and remembered.
 
 use crate::governance::{self, certificate_key, revoked_key};
 use crate::transaction::Transaction;
@@ -16,7 +16,8 @@ use std::sync::{Arc, PoisonError, RwLock};
 /// Most identities kept in memory; beyond it the memory starts anew.
 const CACHED_MAX: usize = 10_000;
 
-/// Signatures that are checked together: more of them are hardly cheaper, and one that does not verify spoils it for all.
+/// Signatures that are checked together: more of them are hardly cheaper, and one that does not verify spoils it for
+/// all.
 const TOGETHER_MAX: usize = 64;
 /// One is cheaper alone.
 const TOGETHER_MIN: usize = 2;
@@ -78,8 +79,8 @@ impl Identities {
         Ok((identity, new))
     }
 
-    /// Those of the transactions, by what they are given with, whose signatures are seen to verify when they are checked
-    /// together. Nothing is said of the others: each has to be checked by itself.
+    /// Those of the transactions, by what they are given with, whose signatures are seen to verify when they are
+    /// checked together. Nothing is said of the others: each has to be checked by itself.
     pub(crate) fn verify_together<'a, T>(
         &self,
         transactions: impl Iterator<Item = (T, &'a Transaction)>,

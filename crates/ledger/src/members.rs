@@ -1,4 +1,4 @@
-//! Who votes and who follows: a pure function of the committed changes.
+//! The voters and learners: a pure function of the committed changes.
 //!
 //! The rules are those of joint consensus as the engine implements them; a test holds the two together. Keeping
 //! them here as well lets a node recover its members from the log, and refuse an impossible change before it is
@@ -93,13 +93,13 @@ pub enum MembershipError {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Membership {
-    /// Who votes.
+    /// The voters.
     pub voters: BTreeSet<u64>,
-    /// Who follows.
+    /// The learners.
     pub learners: BTreeSet<u64>,
-    /// Who voted before a change that is under way; while not empty, their majority is needed too.
+    /// The voters before a change that is under way; while not empty, their majority is needed too.
     pub outgoing: BTreeSet<u64>,
-    /// Who will be a learner once the change is complete; still votes in `outgoing`.
+    /// Voters that will be learners once the change is complete; they still vote in `outgoing`.
     pub learners_next: BTreeSet<u64>,
     /// The leader completes the change by itself.
     pub auto_leave: bool,

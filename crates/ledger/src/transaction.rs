@@ -28,7 +28,7 @@ pub const NONCE_BYTES: usize = 16;
 /// Separates these signatures from everything else that the same key may sign (TLS, certificate requests).
 const SIGNATURE_DOMAIN: &[u8] = b"ledgerd transaction v1\0";
 
-/// What the creator signs.
+/// The bytes that the creator signs.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct Body {
     /// Name of the network (32 bytes).
@@ -121,7 +121,7 @@ impl Transaction {
         self.id
     }
 
-    /// What was signed.
+    /// The signed bytes.
     pub fn body(&self) -> &Body {
         &self.body
     }
@@ -182,8 +182,8 @@ impl Transaction {
     }
 }
 
-/// Who an encoded transaction says it is by: the SHA-256 of the creator's certificate, if it names one. Nothing is checked,
-/// and nothing else is read: for sorting what waits, where somebody has looked at the transaction before.
+/// The creator that an encoded transaction names: the SHA-256 of the creator's certificate, if it names one. Nothing is
+/// checked, and nothing else is read: for sorting what waits, where somebody has looked at the transaction before.
 pub fn claimed_creator(encoded: &Bytes) -> Option<Hash> {
     #[derive(Clone, PartialEq, prost::Message)]
     struct OnlyBody {
@@ -208,8 +208,9 @@ fn malformed(what: &str) -> Rejection {
         .wanted("an encoded ledgerd.v1.Transaction (transaction.proto)")
 }
 
-/// Refuses bytes that the message does not account for: a field that it does not have, one that stands twice, a number that
-/// is longer than it must be. Whoever signed such a field meant something by it, and it would be left out in silence.
+/// Refuses bytes that the message does not account for: a field that it does not have, one that stands twice, a number
+/// that is longer than it must be. Whoever signed such a field meant something by it, and it would be left out in
+/// silence.
 fn check_encoding(name: &str, message: &impl Message, found: usize) -> Result<(), Rejection> {
     let wanted = message.encoded_len();
     if found == wanted {

@@ -1,9 +1,9 @@
 //! Offline verification of a node's data directory: every record, every hash, every signature, and every verdict
 //! executed again.
 //!
-//! The blocks are read without trusting anything and executed into an empty state in memory, from the genesis on. What
-//! the node has kept beside them (the savepoint and the results of blocks) must come out again. A byte changed by
-//! somebody who also made the checksums fit is found by the signatures, or by the hashes of the results.
+//! The blocks are read without trusting anything and executed into an empty state in memory, from the genesis on. The
+//! node's records beside them (the savepoint and the results of blocks) must come out again. A byte changed by somebody
+//! who also made the checksums fit is found by the signatures, or by the hashes of the results.
 
 mod attested;
 mod begin;
@@ -29,7 +29,7 @@ use std::sync::Arc;
 pub use attested::Dissent;
 pub use begin::Begun;
 
-/// What a verification found; only made if everything is right.
+/// The report of a verification; only made if everything is right.
 #[derive(Clone, Debug, Default, Serialize)]
 pub struct Report {
     /// Name of the network.
@@ -56,19 +56,20 @@ pub struct Report {
     pub attestations_agreeing: u64,
     /// Those that say something else, of fewer nodes than agree: these nodes were wrong. At most 100.
     pub dissents: Vec<Dissent>,
-    /// Entries after the last one known to be committed: a node may hold them without having promised them. At the end of
-    /// an archive of finished segments it is the next segment that tells.
+    /// Entries after the last one known to be committed: a node may hold them without having promised them. At the end
+    /// of an archive of finished segments it is the next segment that tells.
     pub uncommitted: u64,
     /// Bytes of a write that was cut off and never acknowledged; the node removes them when it starts.
     pub torn_bytes: u64,
 }
 
-/// Verifies the data directory of a stopped node, or an archive. `registry` holds the chaincodes of its network (`msp` is added).
+/// Verifies the data directory of a stopped node, or an archive. `registry` holds the chaincodes of its network (`msp`
+/// is added).
 ///
 /// # Errors
-/// [`Code::ChainInvalid`] or [`Code::Corrupt`] naming file and byte of the first thing that is wrong, or height and nodes
-/// of attestations that contradict the blocks; [`Code::BadFile`] if the directory is none or is in use, or if its blocks
-/// begin above 1 and there is no snapshot to begin from.
+/// [`Code::ChainInvalid`] or [`Code::Corrupt`] naming file and byte of the first thing that is wrong, or height and
+/// nodes of attestations that contradict the blocks; [`Code::BadFile`] if the directory is none or is in use, or if its
+/// blocks begin above 1 and there is no snapshot to begin from.
 pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report, Rejection> {
     let genesis_path = directory.join(GENESIS_FILE);
     let genesis = std::fs::read(&genesis_path).map_err(|error| {

@@ -1,4 +1,4 @@
-//! What recent blocks wrote, to find the key with which two nodes that differ began to differ.
+//! The writes of recent blocks, to find the key with which two nodes that differ began to differ.
 
 use bytes::Bytes;
 use ledger_hash::Hash;
@@ -58,7 +58,7 @@ impl RecentWrites {
         }
     }
 
-    /// What the block at a height wrote, in order of keys; none if that is not kept.
+    /// The writes of the block at a height, in order of keys; none if they are not kept.
     pub(crate) fn get(&self, height: u64) -> Option<Vec<Write>> {
         let number = height.checked_sub(self.blocks.front()?.height)?;
         let block = self.blocks.get(usize::try_from(number).ok()?)?;

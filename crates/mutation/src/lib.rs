@@ -26,7 +26,7 @@ pub enum Mutation {
     WallClockLease,
     /// The writes of a block go into the state digest in any order.
     UnsortedDigest,
-    /// What is read from the log at a start is not checked again.
+    /// Entries that a start reads from the log are not checked again.
     NoRecheckAfterRestart,
     /// A gateway refuses without knowing whether its state is current.
     RefuseOnAnOldState,

@@ -1,9 +1,9 @@
 //! Writing a node's old blocks out, so that the node may drop them and they can still be verified, alone.
 //!
 //! An archive has the layout of a data directory: `genesis.json`, `blocks/` with finished segments, and, if they do not
-//! begin at block 1, `snapshots/` with the snapshot from which they are executed. So whatever reads the one reads the other.
-//! If one asks for all that is committed, the newest segment is copied up to its last committed block, and ends there with
-//! a hard state that says so; the next run replaces that copy.
+//! begin at block 1, `snapshots/` with the snapshot from which they are executed. So whatever reads the one reads the
+//! other. If one asks for all that is committed, the newest segment is copied up to its last committed block, and ends
+//! there with a hard state that says so; the next run replaces that copy.
 
 mod committed;
 mod copy;
@@ -35,7 +35,7 @@ pub enum Extent {
     Committed,
 }
 
-/// What an archive holds now.
+/// The present content of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Report {
     /// Name of the network.
@@ -54,13 +54,14 @@ pub struct Report {
     pub snapshot: Option<u64>,
 }
 
-/// Copies to `to` what it lacks of the blocks of the data directory `data`. The node may run meanwhile. May be repeated:
-/// what is there stays, a segment that was not finished is replaced by more of it, and after a crash the rest follows.
+/// Copies to `to` what it lacks of the blocks of the data directory `data`. The node may run meanwhile. May be
+/// repeated: what is there stays, a segment that was not finished is replaced by more of it, and after a crash the rest
+/// follows.
 ///
 /// # Errors
-/// [`Code::BadFile`] if one of the directories cannot be used, or if the archive could not be verified with what would be
-/// added (of another network or node, or blocks in between were dropped); [`Code::Corrupt`] naming file and byte if a
-/// segment is damaged; [`Code::ChainInvalid`] if the node has other blocks than the archive; [`Code::DiskFull`].
+/// [`Code::BadFile`] if one of the directories cannot be used, or if the archive could not be verified with what would
+/// be added (of another network or node, or blocks in between were dropped); [`Code::Corrupt`] naming file and byte if
+/// a segment is damaged; [`Code::ChainInvalid`] if the node has other blocks than the archive; [`Code::DiskFull`].
 pub fn archive(data: &Path, to: &Path, extent: Extent, network_of: NetworkOf<'_>) -> Result<Report, Rejection> {
     let genesis_path = data.join(GENESIS_FILE);
     let genesis = fs::read(&genesis_path).map_err(|error| {
@@ -94,8 +95,8 @@ pub fn archive(data: &Path, to: &Path, extent: Extent, network_of: NetworkOf<'_>
     })
 }
 
-/// The height up to which the node keeps results. What it has executed is committed, and was on the disk before its result
-/// was; the log itself says so only with the next block. Results that cannot be read prove nothing.
+/// The height up to which the node keeps results. What it has executed is committed, and was on the disk before its
+/// result was; the log itself says so only with the next block. Results that cannot be read prove nothing.
 fn executed(data: &Path, network: Hash) -> u64 {
     let results = RealDisk::open_beside_writer(data.join(RESULTS_DIRECTORY)).ok();
     let results = results.and_then(|disk| ResultStore::open(Arc::new(disk), network).ok());

@@ -1,12 +1,12 @@
 //! The log that is also the block store: entries and hard state, on disk with one `fdatasync` a flush.
 //!
-//! Life of an entry: [`BlockStore::append`] stages it in memory, where it can be read at once;
-//! [`BlockStore::flush`] makes it durable; then it may leave the memory and is read from its segment. A background thread
-//! calls [`BlockStore::prepare`] now and then, so that flushes write into space that is already there.
+//! Life of an entry: [`BlockStore::append`] stages it in memory, where it can be read at once; [`BlockStore::flush`]
+//! makes it durable; then it may leave the memory and is read from its segment. A background thread calls
+//! [`BlockStore::prepare`] now and then, so that flushes write into space that is already there.
 //!
-//! Nothing is truncated in place: an entry of a lower index supersedes what follows it. What is committed is never
-//! superseded. The log need not begin at 1: [`BlockStore::prune`] drops old segments, and [`BlockStore::begin_after`] lets
-//! a node that is far behind go on after a snapshot.
+//! Nothing is truncated in place: an entry of a lower index supersedes what follows it. A committed entry is never
+//! superseded. The log need not begin at 1: [`BlockStore::prune`] drops old segments, and [`BlockStore::begin_after`]
+//! lets a node that is far behind go on after a snapshot.
 //!
 //! When the disk fails: any failed write or sync poisons the store, and every later `append`, `flush` and `prepare`
 //! returns that first error; entries can still be read. The node ends, and the next start decides by what is on disk.
@@ -86,9 +86,9 @@ pub struct BlockStore {
     dropping: Mutex<Oldest>,
     /// The end of the log; held by the one who flushes.
     writer: Mutex<Writer>,
-    /// What is zeroed ahead; held by the one who prepares, and by a flush that goes beyond the zeros.
+    /// The zeroed space ahead; held by the one who prepares, and by a flush that goes beyond the zeros.
     ahead: Mutex<Ahead>,
-    /// What readers need; held shortly.
+    /// The state for readers; held shortly.
     state: Mutex<State>,
     marks: Marks,
     files: Files,
@@ -173,8 +173,8 @@ impl BlockStore {
     /// Stages entries and hard state: readable at once, on disk after the next [`flush`](Self::flush).
     ///
     /// `entries` are gapless and start at the end of the log or before; then they supersede what is there. On an error
-    /// nothing is staged. Superseding a committed entry, a falling term, or a hard state that commits what is not in the
-    /// log means that the orderer is broken: [`StoreError::Violation`], and the store is poisoned.
+    /// nothing is staged. Superseding a committed entry, a falling term, or a hard state that commits what is not in
+    /// the log means that the orderer is broken: [`StoreError::Violation`], and the store is poisoned.
     pub fn append(&self, entries: &[Entry], hard_state: Option<&HardState>) -> Result<(), StoreError> {
         let mut state = self.state();
         state.writable()?;
@@ -227,8 +227,8 @@ impl BlockStore {
         }
     }
 
-    /// Writes zeros ahead of the log, at most 1 MiB a call, in the file being written or in the next one. For a background
-    /// thread: call it after flushes until it returns false (nothing to do now).
+    /// Writes zeros ahead of the log, at most 1 MiB a call, in the file being written or in the next one. For a
+    /// background thread: call it after flushes until it returns false (nothing to do now).
     ///
     /// [`StoreError::DiskFull`] is an early warning: the store still works as long as what is prepared lasts. A failed
     /// sync poisons the store.
@@ -243,8 +243,8 @@ impl BlockStore {
         }
     }
 
-    /// Notes that everything up to `index` is committed, so that it is never superseded. Never goes back. An index beyond
-    /// the log poisons the store.
+    /// Notes that everything up to `index` is committed, so that it is never superseded. Never goes back. An index
+    /// beyond the log poisons the store.
     pub fn set_committed(&self, index: u64) {
         let mut state = self.state();
         let last = state.index.last();

@@ -1,4 +1,4 @@
-//! What the log holds: entries, and the hard state of the orderer.
+//! The content of the log: entries, and the hard state of the orderer.
 
 use bytes::Bytes;
 
@@ -15,7 +15,7 @@ pub struct Entry {
     pub data: Bytes,
 }
 
-/// What the data of an entry is.
+/// The kind of the data of an entry.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum EntryKind {
     /// Transactions, or nothing.
@@ -47,7 +47,7 @@ impl EntryKind {
     }
 }
 
-/// What a voter must not forget across a restart, besides its entries.
+/// The facts that a voter must not forget across a restart, besides its entries.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct HardState {
     /// Newest term seen. Never falls.

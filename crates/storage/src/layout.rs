@@ -1,4 +1,4 @@
-//! What a data directory and an archive are made of.
+//! The parts of a data directory and of an archive.
 //!
 //! | name | content |
 //! |---|---|

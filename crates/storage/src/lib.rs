@@ -1,8 +1,8 @@
 //! The files of a node, and what they mean: the log of blocks, their results, the world state, snapshots, archives.
 //!
-//! It verifies no signature and runs no chaincode. A [disk](disk::Disk) is an argument, so a simulator can tear, lose and
-//! fill it. What a failed or short write leaves is repaired, refused with file and byte, or made again; it is never
-//! answered from.
+//! It verifies no signature and runs no chaincode. A [disk](disk::Disk) is an argument, so a simulator can tear, lose
+//! and fill it. The remains of a failed or short write are repaired, refused with file and byte, or made again; no
+//! answer comes from them.
 //!
 //! | module | what is there |
 //! |---|---|

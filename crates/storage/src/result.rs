@@ -1,4 +1,4 @@
-//! What executing a block gave: verdicts, responses and events. Kept beside the chain; executing it again gives the
+//! The result of executing a block: verdicts, responses and events. Kept beside the chain; executing it again gives the
 //! same.
 
 use bytes::Bytes;
@@ -6,13 +6,13 @@ use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use prost::Message;
 
-/// What became of one transaction.
+/// The outcome of one transaction.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct TransactionResult {
     /// Number of the [`Code`].
     #[prost(uint32, tag = "1")]
     pub code: u32,
-    /// What the function returned.
+    /// The answer of the function.
     #[prost(bytes = "bytes", tag = "2")]
     pub response: Bytes,
     /// First line of a refusal.
@@ -30,8 +30,8 @@ pub struct TransactionResult {
     /// Id of the transaction, 32 bytes; empty where the bytes are no transaction.
     #[prost(bytes = "bytes", tag = "7")]
     pub id: Bytes,
-    /// Until when the id is remembered, in block time. None if this is not the verdict on the id: it was executed before,
-    /// or nobody who is known has signed it.
+    /// Until when the id is remembered, in block time. None if this is not the verdict on the id: it was executed
+    /// before, or nobody who is known has signed it.
     #[prost(uint64, optional, tag = "8")]
     pub not_after: Option<u64>,
 }
@@ -83,13 +83,13 @@ pub struct Event {
     /// The chaincode that emitted it.
     #[prost(string, tag = "1")]
     pub chaincode: String,
-    /// What happened, e.g. `message` or `granted`.
+    /// The event, e.g. `message` or `granted`.
     #[prost(string, tag = "2")]
     pub name: String,
-    /// What it happened to, e.g. the service `Turtlebot4/cmd_vel`. Subscribers filter by it.
+    /// The subject of the event, e.g. the service `Turtlebot4/cmd_vel`. Subscribers filter by it.
     #[prost(string, tag = "3")]
     pub subject: String,
-    /// Details, usually JSON. What the transaction holds already is not repeated here.
+    /// Details, usually JSON. Parts of the transaction are not repeated here.
     #[prost(bytes = "bytes", tag = "4")]
     pub payload: Bytes,
 }
@@ -105,7 +105,7 @@ pub struct EmittedEvent {
     pub event: Event,
 }
 
-/// What kind of entry a block is.
+/// The kind of entry of a block.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, prost::Enumeration)]
 #[repr(i32)]
 pub enum BlockKind {
@@ -117,7 +117,7 @@ pub enum BlockKind {
     Genesis = 2,
 }
 
-/// What executing a block gave.
+/// The result of executing a block.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct BlockResult {
     /// Its term.
@@ -132,7 +132,7 @@ pub struct BlockResult {
     /// State digest after it, 32 bytes.
     #[prost(bytes = "bytes", tag = "4")]
     pub digest: Bytes,
-    /// What it is.
+    /// The kind.
     #[prost(enumeration = "BlockKind", tag = "5")]
     pub kind: i32,
     /// One for each transaction.

@@ -3,13 +3,14 @@
 //! They follow from the blocks, as the world state does: whatever is wrong with them is dropped from there on and
 //! executed again. What was not flushed yet is in memory. [`ResultStore::flush`] makes results durable before the world
 //! state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut off. Whoever
-//! executes blocks takes a lock that is held for moments only, never the one of the files, where the writer may need long.
+//! executes blocks takes a lock that is held for moments only, never the one of the files, where the writer may need
+//! long.
 //!
-//! A node that has the blocks keeps only what they do not tell: a call's arguments are in its block, and what it answers
-//! and emits often says the same again. The chaincode can foretell that part, and it is not kept.
+//! A node that has the blocks keeps only what they do not tell: a call's arguments are in its block, and what it
+//! answers and emits often says the same again. The chaincode can foretell that part, and it is not kept.
 //!
-//! A file holds some 4 MiB and is named by its first height. While it is written, its index of ids is in memory; when it
-//! is finished, a sorted table at its end. Old files are dropped as a whole.
+//! A file holds some 4 MiB and is named by its first height. While it is written, its index of ids is in memory; when
+//! it is finished, a sorted table at its end. Old files are dropped as a whole.
 
 mod beside;
 mod file;
@@ -42,11 +43,11 @@ pub const RESULTS_FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
 pub struct ResultStore {
     /// None keeps results in memory until they are flushed, and then forgets them.
     disk: Option<Arc<dyn Disk>>,
-    /// What results are kept beside; without it they are kept whole.
+    /// The blocks beside which results are kept; without them results are kept whole.
     blocks: Option<Arc<dyn Blocks>>,
     network: Hash,
-    /// A result goes from `recent` into a file, where it is noted before it leaves `recent`: whoever looks into `recent`
-    /// first and into `files` then finds it.
+    /// A result goes from `recent` into a file, where it is noted before it leaves `recent`: whoever looks into
+    /// `recent` first and into `files` then finds it.
     recent: Mutex<Recent>,
     files: RwLock<Files>,
     /// Held while files are written.
@@ -69,7 +70,7 @@ struct Files {
 }
 
 struct Recent {
-    /// What is not in a file yet.
+    /// Results that are not in a file yet.
     pending: VecDeque<Arc<Pending>>,
     /// Bytes in `pending`.
     bytes: usize,
@@ -109,8 +110,8 @@ impl ResultStore {
         Self { disk, blocks: None, network, recent, files: RwLock::new(files), writing: Mutex::default() }
     }
 
-    /// From now on keeps of a result only what these blocks do not tell. They must have every block whose result is taken,
-    /// and keep it as long as the result.
+    /// From now on keeps of a result only what these blocks do not tell. They must have every block whose result is
+    /// taken, and keep it as long as the result.
     #[must_use]
     pub fn beside(self, blocks: Arc<impl Blocks + 'static>) -> Self {
         Self { blocks: Some(blocks), ..self }
@@ -142,8 +143,8 @@ impl ResultStore {
         self.recent().bytes
     }
 
-    /// Takes the result of the next block, which these [blocks](Self::beside) have. `foretold` says which transactions came
-    /// out as their calls foretell.
+    /// Takes the result of the next block, which these [blocks](Self::beside) have. `foretold` says which transactions
+    /// came out as their calls foretell.
     pub fn push(&self, height: u64, result: &BlockResult, foretold: &[bool]) -> Result<(), Rejection> {
         match self.blocks {
             Some(_) if !foretold.is_empty() => self.take(height, &StoredResult::short(result, foretold)),
@@ -177,7 +178,7 @@ impl ResultStore {
         self.blocks.as_deref()
     }
 
-    /// What is kept of the result of the block at a height; none if there is none or it was dropped.
+    /// The kept part of the result of the block at a height; none if there is none or it was dropped.
     ///
     /// # Errors
     /// [`Code::DiskFailed`]; [`Code::Corrupt`] if it is damaged: the results are to be made again from the blocks.
@@ -196,7 +197,8 @@ impl ResultStore {
         StoredResult::from_bytes(bytes).map(Some)
     }
 
-    /// Where the transaction was executed. Takes milliseconds in a long history; the window answers for the last seconds.
+    /// Where the transaction was executed. Takes milliseconds in a long history; the window answers for the last
+    /// seconds.
     ///
     /// # Errors
     /// As [`ResultStore::get`].

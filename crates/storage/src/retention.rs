@@ -1,7 +1,7 @@
 //! How long a node keeps blocks.
 //!
-//! Blocks are dropped in whole segments, the oldest first, and only those that a snapshot of this node makes needless: what
-//! is left can be executed from that snapshot, by this node after a restart, by one that joins, and by an auditor.
+//! Blocks are dropped in whole segments, the oldest first, and only those that a snapshot of this node makes needless:
+//! what is left can be executed from that snapshot, by this node after a restart, by one that joins, and by an auditor.
 
 use crate::block_store::Finished;
 use ledger_rejection::{Code, Rejection};
@@ -12,8 +12,8 @@ use std::str::FromStr;
 /// Shortest age that can be set, microseconds.
 pub const AGE_MIN_US: u64 = 10 * 60 * 1_000_000;
 
-/// Blocks of this time are kept in any case, however large, microseconds: twice as long as a transaction may be repeated,
-/// and its verdict asked for.
+/// Blocks of this time are kept in any case, however large, microseconds: twice as long as a transaction may be
+/// repeated, and its verdict asked for.
 pub const KEPT_MIN_US: u64 = 4 * 60 * 1_000_000;
 
 const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
@@ -21,7 +21,8 @@ const _: () = assert!(KEPT_MIN_US <= AGE_MIN_US);
 /// Smallest limit of the size, bytes: several segments at their default size.
 pub const SIZE_MIN_BYTES: u64 = 64 << 20;
 
-/// A setting of the node. Reads and prints as `forever`, an age like `30d` or `12h`, or a size like `20GiB` or `500MiB`.
+/// A setting of the node. Reads and prints as `forever`, an age like `30d` or `12h`, or a size like `20GiB` or
+/// `500MiB`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Retention {
@@ -34,7 +35,7 @@ pub enum Retention {
     Size(u64),
 }
 
-/// What is known of a node's blocks.
+/// The known extent of a node's blocks.
 pub struct Kept<'a> {
     /// Its finished segments, the oldest first.
     pub finished: &'a [Finished],

@@ -14,7 +14,8 @@
 //! | 16 | bytes of the manifest `u32` BE, CRC-32C of the manifest `u32` BE, `LEDGREND` |
 //!
 //! The chunks are one stream of items cut every MiB: the pairs of the world state in order of keys, `1`, length of the
-//! key `u32` BE, of the value `u32` BE, both; then the results of the blocks of the last 120 s of block time, `2`, height
+//! key `u32` BE, of the value `u32` BE, both; then the results of the blocks of the last 120 s of block time, `2`,
+//! height
 //! `u64` BE, length `u32` BE, the result without events and without the words of refusals, which may differ between
 //! versions of the program.
 
@@ -93,7 +94,8 @@ impl Snapshots {
         self.kept().iter().find(|snapshot| snapshot.manifest().height == height).map(Arc::clone)
     }
 
-    /// Takes a snapshot from elsewhere, chunk by chunk. What an interrupted one of the same manifest has left is used.
+    /// Takes a snapshot from elsewhere, chunk by chunk. The remains of an interrupted one of the same manifest are
+    /// used.
     ///
     /// # Errors
     /// [`Code::WrongNetwork`]; a fault of the disk.

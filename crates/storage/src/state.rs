@@ -6,8 +6,8 @@
 //! again; on any doubt about the store it is thrown away and everything is. What the store says is remembered for a
 //! while, as long as it is true: some keys, such as a robot's, are read by every block and hardly ever written.
 //!
-//! At heights where a snapshot is due the writes are cut into layers, which are stored one after the other: when the last
-//! layer before the cut is stored, the store holds exactly the state at that height, while blocks go on above it.
+//! At heights where a snapshot is due the writes are cut into layers, which are stored one after the other: when the
+//! last layer before the cut is stored, the store holds exactly the state at that height, while blocks go on above it.
 
 mod cache;
 mod memory;
@@ -81,7 +81,7 @@ const LAYERS_MAX: usize = 8;
 /// The world state of a node: recent writes in memory over a [`Store`].
 pub struct State {
     store: Box<dyn Store>,
-    /// What the store holds of some keys. Changed only under a lock of `recent`.
+    /// The values of some keys in the store. Changed only under a lock of `recent`.
     cache: Cache,
     recent: RwLock<Recent>,
 }
@@ -94,7 +94,7 @@ struct Recent {
     /// Closed layers, oldest first; the oldest may just be stored.
     layers: VecDeque<Arc<Layer>>,
     tip: Option<Tip>,
-    /// What the store holds.
+    /// The savepoint in the store.
     stored: Option<Tip>,
 }
 
@@ -158,13 +158,13 @@ impl State {
         self.read().tip.clone()
     }
 
-    /// What the store holds: where execution goes on after a crash.
+    /// The savepoint of the store: execution goes on there after a crash.
     pub fn stored(&self) -> Option<Tip> {
         self.read().stored.clone()
     }
 
-    /// Makes the writes of a block visible, all at once. With `cut` the store will once hold exactly the state after this
-    /// block.
+    /// Makes the writes of a block visible, all at once. With `cut` the store will once hold exactly the state after
+    /// this block.
     pub fn commit(&self, writes: WriteSet, tip: Tip, cut: bool) {
         let mut recent = self.write();
         for (key, value) in writes {
@@ -262,7 +262,7 @@ impl Recent {
         self.layers.push_back(Arc::new(Layer { writes, bytes, tip, cut }));
     }
 
-    /// What was written to a key, if anything was.
+    /// The last write to a key, if there was one.
     fn get(&self, key: &[u8]) -> Option<&Option<Bytes>> {
         self.dirty.get(key).or_else(|| self.layers.iter().rev().find_map(|layer| layer.writes.get(key)))
     }

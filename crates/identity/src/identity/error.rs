@@ -15,15 +15,15 @@ pub enum IdentityError {
     /// The bytes are not a usable X.509 version 3 certificate.
     #[error("the certificate is malformed: found {found}, wanted {wanted}")]
     Malformed {
-        /// What is there.
+        /// The value that was found.
         found: String,
-        /// What should be there.
+        /// The value that was wanted.
         wanted: &'static str,
     },
     /// More than is ever read.
     #[error("found {found} {unit}, wanted at most {max} {unit}")]
     TooLarge {
-        /// What is counted.
+        /// The counted things.
         unit: &'static str,
         /// How many there are.
         found: usize,
@@ -54,7 +54,7 @@ pub enum IdentityError {
     /// Too early.
     #[error("the certificate of {subject} is not valid yet: found time {}, wanted {} or later", time(*.at), time(*.not_before))]
     NotYetValid {
-        /// Whose certificate: the holder's or an authority's.
+        /// The owner of the certificate: the holder or an authority.
         subject: String,
         /// Start of validity, in microseconds since the UNIX epoch.
         not_before: u64,
@@ -64,7 +64,7 @@ pub enum IdentityError {
     /// Too late.
     #[error("the certificate of {subject} has expired: found time {}, wanted {} or earlier", time(*.at), time(*.not_after))]
     Expired {
-        /// Whose certificate: the holder's or an authority's.
+        /// The owner of the certificate: the holder or an authority.
         subject: String,
         /// Last valid microsecond since the UNIX epoch.
         not_after: u64,
@@ -76,9 +76,9 @@ pub enum IdentityError {
     NotAnAuthority {
         /// The subject's distinguished name.
         subject: String,
-        /// What is there.
+        /// The value that was found.
         found: &'static str,
-        /// What should be there.
+        /// The value that was wanted.
         wanted: &'static str,
     },
     /// An authority's certificate was presented as somebody's identity.
@@ -92,9 +92,9 @@ pub enum IdentityError {
     WrongUsage {
         /// The subject's distinguished name.
         subject: String,
-        /// What the certificate allows.
+        /// The uses that the certificate allows.
         found: String,
-        /// What it should allow.
+        /// The use that it should allow.
         wanted: &'static str,
     },
     /// The public key is of a kind that nobody here verifies.
@@ -112,7 +112,7 @@ pub enum IdentityError {
     BadName {
         /// The name, escaped.
         found: String,
-        /// What is wrong with it.
+        /// Its fault.
         reason: &'static str,
     },
     /// Every signature holds, but a rule of the path does not.
@@ -140,7 +140,7 @@ pub enum IdentityError {
 }
 
 impl IdentityError {
-    /// What to do next, in one line.
+    /// Advice for the next step, in one line.
     pub fn remedy(&self) -> String {
         match self {
             Self::Malformed { .. } | Self::TooLarge { .. } | Self::BadName { .. } => {

@@ -91,7 +91,7 @@ impl Leaf<'_> {
         IdentityError::Untrusted { issuer: printable(&self.certificate.issuer), wanted: vec![msp.organisation.clone()] }
     }
 
-    /// What webpki says, in our words. The certificate's own validity was checked before, so that an expired one
+    /// The verdict of webpki, in our words. The certificate's own validity was checked before, so that an expired one
     /// here is an issuer's.
     fn explain(&self, msp: &Msp, error: &webpki::Error) -> IdentityError {
         let issuer = || format!("an intermediate authority of {}", msp.organisation);

@@ -1,9 +1,10 @@
 //! Admission: is a transaction worth ordering? And if a node would refuse it, what may the node say?
 //!
-//! A refusal before ordering is a promise: the transaction was not executed, and it never will be. A node can give it only if
-//! it knows two things. Its state must be as new as what was committed when the call came; else it refuses what somebody
-//! was granted a moment ago. And no other copy of the transaction may be on its way, at a node that stands still, or in
-//! a leader's queue; else that copy is executed later. Only the client knows the second, and says so with its first attempt.
+//! A refusal before ordering is a promise: the transaction was not executed, and it never will be. A node can give it
+//! only if it knows two things. Its state must be as new as what was committed when the call came; else it refuses what
+//! somebody was granted a moment ago. And no other copy of the transaction may be on its way, at a node that stands
+//! still, or in a leader's queue; else that copy is executed later. Only the client knows the second, and says so with
+//! its first attempt.
 
 use super::Ledger;
 use crate::block::leaf;
@@ -33,25 +34,25 @@ pub enum Admission {
 /// A transaction that was refused before it was ordered, and whose it was if that is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Refusal {
-    /// Who signed it, e.g. `Org1/Farhad`; none if the signature was not verified.
+    /// The signer, e.g. `Org1/Farhad`; none if the signature was not verified.
     pub who: Option<String>,
     /// The transaction, if the bytes are one.
     pub transaction: Option<Transaction>,
     /// Why.
     pub rejection: Rejection,
-    /// What the refusal rests on.
+    /// The ground of the refusal.
     pub ground: Ground,
 }
 
-/// What a refusal rests on, and so how long it holds.
+/// The ground of a refusal, which decides how long it holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ground {
     /// The bytes: nobody will ever execute them.
     Bytes,
     /// Blocks that are executed: whatever comes after them, it cannot be executed any more, and it was not.
     Past,
-    /// The call, as the state of this height judges it, and who signed it. Ordered it takes its id, and so gets a verdict
-    /// that stands.
+    /// The call, as the state of this height judges it, and who signed it. Ordered it takes its id, and so gets a
+    /// verdict that stands.
     Judged {
         /// Of the state.
         height: u64,
@@ -65,7 +66,7 @@ pub enum Ground {
     Node,
 }
 
-/// What a gateway does with a transaction that it would refuse.
+/// The action of a gateway on a transaction that it would refuse.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Step {
     /// Give this answer.
@@ -84,9 +85,9 @@ impl Refusal {
         Self { who, transaction, rejection, ground }
     }
 
-    /// What to do. `first_attempt`: the client says that it gave this transaction to no node before. `reached` is a height
-    /// that was committed when the call came or later, with everything before, or why none is known; nothing, if that was
-    /// not asked yet.
+    /// Decides on the action. `first_attempt`: the client says that it gave this transaction to no node before.
+    /// `reached` is a height that was committed when the call came or later, with everything before, or why none is
+    /// known; nothing, if that was not asked yet.
     pub fn step(&self, first_attempt: bool, reached: Option<&Result<u64, Rejection>>) -> Step {
         let first_attempt = first_attempt || active(Mutation::RefuseARetry);
         let refused = || Step::Answer(self.rejection.clone());
@@ -234,7 +235,7 @@ impl Ledger {
         Ok(())
     }
 
-    /// Who signed a transaction, which is verified; and its leaf.
+    /// The verified signer of a transaction, and its leaf.
     fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
         let judged = |basis, rejection| Judged { who: None, rejection, basis };
         let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
@@ -248,8 +249,8 @@ impl Ledger {
         Ok((identity, leaf))
     }
 
-    /// Is every block at hand in which a transaction may have been executed that lived until then? Only then is what is not
-    /// found not executed.
+    /// Is every block at hand in which a transaction may have been executed that lived until then? Only then is what is
+    /// not found not executed.
     ///
     /// # Errors
     /// A fault of the store.
@@ -262,16 +263,16 @@ impl Ledger {
         Ok(seal.is_some_and(|seal| seal.time < not_after.saturating_sub(NOT_AFTER_AHEAD_MAX)))
     }
 
-    /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each costs
-    /// alone. Only admission tells what is wrong with one.
+    /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each
+    /// costs alone. Only admission tells what is wrong with one.
     pub fn verify_together<'a>(&self, transactions: impl Iterator<Item = &'a Transaction>, now: u64) {
         let leaves = transactions.map(|transaction| (leaf(transaction.encoded()), transaction));
         let unverified = leaves.filter(|(leaf, _)| !self.verified.contains(leaf));
         self.identities.verify_together(unverified, now).into_iter().for_each(|leaf| self.verified.insert(leaf));
     }
 
-    /// The same as [`Ledger::transaction`], for who has the transaction: history is only searched for what block time has
-    /// passed.
+    /// The same as [`Ledger::transaction`], for who has the transaction: history is only searched for what block time
+    /// has passed.
     fn executed(&self, transaction: &Transaction) -> Result<Option<TransactionRecord>, Rejection> {
         let (id, not_after) = (transaction.id(), transaction.body().not_after);
         let time = self.tip().time;

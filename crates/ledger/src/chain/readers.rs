@@ -1,4 +1,4 @@
-//! Who may read what: asked when somebody subscribes, and again for every event.
+//! The right to read: checked at each subscription, and again for every event.
 
 use super::{Context, Ledger, check_organisation, check_revoked};
 use ledger_identity::Identity;
@@ -20,8 +20,8 @@ impl Ledger {
         chaincode.may_read(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), event)
     }
 
-    /// May this identity follow events of these names about these subjects, of one chaincode or, if it is empty, of any?
-    /// Decided on the committed state.
+    /// May this identity follow events of these names about these subjects, of one chaincode or, if it is empty, of
+    /// any? Decided on the committed state.
     ///
     /// # Errors
     /// The reason why not; [`Code::UnknownChaincode`], [`Code::BadArgument`] for a name that no event has.

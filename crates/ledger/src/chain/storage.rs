@@ -1,4 +1,4 @@
-//! What a ledger keeps on disk: storing it, snapshots of it, dropping what is old.
+//! The data of a ledger on disk: storing it, making snapshots of it, dropping the oldest.
 
 use super::Ledger;
 use crate::foretold::Completing;
@@ -10,7 +10,8 @@ use std::sync::PoisonError;
 
 /// Block time between two snapshots for each block that a network wants between them, in microseconds, at least; but no
 /// more than the time whose results a snapshot holds. Under load those are millions, and a snapshot every few seconds
-/// would be more work than executing blocks: so each result is written into one or two snapshots, however many there are.
+/// would be more work than executing blocks: so each result is written into one or two snapshots, however many there
+/// are.
 const SNAPSHOT_TIME_PER_BLOCK: u64 = 12_000;
 
 impl Ledger {
@@ -23,13 +24,14 @@ impl Ledger {
     /// snapshots that are due on the way. Runs beside everything else.
     ///
     /// # Errors
-    /// [`Code::DiskFull`](ledger_rejection::Code::DiskFull), [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed): nothing is lost, the blocks have it.
+    /// [`Code::DiskFull`](ledger_rejection::Code::DiskFull), [`Code::DiskFailed`](ledger_rejection::Code::DiskFailed):
+    /// nothing is lost, the blocks have it.
     pub fn flush(&self, snapshots: Option<&Snapshots>) -> Result<(), Rejection> {
         self.flush_up_to(u64::MAX, snapshots)
     }
 
-    /// As [`flush`](Self::flush), but nothing that was executed above the height `durable`: what is stored must never be
-    /// ahead of the log on the disk.
+    /// As [`flush`](Self::flush), but nothing that was executed above the height `durable`: what is stored must never
+    /// be ahead of the log on the disk.
     ///
     /// # Errors
     /// As [`flush`](Self::flush).
@@ -66,8 +68,8 @@ impl Ledger {
         }
     }
 
-    /// Is there to be a snapshot of the state after this block? Follows from the chain, so that all nodes make the same. A
-    /// node that cannot read what tells it goes on without the snapshot.
+    /// Is there to be a snapshot of the state after this block? Follows from the chain, so that all nodes make the
+    /// same. A node that cannot read what tells it goes on without the snapshot.
     pub(super) fn is_snapshot_due(&self, tip: &Tip) -> bool {
         let every = self.snapshot_every;
         if tip.height == 0 || !tip.height.is_multiple_of(every) {

@@ -1,4 +1,4 @@
-//! What a chaincode sees of the world while it runs.
+//! The world as a running chaincode sees it.
 
 use super::{Chaincode, Registry, Revocation};
 use bytes::{BufMut, Bytes, BytesMut};
@@ -23,7 +23,7 @@ const VALUE_BYTES_MAX: usize = 1024 * 1024;
 pub struct Environment<'a> {
     /// The installed chaincodes.
     pub registry: &'a Registry,
-    /// Who signed the transaction; nobody in hooks.
+    /// The signer of the transaction; none in hooks.
     pub submitter: Option<&'a Identity>,
     /// Name of the network: hash of its genesis block.
     pub network: Hash,
@@ -98,7 +98,7 @@ impl<'a> Context<'a> {
             .collect()
     }
 
-    /// Who signed the transaction.
+    /// The signer of the transaction.
     ///
     /// # Errors
     /// [`Code::CertificateRequired`] in hooks, which nobody signed.

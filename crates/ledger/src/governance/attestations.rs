@@ -1,4 +1,4 @@
-//! What nodes say they computed: height, block hash, state digest, and the content of their snapshots.
+//! Attestations of nodes about their computation: height, block hash, state digest, and the content of their snapshots.
 //!
 //! The ledger keeps what each node said last and judges nothing. Nodes compare it with what they computed themselves;
 //! auditors and newcomers ask for nodes of two organisations that say the same.
@@ -34,7 +34,7 @@ pub struct Attest {
 /// One statement of a node, and where it stands.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Attestation {
-    /// What the node said.
+    /// The attestation.
     #[serde(flatten)]
     pub attest: Attest,
     /// Block time at which it said so, microseconds.
@@ -43,7 +43,7 @@ pub struct Attestation {
     pub transaction: Hash,
 }
 
-/// What a node said last.
+/// The last attestation of a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct AttestationRecord {
     /// Its organisation.

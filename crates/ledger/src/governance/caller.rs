@@ -1,4 +1,4 @@
-//! Who calls, what they may, and the arguments they give.
+//! The caller, their rights, and their arguments.
 
 use super::store::organisation_key;
 use crate::chaincode::Context;

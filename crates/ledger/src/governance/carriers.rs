@@ -29,7 +29,7 @@ const SIGNATURE_DOMAIN: &[u8] = b"ledgerd carries the CA v1\0";
 /// A node that carries the key of an organisation's CA.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CarrierRecord {
-    /// Whose CA.
+    /// The organisation of the CA.
     pub organisation: String,
     /// Organisation of the node; another one only where the organisation runs no node.
     pub node_organisation: String,
@@ -50,11 +50,11 @@ impl CarrierRecord {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CarryCa {
-    /// Whose CA.
+    /// The organisation of the CA.
     pub organisation: String,
     /// Signature of the CA's key over network, organisation and node, in hexadecimal (see [`CarryCa::prove`]).
     pub proof: String,
-    /// What the node knows from its own disk, and the ledger does not yet.
+    /// Facts that the node knows from its own disk, and the ledger does not yet.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub identities: Vec<KnownIdentity>,
 }
@@ -80,7 +80,7 @@ fn signed_bytes(network: &Hash, organisation: &str, node: &str) -> Vec<u8> {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UncarryCa {
-    /// Whose CA.
+    /// The organisation of the CA.
     pub organisation: String,
     /// The node as `ORGANISATION/NAME`; the caller if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -1,11 +1,12 @@
 //! The registered identities of the organisations: who may receive a certificate, and which ones were issued.
 //!
-//! The registry stands on the ledger and not at a CA, so that names are registered, listed and revoked through any node,
-//! and every node that carries the CA's key issues by the same registry. Of a one-time secret only its hash is here.
+//! The registry stands on the ledger and not at a CA, so that names are registered, listed and revoked through any
+//! node, and every node that carries the CA's key issues by the same registry. Of a one-time secret only its hash is
+//! here.
 //!
 //! A registration is *open* until its secret was used, has expired or is cancelled. The first key that comes with the
-//! secret takes it; who comes again with the same key soon after receives the same certificate, because an answer can be
-//! lost. Nobody receives one for a secret whose certificate was revoked or has signed something.
+//! secret takes it; who comes again with the same key soon after receives the same certificate, because an answer can
+//! be lost. Nobody receives one for a secret whose certificate was revoked or has signed something.
 
 mod certificates;
 mod registration;
@@ -36,7 +37,8 @@ pub const IDENTITIES_MAX: u64 = 10_000;
 pub const CERTIFICATES_MAX: usize = 64;
 /// Longest life of a one-time secret, in microseconds of block time: a year.
 pub const REGISTRATION_LIFE_MAX: u64 = 365 * 24 * 3600 * 1_000_000;
-/// For how long after its first use a secret answers the same key with the same certificate, microseconds of block time.
+/// For how long after its first use a secret answers the same key with the same certificate, microseconds of block
+/// time.
 pub const ENROLMENT_REPEAT_MAX: u64 = 15 * 60 * 1_000_000;
 /// Shortest time between a name's last certificate and a renewal, microseconds of block time.
 pub const RENEWAL_PAUSE: u64 = 60 * 1_000_000;
@@ -50,13 +52,14 @@ pub struct IdentityRecord {
     pub organisation: String,
     /// Its name.
     pub name: String,
-    /// What it is for.
+    /// Its role.
     pub role: Role,
-    /// What its next certificate will say.
+    /// The attributes of its next certificate.
     pub attributes: BTreeMap<String, String>,
-    /// Since when it is registered, block time in microseconds; 0 if it was known at a node before it came to the ledger.
+    /// Since when it is registered, block time in microseconds; 0 if it was known at a node before it came to the
+    /// ledger.
     pub registered: u64,
-    /// Who registered it: an admin, or the node at whose machine it happened.
+    /// The registrar: an admin, or the node at whose machine it happened.
     pub by: String,
     /// The newest secret that an admin has made; none if it was cancelled.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -79,12 +82,12 @@ pub struct Secret {
     pub sha256: Hash,
     /// Last block time at which it can be used, microseconds.
     pub expires: u64,
-    /// Who has used it.
+    /// The key that has used it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub used: Option<Use>,
 }
 
-/// What became of a secret.
+/// The state of a secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Use {
     /// SHA-256 of the public key (SPKI) that came with it.
@@ -189,7 +192,7 @@ pub(super) fn list(ctx: &Context<'_>, argument: &Bytes) -> Result<Bytes, Rejecti
     json(&Identities { identities: identities.collect::<Result<_, Rejection>>()?, more })
 }
 
-/// What a reader learns: without the hash of the secret, and with what was revoked.
+/// The record for readers: without the hash of the secret, and with what was revoked.
 fn shown(ctx: &Context<'_>, mut record: IdentityRecord) -> IdentityRecord {
     if let Some(secret) = &mut record.secret {
         secret.sha256 = Hash::ZERO;

@@ -87,7 +87,7 @@ impl JoinOrganisation {
         join
     }
 
-    /// What is signed: every part with its length in front, so that it can be read in one way only.
+    /// The signed bytes: every part with its length in front, so that it can be read in one way only.
     fn signed_bytes(&self, network: &Hash) -> Vec<u8> {
         let mut bytes = SIGNATURE_DOMAIN.to_vec();
         let mut part = |part: &[u8]| {
@@ -116,7 +116,7 @@ pub(super) fn invite(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     json(&decide(ctx, caller, action)?)
 }
 
-/// What was approved.
+/// Does what was approved.
 pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64, by: &str) -> Result<(), Rejection> {
     check(ctx, name, expires)?;
     for old in store::list::<Invitation>(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)? {

@@ -24,7 +24,7 @@ const REMOVED_MAX: usize = 256;
 /// Most records there can be.
 pub(super) const RECORDS_MAX: usize = NODES_MAX + REMOVED_MAX;
 
-/// What a node shall be.
+/// The wanted role of a node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NodeRole {
@@ -58,7 +58,7 @@ pub struct NodeRecord {
     pub organisation: String,
     /// `HOST:PORT` under which others reach it.
     pub address: String,
-    /// What it shall be.
+    /// Its wanted role.
     pub role: NodeRole,
 }
 
@@ -78,7 +78,7 @@ pub struct Nodes {
     pub members: Membership,
 }
 
-/// Who shall vote and who shall follow, by the records.
+/// The wanted voters and learners, by the records.
 pub fn desired<'a>(nodes: impl IntoIterator<Item = &'a NodeRecord>) -> (BTreeSet<u64>, BTreeSet<u64>) {
     let (mut voters, mut learners) = (BTreeSet::new(), BTreeSet::new());
     for node in nodes {
@@ -217,7 +217,7 @@ pub struct SetNodeRole {
     /// Its name, together with `organisation`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<String>,
-    /// What it shall be.
+    /// Its wanted role.
     pub role: NodeRole,
 }
 
@@ -251,7 +251,7 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     json(&decide(ctx, caller, action)?)
 }
 
-/// What was approved.
+/// Does what was approved.
 pub(super) fn execute_role(ctx: &mut Context<'_>, id: u64, role: NodeRole) -> Result<(), Rejection> {
     let nodes = all(ctx)?;
     let node = nodes.iter().find(|node| node.id == id).ok_or_else(|| no_such_node(&nodes))?;

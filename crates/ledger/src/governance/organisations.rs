@@ -66,7 +66,7 @@ pub(super) fn show(ctx: &Context<'_>, name: &Bytes) -> Result<Bytes, Rejection> 
     json(&describe(&find(ctx, name)?.ok_or_else(|| unknown(ctx, name))?)?)
 }
 
-/// What people and clients want to know of an organisation.
+/// The description of an organisation for people and clients.
 pub(super) fn describe(organisation: &FoundingOrganisation) -> Result<Organisation, Rejection> {
     let authorities = |ders: &[Bytes]| -> Result<Vec<Authority>, Rejection> {
         let describe = |der: &Bytes| -> Result<Authority, Rejection> {
@@ -177,7 +177,7 @@ pub(super) fn remove(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     json(&decide(ctx, caller, Action::RemoveOrganisation { name: remove.name })?)
 }
 
-/// What was approved.
+/// Does what was approved.
 pub(super) fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
     let organisation = check_removable(ctx, name)?;
     nodes::remove_all_of(ctx, name)?;

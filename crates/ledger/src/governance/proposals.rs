@@ -1,4 +1,5 @@
-//! What concerns everybody: proposed by one organisation, done in the block in which more than half have approved.
+//! Actions that concern every organisation: proposed by one organisation, done in the block in which more than half
+//! have approved.
 //!
 //! Only admins propose and approve, each for their organisation. Approvals are counted against the organisations of
 //! that moment: those of an organisation that was removed do not count. A proposal ends after
@@ -23,7 +24,7 @@ pub const PROPOSALS_MAX: usize = 256;
 /// Most of them by one organisation, so that none can fill the list.
 pub(super) const PROPOSALS_PER_ORGANISATION_MAX: usize = 16;
 
-/// What needs approval.
+/// An action that needs approval.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(tag = "action", rename_all = "snake_case")]
 pub enum Action {
@@ -33,7 +34,7 @@ pub enum Action {
         id: u64,
         /// Its organisation and name, for people.
         node: String,
-        /// What it shall be.
+        /// Its wanted role.
         role: NodeRole,
     },
     /// An organisation may join.
@@ -57,7 +58,7 @@ pub enum Action {
 pub struct Proposal {
     /// SHA-256 over its content and a number that is used once.
     pub id: Hash,
-    /// What shall be done.
+    /// The proposed action.
     pub action: Action,
     /// The admin who proposed it.
     pub by: String,
@@ -80,7 +81,7 @@ pub struct Decision {
     pub proposal: Option<Proposal>,
     /// How many approvals are missing.
     pub missing: usize,
-    /// Who could give them.
+    /// The organisations that could give them.
     pub pending: Vec<String>,
 }
 
@@ -161,7 +162,7 @@ pub(super) fn withdraw(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejec
     json(&proposal)
 }
 
-/// Does what has become due because there are fewer organisations now. Whatever cannot be done stays a proposal.
+/// Does what has become due because there are fewer organisations now. An action that cannot be done stays a proposal.
 pub(super) fn settle_all(ctx: &mut Context<'_>) -> Result<(), Rejection> {
     // Each round removes one proposal, so this ends.
     for _ in 0..PROPOSALS_MAX {

@@ -1,4 +1,4 @@
-//! What the ledger says about the network, read from a world state: for the node and for whoever holds a snapshot.
+//! The records of the ledger about the network, read from a world state: for the node, and for a reader of a snapshot.
 
 use super::attestations::{ATTESTATIONS_MAX, AttestationRecord};
 use super::invitations::Invitation;
@@ -30,7 +30,7 @@ pub fn organisations(state: &dyn StateRead) -> Result<Vec<FoundingOrganisation>,
     list_state(state, ORGANISATIONS, ORGANISATIONS_MAX)
 }
 
-/// What each node attested last.
+/// The last attestation of each node.
 ///
 /// # Errors
 /// As [`nodes`].
@@ -46,7 +46,7 @@ pub fn invitation(state: &dyn StateRead, name: &str) -> Result<Option<Invitation
     read_state(state, &invitation_key(name))
 }
 
-/// Who votes and who follows in fact.
+/// The voters and learners in fact.
 ///
 /// # Errors
 /// As [`nodes`].

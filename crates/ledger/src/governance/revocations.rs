@@ -29,7 +29,7 @@ pub struct RevocationRecord {
     pub height: u64,
     /// Block time of it, microseconds since the UNIX epoch.
     pub time: u64,
-    /// Who revoked it.
+    /// The admin who revoked it.
     pub by: String,
     /// Why; may be empty.
     pub reason: String,

@@ -1,4 +1,4 @@
-//! What nodes have signed about the chain, compared with what its blocks give.
+//! The attestations of nodes about the chain, compared with the outcome of its blocks.
 
 use crate::chain::Outcome;
 use crate::governance::{self, Attest, Attestation};
@@ -20,7 +20,7 @@ const DISSENTS_MAX: usize = 100;
 pub struct Dissent {
     /// Height that it attested.
     pub height: u64,
-    /// Who, e.g. `Org2/node3`.
+    /// The node, e.g. `Org2/node3`.
     pub node: String,
     /// Block hash that it signed.
     pub hash: Hash,
@@ -32,8 +32,8 @@ pub struct Dissent {
 #[derive(Default)]
 pub(super) struct Attested {
     heights: BTreeMap<u64, Height>,
-    /// The highest height at which each node agrees. It agrees with all below then: block hashes and state digests cover
-    /// those before them.
+    /// The highest height at which each node agrees. It agrees with all below then: block hashes and state digests
+    /// cover those before them.
     agreed: BTreeMap<String, u64>,
     /// The snapshot that the chain was begun from: height and content.
     snapshot: Option<(u64, Hash)>,
@@ -115,8 +115,8 @@ impl Attested {
     /// Judges what is left.
     ///
     /// # Errors
-    /// [`Code::ChainInvalid`] with height and nodes if more nodes signed something else than these blocks give than signed
-    /// this, or what follows from it.
+    /// [`Code::ChainInvalid`] with height and nodes if more nodes signed something else than these blocks give than
+    /// signed this, or what follows from it.
     pub(super) fn finish(&self) -> Result<(), Rejection> {
         self.heights.iter().try_for_each(|(height, found)| found.judge(*height, self.agreeing_with(*height)))
     }

@@ -19,7 +19,7 @@ const DIRTY_BYTES_MAX: usize = 8 * 1024 * 1024;
 
 pub(super) struct Verification {
     ledger: Ledger,
-    /// What the node has kept.
+    /// The records of the node.
     stored: Option<State>,
     results: Option<ResultStore>,
     attested: Attested,
@@ -107,7 +107,7 @@ impl Verification {
         Ok(())
     }
 
-    /// What the node kept of a block must be what executing it gives.
+    /// The node's record of a block must equal the result of executing it.
     fn compare_result(&mut self, block: &Entry, place: &str) -> Result<(), Rejection> {
         let height = block.index;
         let Some(computed) = self.ledger.result(height)? else { return Ok(()) };
@@ -178,8 +178,8 @@ impl Verification {
     }
 }
 
-/// Nodes order only what they have admitted. Where nothing was kept that shows such a transaction to have been ordered as
-/// it is, one that nobody can have signed means that somebody has changed it since.
+/// Nodes order only what they have admitted. Where nothing was kept that shows such a transaction to have been ordered
+/// as it is, one that nobody can have signed means that somebody has changed it since.
 fn check_signed(computed: &BlockResult, height: u64, place: &str) -> Result<(), Rejection> {
     let forged = |code| matches!(code, Code::BadSignature | Code::Malformed);
     match computed.results.iter().position(|result| forged(result.code())) {

@@ -15,8 +15,8 @@ pub(super) struct Committed {
     pub(super) height: u64,
     /// First byte after its record, or after the header if it is in an older segment.
     pub(super) end: u64,
-    /// The hard state that says so, as a record for that place. The node wrote it further on, behind blocks that are not
-    /// committed, or did not write it yet.
+    /// The hard state that says so, as a record for that place. The node wrote it further on, behind blocks that are
+    /// not committed, or did not write it yet.
     pub(super) record: Vec<u8>,
 }
 
@@ -28,8 +28,9 @@ struct Spot {
     previous: u32,
 }
 
-/// Reads the newest segment up to the last block that is committed: because a hard state says so that is on the disk, as
-/// a later record proves, or because its height is `known` to be. What is not proven may be replaced after a crash.
+/// Reads the newest segment up to the last block that is committed: because a hard state says so that is on the disk,
+/// as a later record proves, or because its height is `known` to be. Entries that are not proven may be replaced after
+/// a crash.
 pub(super) fn committed(disk: &dyn Disk, segment: &ScannedSegment, known: u64) -> Result<Committed, StoreError> {
     let mut before = None;
     for _ in 0..ATTEMPTS_MAX {

@@ -10,7 +10,7 @@ use std::io::{self, ErrorKind};
 /// How much is copied at once.
 const PIECE_BYTES: u64 = 1 << 20;
 
-/// What the archive is to hold of a segment.
+/// The part of a segment that the archive shall hold.
 pub(super) struct Wanted<'a> {
     pub(super) segment: &'a ScannedSegment,
     /// Its bytes up to here.

@@ -11,7 +11,7 @@ use std::io::{self, ErrorKind};
 /// How much is compared at once.
 const PIECE_BYTES: u64 = 1 << 20;
 
-/// What an archive holds of its newest segment.
+/// The content of the newest segment of an archive.
 pub(super) struct Held {
     pub(super) segment: ScannedSegment,
     /// The height up to which it calls blocks committed.
@@ -23,7 +23,7 @@ pub(super) struct Held {
     length: u64,
 }
 
-/// What the node has of the same segment.
+/// The same segment at the node.
 pub(super) enum Comparison {
     /// Nothing else.
     Same,

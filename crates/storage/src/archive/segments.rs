@@ -12,7 +12,7 @@ use ledger_rejection::{Code, Rejection};
 /// A node may drop segments while they are copied; how often to look again.
 const ATTEMPTS_MAX: usize = 8;
 
-/// What the archive holds, and what of it is new.
+/// The content of the archive, and the new part of it.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub(super) struct Copied {
     pub(super) first_height: u64,
@@ -26,8 +26,8 @@ pub(super) struct Copied {
 pub(super) enum Upto {
     /// To the end of the newest finished segment.
     Finished,
-    /// To the newest block that is known to be committed: because the log says so, or up to this height because the node
-    /// has executed it. That was read before the log is.
+    /// To the newest block that is known to be committed: because the log says so, or up to this height because the
+    /// node has executed it. That was read before the log is.
     Committed(u64),
 }
 

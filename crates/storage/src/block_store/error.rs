@@ -1,10 +1,10 @@
-//! What can go wrong with the store.
+//! The faults of the store.
 
 use ledger_rejection::{Code, Rejection};
 use std::io;
 use std::sync::Arc;
 
-/// What an operator does about damage. A voter must not go on under its number with less than it has promised.
+/// Advice to an operator about damage. A voter must not go on under its number with less than it has promised.
 const COME_BACK: &str = "keep a copy of the directory; then, if other nodes have the blocks, ledgerd rejoin --config FILE, \
                          else restore the directory from a copy";
 
@@ -14,17 +14,17 @@ pub enum StoreError {
     /// The operating system refused. During a write this poisons the store: restart, and recovery decides.
     #[error("cannot {operation} {file}: {source}; check the disk, then restart the node")]
     Io {
-        /// What was tried.
+        /// The failed operation.
         operation: &'static str,
         /// Name of the file, inside of the store's directory.
         file: String,
-        /// What the system said.
+        /// The error of the system.
         source: Arc<io::Error>,
     },
-    /// No space is left. What was staged stays staged and nothing of it is on disk: make room and flush again.
+    /// No space is left. Staged entries stay staged and nothing of them is on disk: make room and flush again.
     #[error("the disk is full: cannot {operation} {file} ({wanted_bytes} bytes wanted); make room, then try again")]
     DiskFull {
-        /// What was tried.
+        /// The failed operation.
         operation: &'static str,
         /// Name of the file.
         file: String,
@@ -38,7 +38,7 @@ pub enum StoreError {
         file: String,
         /// First byte of what is wrong.
         offset: u64,
-        /// What is wrong.
+        /// The fault.
         what: String,
         /// First index that cannot be trusted.
         index: u64,
@@ -65,8 +65,8 @@ pub enum StoreError {
         /// Index that would continue the log.
         wanted: u64,
     },
-    /// The log cannot begin after this snapshot: it holds the block itself, or later ones that were promised. Nothing was
-    /// changed.
+    /// The log cannot begin after this snapshot: it holds the block itself, or later ones that were promised. Nothing
+    /// was changed.
     #[error(
         "the log cannot begin after block {index} of term {term}: it goes from {first} to {last}, {committed} of it \
          committed; drop what is older than the snapshot instead"

@@ -38,8 +38,8 @@ impl BlockStore {
     /// Drops whole segments, the oldest first, all of whose entries are below `keep_from`, committed and durable; never
     /// the one that is being written. Answers with the new first index, which may be the old one.
     ///
-    /// A crash at any point leaves a log that begins somewhere between the old and the new first index. An error poisons
-    /// the store, as one of a write does.
+    /// A crash at any point leaves a log that begins somewhere between the old and the new first index. An error
+    /// poisons the store, as one of a write does.
     pub fn prune(&self, keep_from: u64) -> Result<u64, StoreError> {
         let mut dropping = lock(&self.dropping);
         let (dropped, first, oldest) = {
@@ -59,11 +59,12 @@ impl BlockStore {
         Ok(first)
     }
 
-    /// Makes the log empty, to go on after `base`, the newest block that a snapshot holds. Meant for a node that is behind:
-    /// its orderer must not run.
+    /// Makes the log empty, to go on after `base`, the newest block that a snapshot holds. Meant for a node that is
+    /// behind: its orderer must not run.
     ///
-    /// Term and vote are kept, so that no vote is given twice; everything up to `base` counts as committed. A crash leaves
-    /// the old log or the new one; a log that goes on after `base` already is left as it is. A full disk leaves the old one and may be tried again; any other error poisons the store.
+    /// Term and vote are kept, so that no vote is given twice; everything up to `base` counts as committed. A crash
+    /// leaves the old log or the new one; a log that goes on after `base` already is left as it is. A full disk leaves
+    /// the old one and may be tried again; any other error poisons the store.
     ///
     /// # Errors
     /// [`StoreError::NotBehind`] if that would lose entries that this node may have helped to commit: the log has the
@@ -111,7 +112,7 @@ impl BlockStore {
 }
 
 impl State {
-    /// Forgets the segments that may go. What is in a segment never has the first index of the next one, or more.
+    /// Forgets the segments that may go. An entry in a segment never has the first index of the next one, or more.
     fn drop_before(&mut self, keep_from: u64) -> Vec<Arc<StoredSegment>> {
         let settled = self.committed.min(self.index.durable());
         let limit = keep_from.min(settled.saturating_add(1));

@@ -18,7 +18,7 @@ pub(super) struct Mark {
 /// The logical log: every index once, superseded entries gone.
 #[derive(Debug, Default)]
 pub(super) struct LogIndex {
-    /// What the log follows.
+    /// The entry that the log follows.
     base: Base,
     /// Ascending; none above `durable`.
     marks: VecDeque<Mark>,
@@ -72,8 +72,8 @@ impl LogIndex {
 
     /// Adds an entry, superseding what has its index or a higher one. `index` is at most one above the last.
     ///
-    /// At or below the base only while a log is read that was cut short: there an entry that is left may have superseded
-    /// one that is gone.
+    /// At or below the base only while a log is read that was cut short: there an entry that is left may have
+    /// superseded one that is gone.
     pub(super) fn append(&mut self, index: u64, term: u64) {
         self.durable = self.durable.min(index.saturating_sub(1));
         while self.marks.back().is_some_and(|mark| mark.index >= index) {
@@ -95,8 +95,8 @@ impl LogIndex {
         self.written = index;
     }
 
-    /// Notes that entry `index` is durable at `position`, which is behind what was written before it. False if it is not
-    /// the one after the newest durable entry.
+    /// Notes that entry `index` is durable at `position`, which is behind what was written before it. False if it is
+    /// not the one after the newest durable entry.
     pub(super) fn place(&mut self, index: u64, position: LogPosition) -> bool {
         let follows = index == std::mem::replace(&mut self.written, index) + 1;
         if index != self.durable + 1 || index > self.last {
@@ -116,8 +116,8 @@ impl LogIndex {
         true
     }
 
-    /// Takes over what a whole segment holds, as if each of its entries was appended and placed. The first of them is at
-    /// most one above the last so far.
+    /// Takes over what a whole segment holds, as if each of its entries was appended and placed. The first of them is
+    /// at most one above the last so far.
     pub(super) fn adopt(&mut self, sequence: u32, contents: &Contents) {
         let Some((first, term)) = contents.first() else { return };
         self.append(first, term);
@@ -136,8 +136,8 @@ impl LogIndex {
         (self.durable, self.last, self.written) = (contents.last, contents.last, contents.last);
     }
 
-    /// Forgets what is before entry `first` (in the log, or one above its end) and in segments before `oldest`, which are
-    /// none of its or later entries.
+    /// Forgets what is before entry `first` (in the log, or one above its end) and in segments before `oldest`, which
+    /// are none of its or later entries.
     pub(super) fn drop_before(&mut self, first: u64, oldest: u32) {
         let Some(term) = first.checked_sub(1).and_then(|index| self.term(index)) else { return };
         self.base = Base { index: first - 1, term };

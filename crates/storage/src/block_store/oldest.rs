@@ -1,8 +1,8 @@
 //! Which segment is the oldest one, as the store has decided it: so that one that somebody has deleted is missed.
 //!
-//! File `oldest` beside the segments: two slots, one at byte 0 and one at byte 4096. The valid one with the higher sequence
-//! counts; the other one is written next, in place, so that no space is needed on a full disk and a write that is cut off
-//! harms nothing. Little-endian:
+//! File `oldest` beside the segments: two slots, one at byte 0 and one at byte 4096. The valid one with the higher
+//! sequence counts; the other one is written next, in place, so that no space is needed on a full disk and a write that
+//! is cut off harms nothing. Little-endian:
 //!
 //! | bytes | field |
 //! |---|---|
@@ -11,8 +11,8 @@
 //! | 8 | its first index |
 //! | 4 | CRC-32C of the bytes before |
 //!
-//! It is written before older segments are removed: after a crash there may be older ones than it says, never newer ones
-//! only. A log that begins anew (after a snapshot) says so in its first segment, and needs no word of this file.
+//! It is written before older segments are removed: after a crash there may be older ones than it says, never newer
+//! ones only. A log that begins anew (after a snapshot) says so in its first segment, and needs no word of this file.
 
 use std::io::{self, ErrorKind};
 use std::sync::Arc;
@@ -26,7 +26,7 @@ use crate::segment::Scan;
 pub(super) const FILE: &str = "oldest";
 /// Its name while it is made.
 pub(super) const PART_FILE: &str = "oldest.part";
-/// What a slot begins with.
+/// The beginning of a slot.
 const MAGIC: &[u8; 8] = b"ledgold1";
 /// Bytes of a slot.
 const SLOT_BYTES: usize = 24;
@@ -87,8 +87,8 @@ impl Oldest {
     }
 }
 
-/// Refuses a log whose oldest segments are missing. What is known of them is what this file says; a store from before it
-/// had one is believed.
+/// Refuses a log whose oldest segments are missing. What is known of them is what this file says; a store from before
+/// it had one is believed.
 ///
 /// # Errors
 /// [`StoreError::Corrupt`] with the first index that is missing.

@@ -30,7 +30,7 @@ struct Stretch {
     wanted: Range<u64>,
 }
 
-/// What is read so far.
+/// The records read so far.
 struct Reading {
     entries: Vec<Entry>,
     bytes_left: usize,
@@ -43,8 +43,8 @@ impl BlockStore {
         Ok(self.entries(index..index.saturating_add(1), 0)?.pop())
     }
 
-    /// The entries of `range` that the log has, as many as fit into `bytes_max` bytes of memory (or, on a long way, a few
-    /// less), but one at least. Indices below [`first_index`](Self::first_index) are skipped.
+    /// The entries of `range` that the log has, as many as fit into `bytes_max` bytes of memory (or, on a long way, a
+    /// few less), but one at least. Indices below [`first_index`](Self::first_index) are skipped.
     pub fn entries(&self, range: Range<u64>, bytes_max: usize) -> Result<Vec<Entry>, StoreError> {
         let plan = self.state().plan(range.clone(), bytes_max);
         match plan.read(&self.files, bytes_max) {

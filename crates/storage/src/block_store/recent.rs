@@ -62,7 +62,7 @@ impl Recent {
     }
 }
 
-/// What an entry costs in memory, about.
+/// The cost of an entry in memory, about.
 pub(super) fn weight(entry: &Entry) -> usize {
     entry.data.len() + size_of::<Entry>() + RECORD_HEADER_BYTES
 }

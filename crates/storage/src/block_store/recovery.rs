@@ -14,7 +14,7 @@ use crate::disk::{Disk, DiskFile};
 use crate::entry::HardState;
 use crate::segment::{Base, Contents, Found, HEADER_BYTES, Record, Scan, ScannedSegment, Seal, Tail, read_head, scan};
 
-/// What opening a store found.
+/// The findings of opening a store.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Recovery {
     /// How many segments there are.
@@ -52,14 +52,14 @@ pub(super) struct Recovered {
     pub(super) length: u64,
     /// End of the log in it.
     pub(super) tail: Tail,
-    /// What the newest segment holds.
+    /// The content of the newest segment.
     pub(super) contents: Contents,
     /// The newest hard state as written.
     pub(super) written: HardState,
     pub(super) report: Recovery,
 }
 
-/// What is known after some of the segments.
+/// The knowledge after some of the segments.
 struct Reading {
     index: LogIndex,
     recent: Recent,
@@ -69,7 +69,8 @@ struct Reading {
 
 /// Reads the newest segment whole. Those before it were durable as a whole when it was begun, and it, or the one after
 /// each of them, says what they hold: their records are read, and checked, when somebody wants them
-/// ([`BlockStore::entries`](super::BlockStore::entries), [`BlockStore::check_finished`](super::BlockStore::check_finished)).
+/// ([`BlockStore::entries`](super::BlockStore::entries),
+/// [`BlockStore::check_finished`](super::BlockStore::check_finished)).
 pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -> Result<Recovered, StoreError> {
     let scan = scan(disk, Some(network))?;
     oldest::check_oldest(disk, &scan)?;

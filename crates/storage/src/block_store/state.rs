@@ -1,4 +1,4 @@
-//! What is known of the log in memory: what readers see, and the rules of appending.
+//! The log as memory knows it: the view of readers, and the rules of appending.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ pub(super) struct State {
     pub(super) poison: Option<StoreError>,
 }
 
-/// What waits for the disk. Entries are gapless and none is superseded.
+/// Bytes that wait for the disk. Entries are gapless and none is superseded.
 #[derive(Default)]
 pub(super) struct Staged {
     pub(super) entries: Vec<Entry>,
@@ -45,7 +45,7 @@ impl State {
         self.poison.get_or_insert(error).clone()
     }
 
-    /// What a caller may do wrong without harm.
+    /// Faults of a caller that do no harm.
     pub(super) fn check_limits(&self, entries: &[Entry]) -> Result<(), StoreError> {
         let mut wanted = self.index.last() + 1;
         let mut bytes = self.staged.bytes;
@@ -67,7 +67,7 @@ impl State {
         Ok(())
     }
 
-    /// What only a broken orderer does.
+    /// Faults that only a broken orderer has.
     pub(super) fn check_rules(&self, entries: &[Entry], hard_state: Option<&HardState>) -> Result<(), String> {
         if let Some(first) = entries.first() {
             check_entry(&self.index, first.index, first.term, self.committed)?;

@@ -32,7 +32,7 @@ pub(super) struct Writer {
     pub(super) previous: u32,
     /// Index and term of the newest entry written.
     pub(super) newest: Base,
-    /// What the newest segment holds: the next one says so.
+    /// The content of the newest segment, for the seal in the next one.
     pub(super) contents: Contents,
     /// The newest hard state written: every segment begins with one, so that older segments can be dropped.
     pub(super) hard_state: HardState,
@@ -47,7 +47,7 @@ pub(super) struct Active {
     pub(super) file: Arc<dyn DiskFile>,
 }
 
-/// What became durable.
+/// The entries that became durable.
 #[derive(Default)]
 pub(super) struct Written {
     pub(super) entries: Vec<Placed>,
@@ -77,7 +77,7 @@ struct Run {
     /// Offset of the buffer's first byte.
     start: u64,
     previous: u32,
-    /// What is on disk before anything of the run is.
+    /// The log is on disk up to here before anything of the run is.
     durable_upto: LogPosition,
     entries: Vec<Placed>,
     newest: Base,
@@ -238,7 +238,7 @@ impl Writer {
         Ok(run)
     }
 
-    /// What the next segment says about the newest one; none if that would be too long.
+    /// The seal of the newest segment for the next one; none if it would be too long.
     fn seal(&self) -> Option<Seal> {
         let segment_crc = self.active.as_ref()?.segment.crc;
         let seal = Seal { segment_crc, contents: self.contents.clone() };

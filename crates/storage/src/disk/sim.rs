@@ -9,7 +9,7 @@ use super::{Disk, DiskFile};
 /// Unit in which an unsynced write survives a crash or does not.
 const SECTOR_BYTES: u64 = 512;
 
-/// What is to go wrong with one call.
+/// The fault that one call shall have.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Fault {
     /// The call fails with an I/O error and does nothing. A failed sync loses what it should have made durable: the

@@ -20,9 +20,9 @@ pub(super) const RECORD_HEAD_BYTES: u64 = 8;
 /// A record is not smaller: head, hash and digest.
 pub(super) const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 66;
 
-/// Bytes of the end of a finished file: `LEDGREND`, then, LE, first height `u64`, blocks `u64`, end of the records `u64`,
-/// pages of the index `u32`, marks `u32`, times of the first and of the last block `u64`, CRC-32C of the marks and of these.
-/// Before it are the marks, `u32` each, and before them the pages.
+/// Bytes of the end of a finished file: `LEDGREND`, then, LE, first height `u64`, blocks `u64`, end of the records
+/// `u64`, pages of the index `u32`, marks `u32`, times of the first and of the last block `u64`, CRC-32C of the marks
+/// and of these. Before it are the marks, `u32` each, and before them the pages.
 const TAIL_BYTES: usize = 60;
 const TAIL_MAGIC: &[u8; 8] = b"LEDGREND";
 
@@ -157,7 +157,7 @@ impl ResultFile {
         }
     }
 
-    /// What comes after the records of a file when it is finished.
+    /// The end of a finished file, after its records.
     pub(super) fn finish(&self) -> (Self, Vec<u8>) {
         let Index::Open(items) = &self.index else { return (self.clone(), Vec::new()) };
         let mut bytes = index::pages(items);

@@ -19,8 +19,8 @@ const OTHERWISE: u8 = 0;
 
 /// A result that is kept whole, or short: beside its block.
 ///
-/// Short, it has no term; ids are cut to [`SHORT_ID_BYTES`]; `not_after` counts from the block's time; and a transaction that
-/// came out as its call foretells has neither response nor events.
+/// Short, it has no term; ids are cut to [`SHORT_ID_BYTES`]; `not_after` counts from the block's time; and a
+/// transaction that came out as its call foretells has neither response nor events.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredResult {
     result: BlockResult,
@@ -28,7 +28,8 @@ pub struct StoredResult {
     foretold: Vec<bool>,
 }
 
-/// The bytes of a short result. A whole one is a [`BlockResult`]; it has no `calls`, and nothing else that is short has none.
+/// The bytes of a short result. A whole one is a [`BlockResult`]; it has no `calls`, and nothing else that is short has
+/// none.
 #[derive(Clone, PartialEq, prost::Message)]
 struct Short {
     #[prost(uint64, tag = "2")]
@@ -52,7 +53,7 @@ impl StoredResult {
         Self { result, foretold: Vec::new() }
     }
 
-    /// What its block does not tell. `foretold` says which transactions came out as their calls foretell.
+    /// The part that its block does not tell. `foretold` says which transactions came out as their calls foretell.
     pub(super) fn short(result: &BlockResult, foretold: &[bool]) -> Self {
         // What was executed is remembered for 120 s at most, which fits; anything else is kept as it is.
         let fits = |outcome: &TransactionResult| {
@@ -156,7 +157,8 @@ impl StoredResult {
         })
     }
 
-    /// What is kept, and which transactions came out as foretold. The second is empty if the first is the whole result.
+    /// The kept part, and the transactions that came out as foretold. The second is empty if the first is the whole
+    /// result.
     pub fn into_parts(self) -> (BlockResult, Vec<bool>) {
         (self.result, self.foretold)
     }
@@ -168,7 +170,7 @@ impl StoredResult {
     }
 }
 
-/// What is kept of a transaction that came out as foretold.
+/// The kept part of a transaction that came out as foretold.
 fn foretold_outcome(calls: &mut Bytes) -> Option<TransactionResult> {
     if calls.len() < CALL_BYTES - 1 {
         return None;

@@ -49,7 +49,7 @@ impl fmt::Display for LogPosition {
     }
 }
 
-/// What a log follows: the newest entry that is not in it any more. Index and term 0: the genesis.
+/// The entry that a log follows: the newest that is no longer in it. Index and term 0: the genesis.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Base {
     /// Its index.

@@ -27,14 +27,14 @@ const TYPE_ENTRY: u8 = 1;
 const TYPE_HARD_STATE: u8 = 2;
 const TYPE_SEAL: u8 = 3;
 
-/// What a record holds.
+/// The content of a record.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Record {
     /// Type 1. Payload: index `u64`, term `u64`, kind `u8` ([`EntryKind::code`]), then the data to the end.
     Entry(Entry),
     /// Type 2. Payload: term, vote, commit, `u64` each.
     HardState(HardState),
-    /// Type 3. What the segment before this one holds: see [`Seal`].
+    /// Type 3. The content of the segment before this one: see [`Seal`].
     Seal(Seal),
 }
 
@@ -60,7 +60,7 @@ pub struct RecordHeader {
     pub previous: u32,
     /// Up to where the log was durable when this record was written.
     pub durable_upto: LogPosition,
-    /// What the payload is.
+    /// The kind of the payload.
     kind: u8,
 }
 

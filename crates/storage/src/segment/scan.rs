@@ -10,7 +10,7 @@ use crate::block_store::StoreError;
 use crate::disk::Disk;
 use crate::entry::HardState;
 
-/// What a scan came upon.
+/// A finding of a scan.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Found {
     /// A good record.
@@ -23,7 +23,7 @@ pub enum Found {
         bytes: u32,
         /// Up to where the log was durable when it was written.
         durable_upto: LogPosition,
-        /// What it holds.
+        /// Its content.
         record: Record,
     },
     /// The rest of a write that was cut off and never acknowledged. Always the last item. Opening the store zeroes it.
@@ -34,7 +34,7 @@ pub enum Found {
         offset: u64,
         /// Bytes up to the last one that is not zero.
         bytes: u64,
-        /// What is wrong with the record that should be there.
+        /// The fault of the record that should be there.
         what: &'static str,
     },
 }
@@ -61,9 +61,9 @@ pub struct Scan<'a> {
     next_index: u64,
     /// Its term.
     last_term: u64,
-    /// What the segment that is being read holds, as far as it is read.
+    /// The content of the segment that is being read, as far as it is read.
     contents: Contents,
-    /// What its own seal must say, if the segment before it was read too.
+    /// The wanted content of its own seal, if the segment before it was read too.
     sealed: Option<Seal>,
     window: Option<Window>,
     done: bool,
@@ -134,7 +134,7 @@ pub fn scan<'a>(disk: &'a dyn Disk, network: Option<&[u8; 32]>) -> Result<Scan<'
     Ok(Scan { void, ignored, ..Scan::over(disk, segments, until) })
 }
 
-/// What a segment begins with, where that is in order.
+/// The beginning of a segment, where that is in order.
 #[derive(Debug, Default)]
 pub(crate) struct Head {
     pub(crate) hard_state: Option<HardState>,
@@ -142,8 +142,8 @@ pub(crate) struct Head {
     pub(crate) seal: Option<Seal>,
 }
 
-/// Reads the hard state and the seal at the beginning of a segment. Whatever is not as it should be is left out: reading
-/// the segments whole then tells what is wrong.
+/// Reads the hard state and the seal at the beginning of a segment. Whatever is not as it should be is left out:
+/// reading the segments whole then tells what is wrong.
 pub(crate) fn read_head(disk: &dyn Disk, segment: &ScannedSegment) -> Result<Head, StoreError> {
     let name = &segment.name;
     let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;
@@ -224,7 +224,7 @@ impl<'a> Scan<'a> {
         &self.ignored
     }
 
-    /// What the log follows: an entry that was dropped or never had, or the genesis.
+    /// The entry that the log follows: one that was dropped or never had, or the genesis.
     pub fn base(&self) -> Base {
         self.segments.first().map_or_else(Base::default, |oldest| oldest.header.base())
     }
@@ -238,14 +238,14 @@ impl<'a> Scan<'a> {
         &self.segments
     }
 
-    /// Reads only the segment with this number, counted from 0, and, if it is finished, checks that it ends where the one
-    /// after it says.
+    /// Reads only the segment with this number, counted from 0, and, if it is finished, checks that it ends where the
+    /// one after it says.
     pub(crate) fn only(&self, number: usize) -> Scan<'a> {
         let segments = self.segments.iter().skip(number).take(2).cloned().collect();
         Scan::over(self.disk, segments, 1)
     }
 
-    /// What the segment that was read last holds.
+    /// The content of the segment that was read last.
     pub(crate) fn into_contents(self) -> Contents {
         self.contents
     }

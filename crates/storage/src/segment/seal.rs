@@ -1,12 +1,12 @@
-//! What a finished segment holds, written into the one after it: opening a store then need not read it again.
+//! The content of a finished segment, written into the one after it: opening a store then need not read it again.
 
 use super::header::{HEADER_BYTES, take};
 
 /// How many bytes of records may lie between two entries whose places are noted: what finding one entry costs at most.
 pub(crate) const MARK_BYTES: u32 = 128 << 10;
 
-/// Longest payload of a seal. A segment that changes its term more often than fits is finished without one, and read when
-/// the store is opened.
+/// Longest payload of a seal. A segment that changes its term more often than fits is finished without one, and read
+/// when the store is opened.
 pub const SEAL_BYTES_MAX: usize = 1 << 20;
 
 /// Bytes of a seal before its lists, of a run of one term, and of a mark.
@@ -34,7 +34,7 @@ pub struct Contents {
 pub struct Seal {
     /// CRC of the header of the segment that is meant: another file under its name is noticed.
     pub(crate) segment_crc: u32,
-    /// What it holds.
+    /// Its content.
     pub(crate) contents: Contents,
 }
 

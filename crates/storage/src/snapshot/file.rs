@@ -96,7 +96,7 @@ impl Snapshot {
         Ok(Self { file, name: name.to_owned(), manifest, content })
     }
 
-    /// What it holds.
+    /// Its manifest.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
@@ -138,8 +138,8 @@ impl Snapshot {
     }
 
     /// Fills an empty world state and empty results, so that a ledger opened on them stands at this height. If it is
-    /// interrupted, both are to be emptied and filled again; a state that was not filled to the end is refused when it is
-    /// opened.
+    /// interrupted, both are to be emptied and filled again; a state that was not filled to the end is refused when it
+    /// is opened.
     ///
     /// # Errors
     /// [`Code::BadFile`] if they are not empty, [`Code::Corrupt`] if this is no snapshot; a fault of the disk.

@@ -8,8 +8,8 @@ use ledger_rejection::{Code, Rejection};
 use std::io::ErrorKind;
 use std::sync::{Arc, MutexGuard, PoisonError};
 
-/// Gathers the chunks of a snapshot, each compared with the manifest, in a file beside the snapshots. What is in that file
-/// when it begins is used, so that it goes on after a crash.
+/// Gathers the chunks of a snapshot, each compared with the manifest, in a file beside the snapshots. What is in that
+/// file when it begins is used, so that it goes on after a crash.
 pub struct Installer<'a> {
     snapshots: &'a Snapshots,
     _one: MutexGuard<'a, ()>,
@@ -42,7 +42,7 @@ impl<'a> Installer<'a> {
         Ok(Self { snapshots, _one: one, manifest, file, name, have })
     }
 
-    /// What is gathered.
+    /// The manifest of the snapshot that is gathered.
     pub fn manifest(&self) -> &Manifest {
         &self.manifest
     }
@@ -74,8 +74,8 @@ impl<'a> Installer<'a> {
         Ok(())
     }
 
-    /// All chunks are there: makes the file whole, for looking into it. Only [`accept`](Self::accept) makes it one of this
-    /// node's snapshots.
+    /// All chunks are there: makes the file whole, for looking into it. Only [`accept`](Self::accept) makes it one of
+    /// this node's snapshots.
     ///
     /// # Errors
     /// [`Code::Internal`] if chunks are missing; a fault of the disk.

@@ -15,7 +15,7 @@ const VALUE_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Most bytes of a result: responses to 4096 transactions.
 const RESULT_BYTES_MAX: usize = 1024 * 1024 * 1024;
 
-/// What a snapshot is made of.
+/// The parts of a snapshot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
     /// A key of the world state and its value.

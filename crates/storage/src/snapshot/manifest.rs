@@ -1,4 +1,4 @@
-//! What a snapshot holds: its hash is what nodes sign.
+//! The content of a snapshot: nodes sign its hash.
 
 use crate::state::Tip;
 use bytes::Bytes;
@@ -26,8 +26,9 @@ pub struct Chunk {
     pub bytes: u32,
 }
 
-/// What a snapshot holds. There is one encoding: `"ledgerd snapshot v1␀"`, network (32), height, term, block time (`u64`
-/// each), block hash (32), state digest (32), number of chunks `u32`, and for each its SHA-256 and its length `u32`; BE.
+/// The content of a snapshot. There is one encoding: `"ledgerd snapshot v1␀"`, network (32), height, term, block time
+/// (`u64` each), block hash (32), state digest (32), number of chunks `u32`, and for each its SHA-256 and its length
+/// `u32`; BE.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Manifest {
     /// Name of the network.

@@ -1,4 +1,4 @@
-//! What the store said lately, so that a key that every block reads, such as a robot's, is not asked for every time.
+//! Recent answers of the store, so that a key that every block reads, such as a robot's, is not asked for every time.
 
 use crate::state::WriteSet;
 use bytes::Bytes;
@@ -24,7 +24,7 @@ struct Entries {
 }
 
 impl Cache {
-    /// What the store says of a key, if that is known.
+    /// The value of a key in the store, if it is known.
     pub(super) fn get(&self, key: &[u8]) -> Option<Option<Bytes>> {
         self.lock().values.get(key).cloned()
     }

@@ -14,8 +14,8 @@ use std::time::Duration;
 /// Bytes of sled's page cache: small, for a node on a robot; hot keys live in [`super::State`]'s memory anyway.
 const CACHE_BYTES: u64 = 4 * 1024 * 1024;
 
-/// Bytes of sled's segments: its files grow, and its buffers are made, by so much. Pages hold at most 16 keys; those that are
-/// larger than a quarter of this go into files of their own.
+/// Bytes of sled's segments: its files grow, and its buffers are made, by so much. Pages hold at most 16 keys; those
+/// that are larger than a quarter of this go into files of their own.
 const SEGMENT_BYTES: usize = 128 * 1024;
 
 /// How often, and after which pause, a store is tried again whose lock is held.
@@ -88,7 +88,7 @@ fn open(directory: &Path) -> Result<sled::Db, Rejection> {
     }
 }
 
-/// What sled answers, and what it panics about, as a rejection.
+/// The errors and panics of sled, as a rejection.
 fn guard<T>(body: impl FnOnce() -> Result<T, sled::Error>) -> Result<T, Rejection> {
     match catch_unwind(AssertUnwindSafe(body)) {
         Ok(result) => result.map_err(|error| fault(&error)),

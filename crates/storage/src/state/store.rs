@@ -1,4 +1,4 @@
-//! What the world state asks of a place where it is kept between runs.
+//! The demands of the world state on the place where it is kept between runs.
 
 use crate::state::WriteSet;
 use bytes::Bytes;

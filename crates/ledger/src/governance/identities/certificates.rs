@@ -1,4 +1,4 @@
-//! What nodes that carry a CA have issued: a certificate counts as handed out when it stands here.
+//! Certificates that nodes with a CA have issued: a certificate counts as handed out when it stands here.
 //!
 //! Two nodes may certify the same name at the same time. The first record that is executed takes the secret; for the
 //! same key both hand out its certificate, for another key the second is refused.
@@ -26,7 +26,7 @@ use std::collections::BTreeMap;
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RecordCertificate {
-    /// Whose CA has issued it.
+    /// The organisation whose CA has issued it.
     pub organisation: String,
     /// DER in hexadecimal.
     pub certificate: String,
@@ -117,8 +117,8 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     json(&Recorded { certificate })
 }
 
-/// Whose certificate this is, by the authorities of that organisation alone. Whether it is valid at the moment is not
-/// asked: clocks differ, and those who see it used look at that.
+/// The owner of this certificate, by the authorities of that organisation alone. Whether it is valid at the moment is
+/// not asked: clocks differ, and those who see it used look at that.
 fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
     let authorities = organisations::find(ctx, organisation)?
         .ok_or_else(|| Rejection::new(Code::NotFound, "the network has no such organisation"))?;
@@ -172,8 +172,8 @@ fn take_secret(
     der.map(Some).ok_or_else(|| refused("a secret that was used"))
 }
 
-/// A renewal needs a certificate that is still good, and some time since the last one. Answers with the newest one if it
-/// was issued for the same key.
+/// A renewal needs a certificate that is still good, and some time since the last one. Answers with the newest one if
+/// it was issued for the same key.
 fn check_renewal(ctx: &Context<'_>, record: &IdentityRecord, holder: &Identity) -> Result<Option<Bytes>, Rejection> {
     let now = ctx.block_time();
     let good = |issued: &&IssuedCertificate| issued.not_after >= now && !is_revoked(ctx, issued);
@@ -245,9 +245,9 @@ fn created(
 pub struct KnownIdentity {
     /// The name.
     pub name: String,
-    /// What it is for.
+    /// Its role.
     pub role: Role,
-    /// What its next certificate will say.
+    /// The attributes of its next certificate.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub attributes: BTreeMap<String, String>,
     /// A secret that can still be used there.
@@ -259,7 +259,7 @@ pub struct KnownIdentity {
 }
 
 /// Takes in what a node knows from its own disk: names that were registered and certificates that were issued before
-/// there was a ledger, or at its own machine. What is known here already stays as it is.
+/// there was a ledger, or at its own machine. Records that exist here already stay unchanged.
 pub(in super::super) fn adopt(
     ctx: &mut Context<'_>,
     caller: &Identity,

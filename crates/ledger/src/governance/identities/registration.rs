@@ -18,10 +18,10 @@ use std::collections::BTreeMap;
 pub struct Register {
     /// The name, as it will stand in the certificate.
     pub name: String,
-    /// What it is for; left out with `again`.
+    /// Its role; left out with `again`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub role: Option<Role>,
-    /// What its certificates will say; none with `again` keeps what is registered.
+    /// The attributes of its certificates; none with `again` keeps what is registered.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub attributes: BTreeMap<String, String>,
     /// SHA-256 of the one-time secret's text. The secret itself never comes here.
