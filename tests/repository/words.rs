@@ -74,6 +74,14 @@ fn comments(text: &str) -> Vec<Paragraph> {
     collect(text.lines().map(|line| line.strip_prefix("# ").map_or(Line::Ends, Line::Prose)))
 }
 
+/// The comments of a proto file, which is the documentation of the API.
+fn proto_comments(text: &str) -> Vec<Paragraph> {
+    collect(text.lines().map(|line| match line.trim().strip_prefix("//") {
+        Some(words) if !words.trim().is_empty() => Line::Prose(words.trim()),
+        _ => Line::Ends,
+    }))
+}
+
 /// The words of each sentence, with code as one word, and links and stress as what they show.
 fn sentences(text: &str) -> Vec<Vec<String>> {
     let shown = without_links(&text.split('`').step_by(2).collect::<Vec<_>>().join("`code`")).replace('*', "");
@@ -132,6 +140,14 @@ fn named(path: &std::path::Path) -> String {
 fn sentences_of_the_documents_are_short_and_name_their_subject() {
     let faults: Vec<_> =
         files(root(), ".md").iter().flat_map(|path| faults(&named(path), &paragraphs(&read(path)))).collect();
+    assert!(faults.is_empty(), "{}", faults.join("\n"));
+}
+
+#[test]
+fn sentences_about_the_api_are_short_and_name_their_subject() {
+    let protos = files(&root().join("crates"), ".proto");
+    assert!(!protos.is_empty(), "no proto file is found");
+    let faults: Vec<_> = protos.iter().flat_map(|path| faults(&named(path), &proto_comments(&read(path)))).collect();
     assert!(faults.is_empty(), "{}", faults.join("\n"));
 }
 
