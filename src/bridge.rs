@@ -79,7 +79,7 @@ impl NodeBridge {
     }
 }
 
-/// What the table `[bridge]` says; none if there is no such table.
+/// The settings of the table `[bridge]`; none if there is no such table.
 ///
 /// # Errors
 /// The first fault, which names how many more there are.

@@ -1,5 +1,5 @@
-//! The certificate authority of one organisation, as a node carries it: the key that certifies, and what was registered at
-//! this machine.
+//! The certificate authority of one organisation, as a node carries it: the key that certifies, and what was registered
+//! at this machine.
 //!
 //! | file in `<data>/ca/<Org>/` | content |
 //! |---|---|
@@ -7,10 +7,11 @@
 //! | `ca.key` | its private key, PKCS #8, mode 0600 |
 //! | `identities.json` | names that were registered at this machine, what is left of their secrets, and their certificates |
 //!
-//! Who may receive a certificate stands on the ledger ([`ledger::governance`]), where admins register names; so any node
-//! that carries the key can issue. `identities.json` has what there was before: the first nodes, the first admin, and
-//! secrets made by `ledgerd admin-secret`. It is replaced as a whole and down to the disk before anything is answered, by
-//! whoever holds the lock of the directory: a running node and a command beside it do not lose each other's changes.
+//! The right to receive a certificate stands on the ledger ([`ledger::governance`]), where admins register names; so
+//! any node that carries the key can issue. `identities.json` has what there was before: the first nodes, the first
+//! admin, and secrets made by `ledgerd admin-secret`. It is replaced as a whole and down to the disk before anything is
+//! answered, by whoever holds the lock of the directory: a running node and a command beside it do not lose each
+//! other's changes.
 
 pub(crate) mod backup;
 pub(crate) mod durable;
@@ -234,9 +235,9 @@ impl CertificateAuthority {
     }
 
     /// Exchanges a one-time secret that was made here and a signing request (PKCS #10, DER) for a certificate (DER). Of
-    /// the request only the public key is used; name, role and attributes are as registered. Afterwards the secret is good
-    /// for nothing but the same key again, which for some minutes receives the same certificate, in case the answer was
-    /// lost.
+    /// the request only the public key is used; name, role and attributes are as registered. Afterwards the secret is
+    /// good for nothing but the same key again, which for some minutes receives the same certificate, in case the
+    /// answer was lost.
     ///
     /// # Errors
     /// [`Code::EnrolmentRefused`], alike for an unknown name and a secret that is wrong, used, expired or void;
@@ -260,7 +261,8 @@ impl CertificateAuthority {
     }
 
     /// A new certificate for this node itself, whose own has run out while it was away: it needs one before it can ask
-    /// anybody. Of the request only the public key is used; the rest is as in the old one, which the caller has verified.
+    /// anybody. Of the request only the public key is used; the rest is as in the old one, which the caller has
+    /// verified.
     ///
     /// # Errors
     /// [`Code::BadArgument`] for a bad request, a failing disk.
@@ -352,7 +354,8 @@ impl CertificateAuthority {
         OneTimeSecret::generate(now, now.saturating_add(u64::from(self.secret_days) * DAY))
     }
 
-    /// Takes the lock of the directory, for as long as the answer lives, and reads again what somebody else has changed.
+    /// Takes the lock of the directory, for as long as the answer lives, and reads again what somebody else has
+    /// changed.
     fn begin(&mut self) -> Result<File, Rejection> {
         self.check_usable()?;
         let turn = place::lock(&self.directory)?;

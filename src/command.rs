@@ -51,9 +51,9 @@ enum Command {
     Bridge(WithConfig),
     /// Checks the chain of a stopped node or of an archive: every hash, every signature, every verdict executed again.
     ///
-    /// Nothing that the node has computed is trusted. What nodes have attested is compared. Exits with 1 and names the
-    /// first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the others. Blocks
-    /// that call a chaincode of your own are verified by the program that has that chaincode.
+    /// Nothing that the node has computed is trusted. The attestations of nodes are compared. Exits with 1 and names
+    /// the first byte that is wrong. If the oldest blocks are gone, execution begins with the snapshot before the
+    /// others. Blocks that call a chaincode of your own are verified by the program that has that chaincode.
     Verify(verify::Options),
 }
 

@@ -150,7 +150,7 @@ async fn acquire(user: &Client, service: &str) -> Result<(), Rejection> {
     user.invoke("abac", "acquire", args).await.map(drop)
 }
 
-/// What must be refused, with that code.
+/// A call that must be refused, with its code.
 fn must_fail(outcome: Result<(), Rejection>, code: Code, otherwise: &str) -> Result<Rejection, Rejection> {
     match outcome {
         Err(rejection) if rejection.code == code => Ok(rejection),
@@ -159,7 +159,8 @@ fn must_fail(outcome: Result<(), Rejection>, code: Code, otherwise: &str) -> Res
     }
 }
 
-/// Both publish at once, and it is drawn. Answers with Salma's first number, and when each message of either was published.
+/// Both publish at once, and it is drawn. Answers with Salma's first number, and when each message of either was
+/// published.
 async fn publish_both(
     robot: &Robot,
     salma: &mut Publisher,

@@ -1,4 +1,4 @@
-//! What this node refused before it was ordered: counted by code, and the last ones kept for an admin to see.
+//! Calls that this node refused before ordering: counted by code, and the last ones kept for an admin to see.
 
 use ledger::Refusal;
 use ledger_api::v1::Denial;

@@ -57,8 +57,8 @@ struct Facts {
     version: &'static str,
 }
 
-/// Starts the network, prints what a player needs, and ends it on Ctrl-C. Whatever would make it fail is looked at before
-/// anything is made: another one may be running.
+/// Starts the network, prints what a player needs, and ends it on Ctrl-C. Whatever would make it fail is looked at
+/// before anything is made: another one may be running.
 pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
     telemetry::start(&Log { level: LevelFilter::WARN, ..Config::default().log });
     let home = home()?;
@@ -142,8 +142,8 @@ fn plan(data: &Path, address: &str) -> NetworkPlan {
     }
 }
 
-/// The address to listen on. The genesis names it, so a free port is chosen before that is written; and one that somebody
-/// else uses is refused before anything is.
+/// The address to listen on. The genesis names it, so a free port is chosen before that is written; and one that
+/// somebody else uses is refused before anything is.
 fn free_port(listen: &str) -> Result<String, Rejection> {
     let bound = TcpListener::bind(listen).and_then(|listener| listener.local_addr());
     match bound {
@@ -178,8 +178,8 @@ struct Written {
     network: Hash,
 }
 
-/// A context for the admin of each organisation, made anew at each start. What was written stands in `written`, also if
-/// one fails.
+/// A context for the admin of each organisation, made anew at each start. The list of written contexts stands in
+/// `written`, also if one fails.
 fn write_contexts(data: &Path, address: &str, home: &Path, written: &mut Written) -> Result<(), Rejection> {
     for organisation in ORGANISATIONS {
         let admin = ("Admin", Role::Admin);

@@ -8,8 +8,8 @@
 //! | `joining` | what an invited organisation has signed is brought to the ledger |
 //! | `authorities`, `voice`, `tries` | the CAs of this node; how it calls the ledger; who tries too often |
 //!
-//! A client without a certificate may ask for the network and may enrol. A refusal takes as long for a name that exists as
-//! for one that does not.
+//! A client without a certificate may ask for the network and may enrol. A refusal takes as long for a name that exists
+//! as for one that does not.
 
 mod authorities;
 mod carrying;
@@ -46,7 +46,8 @@ use tokio::time::Instant;
 use tonic::{Request, Response, Status};
 use tries::Tries;
 
-/// A refused try to enrol is answered no sooner than this after it came, so that nobody learns from the time what was wrong.
+/// A refused try to enrol is answered no sooner than this after it came, so that nobody learns from the time what was
+/// wrong.
 const REFUSAL_TIME: Duration = Duration::from_millis(100);
 
 /// The service; see the module.
@@ -84,7 +85,7 @@ pub(crate) struct Surroundings {
     pub me: Member,
     /// Its certificate and key.
     pub identity: TlsIdentity,
-    /// Who belongs to the network now.
+    /// The present members of the network.
     pub directory: Arc<Directory>,
     /// Can this node have nothing ordered at the moment?
     pub cut_off: Box<dyn Fn() -> bool + Send + Sync>,
@@ -225,7 +226,7 @@ impl Shared {
         }
     }
 
-    /// Who calls, if the certificate is still good.
+    /// The caller, if the certificate is still good.
     fn caller<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Rejection> {
         let caller =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
@@ -238,7 +239,7 @@ impl Shared {
         Ok(caller)
     }
 
-    /// Who calls, if it is an admin whose certificate is still good.
+    /// The caller, if it is an admin whose certificate is still good.
     fn admin<T>(&self, request: &Request<T>) -> Result<Arc<Identity>, Rejection> {
         let caller = self.caller(request)?;
         if caller.role != Role::Admin {

@@ -1,7 +1,8 @@
 //! Which of the network's nodes this is.
 //!
-//! Its certificate says organisation and name, its number stands on the ledger. A node that has just joined has a ledger
-//! that knows neither it nor, perhaps, its organisation: until then it believes `node.json`, which `ledgerd join` wrote.
+//! Its certificate says organisation and name, its number stands on the ledger. A node that has just joined has a
+//! ledger that knows neither it nor, perhaps, its organisation: until then it believes `node.json`, which `ledgerd
+//! join` wrote.
 
 use crate::ca::durable;
 use crate::clock::wall;
@@ -28,7 +29,7 @@ const JOINED_BYTES_MAX: usize = 64 * 1024;
 /// How long a node that was removed waits for the change of members to be complete.
 const LEAVE_TIME_MAX: Duration = Duration::from_secs(5);
 
-/// What a node knows of itself and of the network before its ledger does.
+/// The knowledge of a node about itself and the network before its ledger has it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(crate) struct Joined {

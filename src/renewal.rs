@@ -26,7 +26,7 @@ const LOOK_MAX: Duration = Duration::from_secs(3600);
 /// Pause after a renewal that failed: a tenth of what is left, within these bounds.
 const RETRY_PAUSE: (Duration, Duration) = (Duration::from_secs(5), LOOK_MAX);
 
-/// What keeps a node's certificate fresh.
+/// The task that keeps a node's certificate fresh.
 pub(crate) struct Keeper {
     /// The node's data directory.
     pub data: PathBuf,

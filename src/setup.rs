@@ -77,7 +77,7 @@ pub struct PlannedNode {
 /// A network that was founded.
 #[derive(Clone, Debug)]
 pub struct Founded {
-    /// What all nodes agree on.
+    /// The founding data that all nodes agree on.
     pub genesis: Genesis,
     /// The same as its document, in every node's `genesis.json`.
     pub document: Bytes,
@@ -102,7 +102,7 @@ pub struct FoundedAuthority {
 ///
 /// # Errors
 /// [`Code::BadConfiguration`] if the plan contradicts itself, [`Code::BadFile`] if a data directory exists, a failing
-/// disk. What was made until then is removed.
+/// disk. The files made until then are removed.
 pub fn found(plan: &NetworkPlan, now: u64) -> Result<Founded, Rejection> {
     check(plan)?;
     let mut made = Made::default();
@@ -209,7 +209,7 @@ fn write_node(directory: &Path, document: &[u8], issued: &Issued) -> Result<(), 
     durable::sync_directory(directory)
 }
 
-/// What was made so far; dropped unless kept, it is removed again.
+/// The files made so far; dropped unless kept, they are removed again.
 #[derive(Default)]
 struct Made {
     /// Directories above the data directories that were missing, outermost first.

@@ -29,7 +29,7 @@ impl Signer {
     /// A call of a chaincode function, with the certificate, so that every ledger accepts it.
     ///
     /// # Errors
-    /// What keeps it from being a transaction.
+    /// The reason why it is no transaction.
     pub(crate) fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Transaction, Rejection> {
         let mut nonce = [0; NONCE_BYTES];
         self.random

@@ -1,7 +1,7 @@
 //! A copy of a CA for the safe: its key under a passphrase, and its root, in one PEM file.
 //!
-//! The key is PKCS #8 encrypted as PKCS #5 says (PBES2: scrypt, AES-256-CBC), which `openssl pkey -in FILE` reads too. The
-//! registry is on the ledger, and key and root never change: a copy that was made once stays good.
+//! The key is PKCS #8 encrypted as PKCS #5 says (PBES2: scrypt, AES-256-CBC), which `openssl pkey -in FILE` reads too.
+//! The registry is on the ledger, and key and root never change: a copy that was made once stays good.
 
 use super::durable::{self, SECRET_MODE};
 use super::place::ROOT_BYTES_MAX;
@@ -22,9 +22,9 @@ const ROOT_SECTION: &str = "CERTIFICATE";
 /// In front of the organisation's name, in a line before the sections.
 const ORGANISATION: &str = "ledgerd CA of ";
 
-/// What a backup holds.
+/// The content of a backup.
 pub(crate) struct Backup {
-    /// Whose CA.
+    /// The organisation of the CA.
     pub(crate) organisation: String,
     /// Its key.
     pub(crate) key: SigningKey,

@@ -23,7 +23,7 @@ const ROOT_DAYS: u64 = 3653;
 /// The last second that X.509 can name: the end of the year 9999.
 const SECONDS_MAX: u64 = 253_402_300_799;
 
-/// What a certificate says of its holder.
+/// The content of a certificate about its holder.
 pub(super) struct Holder<'a> {
     pub(super) organisation: &'a str,
     pub(super) name: &'a str,
@@ -84,7 +84,7 @@ pub(super) fn leaf(
     Ok(leaf.map_err(|error| failed("a certificate", &error))?.der().to_vec())
 }
 
-/// What both have: an empty subject, a random serial number and a validity.
+/// The common parts of both: an empty subject, a random serial number and a validity.
 fn params(not_before: u64, not_after: u64) -> Result<CertificateParams, Rejection> {
     let mut params = CertificateParams::default();
     params.distinguished_name = DistinguishedName::new();

@@ -1,5 +1,5 @@
-//! What an operator does with a CA at the node's own machine, whether the node runs or not: a secret for an admin who is
-//! locked out, a copy for the safe, and putting it back.
+//! What an operator does with a CA at the node's own machine, whether the node runs or not: a secret for an admin who
+//! is locked out, a copy for the safe, and putting it back.
 
 use super::backup::{self, Backup};
 use super::place::carried;
@@ -26,8 +26,8 @@ const FILE_BYTES_MAX: usize = 64 * 1024;
 
 /// Makes a one-time secret for an admin, at a node that carries the CA of their organisation.
 ///
-/// For an admin whose certificate has expired or whose key is lost. Needs nothing but this machine's disk; the node may be
-/// running or not. The secret can be used as soon as it runs.
+/// For an admin whose certificate has expired or whose key is lost. Needs nothing but this machine's disk; the node may
+/// be running or not. The secret can be used as soon as it runs.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct AdminSecret {
     /// Name of the admin.
@@ -108,7 +108,7 @@ impl Ca {
     /// Does it; answers with what to tell the operator.
     ///
     /// # Errors
-    /// What is missing or wrong, in words for the operator; nothing is ever overwritten.
+    /// A reason in words for the operator; nothing is ever overwritten.
     pub(crate) fn run(&self, config: &Config) -> Result<String, Rejection> {
         match self {
             Self::Backup(backing) => backing.write(config),
@@ -240,7 +240,7 @@ fn give_up(data: &Path, organisation: &str) -> Result<String, Rejection> {
     ))
 }
 
-/// What the data directory says of its node.
+/// The node of the data directory.
 struct Own {
     organisation: String,
     /// Where clients reach it.

@@ -1,5 +1,5 @@
 //! Who was registered at this machine, and what was issued here before the ledger knew of it: the file
-//! `identities.json`. What admins register over the network stands on the ledger and never here.
+//! `identities.json`. Registrations of admins over the network stand on the ledger and never here.
 
 use super::durable::{self, SECRET_MODE, Staged};
 use super::secret::OneTimeSecret;
@@ -29,7 +29,7 @@ const VERSION_WITHOUT_CERTIFICATES: u32 = 1;
 pub(super) struct Registry {
     /// Version of the format.
     version: u32,
-    /// Whose CA this is.
+    /// The organisation of the CA.
     pub(super) organisation: String,
     /// The names.
     pub(super) identities: BTreeMap<String, Registered>,
@@ -39,9 +39,9 @@ pub(super) struct Registry {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Registered {
-    /// What it is for.
+    /// Its role.
     pub role: Role,
-    /// What its next certificate will say.
+    /// The attributes of its next certificate.
     pub attributes: BTreeMap<String, String>,
     /// Since when, microseconds since the UNIX epoch.
     pub registered: u64,

@@ -1,5 +1,6 @@
-//! How the key of a CA travels from one node to another: sealed for a key that the receiver made for this purpose (HPKE,
-//! RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305). Who carries it from one to the other cannot read or change it.
+//! How the key of a CA travels from one node to another: sealed for a key that the receiver made for this purpose
+//! (HPKE, RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305). Who carries it from one to the other cannot read or change
+//! it.
 
 use hpke::aead::ChaCha20Poly1305;
 use hpke::kdf::HkdfSha256;
@@ -27,7 +28,7 @@ pub(crate) struct Receiver {
 pub(crate) struct Delivery<'a> {
     /// The network.
     pub(crate) network: &'a Hash,
-    /// Whose CA.
+    /// The organisation of the CA.
     pub(crate) organisation: &'a str,
     /// The node that receives it, `ORGANISATION/NAME`.
     pub(crate) node: &'a str,
@@ -98,7 +99,7 @@ impl Delivery<'_> {
         Ok([front.to_bytes().as_slice(), &content].concat())
     }
 
-    /// What both sides agree on.
+    /// The context that both sides agree on.
     fn info(&self) -> Vec<u8> {
         let mut info = DOMAIN.to_vec();
         for part in [&self.network.0[..], self.organisation.as_bytes(), self.node.as_bytes()] {

@@ -32,12 +32,12 @@ pub(super) struct OneTimeSecret {
     /// other one can.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     used_by: Option<Hash>,
-    /// What that key received, and when.
+    /// The certificate that the key received, and the time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     received: Option<Received>,
 }
 
-/// What became of a secret.
+/// The state of a secret.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Received {

@@ -31,7 +31,7 @@ pub(super) enum Operator {
 /// A Twist that the robot received.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Received {
-    /// Who published it; none for a stop message.
+    /// The publisher; none for a stop message.
     pub operator: Option<Operator>,
     /// Its number.
     pub number: usize,
@@ -147,7 +147,7 @@ impl Robot {
         received.iter().filter(|message| message.operator == Some(operator)).count()
     }
 
-    /// What was received so far; starts anew.
+    /// The samples received so far; starts anew.
     pub(super) fn take(&self) -> Vec<Received> {
         std::mem::take(&mut *self.received.lock().unwrap_or_else(PoisonError::into_inner))
     }

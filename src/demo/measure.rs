@@ -33,7 +33,7 @@ impl Percentiles {
     }
 }
 
-/// What the robot received in one phase.
+/// The messages that the robot received in one phase.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub(super) struct Phase {
     /// Messages a second that reached the robot.

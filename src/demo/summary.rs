@@ -1,4 +1,4 @@
-//! What the demo found: a table for people, a line of JSON for programs, and whether all of it held.
+//! The findings of the demo: a table for people, a line of JSON for programs, and whether all of it held.
 
 use super::HZ;
 use super::measure::{Percentiles, Phase};
@@ -34,7 +34,7 @@ pub(super) struct Summary {
     pub handed_over: bool,
 }
 
-/// What a bridge prints when it ends.
+/// The summary that a bridge prints when it ends.
 #[derive(Clone, Debug, Deserialize)]
 pub(super) struct BridgeReport {
     routes: Vec<RouteReport>,

@@ -1,9 +1,10 @@
-//! How a certificate is issued: the ledger says who may have one, this node signs it, the ledger records it, and only then
-//! it is handed out. So a secret is used up by one key whichever nodes it is taken to, and a second try with the same key
-//! receives the same certificate from any of them.
+//! How a certificate is issued: the ledger says who may have one, this node signs it, the ledger records it, and only
+//! then it is handed out. So a secret is used up by one key whichever nodes it is taken to, and a second try with the
+//! same key receives the same certificate from any of them.
 //!
-//! Secrets that were made at this machine are known here alone. They must also work while the network orders nothing, or
-//! nobody who is locked out could come back: what they open is kept on this disk first, and recorded as soon as possible.
+//! Secrets that were made at this machine are known here alone. They must also work while the network orders nothing,
+//! or nobody who is locked out could come back: what they open is kept on this disk first, and recorded as soon as
+//! possible.
 
 use super::authorities::lock;
 use super::{EnrolmentService, Shared, printable};
@@ -19,7 +20,7 @@ use ledger_rejection::{Class, Code, Rejection};
 use std::net::IpAddr;
 use std::sync::Arc;
 
-/// What a secret opens.
+/// The registration that a secret opens.
 enum Opened {
     /// A registration on the ledger; with the hash of the secret.
     Ledger(Box<IdentityRecord>, Hash),
@@ -32,7 +33,8 @@ impl EnrolmentService {
     ///
     /// # Errors
     /// [`Code::EnrolmentRefused`] alike for whatever is wrong with name and secret, [`Code::CaElsewhere`],
-    /// [`Code::Overloaded`] for who guesses, [`Code::BadArgument`] for a bad request, and why the ledger cannot be asked.
+    /// [`Code::Overloaded`] for who guesses, [`Code::BadArgument`] for a bad request, and why the ledger cannot be
+    /// asked.
     pub(super) async fn enrol_for(
         &self,
         source: IpAddr,
@@ -72,8 +74,8 @@ impl EnrolmentService {
     /// connection or because it is this node itself.
     ///
     /// # Errors
-    /// [`Code::CaElsewhere`], [`Code::NotFound`] if the name is not registered, [`Code::WrongRole`], [`Code::Overloaded`]
-    /// soon after the last certificate, and why the ledger cannot be asked.
+    /// [`Code::CaElsewhere`], [`Code::NotFound`] if the name is not registered, [`Code::WrongRole`],
+    /// [`Code::Overloaded`] soon after the last certificate, and why the ledger cannot be asked.
     pub(crate) async fn renew_for(
         &self,
         caller: Arc<Identity>,
@@ -105,7 +107,7 @@ impl EnrolmentService {
         Ok(self.shared.certified(organisation, certificate))
     }
 
-    /// What name and secret open here, and at which of these organisations.
+    /// The registration that name and secret open here, and its organisation.
     async fn opened(
         &self,
         organisations: &[String],

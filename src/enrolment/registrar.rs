@@ -1,5 +1,5 @@
-//! Tells the ledger which CAs this node carries, and what it knows from its own disk: names and certificates from before
-//! there was a ledger, and secrets that were made at this machine.
+//! Tells the ledger which CAs this node carries, and what it knows from its own disk: names and certificates from
+//! before there was a ledger, and secrets that were made at this machine.
 
 use super::authorities::lock;
 use super::{EnrolmentService, Shared, json};
@@ -69,7 +69,7 @@ impl Shared {
         }))
     }
 
-    /// What the ledger does not know yet of this CA, in as many calls as it takes.
+    /// The facts about this CA that the ledger lacks, in as many calls as it takes.
     fn untold(&self, organisation: &str) -> Result<Vec<CarryCa>, Rejection> {
         let authority = self.authority(organisation)?;
         let mut authority = lock(&authority);

@@ -17,7 +17,7 @@ const ALL_REFILL: u64 = 20_000;
 /// Most sources that are told apart; beyond it the rest share one bucket.
 const SOURCES_MAX: usize = 1024;
 
-/// What was tried lately.
+/// Recent tries.
 #[derive(Default)]
 pub(super) struct Tries {
     all: Bucket,

@@ -1,4 +1,4 @@
-//! What this node says on the ledger for its CAs, through its own gateway and signed as the node.
+//! Calls of this node on the ledger for its CAs, through its own gateway and signed as the node.
 
 use bytes::Bytes;
 use futures::future::BoxFuture;

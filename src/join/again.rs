@@ -1,8 +1,8 @@
 //! `ledgerd rejoin`: a node whose blocks are damaged or lost, but whose certificate is there, comes back as a new node.
 //!
-//! Its number must not vote again: others count on what it has promised, and it has forgotten that. So it asks the ledger
-//! for a new one, as itself, and fetches everything from the others. It needs no token and no CA: a node that carries
-//! the CA of its organisation comes back in the same way, and the CA stays where it is.
+//! Its number must not vote again: others count on what it has promised, and it has forgotten that. So it asks the
+//! ledger for a new one, as itself, and fetches everything from the others. It needs no token and no CA: a node that
+//! carries the CA of its organisation comes back in the same way, and the CA stays where it is.
 //!
 //! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
 
@@ -26,7 +26,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What follows from the blocks, or is one of them.
+/// Files that follow from the blocks, or hold them.
 const SET_ASIDE: [&str; 5] = [BLOCKS_DIRECTORY, STATE_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, DIVERGED_FILE];
 
 /// The arguments of `ledgerd rejoin`.
@@ -43,8 +43,8 @@ pub(crate) struct RejoinOptions {
 /// Rejoins; answers with what to tell the user.
 ///
 /// # Errors
-/// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other node
-/// answers; what the ledger says, for example that this is the last voter.
+/// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other
+/// node answers; what the ledger says, for example that this is the last voter.
 pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<String, Rejection> {
     let data = &config.data;
     let blocks = data.join(BLOCKS_DIRECTORY);
@@ -132,7 +132,7 @@ fn organisations(genesis: &Genesis, tls: &TlsIdentity, joined: Option<&Joined>) 
     Ok(msps)
 }
 
-/// Who this node is by its certificate.
+/// The identity of this node by its certificate.
 fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
     let own = tls.own();
     let presented = own.chain.get(1..).unwrap_or_default();
@@ -145,7 +145,7 @@ fn own(tls: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
         .wanted("role node"))
 }
 
-/// Whom the node asks when it starts: the nodes of one organisation, and its CA. The own organisation first.
+/// The nodes that this one asks when it starts: the nodes of one organisation, and its CA. The own organisation first.
 async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(Vec<String>, Hash), Rejection> {
     let answer = client.query(super::MSP, "nodes", Vec::new()).await?.response;
     let records: Records = serde_json::from_slice(&answer)

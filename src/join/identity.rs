@@ -84,7 +84,7 @@ pub(super) fn founded(place: &Place, token: &JoinToken, config: &Config, now: u6
     Ok(identity)
 }
 
-/// What the new organisation brings, signed with the key of its invitation.
+/// The request of the new organisation, signed with the key of its invitation.
 pub(super) fn signed_join(place: &Place, token: &JoinToken, address: &str) -> Result<Bytes, Rejection> {
     let seed = hex::decode(&token.secret).ok().and_then(|seed| seed.try_into().ok()).ok_or_else(|| {
         Rejection::new(Code::BadArgument, "the token's secret is not usable")

@@ -108,7 +108,7 @@ impl Place {
         Ok(())
     }
 
-    /// What the data directory says of its node, which must be the token's; with the network's label.
+    /// The node of the data directory, which must be the token's; with the network's label.
     pub(super) fn joined(&self, token: &JoinToken) -> Result<(Joined, String), Rejection> {
         let other = |found: String| {
             Rejection::new(Code::BadFile, format!("{} exists already", self.data.display()))
@@ -174,8 +174,8 @@ fn is_free(data: &Path) -> bool {
     })
 }
 
-/// Moves what was prepared inside of the data directory to its place. `node.json` goes first: with it there, the next try
-/// moves the rest; `genesis.json` last: without it no node starts.
+/// Moves what was prepared inside of the data directory to its place. `node.json` goes first: with it there, the next
+/// try moves the rest; `genesis.json` last: without it no node starts.
 fn move_out(inside: &Path, data: &Path) -> Result<(), Rejection> {
     let failed = |error: std::io::Error| durable::failed("move", inside, &error);
     let mut names = Vec::new();
