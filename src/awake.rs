@@ -2,13 +2,15 @@
 //!
 //! A command at 50 Hz meets a machine that has gone to sleep since the last one: each wait on its way, for the disk and
 //! for the next thread, ends with a processor that must wake up first. That takes longer than all the work (see
-//! docs/benchmarks.md). So from the moment a transaction arrives until its block is executed, threads of the class
-//! `SCHED_IDLE` (sched(7)) spin: the kernel runs them only where nothing else wants to run, and puts them aside at once
-//! when something does. While nothing is in flight they are parked and cost nothing.
+//! docs/benchmarks.md). So with the profile `low-latency`, from the moment a transaction is admitted until its block is
+//! executed, threads of the class `SCHED_IDLE` (sched(7)) spin: the kernel runs them only where nothing else wants to run,
+//! and puts them aside at once when something does. While nothing is in flight they are parked and cost nothing. Before
+//! admission nothing spins: a flood of refused requests must not cost power.
 //!
 //! They pause often, for some microseconds. A processor takes over what waits behind another one when it becomes idle,
 //! which one that spins never does: without the pauses a ready thread could wait for the next tick of the scheduler, 4 ms.
 
+use crate::config::Profile;
 use rustix::thread::set_current_timer_slack;
 use std::hint::spin_loop;
 use std::io;
@@ -23,6 +25,8 @@ use thread_priority::{
 
 /// Processors that are kept awake at most: about as many threads work on one transaction at a time.
 const THREADS_MAX: usize = 2;
+/// How long they stay awake for one transaction at most.
+const LIMIT: Duration = Duration::from_millis(2);
 /// How long they stay awake after the last verdict: for the client that reads it and the bridge that publishes.
 const LINGER: Duration = Duration::from_micros(300);
 /// How long a processor spins until it shows that it is idle.
@@ -36,7 +40,6 @@ const SPINS_PER_LOOK: u32 = 32;
 /// The threads. They end with it.
 pub(crate) struct Awake {
     until: Arc<Until>,
-    limit: Duration,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -48,31 +51,40 @@ struct Until {
 }
 
 impl Awake {
-    /// Starts the threads. They spin for no longer than `limit` after each transaction; zero means never.
+    /// Starts the threads that the profile wants: with [`Profile::Balanced`] there are none.
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(limit: Duration) -> io::Result<Self> {
+    pub(crate) fn start(profile: Profile) -> io::Result<Self> {
         let until = Arc::new(Until { base: Instant::now(), moment: AtomicU64::new(0), stop: AtomicBool::new(false) });
-        let count = if limit.is_zero() { 0 } else { available_parallelism().map_or(1, usize::from).min(THREADS_MAX) };
+        let count = match profile {
+            Profile::Balanced => 0,
+            Profile::LowLatency => available_parallelism().map_or(1, usize::from).min(THREADS_MAX),
+        };
         let thread = |_| {
             let until = Arc::clone(&until);
             std::thread::Builder::new().name("awake".into()).spawn(move || until.run())
         };
         let threads = (0..count).map(thread).collect::<io::Result<_>>()?;
-        Ok(Self { until, limit, threads })
+        Ok(Self { until, threads })
     }
 
     /// A transaction is in flight.
     pub(crate) fn keep(&self) {
+        if self.threads.is_empty() {
+            return;
+        }
         let now = self.until.now();
-        if self.until.moment.swap(now + nanoseconds(self.limit), Ordering::Relaxed) <= now {
+        if self.until.moment.swap(now + nanoseconds(LIMIT), Ordering::Relaxed) <= now {
             self.threads.iter().for_each(|thread| thread.thread().unpark());
         }
     }
 
     /// Nothing is in flight any more.
     pub(crate) fn rest(&self) {
+        if self.threads.is_empty() {
+            return;
+        }
         let soon = self.until.now() + nanoseconds(LINGER);
         self.until.moment.fetch_min(soon, Ordering::Relaxed);
     }
@@ -128,29 +140,29 @@ fn nanoseconds(duration: Duration) -> u64 {
 mod tests {
     use super::*;
 
-    fn left(awake: &Awake) -> Duration {
-        let until = awake.until.moment.load(Ordering::Relaxed);
-        Duration::from_nanos(until.saturating_sub(awake.until.now()))
+    fn moment(awake: &Awake) -> u64 {
+        awake.until.moment.load(Ordering::Relaxed)
     }
 
     #[test]
     fn processors_stay_awake_until_the_verdict_and_for_no_longer_than_the_limit() {
-        let limit = Duration::from_secs(3600);
-        let awake = Awake::start(limit).unwrap();
-        assert_eq!(left(&awake), Duration::ZERO, "nothing is in flight");
+        let awake = Awake::start(Profile::LowLatency).unwrap();
+        assert_eq!(moment(&awake), 0, "nothing is in flight");
+        let before = awake.until.now();
         awake.keep();
-        assert!(left(&awake) > limit / 2 && left(&awake) <= limit);
+        let (kept, after) = (moment(&awake), awake.until.now());
+        assert!((before..=after).contains(&(kept - nanoseconds(LIMIT))), "{before} {kept} {after}");
         awake.rest();
-        assert!(left(&awake) <= LINGER);
+        assert!(moment(&awake) <= awake.until.now() + nanoseconds(LINGER));
         // The threads end with it, whatever they were told last.
         awake.keep();
     }
 
     #[test]
-    fn a_limit_of_zero_starts_no_thread() {
-        let awake = Awake::start(Duration::ZERO).unwrap();
+    fn the_balanced_profile_starts_no_thread() {
+        let awake = Awake::start(Profile::Balanced).unwrap();
         assert!(awake.threads.is_empty());
         awake.keep();
-        assert_eq!(left(&awake), Duration::ZERO);
+        assert_eq!(moment(&awake), 0);
     }
 }

@@ -39,6 +39,8 @@ pub struct Config {
     pub data: PathBuf,
     /// `listen`: `HOST:PORT` at which it accepts connections.
     pub listen: String,
+    /// `profile`: what counts more, power or the time that a command takes.
+    pub profile: Profile,
     /// `[member]`
     pub member: MemberOf,
     /// `[limits]`
@@ -53,6 +55,16 @@ pub struct Config {
     pub log: Log,
     /// `[bridge]`, read by the bridge itself; none if the node runs no bridge.
     pub bridge: Option<toml::Table>,
+}
+
+/// What counts more on this machine.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Profile {
+    /// `balanced`: power. The processors sleep whenever nothing is to be done.
+    Balanced,
+    /// `low-latency`: the time that a command takes. The processors are kept awake while a transaction is in flight, and
+    /// threads take short turns while many wait for them.
+    LowLatency,
 }
 
 /// Which node of which network this configuration is for, as `ledgerd init` and `ledgerd join` write it; empty = not said.
@@ -99,8 +111,6 @@ pub struct Order {
     pub wait_ms: u64,
     /// Between two attestations, in milliseconds.
     pub attest_ms: u64,
-    /// How long processors are kept awake for a transaction in flight, at most, in microseconds; 0 = they may sleep.
-    pub awake_us: u64,
 }
 
 /// The enrolment CA, if the node carries one.
@@ -136,10 +146,11 @@ impl Default for Config {
             file: PathBuf::from("ledgerd.toml"),
             data: PathBuf::from("data"),
             listen: "127.0.0.1:7450".into(),
+            profile: Profile::Balanced,
             member: MemberOf::default(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
-            order: Order { tick_ms: 50, election_ticks: 10, wait_ms: 200, attest_ms: 10_000, awake_us: 2000 },
+            order: Order { tick_ms: 50, election_ticks: 10, wait_ms: 200, attest_ms: 10_000 },
             ca: Ca {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
                 secret_days: CertificateAuthority::SECRET_DAYS,
@@ -237,10 +248,15 @@ impl Config {
 
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>) {
-        let Self { file: _, data, listen, member, limits, storage, order, ca, log, bridge } = self;
+        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
             is_address(text).then(|| text.to_owned())
+        });
+        root.text("profile", "balanced or low-latency", profile, |text| match text {
+            "balanced" => Some(Profile::Balanced),
+            "low-latency" => Some(Profile::LowLatency),
+            _ => None,
         });
         root.section("member", |s| {
             let network = |text: &str| (text.is_empty() || Hash::from_hex(text).is_some()).then(|| text.to_owned());
@@ -270,7 +286,7 @@ impl Config {
             s.integer("election_ticks", 2..=1000, &mut order.election_ticks);
             s.integer("wait_ms", 10..=60_000, &mut order.wait_ms);
             s.integer("attest_ms", 100..=3_600_000, &mut order.attest_ms);
-            s.integer("awake_us", 0..=1_000_000, &mut order.awake_us);
+            s.replaced("awake_us", "profile = \"low-latency\" instead of a time, profile = \"balanced\" instead of 0");
         });
         root.section("ca", |s| {
             s.integer("certificate_days", 1..=3650, &mut ca.certificate_days);

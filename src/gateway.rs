@@ -19,6 +19,7 @@ use crate::denials::Denials;
 use crate::listen::Caller;
 use crate::orderer::{Executed, Seat};
 use crate::peers::{Directory, Member, Peers};
+use crate::slice::Turns;
 use crate::space::Space;
 use crate::waiters::Waiters;
 use crate::witness::Witness;
@@ -93,6 +94,8 @@ pub(crate) struct NodeView {
     pub witness: Arc<Witness>,
     /// Keeps the processors awake.
     pub awake: Arc<Awake>,
+    /// How long the turns of its threads are.
+    pub turns: Turns,
     /// The node's clock.
     pub clock: Clock,
     /// When the node started.

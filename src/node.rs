@@ -21,6 +21,7 @@ use crate::renewal::{self, Keeper};
 use crate::retention::Pruner;
 use crate::scrub::Scrub;
 use crate::signer::Signer;
+use crate::slice::Turns;
 use crate::space::Space;
 use crate::stores::Stores;
 use crate::waiters::Waiters;
@@ -168,9 +169,9 @@ impl Node {
         let denials = Arc::new(Denials::default());
         let workers = tokio::runtime::Handle::current().metrics().num_workers();
         let (witness, seen) = Witness::new();
-        let awake = Awake::start(Duration::from_micros(config.order.awake_us))
+        let awake = Awake::start(config.profile)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let awake = Arc::new(awake);
+        let (awake, turns) = (Arc::new(awake), Turns::of(config.profile));
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
@@ -193,6 +194,7 @@ impl Node {
             denials: Arc::clone(&denials),
             witness: Arc::clone(&witness),
             awake: Arc::clone(&awake),
+            turns,
         });
         peers.follow(&directory);
         let seat = Arc::new(Seat::empty());
@@ -230,6 +232,7 @@ impl Node {
             identity: tls.clone(),
             witness,
             awake: Arc::clone(&awake),
+            turns,
             clock,
             started,
         });

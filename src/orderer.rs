@@ -33,6 +33,7 @@ use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::peers::{Directory, Peers};
+use crate::slice::Turns;
 use crate::space::Space;
 use crate::waiters::Waiters;
 use crate::witness::Witness;
@@ -90,6 +91,8 @@ pub(crate) struct Shared {
     pub witness: Arc<Witness>,
     /// Keeps the processors awake.
     pub awake: Arc<Awake>,
+    /// How long the turns of its threads are.
+    pub turns: Turns,
 }
 
 /// The running threads.

@@ -4,8 +4,9 @@
 //! each, and a call that gives or ends control passes a handful of threads. Linux (6.12 and later) lets a thread ask for
 //! shorter turns of its own: it gets no more of the processors, but gets its part earlier (`sched_runtime` in
 //! sched_setattr(2)). While little is to do they are only in the way: a thread that was just woken would interrupt the one
-//! that is about to finish. Figures are in docs/benchmarks.md.
+//! that is about to finish. Only the profile `low-latency` asks for them. Figures are in docs/benchmarks.md.
 
+use crate::config::Profile;
 use std::cell::Cell;
 use std::io;
 use std::time::{Duration, Instant};
@@ -38,9 +39,34 @@ struct Attributes {
 
 const ATTRIBUTES_BYTES: u32 = size_of::<Attributes>() as u32;
 
-/// Gives the calling thread short turns while many wait on it, and usual ones again a while after. Where the system knows
-/// no such turns, nothing happens.
-pub(crate) fn adapt(many_wait: bool) {
+/// Whether threads may ask for short turns.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Turns {
+    /// Never.
+    Usual,
+    /// While many wait.
+    Short,
+}
+
+impl Turns {
+    /// What the profile wants.
+    pub(crate) fn of(profile: Profile) -> Self {
+        match profile {
+            Profile::Balanced => Self::Usual,
+            Profile::LowLatency => Self::Short,
+        }
+    }
+
+    /// Gives the calling thread short turns while many wait on it, and usual ones again a while after. Where the system
+    /// knows no such turns, nothing happens.
+    pub(crate) fn adapt(self, many_wait: bool) {
+        if self == Self::Short {
+            adapt(many_wait);
+        }
+    }
+}
+
+fn adapt(many_wait: bool) {
     let (now, until) = (Instant::now(), SHORT_UNTIL.get());
     if many_wait {
         SHORT_UNTIL.set(Some(now + RUSH));
@@ -78,21 +104,29 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_balanced_profile_changes_no_turn() {
+        let usual = attributes().unwrap();
+        Turns::of(Profile::Balanced).adapt(true);
+        assert_eq!((attributes().unwrap(), SHORT_UNTIL.get()), (usual, None));
+    }
+
+    #[test]
     fn only_the_length_of_turns_changes_and_only_for_this_thread() {
         let others = attributes().unwrap();
         assert_eq!(others.size, ATTRIBUTES_BYTES);
         let of_a_thread = std::thread::spawn(|| {
             set(&Attributes { nice: 3, ..attributes().unwrap() }).unwrap();
             let usual = attributes().unwrap();
-            adapt(false);
+            let turns = Turns::of(Profile::LowLatency);
+            turns.adapt(false);
             assert_eq!(attributes().unwrap(), usual);
-            adapt(true);
+            turns.adapt(true);
             let shortened = attributes().unwrap();
             SHORT_UNTIL.set(Some(Instant::now() + 1000 * RUSH));
-            adapt(false);
+            turns.adapt(false);
             assert_eq!(attributes().unwrap(), shortened, "not at once");
             SHORT_UNTIL.set(Some(Instant::now()));
-            adapt(false);
+            turns.adapt(false);
             assert_eq!(attributes().unwrap(), usual);
             (usual, shortened)
         });

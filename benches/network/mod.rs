@@ -67,11 +67,13 @@ impl Network {
         }
     }
 
-    /// Starts a node with more settings: sections of TOML.
+    /// Starts a node with more settings: sections of TOML. `LEDGERD_BENCH_PROFILE` sets its profile.
     pub(crate) fn start_node(&mut self, node: usize, settings: &str) {
         let (data, address) = &self.founding.nodes[node];
         let config = data.with_extension("toml");
-        write(&config, format!("data = {data:?}\nlisten = {address:?}\n{settings}")).unwrap();
+        let profile = std::env::var("LEDGERD_BENCH_PROFILE").unwrap_or_else(|_| "balanced".into());
+        let settings = format!("data = {data:?}\nlisten = {address:?}\nprofile = {profile:?}\n{settings}");
+        write(&config, settings).unwrap();
         let log = File::create(data.with_extension("log")).unwrap();
         let child = Command::new(env!("CARGO_BIN_EXE_ledgerd"))
             .args(["run", "--config"])

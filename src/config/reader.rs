@@ -127,6 +127,16 @@ impl<'t> Section<'_, 't> {
         };
     }
 
+    /// A setting that is gone: what is written instead.
+    pub(super) fn replaced(&mut self, name: &str, instead: &str) {
+        let Some(value) = self.table.remove(name) else { return };
+        let rejection = Rejection::new(Code::BadConfiguration, format!("{} is no setting any more", self.path(name)))
+            .found(self.reader.found(&value.span()))
+            .wanted(instead)
+            .next("remove the line, and write the other setting if its default is not what you want");
+        self.reader.fault(Some(&value.span()), rejection);
+    }
+
     /// Settings that do not go together, by their full names.
     pub(super) fn conflict(&mut self, [first, second]: [&str; 2], found: String, wanted: String) {
         let rejection = Rejection::new(Code::BadConfiguration, format!("{first} does not fit {second}"))

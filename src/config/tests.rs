@@ -67,6 +67,20 @@ fn settings_replace_defaults() {
 }
 
 #[test]
+fn the_profile_is_balanced_unless_the_file_says_low_latency() {
+    assert_eq!(parse("").unwrap().profile, Profile::Balanced);
+    assert_eq!(parse("profile = 'low-latency'").unwrap().profile, Profile::LowLatency);
+    assert!(fault("profile = 'fast'").contains("balanced or low-latency"));
+}
+
+#[test]
+fn a_setting_that_the_profile_has_replaced_says_so() {
+    let told = fault("[order]\nawake_us = 2000");
+    assert!(told.starts_with("ledgerd.toml:2: order.awake_us is no setting any more"), "{told}");
+    assert!(told.contains("found   2000") && told.contains("profile = \"low-latency\""), "{told}");
+}
+
+#[test]
 fn relative_paths_start_at_the_file() {
     let config = Config::parse("data = 'here'", Path::new("/etc/ledgerd/ledgerd.toml")).unwrap();
     assert_eq!(config.data, Path::new("/etc/ledgerd/here"));

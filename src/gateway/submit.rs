@@ -5,7 +5,6 @@ use super::held::{Held, Item};
 use super::line::{Arrived, Line, overloaded};
 use super::share::{Share, Turn};
 use super::{GatewayService, NodeView};
-use crate::slice;
 use crate::waiters::{Waiter, known, refused};
 use futures::FutureExt;
 use ledger::transaction::Transaction;
@@ -156,7 +155,7 @@ impl Desk {
     /// Looks at what waits, for as long as others allow.
     async fn look(&mut self, requests: &mut Requests) {
         let Some(lane) = self.line.next() else { return };
-        slice::adapt(self.line.len() >= MANY_WAIT);
+        self.node.turns.adapt(self.line.len() >= MANY_WAIT);
         // Not with a turn, as nobody else could have it meanwhile.
         if let Some(height) = self.line.min_height(lane)
             && let Err(reason) = self.node.at_height(height).await
@@ -246,7 +245,6 @@ impl NodeView {
 
     /// Takes a request in: what can be refused without looking closer is refused here.
     fn arrived(&self, request: SubmitRequest, share: &Arc<Share>) -> Result<Arrived, Box<SubmitResponse>> {
-        self.awake.keep();
         let SubmitRequest { transaction: encoded, min_height, first_attempt } = request;
         // Not even looked at, but named: by the id a client on a stream knows which of its transactions is meant.
         let unread = |rejection| {
@@ -356,6 +354,7 @@ impl NodeView {
 
     /// Hands a transaction to the orderer. It is answered when it has a verdict.
     fn order(&self, arrived: Arrived, answers: &Answers) {
+        self.awake.keep();
         let Arrived { transaction, lane, place, .. } = arrived;
         self.waiters.add(&transaction, lane, Waiter { answers: answers.clone(), place });
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };

@@ -4,7 +4,6 @@ use super::Shared;
 use super::execute::{Circumstances, Execute, InPlace};
 use super::inbox::Inbox;
 use crate::catch_up::Behind;
-use crate::slice;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
 use ledger_raft::{
@@ -122,7 +121,7 @@ impl Order {
                 taken += waiting.len();
                 waiting.into_iter().for_each(|input| self.step(input));
             }
-            slice::adapt(taken >= MANY_INPUTS);
+            self.shared.turns.adapt(taken >= MANY_INPUTS);
             // What waits already is to be ordered while the other thread executes.
             if !(self.write() && self.execute(!inputs.is_empty())) {
                 return;

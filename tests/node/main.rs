@@ -32,6 +32,7 @@ mod members;
 mod messages;
 mod network;
 mod overload;
+mod power;
 mod readers;
 mod rebuild;
 mod renewal;

@@ -70,7 +70,7 @@ impl NodePlace {
         Process::start(&self.name, &self.logs, self.command())
     }
 
-    /// Adds settings to the configuration: TOML sections.
+    /// Adds settings to the configuration: TOML sections, or settings of the top level before any section.
     pub fn configure(&self, settings: &str) {
         let text = std::fs::read_to_string(&self.config).unwrap();
         std::fs::write(&self.config, format!("{text}\n{settings}\n")).unwrap();

@@ -1,0 +1,63 @@
+//! How often a node wakes processors. Counted by the kernel, so nothing here depends on how fast the machine is.
+
+use crate::support::network::{SERVICE, register_robots};
+use crate::support::{Fleet, Process, connect, eventually};
+use ledger::identity::Role;
+use std::fs;
+
+/// Requests that are refused: as many as in a second of the flood of issue 13.
+const REFUSED: usize = 500;
+
+/// How often threads of this name, of all names if none is given, have waited since the process started. A thread that
+/// waits has been woken before, so this counts wake-ups.
+fn waits(process: &Process, name: Option<&str>) -> u64 {
+    let tasks = fs::read_dir(format!("/proc/{}/task", process.id())).unwrap().map(|task| task.unwrap().path());
+    let of_name = tasks.filter(|task| {
+        name.is_none_or(|name| fs::read_to_string(task.join("comm")).is_ok_and(|comm| comm.trim_end() == name))
+    });
+    let count = of_name.filter_map(|task| {
+        let status = fs::read_to_string(task.join("status")).ok()?;
+        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?;
+        Some(line.trim().parse::<u64>().unwrap())
+    });
+    count.sum()
+}
+
+/// As [`waits`] of the threads that keep processors awake, once they rest.
+fn spun(node: &Process) -> u64 {
+    eventually("the processors rest", || {
+        let before = waits(node, Some("awake"));
+        std::thread::sleep(std::time::Duration::from_millis(20));
+        (waits(node, Some("awake")) == before).then_some(before)
+    })
+}
+
+#[tokio::test]
+async fn refused_requests_keep_no_processor_awake_and_an_admitted_one_does() {
+    let fleet = Fleet::found(1);
+    let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
+    let mallory = fleet.issue("Org1", "Mallory", Role::Member, &[]);
+    fleet.nodes[0].configure("profile = \"low-latency\"");
+    let node = fleet.nodes[0].start();
+    register_robots(&connect(&owner).await, "exclusive").await;
+    let (salma, mallory) = (connect(&salma).await, connect(&mallory).await);
+    let acquire = || vec![SERVICE.into(), "600000".into()];
+
+    let before = spun(&node);
+    assert!(before > 0, "the robots were registered with processors awake");
+    for _ in 0..REFUSED {
+        mallory.invoke("abac", "acquire", acquire()).await.unwrap_err();
+    }
+    assert_eq!(spun(&node), before, "what is refused keeps nothing awake");
+    salma.invoke("abac", "acquire", acquire()).await.unwrap();
+    assert!(spun(&node) > before, "what is admitted does");
+}
+
+#[tokio::test]
+async fn a_node_with_the_balanced_profile_keeps_no_processor_awake() {
+    let fleet = Fleet::found(1);
+    let owner = fleet.owner();
+    let node = fleet.nodes[0].start();
+    register_robots(&connect(&owner).await, "exclusive").await;
+    assert_eq!(waits(&node, Some("awake")), 0);
+}
