@@ -1,5 +1,12 @@
 //! What a node does beside its work, on two threads of their own. One zeroes the log ahead, answers those who have waited
 //! too long and watches the disk. The other stores results and world state and makes snapshots, which may take long.
+//!
+//! Both look seldom, and at once when whoever makes work for them rings their [bell](Bell): an idle node lets the machine
+//! sleep.
+
+mod bell;
+
+pub(crate) use bell::Bell;
 
 use crate::gateway::NodeView;
 use crate::retention::Pruner;
@@ -7,25 +14,33 @@ use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use std::io;
 use std::sync::Arc;
-use std::sync::mpsc::{self, RecvTimeoutError, Sender};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Between two rounds.
-const PERIOD: Duration = Duration::from_millis(50);
+/// Shortest time between two rounds of a thread, however much there is to do.
+const PAUSE: Duration = Duration::from_millis(50);
+/// Longest time between two looks at the disk; shortest between two at those who wait.
+const LOOK_PERIOD: Duration = Duration::from_secs(1);
 /// World state is stored this often if it changed: the work that a crash leaves to be done again. Commands that meet it on
 /// the disk wait longer.
 const FLUSH_PERIOD: Duration = Duration::from_secs(2);
 /// Results and world state in memory that are stored at once.
-const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
+pub(crate) const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Old blocks are looked at this often.
 const PRUNE_PERIOD: Duration = Duration::from_secs(10);
-/// Waiters are looked at this often.
-const SWEEP_PERIOD: Duration = Duration::from_secs(1);
+
+/// What wakes the two threads before their time.
+#[derive(Default)]
+pub(crate) struct Bells {
+    /// Few zeros are left ahead of the log.
+    pub rounds: Bell,
+    /// More than [`PENDING_BYTES_MAX`] wait to be stored.
+    pub storing: Bell,
+}
 
 /// The threads.
 pub(crate) struct Housekeeping {
-    stop: Vec<Sender<()>>,
+    bells: Arc<Bells>,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -34,7 +49,7 @@ impl Housekeeping {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(node: Arc<NodeView>, pruner: Pruner) -> io::Result<Self> {
+    pub(crate) fn start(node: Arc<NodeView>, pruner: Pruner, bells: Arc<Bells>) -> io::Result<Self> {
         let store = Arc::clone(&pruner.store);
         let mut keeper = Keeper {
             node: Arc::clone(&node),
@@ -44,26 +59,28 @@ impl Housekeeping {
             storing: Trouble::with("store the world state"),
             dropping: Trouble::with("drop old blocks"),
         };
-        let (stop_storing, stopped) = mpsc::channel();
+        let own = Arc::clone(&bells);
         let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
-            while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
+            while own.storing.wait(PAUSE, FLUSH_PERIOD) {
                 keeper.round();
             }
             keeper.flush();
         })?;
-        let (stop_rounds, stopped) = mpsc::channel();
+        let own = Arc::clone(&bells);
         let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
             let mut rounds = Rounds { node, store, swept: None };
-            while stopped.recv_timeout(PERIOD) == Err(RecvTimeoutError::Timeout) {
-                rounds.round();
+            let mut next = PAUSE;
+            while own.rounds.wait(PAUSE, next) {
+                next = rounds.round();
             }
         })?;
-        Ok(Self { stop: vec![stop_rounds, stop_storing], threads: vec![rounds, storing] })
+        Ok(Self { bells, threads: vec![rounds, storing] })
     }
 
     /// Ends them; the world state is stored a last time.
     pub(crate) fn stop(self) {
-        drop(self.stop);
+        self.bells.rounds.end();
+        self.bells.storing.end();
         for thread in self.threads {
             if thread.join().is_err() {
                 tracing::error!("a thread of housekeeping panicked");
@@ -146,17 +163,24 @@ struct Rounds {
 }
 
 impl Rounds {
-    fn round(&mut self) {
+    /// How long the next one may wait.
+    fn round(&mut self) -> Duration {
         self.node.space.look();
-        // What is left on a full disk is for what ends control, not for zeros.
-        if !self.node.space.is_full()
-            && let Err(error) = self.store.prepare()
-        {
-            tracing::debug!(%error, "cannot zero the log ahead");
-        }
-        if self.swept.is_none_or(|swept| swept.elapsed() >= SWEEP_PERIOD) {
+        if self.swept.is_none_or(|swept| swept.elapsed() >= LOOK_PERIOD) {
             self.swept = Some(Instant::now());
             self.node.waiters.sweep();
+        }
+        // What is left on a full disk is for what ends control, not for zeros. It may be over at any moment.
+        if self.node.space.is_full() {
+            return PAUSE;
+        }
+        match self.store.prepare() {
+            Ok(true) => PAUSE,
+            Ok(false) => LOOK_PERIOD,
+            Err(error) => {
+                tracing::debug!(%error, "cannot zero the log ahead");
+                LOOK_PERIOD
+            }
         }
     }
 }

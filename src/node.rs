@@ -11,7 +11,7 @@ use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::{Authorities, EnrolmentService, Surroundings, Voice};
 use crate::gateway::{Audience, Current, GatewayService, NodeView, Retries, Shares};
-use crate::housekeeping::Housekeeping;
+use crate::housekeeping::{Bells, Housekeeping};
 use crate::identity::{Joined, own_membership, removed};
 use crate::join::{advised, check_member, nothing_here};
 use crate::listen::accept;
@@ -171,7 +171,7 @@ impl Node {
         let (witness, seen) = Witness::new();
         let awake = Awake::start(config.profile)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        let (awake, turns) = (Arc::new(awake), Turns::of(config.profile));
+        let (awake, turns, bells) = (Arc::new(awake), Turns::of(config.profile), Arc::<Bells>::default());
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
@@ -195,6 +195,7 @@ impl Node {
             witness: Arc::clone(&witness),
             awake: Arc::clone(&awake),
             turns,
+            bells: Arc::clone(&bells),
         });
         peers.follow(&directory);
         let seat = Arc::new(Seat::empty());
@@ -245,7 +246,7 @@ impl Node {
             archive: Some(config.storage.archive.clone()).filter(|path| !path.as_os_str().is_empty()),
             data: config.data.clone(),
         };
-        let housekeeping = Housekeeping::start(Arc::clone(&view), pruner)
+        let housekeeping = Housekeeping::start(Arc::clone(&view), pruner, bells)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let (inbox, ballot) = (Arc::clone(&seat), Ballot::default());
         let votes = ballot.clone();

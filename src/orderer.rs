@@ -11,6 +11,7 @@
 //!   seat       where the rest of the node finds the orderer; empty while the node catches up
 //!   order      the order thread
 //!   inbox      what waits for one of the two threads
+//!   ticks      when the order thread wakes up by itself
 //!   execute    execution, on either thread
 //!   reads      linearizable reads that wait for the leader's word
 //!   handover   giving the leadership to another node
@@ -22,6 +23,7 @@ mod inbox;
 mod order;
 mod reads;
 mod seat;
+mod ticks;
 
 pub(crate) use execute::Executed;
 pub(crate) use reads::Reads;
@@ -32,6 +34,7 @@ use crate::blocks::Blocks;
 use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::denials::Denials;
+use crate::housekeeping::Bells;
 use crate::peers::{Directory, Peers};
 use crate::slice::Turns;
 use crate::space::Space;
@@ -46,7 +49,6 @@ use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
 use order::Order;
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
@@ -93,13 +95,13 @@ pub(crate) struct Shared {
     pub awake: Arc<Awake>,
     /// How long the turns of its threads are.
     pub turns: Turns,
+    /// Wakes housekeeping when there is work for it.
+    pub bells: Arc<Bells>,
 }
 
 /// The running threads.
 pub(crate) struct Orderer {
     handle: Handle,
-    /// Tells the order thread to end; it looks at least once a tick.
-    stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
@@ -134,14 +136,13 @@ impl Orderer {
         let (role, roles) = watch::channel(first.role);
         let status = Arc::new(Mutex::new(first));
         let execute = Execute::new(Arc::clone(&shared));
-        let stop = Arc::new(AtomicBool::new(false));
-        let order = Order::new(engine, shared, Arc::clone(&stop), execute.clone(), &blocks, Arc::clone(&status), role);
+        let order = Order::new(engine, shared, tick, execute.clone(), &blocks, Arc::clone(&status), role);
         let (inputs, applied) = (Arc::clone(&inbox), Arc::clone(&inbox));
         let threads = vec![
             std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks, &applied))?,
-            std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs, tick))?,
+            std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs))?,
         ];
-        Ok(Self { handle: Handle { inbox, status, role: roles }, stop, threads })
+        Ok(Self { handle: Handle { inbox, status, role: roles }, threads })
     }
 
     /// Access to it.
@@ -151,7 +152,7 @@ impl Orderer {
 
     /// Ends both threads after what they are doing. Everything acknowledged is on disk already.
     pub(crate) fn stop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
+        self.handle.inbox.close();
         for thread in self.threads.drain(..) {
             if thread.join().is_err() {
                 tracing::error!("a thread of the orderer panicked");

@@ -2,6 +2,7 @@
 
 use super::Shared;
 use super::inbox::Inbox;
+use crate::housekeeping::PENDING_BYTES_MAX;
 use ledger::Outcome;
 use ledger_raft::Input;
 use ledger_rejection::Rejection;
@@ -83,6 +84,9 @@ impl Execute {
         }
         if self.shared.waiters.is_empty() {
             self.shared.awake.rest();
+        }
+        if self.shared.ledger.pending_bytes() > PENDING_BYTES_MAX {
+            self.shared.bells.storing.ring();
         }
         true
     }

@@ -28,8 +28,7 @@ pub(super) struct CloseAtEnd<'a, T>(&'a Inbox<T>);
 
 impl<T> Drop for CloseAtEnd<'_, T> {
     fn drop(&mut self) {
-        self.0.content().closed = true;
-        self.0.wake();
+        self.0.close();
     }
 }
 
@@ -62,6 +61,16 @@ impl<T> Inbox<T> {
     /// and nobody is told that more was taken in.
     pub(super) fn close_at_end(&self) -> CloseAtEnd<'_, T> {
         CloseAtEnd(self)
+    }
+
+    /// Takes nothing in any more, and wakes the reader.
+    pub(super) fn close(&self) {
+        self.content().closed = true;
+        self.wake();
+    }
+
+    pub(super) fn is_closed(&self) -> bool {
+        self.content().closed
     }
 
     pub(super) fn is_empty(&self) -> bool {

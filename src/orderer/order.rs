@@ -3,6 +3,7 @@
 use super::Shared;
 use super::execute::{Circumstances, Execute, InPlace};
 use super::inbox::Inbox;
+use super::ticks::Ticks;
 use crate::catch_up::Behind;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
@@ -12,7 +13,6 @@ use ledger_raft::{
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::Entry;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -32,7 +32,7 @@ const LEAVE_AGAIN_PAUSE: Duration = Duration::from_secs(10);
 /// The order thread.
 pub(super) struct Order {
     engine: Engine,
-    stop: Arc<AtomicBool>,
+    ticks: Ticks,
     leading: bool,
     shared: Arc<Shared>,
     execute: Execute,
@@ -63,7 +63,7 @@ impl Order {
     pub(super) fn new(
         engine: Engine,
         shared: Arc<Shared>,
-        stop: Arc<AtomicBool>,
+        tick: Duration,
         execute: Execute,
         blocks: &Arc<Inbox<Entry>>,
         status: Arc<Mutex<Status>>,
@@ -73,7 +73,7 @@ impl Order {
         let (submit_again, reconcile, left_full_disk) = (false, false, None);
         Self {
             engine,
-            stop,
+            ticks: Ticks::every(tick, Instant::now()),
             leading,
             shared,
             execute,
@@ -92,16 +92,15 @@ impl Order {
         }
     }
 
-    pub(super) fn run(mut self, inputs: &Inbox<Input>, tick: Duration) {
+    /// Until the inbox is closed, or the node cannot go on.
+    pub(super) fn run(mut self, inputs: &Inbox<Input>) {
         // However this thread ends: it takes nothing in any more, and the other one ends after what it was given.
         let blocks = Arc::clone(&self.blocks);
         let _ends = (inputs.close_at_end(), blocks.close_at_end());
-        let mut next_tick = Instant::now();
-        while !self.stop.load(Ordering::Relaxed) {
-            if next_tick <= Instant::now() {
+        while !inputs.is_closed() {
+            if self.ticks.due(Instant::now()) {
                 self.step(Input::Tick);
                 self.leave_full_disk();
-                next_tick = (next_tick + tick).max(Instant::now());
                 self.report();
                 self.reconcile = true;
             }
@@ -112,7 +111,7 @@ impl Order {
                 _ if !self.committed.is_empty() => Duration::ZERO,
                 Some(_) if self.shared.space.is_stuck() => FULL_DISK_PAUSE,
                 Some(_) => self.flush_due.saturating_duration_since(Instant::now()),
-                None => self.idle_time(next_tick),
+                None => self.idle_time(),
             };
             inputs.wait(wait);
             let mut taken = 0;
@@ -155,8 +154,8 @@ impl Order {
     }
 
     /// Until the next tick, or the next deadline of a chaincode if that is earlier.
-    fn idle_time(&self, next_tick: Instant) -> Duration {
-        let until_tick = next_tick.saturating_duration_since(Instant::now());
+    fn idle_time(&self) -> Duration {
+        let until_tick = self.ticks.wait(Instant::now(), self.engine.needs_ticks());
         let deadline = self.execute.deadline();
         match deadline.saturating_sub(self.shared.clock.now()) {
             // Asked for already, or not ours to meet.
@@ -218,6 +217,9 @@ impl Order {
         match self.shared.store.flush() {
             Ok(_) => {
                 self.shared.space.room();
+                if self.shared.store.wants_preparing() {
+                    self.shared.bells.rounds.ring();
+                }
                 self.step(Input::Persisted { ready });
                 true
             }
@@ -237,6 +239,9 @@ impl Order {
     }
 
     fn step(&mut self, input: Input) {
+        if !matches!(input, Input::Tick) {
+            self.ticks.note_work();
+        }
         // A leader waits for a voter's answer; nobody waits for a learner's, which may be on a robot's battery.
         if let Input::Message { message, .. } = &input
             && message.brings_entries()

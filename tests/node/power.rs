@@ -4,9 +4,14 @@ use crate::support::network::{SERVICE, register_robots};
 use crate::support::{Fleet, Process, connect, eventually};
 use ledger::identity::Role;
 use std::fs;
+use std::time::{Duration, Instant};
 
 /// Requests that are refused: as many as in a second of the flood of issue 13.
 const REFUSED: usize = 500;
+/// How long an idle node is watched. A slow machine makes it longer, which the count allows for.
+const IDLE: Duration = Duration::from_secs(5);
+/// How long a node has for what it was given before.
+const SETTLE: Duration = Duration::from_secs(3);
 
 /// How often threads of this name, of all names if none is given, have waited since the process started. A thread that
 /// waits has been woken before, so this counts wake-ups.
@@ -27,7 +32,7 @@ fn waits(process: &Process, name: Option<&str>) -> u64 {
 fn spun(node: &Process) -> u64 {
     eventually("the processors rest", || {
         let before = waits(node, Some("awake"));
-        std::thread::sleep(std::time::Duration::from_millis(20));
+        std::thread::sleep(Duration::from_millis(20));
         (waits(node, Some("awake")) == before).then_some(before)
     })
 }
@@ -60,4 +65,19 @@ async fn a_node_with_the_balanced_profile_keeps_no_processor_awake() {
     let node = fleet.nodes[0].start();
     register_robots(&connect(&owner).await, "exclusive").await;
     assert_eq!(waits(&node, Some("awake")), 0);
+}
+
+#[tokio::test]
+async fn an_idle_node_wakes_less_than_twenty_times_a_second() {
+    let fleet = Fleet::found(1);
+    let owner = fleet.owner();
+    let node = fleet.nodes[0].start();
+    register_robots(&connect(&owner).await, "exclusive").await;
+    // What was begun is finished: the state is stored, the log is zeroed ahead, the connection is closed.
+    tokio::time::sleep(SETTLE).await;
+    let (start, before) = (Instant::now(), waits(&node, None));
+    tokio::time::sleep(IDLE).await;
+    let (count, seconds) = (waits(&node, None) - before, start.elapsed().as_secs_f64());
+    println!("power: an idle node wakes {:.1} times a second", count as f64 / seconds);
+    assert!((count as f64) < 20.0 * seconds, "{count} in {seconds} s");
 }

@@ -243,6 +243,11 @@ impl BlockStore {
         }
     }
 
+    /// Are few zeros left ahead of the log, so that [`prepare`](Self::prepare) should not wait? Cheap.
+    pub fn wants_preparing(&self) -> bool {
+        self.marks.are_low(self.segment_bytes)
+    }
+
     /// Notes that everything up to `index` is committed, so that it is never superseded. Never goes back. An index
     /// beyond the log poisons the store.
     pub fn set_committed(&self, index: u64) {

@@ -268,6 +268,12 @@ impl Engine {
         }
     }
 
+    /// Does time mean anything to this engine now? It does not to a leader with no other member and with nothing to
+    /// order: then [`Input::Tick`](crate::Input::Tick) changes nothing, and the driver may leave it out.
+    pub fn needs_ticks(&self) -> bool {
+        !(self.may_propose() && self.membership.nodes().len() == 1 && self.queues.is_empty())
+    }
+
     /// Has this node a vote, as far as it has handed out what is committed?
     pub fn is_voter(&self) -> bool {
         self.membership.is_voter(self.config.id)

@@ -68,6 +68,24 @@ fn progress(engine: &Engine, node: u64) -> (u64, u64) {
     (progress.matched, progress.next_idx)
 }
 
+#[test]
+fn a_leader_without_other_members_needs_no_ticks_and_they_change_nothing() {
+    let mut alone = engine(1, &[1], &[]);
+    assert!(alone.needs_ticks(), "it does not lead yet");
+    step(&mut alone, Input::Tick);
+    assert!(!alone.needs_ticks());
+    let status = alone.status();
+    for _ in 0..1000 {
+        assert_eq!(step(&mut alone, Input::Tick), []);
+    }
+    assert_eq!(alone.status(), status);
+
+    let mut followed = engine(1, &[1], &[2]);
+    step(&mut followed, Input::Tick);
+    assert!(followed.is_leader() && followed.needs_ticks(), "a learner waits for heartbeats");
+    assert!(leader(0).needs_ticks() && engine(2, &[1, 2], &[]).needs_ticks());
+}
+
 /// A refusal of the probe that starts at `index`, which points back to `hint`.
 fn refusal(index: u64, hint: u64) -> RaftMessage {
     RaftMessage {

@@ -26,6 +26,14 @@ pub(super) struct Marks {
     pub(super) zeroed: AtomicU64,
 }
 
+impl Marks {
+    /// Less than half of what is wanted is zeroed.
+    pub(super) fn are_low(&self, segment_bytes: u64) -> bool {
+        let half = self.position.load(Ordering::Acquire).saturating_add(AHEAD_BYTES / 2);
+        self.zeroed.load(Ordering::Acquire) < half.min(segment_bytes)
+    }
+}
+
 /// The files that are zeroed ahead. Whoever changes `Marks::zeroed` holds the lock around this.
 #[derive(Default)]
 pub(super) struct Ahead {

@@ -1,0 +1,92 @@
+//! When the order thread wakes up by itself.
+//!
+//! An engine counts its timeouts in ticks. One that is the only member of its network has no timeouts: then the thread
+//! wakes for what comes in and for deadlines of chaincodes, and else only to look at the clock, which may have been set.
+
+use std::time::{Duration, Instant};
+
+/// Longest wait without a tick.
+const WAIT_MAX: Duration = Duration::from_secs(1);
+
+/// The ticks of one engine.
+pub(super) struct Ticks {
+    every: Duration,
+    /// When the next one is due.
+    next: Instant,
+    /// Something has happened since the last one, so that there is something to report.
+    worked: bool,
+}
+
+impl Ticks {
+    /// The first one is due at once.
+    pub(super) fn every(every: Duration, now: Instant) -> Self {
+        Self { every, next: now, worked: true }
+    }
+
+    /// Takes the next tick, if it is due.
+    pub(super) fn due(&mut self, now: Instant) -> bool {
+        let due = self.next <= now;
+        if due {
+            self.next = (self.next + self.every).max(now);
+            self.worked = false;
+        }
+        due
+    }
+
+    /// The engine was given something else than a tick.
+    pub(super) fn note_work(&mut self) {
+        self.worked = true;
+    }
+
+    /// How long the thread may wait if nothing comes in. `needed`: ticks mean something to the engine.
+    pub(super) fn wait(&self, now: Instant, needed: bool) -> Duration {
+        let until = if needed || self.worked { self.next } else { self.next.max(now + WAIT_MAX) };
+        until.saturating_duration_since(now)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const TICK: Duration = Duration::from_millis(50);
+
+    /// Turns of the loop in so many ticks of simulated time in which nothing comes in.
+    fn turns(ticks: &mut Ticks, mut now: Instant, count: u32, needed: bool) -> u32 {
+        let end = now + TICK * count;
+        let mut turns = 0;
+        while now < end {
+            ticks.due(now);
+            now += ticks.wait(now, needed);
+            turns += 1;
+        }
+        turns
+    }
+
+    #[test]
+    fn a_hundred_idle_ticks_are_a_hundred_turns_of_a_member_and_few_of_a_node_alone() {
+        let now = Instant::now();
+        assert_eq!(turns(&mut Ticks::every(TICK, now), now, 100, true), 100);
+        assert_eq!(turns(&mut Ticks::every(TICK, now), now, 100, false), 5, "one a second");
+    }
+
+    #[test]
+    fn what_has_happened_is_reported_with_the_next_tick_also_by_a_node_alone() {
+        let now = Instant::now();
+        let mut ticks = Ticks::every(TICK, now);
+        assert!(ticks.due(now) && !ticks.due(now));
+        assert!(ticks.wait(now, false) > TICK);
+        ticks.note_work();
+        assert_eq!(ticks.wait(now, false), TICK);
+    }
+
+    #[test]
+    fn ticks_that_were_missed_are_not_made_up_for() {
+        let now = Instant::now();
+        let mut ticks = Ticks::every(TICK, now);
+        let later = now + TICK * 100;
+        assert!(ticks.due(now) && ticks.due(later) && ticks.due(later), "one late, one on time");
+        assert!(!ticks.due(later), "and no more");
+        assert_eq!(ticks.wait(later, true), TICK);
+    }
+}
