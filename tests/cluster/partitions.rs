@@ -15,8 +15,8 @@ use std::future::Future;
 use std::time::Duration;
 
 /// Runs a test in a network of its own, with a cluster and users at work.
-fn on_a_site<F: Future<Output = ()>>(name: &str, test: impl FnOnce(Site, Cluster, Load) -> F) {
-    if !isolated(name) {
+fn on_a_site<F: Future<Output = ()>>(test: impl FnOnce(Site, Cluster, Load) -> F) {
+    if !isolated(&test) {
         return;
     }
     let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
@@ -44,8 +44,7 @@ fn others(node: usize) -> Vec<usize> {
 
 #[test]
 fn a_leader_that_is_cut_off_is_replaced_and_comes_back_as_a_follower() {
-    let name = "partitions::a_leader_that_is_cut_off_is_replaced_and_comes_back_as_a_follower";
-    on_a_site(name, |mut site, mut cluster, load| async move {
+    on_a_site(|mut site, mut cluster, load| async move {
         let mut partitions = 0;
         for round in 0..2 * rounds() {
             let (leader, before) = cluster.leader_among(&[0, 1, 2]).await;
@@ -73,8 +72,7 @@ fn a_leader_that_is_cut_off_is_replaced_and_comes_back_as_a_follower() {
 
 #[test]
 fn a_loss_in_one_direction_stops_nobody_for_good() {
-    let name = "partitions::a_loss_in_one_direction_stops_nobody_for_good";
-    on_a_site(name, |mut site, mut cluster, load| async move {
+    on_a_site(|mut site, mut cluster, load| async move {
         let mut losses = 0;
         for _ in 0..rounds() {
             // The leader is not heard: the others elect. The leader does not hear: it sees that and gives up.
@@ -119,8 +117,7 @@ fn a_loss_in_one_direction_stops_nobody_for_good() {
 
 #[test]
 fn a_client_whose_gateway_is_in_the_minority_goes_on_through_another_node() {
-    let name = "partitions::a_client_whose_gateway_is_in_the_minority_goes_on_through_another_node";
-    on_a_site(name, |mut site, mut cluster, load| async move {
+    on_a_site(|mut site, mut cluster, load| async move {
         let mut partitions = 0;
         for _ in 0..rounds() {
             for with_learner in [false, true] {
@@ -164,8 +161,7 @@ fn a_client_whose_gateway_is_in_the_minority_goes_on_through_another_node() {
 
 #[test]
 fn after_links_that_flap_everybody_agrees_and_serves() {
-    let name = "partitions::after_links_that_flap_everybody_agrees_and_serves";
-    on_a_site(name, |mut site, mut cluster, load| async move {
+    on_a_site(|mut site, mut cluster, load| async move {
         let mut dice = Dice::roll("flapping");
         let mut changes = 0;
         for round in 0..20 * rounds() {

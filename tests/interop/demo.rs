@@ -5,7 +5,7 @@ use std::process::Command;
 
 #[test]
 fn demo_json_is_alone_on_standard_output_and_the_story_beside_it() {
-    if !network::isolated("demo::demo_json_is_alone_on_standard_output_and_the_story_beside_it") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));

@@ -6,14 +6,19 @@
 //! ```ignore
 //! #[test]
 //! fn samples_arrive() {
-//!     if !network::isolated("samples_arrive") { return; }
+//!     if !network::isolated(&|| ()) { return; }
 //!     // from here on we are alone
 //! }
 //! ```
 
-#![expect(clippy::expect_used, reason = "a test without its network has failed")]
+#![expect(
+    clippy::expect_used,
+    clippy::print_stdout,
+    reason = "a test without its network has failed; what it says inside is said outside"
+)]
 
 use std::{
+    any::type_name,
     env,
     process::{Command, Stdio},
 };
@@ -21,9 +26,13 @@ use std::{
 /// Set inside the namespace to the name of the test.
 const INSIDE: &str = "LEDGERD_TEST_NAMESPACE";
 
-/// Runs the test `name` (its full path in this binary) again in a network of its own, and passes its failure on.
-/// Returns `true` inside, where the test goes on, and `false` outside, where it is done.
-pub(crate) fn isolated(name: &str) -> bool {
+/// Runs the test that `_here` is a closure of again, in a network of its own, and passes its failure on. Returns `true`
+/// inside, where the test goes on, and `false` outside, where it is done.
+///
+/// # Panics
+/// If the test fails there, or if anything else than this one test ran.
+pub(crate) fn isolated<Here>(_here: &Here) -> bool {
+    let name = test_of(type_name::<Here>());
     if env::var_os(INSIDE).is_some_and(|inside| inside == name) {
         return true;
     }
@@ -32,17 +41,52 @@ pub(crate) fn isolated(name: &str) -> bool {
         runs(&[namespace, "ip", "link", "set", "lo", "up"]),
         "this test needs a network namespace: run it as root or allow user namespaces, with `ip` of iproute2"
     );
-    let status = Command::new("unshare")
+    let done = Command::new("unshare")
         .args([namespace, "sh", "-c", "ip link set lo up && exec \"$0\" \"$@\""])
         .arg(env::current_exe().expect("the test binary has a path"))
         .args(["--exact", name, "--nocapture", "--test-threads=1"])
         .env(INSIDE, name)
-        .status()
+        .stderr(Stdio::inherit())
+        .output()
         .expect("unshare starts");
-    assert!(status.success(), "{name} failed in its own network: {status}");
+    let told = String::from_utf8_lossy(&done.stdout);
+    println!("{told}");
+    assert!(done.status.success(), "{name} failed in its own network: {}", done.status);
+    assert!(ran_one(&told), "wanted one test, {name}, to run in its own network");
     false
+}
+
+/// The full name of the test in this binary whose closure has this type: without the crate before it, and without the
+/// closures after it (a test that is `async` is a closure itself).
+fn test_of(closure: &str) -> &str {
+    let test = closure.split("::{{closure}}").next().unwrap_or(closure);
+    test.split_once("::").map_or(test, |(_, name)| name)
+}
+
+/// Has the test binary run exactly one test, which passed?
+fn ran_one(told: &str) -> bool {
+    told.lines().any(|line| line.starts_with("test result: ok. 1 passed; 0 failed; 0 ignored"))
 }
 
 fn runs(args: &[&str]) -> bool {
     Command::new("unshare").args(args).stderr(Stdio::null()).status().is_ok_and(|status| status.success())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_running_test_is_named_by_its_closure() {
+        let name = test_of(std::any::type_name_of_val(&|| ()));
+        assert!(name.ends_with("::tests::the_running_test_is_named_by_its_closure"), "{name}");
+        assert_eq!(test_of("node::three::a_leader_dies::{{closure}}::{{closure}}"), "three::a_leader_dies");
+    }
+
+    #[test]
+    fn a_run_of_no_test_or_of_two_is_not_taken_for_one() {
+        let summary = |passed| format!("running\n\ntest result: ok. {passed} passed; 0 failed; 0 ignored; 0 measured");
+        assert!(ran_one(&summary(1)));
+        assert!(!ran_one(&summary(0)) && !ran_one(&summary(2)) && !ran_one(&summary(11)) && !ran_one(""));
+    }
 }

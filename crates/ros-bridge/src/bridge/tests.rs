@@ -6,7 +6,7 @@ mod fake;
 mod network;
 
 use std::{
-    sync::Arc,
+    sync::{Arc, atomic::Ordering},
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
@@ -131,7 +131,7 @@ async fn next(reader: &mut Reader) -> Sample {
 
 #[tokio::test]
 async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
-    if !network::isolated("bridge::tests::a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'to_ledger'", |fake| fake.set_own_epoch(3)).await;
@@ -168,9 +168,7 @@ async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
 
 #[tokio::test]
 async fn a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_submitted() {
-    if !network::isolated(
-        "bridge::tests::a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_submitted",
-    ) {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'to_ledger'\nbatch_max = 4", |fake| fake.set_own_epoch(3)).await;
@@ -189,7 +187,7 @@ async fn a_sample_whose_length_cannot_be_the_types_is_refused_here_and_never_sub
 
 #[tokio::test]
 async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
-    if !network::isolated("bridge::tests::refusals_are_counted_by_code_and_the_grant_is_asked_for_again") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'to_ledger'", |fake| {
@@ -216,7 +214,7 @@ async fn refusals_are_counted_by_code_and_the_grant_is_asked_for_again() {
 
 #[tokio::test]
 async fn a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples() {
-    if !network::isolated("bridge::tests::a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let more = "direction = 'to_ledger'\nqos = { depth = 20 }";
@@ -238,7 +236,7 @@ async fn a_ledger_that_is_slower_than_the_topic_gets_the_newest_samples() {
 
 #[tokio::test]
 async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
-    if !network::isolated("bridge::tests::what_passes_the_gate_reaches_the_robot_and_a_release_stops_it") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
@@ -267,7 +265,7 @@ async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
 
 #[tokio::test]
 async fn a_silent_ledger_stops_the_robot() {
-    if !network::isolated("bridge::tests::a_silent_ledger_stops_the_robot") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let more = "direction = 'from_ledger'\nstale_after_ms = 500";
@@ -284,9 +282,7 @@ async fn a_silent_ledger_stops_the_robot() {
 
 #[tokio::test]
 async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life() {
-    if !network::isolated(
-        "bridge::tests::a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_signs_of_life",
-    ) {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 1500)).await;
@@ -308,8 +304,26 @@ async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_
 }
 
 #[tokio::test]
+async fn events_that_never_end_do_not_put_off_a_stop() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| {
+        fake.set_holder("Org1/Salma", 3, 1500);
+        fake.floods.store(true, Ordering::Relaxed);
+    })
+    .await;
+    let mut reader = bench.reader().await;
+    let (sent, _) = bench.message(&bench.network.salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    assert_eq!(next(&mut reader).await, stop());
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("lease", 1)]);
+}
+
+#[tokio::test]
 async fn a_revocation_stops_the_robot_that_the_revoked_moved() {
-    if !network::isolated("bridge::tests::a_revocation_stops_the_robot_that_the_revoked_moved") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("open", "direction = 'from_ledger'\nstale_after_ms = 60000", |_| ()).await;
@@ -327,7 +341,7 @@ async fn a_revocation_stops_the_robot_that_the_revoked_moved() {
 
 #[tokio::test]
 async fn a_change_of_mode_counts_from_its_block_on() {
-    if !network::isolated("bridge::tests::a_change_of_mode_counts_from_its_block_on") {
+    if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;

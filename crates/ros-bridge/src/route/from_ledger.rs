@@ -178,15 +178,20 @@ impl FromLedger {
         });
         let mut graph_ended = std::pin::pin!(self.outlet.matched().clone().ended());
         loop {
-            let stale = sleep_until((self.heard + self.route.stale_after).into());
-            let is_moving = self.gate.is_moving();
-            let overdue = sleep_until(self.clocks.instant(self.gate.deadline().unwrap_or_default()).into());
+            // By the clock, before anything else is looked at: a flood of events must not put off a stop.
+            if let Some(reason) = self.must_stop(Instant::now()) {
+                self.halt(reason).await;
+            }
+            let stop_due = self.stop_due();
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break,
-                // Whatever ends before what goes on: a flood of events must not keep the robot from being stopped.
-                () = overdue, if is_moving => self.halt("lease").await,
-                () = stale, if is_moving => self.halt("stale").await,
+                () = &mut graph_ended => {
+                    tracing::error!(service = self.route.service, "THE LOCAL GRAPH IS LOST: the robot cannot be reached");
+                    break;
+                }
+                // The next turn stops the robot.
+                () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     if let Ok(delivery) = &delivery {
@@ -202,10 +207,6 @@ impl FromLedger {
                         events = self.subscribe();
                     }
                 }
-                () = &mut graph_ended => {
-                    tracing::error!(service = self.route.service, "THE LOCAL GRAPH IS LOST: the robot cannot be reached");
-                    break;
-                }
             }
         }
         if self.gate.is_moving() {
@@ -215,6 +216,23 @@ impl FromLedger {
             tracing::warn!(service = self.route.service, "not every subscriber confirmed the last messages");
         }
         tokio::time::sleep(LINGER).await;
+    }
+
+    /// When the robot must stop, and why, unless the ledger gives a sign of life or of the lease before: the earlier of
+    /// the end of its driver's lease and of the ledger's silence. None while nobody moves it.
+    fn stop_at(&self) -> Option<(Instant, &'static str)> {
+        let lease = self.clocks.instant(self.gate.deadline()?);
+        let stale = self.heard + self.route.stale_after;
+        Some(if lease <= stale { (lease, "lease") } else { (stale, "stale") })
+    }
+
+    fn stop_due(&self) -> Option<Instant> {
+        self.stop_at().map(|(due, _)| due)
+    }
+
+    /// Why the robot must stop now, if it must.
+    fn must_stop(&self, now: Instant) -> Option<&'static str> {
+        self.stop_at().filter(|(due, _)| *due <= now).map(|(_, reason)| reason)
     }
 
     fn subscribe(&self) -> Deliveries {
@@ -321,7 +339,9 @@ impl FromLedger {
 
     /// Asks for the service and its grants; the gate stays closed if that fails or takes too long.
     async fn try_describe(&mut self, height: u64) {
-        let patience = self.route.stale_after;
+        // No longer than until the robot must stop: nothing else is looked at meanwhile.
+        let until_stop = self.stop_due().map(|due| due.saturating_duration_since(Instant::now()));
+        let patience = until_stop.unwrap_or(Duration::MAX).min(self.route.stale_after);
         let failure = match timeout(patience, self.describe(height)).await {
             Ok(Ok(())) => {
                 // It answered: that is a sign of life, however long it took.

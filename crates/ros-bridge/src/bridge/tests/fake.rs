@@ -1,9 +1,15 @@
 //! A ledger that answers what a test says.
 
-use std::sync::{Arc, Mutex};
+use std::{
+    sync::{
+        Arc, Mutex,
+        atomic::{AtomicBool, Ordering},
+    },
+    task::Poll,
+};
 
 use bytes::Bytes;
-use futures::{FutureExt, StreamExt, future::BoxFuture};
+use futures::{FutureExt, StreamExt, future::BoxFuture, stream::poll_fn};
 use ledger::transaction::Transaction;
 use ledger_api::{
     Answer, Subscription,
@@ -36,6 +42,8 @@ pub(super) struct Fake {
     /// Arguments of every `set`.
     pub(super) sets: watch::Sender<Vec<Vec<Bytes>>>,
     streams: Mutex<Vec<(Subscription, Sender)>>,
+    /// Signs of life come without an end.
+    pub(super) floods: AtomicBool,
 }
 
 impl Fake {
@@ -48,6 +56,7 @@ impl Fake {
             fate: Mutex::new(Fate::Committed),
             sets: watch::Sender::new(Vec::new()),
             streams: Mutex::default(),
+            floods: AtomicBool::new(false),
         };
         fake.set_mode(mode);
         Arc::new(fake)
@@ -103,7 +112,7 @@ impl Fake {
 
     /// A sign of life without events.
     pub(super) fn heartbeat(&self, block_time: u64) {
-        self.send("message", "abac", Delivery { height: 1, time: block_time, ..Delivery::default() });
+        self.send("message", "abac", heartbeat(block_time));
     }
 
     fn send(&self, name: &str, chaincode: &str, delivery: Delivery) {
@@ -113,6 +122,10 @@ impl Fake {
             }
         }
     }
+}
+
+fn heartbeat(block_time: u64) -> Delivery {
+    Delivery { height: 1, time: block_time, ..Delivery::default() }
 }
 
 impl Gateway for Fake {
@@ -142,9 +155,18 @@ impl Gateway for Fake {
     }
 
     fn subscribe(&self, wanted: Subscription) -> Deliveries {
-        let (sender, stream) = mpsc::unbounded_channel();
+        let (sender, mut stream) = mpsc::unbounded_channel();
+        let floods = self.floods.load(Ordering::Relaxed) && wanted.chaincode == "abac";
         self.streams.lock().unwrap().push((wanted, sender));
-        UnboundedReceiverStream::new(stream).boxed()
+        if !floods {
+            return UnboundedReceiverStream::new(stream).boxed();
+        }
+        // Never pending: whoever looks here first looks at nothing else.
+        poll_fn(move |context| match stream.poll_recv(context) {
+            Poll::Pending => Poll::Ready(Some(Ok(heartbeat(super::micros())))),
+            delivery => delivery,
+        })
+        .boxed()
     }
 
     fn set(&self, args: Vec<Bytes>) -> Verdict {
