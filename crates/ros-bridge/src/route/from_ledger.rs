@@ -178,6 +178,8 @@ impl FromLedger {
         });
         let mut graph_ended = std::pin::pin!(self.outlet.matched().clone().ended());
         loop {
+            // Others have their turn, also while events come without an end.
+            tokio::task::consume_budget().await;
             // By the clock, before anything else is looked at: a flood of events must not put off a stop.
             if let Some(reason) = self.must_stop(Instant::now()) {
                 self.halt(reason).await;
