@@ -2,7 +2,7 @@
 
 use crate::support::network::{SERVICE, register_robots};
 use crate::support::{Fleet, Process, connect, eventually};
-use ledger::identity::Role;
+use ledger_identity::Role;
 use std::fs;
 use std::time::{Duration, Instant};
 
