@@ -154,7 +154,7 @@ impl CertificateAuthority {
                 Code::AlreadyRegistered,
                 format!("{name} is already registered at {}", self.organisation()),
             )
-            .found(format!("role {}, {} certificates", known.role, known.certificates.len()))
+            .found(format!("role {}, certificates: {}", known.role, known.certificates.len()))
             .wanted("a new name")
             .next("choose another name"));
         }

@@ -91,7 +91,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let mut robot = Robot::open(domains.robot).await?;
     let mut salma_node = Publisher::open(domains.salma, Operator::Salma).await?;
     let mut farhad_node = Publisher::open(domains.farhad, Operator::Farhad).await?;
-    tokio::try_join!(salma_node.matched(), farhad_node.matched(), robot.matched())?;
+    tokio::try_join!(salma_node.matched(), farhad_node.matched(), robot.matched(), network.bridges_found())?;
 
     say(&format!(
         "exclusive: both publish Twist at {HZ} Hz on their own /cmd_vel for {} s; only Salma holds the robot",

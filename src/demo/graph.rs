@@ -15,7 +15,7 @@ use tokio::task::JoinHandle;
 use tokio::time::{MissedTickBehavior, interval};
 
 /// Time for two participants to find each other.
-const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
+pub(super) const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
 /// Bytes of a Twist: two vectors of three doubles.
 const TWIST_BYTES: usize = 48;
 
@@ -159,7 +159,7 @@ impl Drop for Robot {
     }
 }
 
-fn nobody_there(who: &str) -> Rejection {
+pub(super) fn nobody_there(who: &str) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, format!("{who} was not discovered on the ROS 2 graph"))
         .wanted(format!("a match on /cmd_vel within {DISCOVERY_TIME_MAX:?}"))
         .next("check that UDP traffic on the loopback interface is allowed")

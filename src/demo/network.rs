@@ -1,5 +1,6 @@
 //! The processes of the demo: two nodes and three bridges, in a temporary directory.
 
+use super::graph::{DISCOVERY_TIME_MAX, nobody_there};
 use super::process::Process;
 use super::summary::{BridgeReport, Summary};
 use crate::clock::wall;
@@ -22,6 +23,8 @@ use tempfile::TempDir;
 const START_TIME_MAX: Duration = Duration::from_secs(20);
 /// Time for the follower to reach the leader's height on an idle network.
 const CONVERGE_TIME_MAX: Duration = Duration::from_secs(10);
+/// Between two looks at what the bridges have found.
+const DISCOVERY_LOOK: Duration = Duration::from_millis(20);
 /// Highest ROS 2 domain id whose UDP ports are not taken by the operating system for other things.
 const DOMAIN_MAX: u64 = 100;
 
@@ -115,6 +118,20 @@ impl Network {
             self.bridges.push(Process::start(&format!("bridge-{name}"), self.directory.path(), &arguments)?);
         }
         Ok(domains)
+    }
+
+    /// Waits until each bridge has found the ROS 2 node of its graph. Discovery has two directions: a node that has found
+    /// its bridge may still be unknown to it, and then a message to the node is lost.
+    pub(super) async fn bridges_found(&mut self) -> Result<(), Rejection> {
+        let deadline = Instant::now() + DISCOVERY_TIME_MAX;
+        while !self.bridges.iter().all(|bridge| bridge.logged("on /cmd_vel has come")) {
+            self.check()?;
+            if Instant::now() > deadline {
+                return Err(nobody_there("the node of a bridge"));
+            }
+            tokio::time::sleep(DISCOVERY_LOOK).await;
+        }
+        Ok(())
     }
 
     /// Fails if a process has ended by itself.

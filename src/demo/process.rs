@@ -29,6 +29,8 @@ impl Process {
         let program = std::env::current_exe().map_err(failed)?;
         let child = Command::new(program)
             .args(arguments)
+            // The demo reads the logs: at the level that it asked for.
+            .env_remove("RUST_LOG")
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(File::create(&log).map_err(failed)?)
@@ -49,6 +51,11 @@ impl Process {
             }
             Err(error) => Err(Rejection::new(Code::Internal, format!("cannot watch {}: {error}", self.name))),
         }
+    }
+
+    /// Has it logged a line with these words?
+    pub(super) fn logged(&self, words: &str) -> bool {
+        std::fs::read_to_string(&self.log).is_ok_and(|log| log.contains(words))
     }
 
     /// Asks the process to end, waits, and answers with what it printed on standard output.

@@ -195,7 +195,8 @@ impl NodeView {
                 format!("{} may not see what others were refused", caller.id()),
             )
             .found(format!("role {}", caller.role))
-            .wanted("role admin"));
+            .wanted("role admin")
+            .next(format!("ask an admin of {}", caller.organisation)));
         }
         let limit = if limit == 0 { DENIALS_DEFAULT } else { limit };
         Ok(DenialsResponse { denials: self.denials.latest(limit as usize) })

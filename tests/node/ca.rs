@@ -1,6 +1,7 @@
 //! The CA of an organisation: carried by several nodes, backed up, and never in the way of registering or revoking.
 
 use crate::support::network::{NodePlace, NodeWish, free_address, now};
+use crate::support::small_disk::{SmallDisk, fill};
 use crate::support::{Ctl, Fleet, Process, eventually, programs};
 use ledger_api::Context;
 use ledger_identity::Role;
@@ -307,4 +308,29 @@ fn what_is_pending_is_listed_and_cancelled() {
     assert!(!join.status.success() && String::from_utf8_lossy(&join.stderr).contains("LGR-2007"), "{join:?}");
     assert_eq!(ctl.json(&["network", "invite", "--list"]), serde_json::json!([]));
     ctl.run(&["network", "invite", "--cancel", "node9"]).refused(3, &["LGR-1013"]);
+}
+
+#[test]
+fn an_enrolment_on_a_full_disk_sends_no_secret_and_succeeds_when_there_is_space() {
+    let fleet = Fleet::found(1);
+    fleet.issue("Org1", "Admin", Role::Admin, &[]);
+    let _node = fleet.nodes[0].start();
+    let admin = fleet.ctl().as_("Admin");
+    eventually("the node is there", || (admin.run(&["status"]).code == 0).then_some(()));
+    let salma = invited(&admin, "Salma");
+    let home = fleet.path().join("salma");
+    fs::create_dir(&home).unwrap();
+    let disk = SmallDisk::over(&home, fleet.path());
+    let enroll = || disk.enter(&Ctl::at(&home).command(&salma)).output().unwrap();
+    let ballast = disk.seen(&home).join("ballast");
+    fill(&ballast);
+    let refused = enroll();
+    assert_eq!(refused.status.code(), Some(3), "{refused:?}");
+    let text = String::from_utf8_lossy(&refused.stderr).into_owned();
+    assert!(text.contains("LGR-7002") && text.contains("No space left on device"), "{text}");
+    assert_eq!(state(&admin, "Salma")["enrolled"], false);
+    fs::remove_file(&ballast).unwrap();
+    let done = enroll();
+    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert_eq!(state(&admin, "Salma")["certificates"].as_array().unwrap().len(), 1);
 }

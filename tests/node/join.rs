@@ -254,3 +254,22 @@ async fn what_cannot_join_is_told_why() {
     inside.sort();
     assert_eq!(inside, ["genesis.json", "lost+found", "node.json", "node.key", "node.pem"]);
 }
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_identity_files_of_another_node_refuse_the_start_and_both_nodes_are_named() {
+    let fleet = Fleet::found(1);
+    let admin = fleet.issue("Org1", "Admin", Role::Admin, &[]);
+    let _node = fleet.nodes[0].start();
+    let leader = connect(&admin).await;
+    let token = token(&fleet, &leader, "Org1", "node2").await;
+    let newcomer = Newcomer::new(&fleet, "second");
+    newcomer.join(&token.to_string()).ok();
+    for file in ["node.pem", "node.key"] {
+        std::fs::copy(fleet.nodes[0].data.join(file), newcomer.data().join(file)).unwrap();
+    }
+    let mut node = newcomer.run("node2", &fleet);
+    assert!(!node.wait().success());
+    for word in ["node.pem and node.json are of two nodes", "Org1/org1-node", "Org1/node2"] {
+        assert!(node.stderr().contains(word), "{word:?} is missing in: {}", node.stderr());
+    }
+}

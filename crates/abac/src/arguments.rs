@@ -33,7 +33,7 @@ impl<'a> Arguments<'a> {
             } else {
                 format!("{} {}", if few { "at least" } else { "at most" }, if few { min } else { max })
             })
-            .next(usage))
+            .next(format!("call it as: {usage}")))
     }
 
     /// Is there an argument at this index?
@@ -87,7 +87,7 @@ impl<'a> Arguments<'a> {
         Rejection::new(Code::BadArgument, format!("argument {} ({name}) is not usable", index + 1))
             .found(found)
             .wanted(wanted)
-            .next(self.usage)
+            .next(format!("call it as: {}", self.usage))
     }
 }
 

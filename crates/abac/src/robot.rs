@@ -276,9 +276,10 @@ fn check_name(name: &str) -> Result<(), Rejection> {
     if (1..=NAME_BYTES_MAX).contains(&name.len()) && name.bytes().all(allowed) {
         return Ok(());
     }
-    Err(Rejection::new(Code::BadName, "robot name is not usable")
+    Err(Rejection::new(Code::BadName, "the name of the robot is not usable")
         .found(shown(name))
-        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\"")))
+        .wanted(format!("1 to {NAME_BYTES_MAX} letters, digits, \"_\", \"-\" and \".\""))
+        .next("choose another name"))
 }
 
 pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
@@ -286,7 +287,8 @@ pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
     if key.is_empty() || required.len() > ATTRIBUTE_BYTES_MAX || required.chars().any(char::is_control) {
         return Err(Rejection::new(Code::BadArgument, "attribute_required is not usable")
             .found(shown(required))
-            .wanted(format!("KEY or KEY=VALUE, at most {ATTRIBUTE_BYTES_MAX} bytes")));
+            .wanted(format!("KEY or KEY=VALUE, at most {ATTRIBUTE_BYTES_MAX} bytes"))
+            .next("name the attribute that users must have; ledgerctl identity list shows attributes"));
     }
     Ok(format!("{key}={value}"))
 }

@@ -65,7 +65,8 @@ impl Service {
             }
             Err(Rejection::new(Code::BadArgument, format!("{field} of service {topic} is out of range"))
                 .found(format!("{value} ms"))
-                .wanted(format!("{min} to {max} ms")))
+                .wanted(format!("{min} to {max} ms"))
+                .next("give a value within this range"))
         };
         let max_age_ms = within("max_age_ms", spec.max_age_ms.unwrap_or(AGE_MS_DEFAULT), 1, AGE_MS_MAX)?;
         let lease_ms = spec.lease_ms.or(spec.lease_ms_max.map(|max| max.min(LEASE_MS_DEFAULT)));

@@ -3,6 +3,7 @@
 pub(crate) mod attribute;
 pub(crate) mod bytes;
 pub(crate) mod message;
+pub(crate) mod number;
 pub(crate) mod service;
 pub(crate) mod setting;
 pub(crate) mod span;

@@ -38,6 +38,15 @@ impl Rejection {
             .wanted(format!("one of {}", known.join(", ")))
     }
 
+    /// The refusal of an error whose text is `MESSAGE: found …, wanted …`, in its parts.
+    pub fn told(code: Code, said: &str) -> Self {
+        let parts = said.split_once(": found ").and_then(|(message, rest)| {
+            let (found, wanted) = rest.rsplit_once(", wanted ")?;
+            Some(Self::new(code, message).found(found).wanted(wanted))
+        });
+        parts.unwrap_or_else(|| Self::new(code, said))
+    }
+
     /// Adds what was found.
     #[must_use]
     pub fn found(mut self, found: impl Into<String>) -> Self {
@@ -73,3 +82,16 @@ impl fmt::Display for Rejection {
 }
 
 impl std::error::Error for Rejection {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_of_one_sentence_becomes_the_lines_of_a_refusal() {
+        let told = Rejection::told(Code::Untrusted, "it is another node: found Org1/node1, wanted Org2/node1");
+        assert_eq!((&*told.message, &*told.found, &*told.wanted), ("it is another node", "Org1/node1", "Org2/node1"));
+        let whole = Rejection::told(Code::Untrusted, "it found nothing");
+        assert_eq!((&*whole.message, &*whole.found, &*whole.wanted), ("it found nothing", "", ""));
+    }
+}

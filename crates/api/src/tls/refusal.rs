@@ -16,7 +16,7 @@ pub enum Refusal {
     #[error(transparent)]
     Identity(#[from] IdentityError),
     /// Somebody who is not a node presents itself as a server.
-    #[error("found a server with the certificate of {id}, whose role is {role}, wanted the certificate of a node")]
+    #[error("it is no node: found the certificate of {id}, whose role is {role}, wanted the certificate of a node")]
     NotANode {
         /// The owner of the certificate.
         id: String,
@@ -24,7 +24,7 @@ pub enum Refusal {
         role: Role,
     },
     /// A node, but another one.
-    #[error("found node {found}, wanted node {wanted}")]
+    #[error("it is another node: found {found}, wanted {wanted}")]
     OtherNode {
         /// The node that answers.
         found: String,
@@ -32,7 +32,7 @@ pub enum Refusal {
         wanted: String,
     },
     /// No presented certificate has the pinned fingerprint.
-    #[error("found a server whose certificates have SHA-256 {}, wanted one with {wanted}", .found.join(", "))]
+    #[error("its CA is another one: found certificates with SHA-256 {}, wanted one with {wanted}", .found.join(", "))]
     Fingerprint {
         /// The fingerprints of what the server presents, in hexadecimal.
         found: Vec<String>,
@@ -40,13 +40,13 @@ pub enum Refusal {
         wanted: String,
     },
     /// The certificate was revoked.
-    #[error("found the certificate of {id}, which was revoked, wanted one that was not")]
+    #[error("its certificate was revoked: found the certificate of {id}, wanted one that was not revoked")]
     Revoked {
         /// The owner of the certificate.
         id: String,
     },
     /// The server presents no certificate.
-    #[error("found a server without a certificate, wanted the certificate of a node")]
+    #[error("it shows no certificate: found a server without one, wanted the certificate of a node")]
     NoCertificate,
 }
 
@@ -76,7 +76,7 @@ impl Refusal {
 
 impl From<Refusal> for Rejection {
     fn from(refusal: Refusal) -> Self {
-        Self::new(refusal.code(), refusal.to_string()).next(refusal.remedy())
+        Self::told(refusal.code(), &refusal.to_string()).next(refusal.remedy())
     }
 }
 

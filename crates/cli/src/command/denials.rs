@@ -1,5 +1,6 @@
 //! `denials`: what was refused before it was ordered.
 
+use crate::argument::number;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
@@ -16,13 +17,14 @@ use std::io::{self, Write};
 #[command(after_help = "Example:\n  ledgerctl denials --limit 20")]
 pub(crate) struct Denials {
     /// At most so many
-    #[arg(long, default_value_t = 100, value_name = "N")]
-    limit: u32,
+    #[arg(long, default_value_t = 100, value_name = "N", value_parser = number::count)]
+    limit: u64,
 }
 
 impl Denials {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let denials = Session::open(global).await?.client.denials(self.limit).await?;
+        let denials =
+            Session::open(global).await?.client.denials(u32::try_from(self.limit).unwrap_or(u32::MAX)).await?;
         output.show(&List(denials.into_iter().map(Denial::from).collect()))
     }
 }

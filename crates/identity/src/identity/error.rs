@@ -21,7 +21,7 @@ pub enum IdentityError {
         wanted: &'static str,
     },
     /// More than is ever read.
-    #[error("found {found} {unit}, wanted at most {max} {unit}")]
+    #[error("the certificate is too large: found {found} {unit}, wanted at most {max} {unit}")]
     TooLarge {
         /// The counted things.
         unit: &'static str,
@@ -107,7 +107,7 @@ pub enum IdentityError {
     },
     /// A name that cannot be used.
     #[error(
-        "found name {found}, which is refused because {reason}, wanted 1 to 128 bytes without \"/\" or control characters"
+        "a name in the certificate is not usable, {reason}: found {found}, wanted 1 to 128 bytes without \"/\" or control characters"
     )]
     BadName {
         /// The name, escaped.
@@ -191,7 +191,7 @@ impl IdentityError {
 
 impl From<IdentityError> for Rejection {
     fn from(error: IdentityError) -> Self {
-        Self::new(error.code(), error.to_string()).next(error.remedy())
+        Self::told(error.code(), &error.to_string()).next(error.remedy())
     }
 }
 

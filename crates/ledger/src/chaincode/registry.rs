@@ -53,6 +53,7 @@ impl Registry {
             Rejection::new(Code::UnknownChaincode, format!("no chaincode {name:?} is installed"))
                 .found(name.to_owned())
                 .wanted(format!("one of {}", self.names().join(", ")))
+                .next("call one of these; `ledgerctl query --help` has examples")
         })
     }
 

@@ -2,6 +2,7 @@
 
 use super::event::EventFacts;
 use super::tx::TransactionFacts;
+use crate::argument::number;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
@@ -16,6 +17,7 @@ use std::io::{self, Write};
 #[command(after_help = "Example:\n  ledgerctl block 17")]
 pub(crate) struct Block {
     /// Height of the block; 0 is the genesis
+    #[arg(value_parser = number::height)]
     height: u64,
 }
 

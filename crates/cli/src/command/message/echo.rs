@@ -2,6 +2,7 @@
 
 use crate::answer;
 use crate::argument::message::Definitions;
+use crate::argument::number;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, printable};
@@ -46,10 +47,10 @@ pub(crate) struct Echo {
     #[arg(value_name = "ROBOT/TOPIC")]
     service: String,
     /// Begin at this height, 0 for the first block that there is; otherwise with the next one
-    #[arg(long, value_name = "HEIGHT")]
+    #[arg(long, value_name = "HEIGHT", value_parser = number::height)]
     from: Option<u64>,
     /// End after so many messages
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", value_parser = number::count)]
     count: Option<u64>,
     /// Print the bytes in hexadecimal digits, one line for each message
     #[arg(long, conflicts_with = "full_length")]

@@ -3,6 +3,7 @@
 use crate::answer;
 use crate::argument::bytes;
 use crate::argument::message::{Definitions, refused};
+use crate::argument::number;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
@@ -24,6 +25,9 @@ use std::time::Duration;
 const RATE_HZ_MAX: f64 = 1000.0;
 /// How long a message may wait to be executed: a command to a robot is worth nothing later.
 const COMMAND_TTL: Duration = Duration::from_secs(2);
+
+/// Advice to those whose bytes are no message.
+const AS_TEXT: &str = "write the message as YAML, and its bytes are made from it: '{linear: {x: 0.5}}'";
 
 /// What people type where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[("PAYLOAD", "the message")], help: "ledgerctl publish" };
@@ -50,7 +54,7 @@ pub(crate) struct Publish {
     #[command(flatten)]
     definitions: Definitions,
     /// Publish it so many times
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u64).range(1..))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = number::count)]
     count: u64,
     /// Messages per second with --count
     #[arg(long, value_name = "HZ", default_value_t = 10.0, value_parser = rate)]
@@ -111,7 +115,10 @@ impl Content {
                 let encoded = message.encode(written, ByteOrder::Little, Time::from_micros(now));
                 encoded.map(Bytes::from).map_err(refused)
             }
-            (Self::Bytes(bytes), Ok(message)) => message.check(bytes).map(|()| bytes.clone()).map_err(refused),
+            (Self::Bytes(bytes), Ok(message)) => message.check(bytes).map(|()| bytes.clone()).map_err(|fault| {
+                let refused = refused(fault);
+                if refused.next.is_empty() { refused.next(AS_TEXT) } else { refused }
+            }),
             (Self::Bytes(bytes), Err(_)) => Ok(bytes.clone()),
         }
     }

@@ -133,9 +133,17 @@ impl Invite {
     }
 }
 
+/// The refusal to read the registry, in the words of the command that needs it.
+fn may_not_invite(mut refused: Rejection) -> Rejection {
+    if refused.code == Code::NotAdmin {
+        refused.message = refused.message.replace("read the registered identities", "invite nodes");
+    }
+    refused
+}
+
 /// Registers the node at the CA of the caller's organisation, or gives it a new secret.
 async fn invite_node(session: &Session, door: Door, name: &str) -> Result<Invited, Rejection> {
-    let known = session.client.identities(name).await?;
+    let known = session.client.identities(name).await.map_err(may_not_invite)?;
     let registered = match known.first() {
         None => session.client.register(name, Role::Node, &BTreeMap::new()).await?,
         Some(known) if known.role == Role::Node => session.client.reissue(name, &BTreeMap::new()).await?,

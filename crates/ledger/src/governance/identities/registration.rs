@@ -159,7 +159,7 @@ pub(super) fn unknown(organisation: &str, name: &str) -> Rejection {
 
 fn registered_for(known: &IdentityRecord, wanted: &str) -> Rejection {
     Rejection::new(Code::AlreadyRegistered, format!("{} is already registered at {}", known.name, known.organisation))
-        .found(format!("role {}, {} certificates", known.role, known.certificates.len()))
+        .found(format!("role {}, certificates: {}", known.role, known.certificates.len()))
         .wanted(wanted)
 }
 
