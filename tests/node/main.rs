@@ -25,6 +25,7 @@ mod crash;
 mod disk_full;
 mod footprint;
 mod hostile;
+mod instances;
 mod join;
 mod languages;
 mod leadership;

@@ -7,6 +7,7 @@ mod documents;
 mod events;
 mod keys;
 mod layers;
+mod links;
 mod logs;
 mod sources;
 mod words;
