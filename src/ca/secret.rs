@@ -8,6 +8,7 @@ use ledger_identity::key::PublicKey;
 use ledger_rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
 use serde::{Deserialize, Serialize};
+use subtle::ConstantTimeEq;
 
 /// Random bytes of a secret: 128 bits, so that guessing is hopeless.
 const SECRET_BYTES: usize = 16;
@@ -94,7 +95,7 @@ pub(crate) fn hash(presented: &str) -> Hash {
 
 /// Compares in a time that does not tell where two hashes differ.
 pub(crate) fn equal(a: &Hash, b: &Hash) -> bool {
-    a.0.iter().zip(b.0).fold(0, |sum, (a, b)| sum | (a ^ b)) == 0
+    a.0.as_slice().ct_eq(b.0.as_slice()).into()
 }
 
 fn key_hash(key: &PublicKey) -> Hash {
