@@ -4,6 +4,7 @@ use crate::founding::clock;
 use crate::{World, own_network, timed};
 use bytes::Bytes;
 use criterion::Criterion;
+use ledger_abac::{Capabilities, Direction, Fencing, Publishing, Sequence};
 use ros_bridge::dds::Participant;
 use ros_bridge::gate::{Delivered, Gate, Now, Settings};
 use ros_bridge::names::{TopicName, TypeName};
@@ -42,8 +43,12 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         organisation: "Org2".into(),
         topic: "/cmd_vel".into(),
         type_name: "geometry_msgs/msg/Twist".into(),
-        mode: "exclusive".into(),
-        direction: "command".into(),
+        capabilities: Capabilities {
+            publishing: Publishing::Grant,
+            fencing: Fencing::Newest,
+            sequence: Sequence::PerEpoch,
+        },
+        direction: Direction::Command,
         max_age_ms: 1000,
         lease_ms: 10_000,
         stop_hex: None,

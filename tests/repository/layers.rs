@@ -34,7 +34,18 @@ const LAYERS: [(&str, &[&str]); 16] = [
     ("ledger-api", &["ledger", "ledger-hash", "ledger-identity", "ledger-rejection"]),
     // Messages by their definitions: nothing of a ledger.
     ("ros-message", &[]),
-    ("ros-bridge", &["ledger", "ledger-api", "ledger-hash", "ledger-identity", "ledger-rejection", "ros-message"]),
+    (
+        "ros-bridge",
+        &[
+            "ledger",
+            "ledger-api",
+            "ledger-contract",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-rejection",
+            "ros-message",
+        ],
+    ),
     // Never abac: whoever only talks to nodes needs neither Cedar nor a world state.
     (
         "ledgerctl",

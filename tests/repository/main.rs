@@ -2,6 +2,7 @@
 
 #![expect(clippy::panic, reason = "tests")]
 
+mod access;
 mod architecture;
 mod documents;
 mod events;

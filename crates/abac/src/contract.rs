@@ -1,9 +1,10 @@
 //! The function table of the chaincode, and its hooks.
 
-use crate::arguments::Arguments;
-use crate::authorize::{self, Decider};
+use crate::actions::{
+    NAME, acquire, authorize, end, follow, hold, policies, publish, release, renew, robots, settings, show,
+};
 use crate::nearest::did_you_mean;
-use crate::{grant, policies, publish, revoke, robot, service, settings, store};
+use crate::policy::decider::Decider;
 use bytes::Bytes;
 use ledger::{Chaincode, Context, Foretold, Revocation};
 use ledger_rejection::Rejection;
@@ -38,9 +39,6 @@ use ledger_storage::result::Event;
 pub struct AccessControl {
     decider: Decider,
 }
-
-/// Name of the chaincode.
-pub(crate) const NAME: &str = "abac";
 
 /// Every function, for whoever mistypes one.
 const FUNCTIONS: [&str; 16] = [
@@ -80,8 +78,8 @@ impl AccessControl {
     /// # Errors
     /// As `set`: unknown names, [`ledger_rejection::Code::StaleEpoch`], [`ledger_rejection::Code::NotHolder`], what policies say.
     pub fn may_publish(&self, ctx: &Context<'_>, service: &str, epoch: u64) -> Result<(), Rejection> {
-        let target = self.decider.target(ctx, service)?;
-        authorize::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)
+        let target = self.decider.records.target(ctx, service)?;
+        publish::may_publish(ctx, &self.decider, ctx.submitter()?, &target, Some(epoch)).map(drop)
     }
 }
 
@@ -94,22 +92,19 @@ impl Chaincode for AccessControl {
         let decider = &self.decider;
         match function {
             "set" => publish::set(ctx, decider, args),
-            "acquire" => grant::acquire(ctx, decider, args),
-            "renew" => grant::renew(ctx, decider, args),
-            "release" => grant::release(ctx, args),
+            "acquire" => acquire::acquire(ctx, decider, args),
+            "renew" => renew::renew(ctx, decider, args),
+            "release" => release::release(ctx, args),
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),
-            "setup" => robot::setup(ctx, decider, args),
+            "setup" => robots::setup(ctx, decider, args),
             "configure" => settings::configure(ctx, decider, args),
             "replace" => settings::replace(ctx, decider, args),
-            "remove" => robot::remove(ctx, args),
-            "robots" => robot::list(ctx, args),
-            "robot" => robot::show(ctx, args),
-            "service" => {
-                let args = Arguments::new("service SERVICE", args, 1, 1)?;
-                store::json(&service::resolve(ctx, args.text(0, "SERVICE")?)?.state(ctx)?)
-            }
-            "grants" => grant::list(ctx, args),
+            "remove" => robots::remove(ctx, args),
+            "robots" => show::robots(ctx, args),
+            "robot" => show::robot(ctx, args),
+            "service" => show::service(ctx, args),
+            "grants" => hold::list(ctx, args),
             "policy" => policies::change(ctx, decider, args),
             "policies" => policies::list(ctx, args),
             _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
@@ -133,19 +128,19 @@ impl Chaincode for AccessControl {
 
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
-        let _ = revoke::sweep(ctx);
+        let _ = end::sweep(ctx);
     }
 
     fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
-        revoke::next_deadline(ctx)
+        end::next_deadline(ctx)
     }
 
     fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {
-        let _ = revoke::identity_revoked(ctx, revoked);
+        let _ = end::identity_revoked(ctx, revoked);
     }
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
-        let _ = revoke::organisation_removed(ctx, organisation);
+        let _ = end::organisation_removed(ctx, organisation);
     }
 
     fn events(&self) -> &'static [&'static str] {
@@ -153,10 +148,10 @@ impl Chaincode for AccessControl {
     }
 
     fn may_follow(&self, ctx: &Context<'_>, subjects: &[String], names: &[String]) -> Result<(), Rejection> {
-        authorize::may_follow(ctx, &self.decider, subjects, names)
+        follow::may_follow(ctx, &self.decider, subjects, names)
     }
 
     fn may_read(&self, ctx: &Context<'_>, event: &Event) -> Result<(), Rejection> {
-        authorize::may_read(ctx, &self.decider, event)
+        follow::may_read(ctx, &self.decider, event)
     }
 }

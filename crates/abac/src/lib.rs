@@ -3,8 +3,8 @@
 //! This is the contract of the paper ("setup, acquire, release, authorize, set") as a deterministic
 //! [`Chaincode`](ledger::Chaincode): no IO, no clock, no randomness; everything it knows is in the call's context.
 //! Two questions are kept apart. *May this identity do this?* is answered by Cedar policies that the robot's owner
-//! keeps on the ledger (`policy`, `authorize`). *Who wins when several may?* is answered by the service's mode
-//! (`conflict`). The answer to both is a [`Grant`]: a lease with an epoch that fences off every earlier holder.
+//! keeps on the ledger (`policy`). *Who wins when several may?* is answered by the rule of the service's mode
+//! (`rules`). The answer to both is a [`Grant`]: a lease with an epoch that fences off every earlier holder.
 //!
 //! It is not the gate: the robot's bridge checks signature, epoch, sequence and age of every message for itself.
 //!
@@ -26,39 +26,32 @@
 //! # Ok::<(), ledger_rejection::Rejection>(())
 //! ```
 //!
-//! | module | what is there |
+//! Layers, each of which knows only those below it:
+//!
+//! | layer | what is there |
 //! |---|---|
 //! | `contract` | the function table and the hooks |
-//! | `robot`, `service`, `settings` | what is registered; the paper's asset; changing it |
-//! | `grant`, `conflict` | who holds what, and who wins |
-//! | `authorize`, `publish` | who may, and `set` |
-//! | `policy`, `policies` | Cedar: limits, parsing, evaluation; the policies on the ledger |
-//! | `revoke` | how rights end: expiry, revocation, change of policy |
-//! | `store`, `records` | keys and JSON; values that were parsed before |
+//! | `actions` | what can be done: acquire, publish, configure and the others |
+//! | `policy` | who may: Cedar, the policies on the ledger, decisions that are remembered |
+//! | `rules` | who wins when several may: a file for each rule, and the table of them |
+//! | `records` | what the state holds: robots, services, grants, keys and indexes |
 //! | `arguments`, `nearest`, `timestamp` | argument parsing, "did you mean", RFC 3339 |
 
+mod actions;
 mod arguments;
-mod authorize;
-mod conflict;
 mod contract;
-mod grant;
 mod nearest;
-mod policies;
 mod policy;
-mod publish;
 mod records;
-mod revoke;
-mod robot;
-mod service;
-mod settings;
-mod store;
+mod rules;
 mod timestamp;
 
-pub use authorize::{Authorization, Caller};
+pub use actions::authorize::{Authorization, Caller};
+pub use actions::publish::MESSAGES_PER_CALL_MAX;
 pub use contract::AccessControl;
 pub use ledger_contract::{
-    Direction, Grant, MessageEvent, Mode, PolicyChange, PolicyEntry, Published, Reason, Released, RobotAsset,
-    RobotChange, RobotEvent, RobotSettings, RobotSpec, ServiceSpec, ServiceState, SettingChange,
+    Capabilities, Direction, Fencing, Grant, MessageEvent, Mode, PolicyChange, PolicyEntry, Published, Publishing,
+    Reason, Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec,
+    ServiceState, SettingChange, Told,
 };
 pub use policy::{DEFAULT_POLICY, POLICY_BYTES_MAX, SCHEMA};
-pub use publish::MESSAGES_PER_CALL_MAX;

@@ -1,13 +1,16 @@
-//! Cedar: what a policy may look like, and what a set of them decides.
+//! Who may: what a Cedar policy may look like, and what a set of them decides.
 //!
 //! Policies are hostile input. Their size and nesting are limited before anything parses them, they are validated
 //! strictly against the schema, and all of Cedar's recursion, parsing, validating, evaluating and dropping, runs on
 //! one thread with a stack of fixed size: on a small stack deep recursion aborts the process, and because Cedar
 //! looks at the stack that is left, stacks of different sizes would decide differently on different nodes.
 
+pub(crate) mod decider;
 mod index;
+mod refusal;
 #[cfg(test)]
 mod tests;
+pub(crate) mod texts;
 
 use self::index::Index;
 use crate::arguments::shown;

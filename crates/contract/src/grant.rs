@@ -1,6 +1,7 @@
 //! Grants: who holds a service until when, and how that ends.
 
 use crate::service::Mode;
+use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
 
 /// The right to use a service for a while.
@@ -15,7 +16,7 @@ pub struct Grant {
     /// When it ends unless renewed or used (block time, microseconds).
     pub expires: u64,
     /// How many may hold the service at once.
-    pub mode: Mode,
+    pub mode: Told<Mode>,
     /// When it began (block time, microseconds).
     pub acquired_at: u64,
     /// By how much a renewal extends it, in milliseconds.
@@ -24,22 +25,22 @@ pub struct Grant {
     pub next_seq: u64,
 }
 
-/// Why a grant ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Reason {
-    /// Its holder gave it back.
-    Released,
-    /// Its lease ran out.
-    Expired,
-    /// Its holder's certificate was revoked.
-    Revoked,
-    /// The owner took the service back, or its mode no longer admits this holder.
-    Taken,
-    /// The robot or the service was taken out of service.
-    RobotRemoved,
-    /// The owner's policies or the robot's requirements no longer permit it.
-    Policy,
+words! {
+    /// Why a grant ended.
+    pub enum Reason {
+        /// Its holder gave it back.
+        Released = "released",
+        /// Its lease ran out.
+        Expired = "expired",
+        /// Its holder's certificate was revoked.
+        Revoked = "revoked",
+        /// The owner took the service back, or its mode no longer admits this holder.
+        Taken = "taken",
+        /// The robot or the service was taken out of service.
+        RobotRemoved = "robot_removed",
+        /// The owner's policies or the robot's requirements no longer permit it.
+        Policy = "policy",
+    }
 }
 
 /// Payload of the event `released`: the robot's bridge publishes the stop message on every one.
@@ -52,5 +53,5 @@ pub struct Released {
     /// The epoch that ended.
     pub epoch: u64,
     /// Why.
-    pub reason: Reason,
+    pub reason: Told<Reason>,
 }

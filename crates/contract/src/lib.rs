@@ -3,6 +3,9 @@
 //! Data only: what a field means stands here, what follows from it is decided in `crates/abac`. So a client such as
 //! `ledgerctl` reads the answers without linking the engine of the policies.
 //!
+//! What is asked for must be known. What is told may come from a newer node: its words are kept as [`Told`], so that they
+//! can be shown, and a program that acts on them sees that it does not know them.
+//!
 //! ```
 //! let text = r#"{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"}"#;
 //! let service: ledger_contract::ServiceSpec = serde_json::from_str(text)?;
@@ -10,16 +13,20 @@
 //! # Ok::<(), serde_json::Error>(())
 //! ```
 
+mod capability;
 mod grant;
 mod message;
 mod policy;
 mod robot;
 mod service;
 mod settings;
+mod word;
 
+pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use grant::{Grant, Reason, Released};
 pub use message::{MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};
 pub use robot::{RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, Mode, ServiceSpec, ServiceState};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
+pub use word::{Told, Word};

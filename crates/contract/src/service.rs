@@ -1,26 +1,27 @@
 //! Services: the right to publish or subscribe on one topic of a robot.
 
+use crate::capability::{Capabilities, ToldCapabilities, UnknownRule};
+use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
 
-/// How many may use a service at once.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Mode {
-    /// Everybody whom policies permit.
-    Open,
-    /// One holder of a grant at a time.
-    Exclusive,
-}
+words! {
+    /// How many may use a service at once. Its name is for people: what follows from it are [`Capabilities`].
+    pub enum Mode {
+        /// Everybody whom policies permit.
+        Open = "open",
+        /// One holder of a grant at a time.
+        Exclusive = "exclusive",
+    }
 
-/// Which way messages go.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum Direction {
-    /// Users publish, the robot subscribes, e.g. `/cmd_vel`.
-    #[default]
-    Command,
-    /// The robot publishes, users subscribe, e.g. the poses of a motion capture system.
-    Feed,
+    /// Which way messages go.
+    #[derive(Default)]
+    pub enum Direction {
+        /// Users publish, the robot subscribes, e.g. `/cmd_vel`.
+        #[default]
+        Command = "command",
+        /// The robot publishes, users subscribe, e.g. the poses of a motion capture system.
+        Feed = "feed",
+    }
 }
 
 /// A service as its owner describes it in `setup`.
@@ -68,9 +69,9 @@ pub struct ServiceState {
     #[serde(rename = "type")]
     pub type_name: String,
     /// How many may use it at once.
-    pub mode: Mode,
+    pub mode: Told<Mode>,
     /// Which way messages go.
-    pub direction: Direction,
+    pub direction: Told<Direction>,
     /// Age (milliseconds) beyond which the robot drops a message.
     pub max_age_ms: u64,
     /// Lease (milliseconds) of a grant that asks for none.
@@ -87,4 +88,24 @@ pub struct ServiceState {
     pub epoch: u64,
     /// When the grant of `holder` expires (block time, microseconds); 0 if there is none.
     pub expires: u64,
+    /// What follows from its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node does in
+    /// the answer of a transaction, which stays as it always was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub capabilities: Option<ToldCapabilities>,
+}
+
+impl ServiceState {
+    /// What follows from the service's rule, as the node tells it, or as its mode says if the node is older than that.
+    ///
+    /// # Errors
+    /// What this program does not know of the rule: it can show the service, and must not drive it.
+    pub fn capabilities(&self) -> Result<Capabilities, UnknownRule> {
+        match &self.capabilities {
+            Some(told) => told.read(),
+            None => {
+                let known = self.mode.known().and_then(Capabilities::of_mode);
+                known.ok_or_else(|| UnknownRule::of_mode(self.mode.word()))
+            }
+        }
+    }
 }

@@ -163,6 +163,8 @@ codes! {
     PolicyInvalid = 3014 "POLICY_INVALID" Invalid;
     /// The network cannot go on without its last voter, organisation or root.
     LastOne = 3015 "LAST_ONE" Invalid;
+    /// The service is in a mode whose rule this program does not know.
+    UnknownMode = 3016 "UNKNOWN_MODE" Invalid;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

@@ -8,6 +8,7 @@ use std::{
 
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
+use ledger_contract::{Capabilities, Direction, Mode, Word};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
@@ -170,8 +171,8 @@ pub(crate) fn service(mode: &str) -> Service {
         organisation: "Org2".into(),
         topic: "/cmd_vel".into(),
         type_name: "geometry_msgs/msg/Twist".into(),
-        mode: mode.into(),
-        direction: "command".into(),
+        capabilities: Capabilities::of_mode(Mode::of(mode).unwrap()).unwrap(),
+        direction: Direction::Command,
         max_age_ms: 1000,
         lease_ms: 10_000,
         stop_hex: None,

@@ -5,7 +5,8 @@
 //! from the node, but `not_after` is signed, and bridges sign for two seconds.
 //!
 //! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the
-//! network that was not revoked; in the newest epoch and by its holder, where the service needs a grant; with a
+//! network that was not revoked; under a grant of its signer and in the newest epoch, where the
+//! service's rule asks for them; with a
 //! sequence number above the last; not older than allowed; and from after the start of the gate and its last stop.
 //! Holders are learnt from grants that the holder signed for, except those that stood when the gate was opened.
 //!
@@ -25,6 +26,7 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
+use ledger_contract::{Capabilities, Fencing, Publishing};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
@@ -111,7 +113,7 @@ struct Driver {
 /// The rule of the service's description for publishers.
 #[derive(Debug)]
 struct Rules {
-    needs_grant: bool,
+    capabilities: Capabilities,
     /// The only organisation that publishes; none = any.
     publisher: Option<String>,
     max_age_us: u64,
@@ -150,7 +152,7 @@ impl Gate {
         let age_us = service.max_age_ms.saturating_mul(1000);
         let own_us = self.settings.max_age.map_or(u64::MAX, |age| u64::try_from(age.as_micros()).unwrap_or(u64::MAX));
         self.rules = Some(Rules {
-            needs_grant: service.needs_grant(),
+            capabilities: service.capabilities,
             publisher: (!service.is_command()).then(|| service.organisation.clone()),
             max_age_us: age_us.min(own_us),
             lease_us: service.lease_ms.saturating_mul(1000),
@@ -191,13 +193,13 @@ impl Gate {
     /// The first rule that is broken, the cheap ones first.
     pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Vec<Sample>, Refused> {
         let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
-        let Rules { needs_grant, max_age_us, lease_us, .. } = *rules;
+        let Rules { capabilities: Capabilities { publishing, fencing, sequence }, max_age_us, lease_us, .. } = *rules;
         let transaction = self.decode(delivered)?;
         let call = read_call(&transaction, &self.id)?;
         let samples = self.read_samples(call.payloads)?;
         self.heard(delivered.block_time, now);
         self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
-        if needs_grant {
+        if fencing != Fencing::PerHolder {
             match call.epoch.cmp(&self.epoch) {
                 std::cmp::Ordering::Less => return Err(Refused::StaleEpoch),
                 std::cmp::Ordering::Greater => return Err(Refused::UnknownEpoch),
@@ -212,11 +214,11 @@ impl Gate {
         }
         let name = creator.id();
         let holding = self.holders.get(&name).filter(|holding| holding.epoch == call.epoch);
-        if holding.is_none() && (needs_grant || call.epoch > 0) {
+        if holding.is_none() && (publishing != Publishing::Policy || call.epoch > 0) {
             return Err(Refused::NotHolder);
         }
         let lease_us = holding.map_or(lease_us, |holding| holding.lease_us);
-        if !self.sequences.may_follow(&name, needs_grant, call.epoch, call.first_seq) {
+        if !self.sequences.may_follow(&name, sequence, call.epoch, call.first_seq) {
             return Err(Refused::StaleSequence);
         }
         let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
@@ -246,7 +248,7 @@ impl Gate {
             return Err(Refused::StaleEpoch);
         }
         self.prove(grant, "acquire", delivered)?;
-        if self.rules.as_ref().is_none_or(|rules| rules.needs_grant) || self.holders.len() >= HOLDERS_MAX {
+        if self.newest_alone() || self.holders.len() >= HOLDERS_MAX {
             self.holders.clear();
         }
         self.epoch = grant.epoch;
@@ -283,7 +285,9 @@ impl Gate {
         if self.holders.get(&released.holder).is_some_and(|known| known.epoch <= released.epoch) {
             self.holders.remove(&released.holder);
         }
-        let is_newest = released.epoch >= self.epoch || self.rules.as_ref().is_none_or(|rules| !rules.needs_grant);
+        // Where holders stand side by side, who moved the robot may be any of them.
+        let side_by_side = self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing == Fencing::PerHolder);
+        let is_newest = released.epoch >= self.epoch || side_by_side;
         if is_newest {
             self.epoch = self.epoch.max(released.epoch);
             self.driver = None;
@@ -323,6 +327,11 @@ impl Gate {
         self.driver = None;
         self.signed_since = self.signed_since.max(now.wall);
         self.not_before = self.not_before.max(self.clock.now(now));
+    }
+
+    /// Does each new grant fence off every earlier one? Also while the service is not known.
+    fn newest_alone(&self) -> bool {
+        self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing != Fencing::PerHolder)
     }
 
     fn decode(&self, delivered: Delivered<'_>) -> Result<Transaction, Refused> {

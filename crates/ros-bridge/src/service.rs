@@ -1,5 +1,6 @@
 //! The ledger's answers and events as the bridge reads them: the parts of their JSON that it uses.
 
+use ledger_contract::{Capabilities, Direction, Publishing, ServiceState};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, de::DeserializeOwned};
@@ -15,8 +16,8 @@ use crate::{
 /// Longest payload of an event that is read, in bytes.
 const EVENT_BYTES_MAX: usize = 64 * 1024;
 
-/// A service, as `abac service` describes it.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+/// A service, as `abac service` describes it, if this version knows all that it must respect.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Service {
     /// Its id, e.g. `Turtlebot4/cmd_vel`.
     pub service: String,
@@ -27,12 +28,11 @@ pub struct Service {
     /// The ROS 2 topic.
     pub topic: String,
     /// The ROS 2 type.
-    #[serde(rename = "type")]
     pub type_name: String,
-    /// `open`, or another: then publishing needs a grant.
-    pub mode: String,
-    /// `command` or `feed`.
-    pub direction: String,
+    /// What follows from its rule.
+    pub capabilities: Capabilities,
+    /// Which way messages go.
+    pub direction: Direction,
     /// Age (milliseconds) beyond which the robot drops a message.
     pub max_age_ms: u64,
     /// Lease (milliseconds) of a grant that asks for none.
@@ -97,17 +97,18 @@ pub(crate) struct Caller {
 impl Service {
     /// Asks the ledger.
     pub(crate) async fn ask(gateway: &dyn Gateway, height: u64, id: &str) -> Result<(Self, u64), Rejection> {
-        ask(gateway, height, ABAC, "service", &[id]).await
+        let (state, height): (ServiceState, u64) = ask(gateway, height, ABAC, "service", &[id]).await?;
+        Ok((Self::try_from(state)?, height))
     }
 
-    /// Does publishing need a grant? A mode that this version does not know is treated as the strictest.
+    /// Does publishing need a grant?
     pub fn needs_grant(&self) -> bool {
-        self.mode != "open"
+        self.capabilities.publishing != Publishing::Policy
     }
 
     /// Do users publish and the robot listens?
     pub fn is_command(&self) -> bool {
-        self.direction != "feed"
+        self.direction != Direction::Feed
     }
 
     /// The local topic of a route, after a check that its type is the service's.
@@ -140,6 +141,43 @@ impl Service {
     }
 }
 
+impl TryFrom<ServiceState> for Service {
+    type Error = Rejection;
+
+    /// # Errors
+    /// [`Code::UnknownMode`] if the service has a rule or a direction that came after this version: to drive a robot by what
+    /// is known of it would be a guess.
+    fn try_from(state: ServiceState) -> Result<Self, Rejection> {
+        let capabilities = state.capabilities().map_err(|unknown| not_known(&state, unknown.to_string()))?;
+        let direction = state.direction.known();
+        let direction =
+            direction.ok_or_else(|| not_known(&state, format!("direction {:?}", state.direction.word())))?;
+        let ServiceState { service, robot, organisation, topic, type_name, .. } = state;
+        let ServiceState { max_age_ms, lease_ms, stop_hex, epoch, .. } = state;
+        Ok(Self {
+            service,
+            robot,
+            organisation,
+            topic,
+            type_name,
+            capabilities,
+            direction,
+            max_age_ms,
+            lease_ms,
+            stop_hex,
+            epoch,
+        })
+    }
+}
+
+fn not_known(state: &ServiceState, found: String) -> Rejection {
+    let (service, mode) = (&state.service, &state.mode);
+    Rejection::new(Code::UnknownMode, format!("{service} is in mode {mode}, and this bridge does not know its rule"))
+        .found(found)
+        .wanted("a mode whose capabilities this version knows")
+        .next("install the version of the nodes on this machine, or let the owner set another mode")
+}
+
 fn check_type(service: &str, found: &TypeName, wanted: &str) -> Result<(), Rejection> {
     if found.to_string() == wanted {
         return Ok(());
@@ -153,4 +191,41 @@ fn check_type(service: &str, found: &TypeName, wanted: &str) -> Result<(), Rejec
 /// Reads the payload of an event; none if it is not what this version knows.
 pub(crate) fn read<T: DeserializeOwned>(payload: &[u8]) -> Option<T> {
     if payload.len() > EVENT_BYTES_MAX { None } else { serde_json::from_slice(payload).ok() }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn described(mode: &str, more: &str) -> Result<Service, Rejection> {
+        let text = format!(
+            r#"{{"service":"T/cmd_vel","robot":"T","organisation":"Org2","topic":"/cmd_vel","type":"a/msg/B",
+                "mode":"{mode}","direction":"command","max_age_ms":1,"lease_ms":1,"lease_ms_max":1,"stop_hex":null,
+                "holder":"","holders":[],"epoch":0,"expires":0{more}}}"#
+        );
+        Service::try_from(serde_json::from_str::<ServiceState>(&text).unwrap())
+    }
+
+    #[test]
+    fn a_node_that_tells_no_capabilities_means_those_of_its_mode() {
+        for (mode, needs_grant) in [("exclusive", true), ("open", false)] {
+            assert_eq!(described(mode, "").unwrap().needs_grant(), needs_grant);
+        }
+    }
+
+    #[test]
+    fn a_mode_of_a_newer_node_is_driven_by_capabilities_that_are_all_known_and_else_refused() {
+        let told = r#","capabilities":{"fencing":"per_holder","publishing":"grant","sequence":"per_publisher"}"#;
+        assert!(described("limited", told).unwrap().needs_grant());
+        for (more, found) in [
+            (String::new(), "mode \"limited\" without capabilities"),
+            (told.replace("per_holder", "by_place"), "capability \"fencing\" with the value \"by_place\""),
+            (told.replace("fencing", "clamp"), "capability \"clamp\" with the value \"per_holder\""),
+        ] {
+            let refused = described("limited", &more).unwrap_err();
+            assert_eq!((refused.code, refused.found.as_str()), (Code::UnknownMode, found));
+        }
+        assert_eq!(described("open", &told.replace("fencing", "clamp")).unwrap_err().code, Code::UnknownMode);
+    }
 }

@@ -47,6 +47,8 @@ pub(crate) struct Fleet {
     pub(crate) state: Arc<MemoryState>,
     pub(crate) height: u64,
     pub(crate) time: u64,
+    /// Id of the transactions; zero for queries.
+    pub(crate) transaction: Hash,
     /// Everything that was ever emitted.
     pub(crate) events: Vec<Event>,
     /// What each block wrote.
@@ -124,6 +126,7 @@ impl Fleet {
             state: Arc::new(MemoryState::default()),
             height: 0,
             time: START,
+            transaction: Hash::ZERO,
             events: vec![],
             writes: vec![],
         };
@@ -269,7 +272,7 @@ impl Fleet {
             network: Hash::ZERO,
             height: self.height,
             time: self.time,
-            transaction: Hash::ZERO,
+            transaction: self.transaction,
         }
     }
 

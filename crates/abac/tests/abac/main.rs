@@ -8,6 +8,7 @@
 )]
 
 mod arguments;
+mod bytes;
 mod fleet;
 mod following;
 mod grants;

@@ -31,7 +31,7 @@ fn the_experiment_of_the_paper_runs_as_told() {
     fleet.ok(&salma, "release", &[TURTLEBOT]);
     assert_eq!(
         fleet.newest::<Released>("released"),
-        Released { service: TURTLEBOT.into(), holder: "Org1/Salma".into(), epoch: 1, reason: Reason::Released }
+        Released { service: TURTLEBOT.into(), holder: "Org1/Salma".into(), epoch: 1, reason: Reason::Released.into() }
     );
     let grant: Grant = fleet.get(&farhad, "acquire", &["Turtlebot4"]);
     assert_eq!((grant.holder.as_str(), grant.epoch), ("Org1/Farhad", 2));

@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, START, TURTLEBOT, admin1, farhad, owner, robot, salma};
 use bytes::Bytes;
-use ledger_abac::{DEFAULT_POLICY, Grant, POLICY_BYTES_MAX, PolicyChange, PolicyEntry, Reason};
+use ledger_abac::{DEFAULT_POLICY, Grant, POLICY_BYTES_MAX, PolicyChange, PolicyEntry};
 use ledger_rejection::Code;
 
 const ALL: &str = "permit (principal, action, resource);";
@@ -39,8 +39,8 @@ fn a_policy_opens_what_the_default_denies_and_its_removal_restores_that() {
     let change: PolicyChange = fleet.get(&owner(), "policy", &["remove", "all"]);
     assert!(change.default_in_force);
     assert_eq!(
-        change.ended.iter().map(|r| (r.service.as_str(), r.reason)).collect::<Vec<_>>(),
-        [(HUSKY, Reason::Policy)]
+        change.ended.iter().map(|r| (r.service.as_str(), r.reason.word())).collect::<Vec<_>>(),
+        [(HUSKY, "policy")]
     );
     fleet.refused(&farhad(), Code::MissingAttribute, "acquire", &[HUSKY]);
 }

@@ -1,7 +1,8 @@
 //! Registering robots: who may, and whom a robot trusts.
 
-use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, identity, owner, robot, salma};
-use ledger_abac::{Direction, Mode, Reason, Released, RobotAsset, RobotEvent};
+use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, bytes, identity, owner, robot, salma};
+use ledger_abac::{Direction, Fencing, Mode, Publishing, Reason, Released, RobotAsset, RobotEvent, ServiceState};
+use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::Code;
 
@@ -27,7 +28,7 @@ fn a_robot_belongs_to_the_organisation_that_registered_it() {
     assert!(refusal.message.contains("belongs to Org2"), "{refusal}");
     fleet.refused(&admin1(), Code::NotOwner, "remove", &["Husky"]);
     let asset: RobotAsset = fleet.get(&salma(), "robot", &["Husky"]);
-    assert_eq!((asset.organisation.as_str(), asset.services[0].mode), ("Org2", Mode::Exclusive));
+    assert_eq!((asset.organisation.as_str(), asset.services[0].mode.known()), ("Org2", Some(Mode::Exclusive)));
 }
 
 #[test]
@@ -118,10 +119,10 @@ fn defaults_are_filled_in_and_kept() {
     let robots: Vec<RobotAsset> = fleet.get(&salma(), "robots", &[]);
     let (husky, camera) = (&robots[0].services[0], &robots[1].services[0]);
     assert_eq!(
-        (husky.direction, husky.max_age_ms, husky.lease_ms, husky.lease_ms_max),
-        (Direction::Command, 1000, 10_000, 600_000)
+        (husky.direction.known(), husky.max_age_ms, husky.lease_ms, husky.lease_ms_max),
+        (Some(Direction::Command), 1000, 10_000, 600_000)
     );
-    assert_eq!((camera.mode, camera.direction), (Mode::Open, Direction::Feed));
+    assert_eq!((camera.mode.known(), camera.direction.known()), (Some(Mode::Open), Some(Direction::Feed)));
     assert_eq!(robots[0].attribute_required, "Husky=true");
 }
 
@@ -164,4 +165,19 @@ fn what_is_no_ros_name_or_out_of_range_is_refused() {
     assert_eq!(near.next, "did you mean geometry_msgs/msg/Twist?");
     let stop = good.replace(mode, r#""stop_hex":"00010000""#);
     fleet.ok(&owner(), "setup", &[&stop]);
+}
+
+#[test]
+fn capabilities_are_told_to_whoever_asks_and_never_by_a_transaction() {
+    let mut fleet = Fleet::of_the_paper();
+    let asked: ServiceState = fleet.get(&salma(), "service", &["Husky"]);
+    let known = asked.capabilities().unwrap();
+    assert_eq!((known.publishing, known.fencing), (Publishing::Grant, Fencing::Newest));
+    assert!(asked.capabilities.is_some());
+    fleet.transaction = Hash([7; 32]);
+    for (function, argument) in [("service", "Husky"), ("robot", "Husky"), ("setup", &robot("Spot", "open"))] {
+        let answer = fleet.call(&owner(), function, &bytes(&[argument])).unwrap();
+        let answer = std::str::from_utf8(&answer).unwrap();
+        assert!(answer.contains("Org2") && !answer.contains("capabilities"), "{function}: {answer}");
+    }
 }

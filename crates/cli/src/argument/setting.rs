@@ -1,7 +1,7 @@
 //! The settings of a robot and its services as people type them, `KEY=VALUE`: one table for `robot add` and `robot set`.
 
 use super::span::Milliseconds;
-use ledger_contract::{Direction, Mode, RobotSettings};
+use ledger_contract::{RobotSettings, Word};
 
 /// One setting.
 pub(crate) struct Key {
@@ -24,8 +24,7 @@ pub(crate) static KEYS: [Key; 9] = [
         of_service: true,
         wanted: "open|exclusive",
         read: |settings, value| {
-            let modes = [("open", Mode::Open), ("exclusive", Mode::Exclusive)];
-            settings.mode = Some(choice(value, &modes)?);
+            settings.mode = Some(choice(value)?);
             Ok(())
         },
     },
@@ -35,8 +34,7 @@ pub(crate) static KEYS: [Key; 9] = [
         of_service: true,
         wanted: "command|feed",
         read: |settings, value| {
-            let directions = [("command", Direction::Command), ("feed", Direction::Feed)];
-            settings.direction = Some(choice(value, &directions)?);
+            settings.direction = Some(choice(value)?);
             Ok(())
         },
     },
@@ -162,11 +160,12 @@ pub(crate) fn listed(meant: impl Fn(&Key) -> bool) -> String {
     keys.map(|key| format!("{}={}", key.name, key.wanted)).collect::<Vec<_>>().join(", ")
 }
 
-fn choice<T: Copy>(value: &str, choices: &[(&str, T)]) -> Result<T, String> {
-    choices.iter().find(|(word, _)| *word == value).map(|(_, choice)| *choice).ok_or_else(|| {
-        let words: Vec<_> = choices.iter().map(|(word, _)| *word).collect();
-        format!("wanted {}", words.join(" or "))
-    })
+fn choice<T: Word>(value: &str) -> Result<T, String> {
+    T::of(value).ok_or_else(|| format!("wanted {}", words::<T>().join(" or ")))
+}
+
+fn words<T: Word>() -> Vec<&'static str> {
+    T::ALL.iter().map(|value| value.word()).collect()
 }
 
 fn span(place: &mut Option<u64>, value: &str) -> Result<(), String> {
@@ -178,6 +177,14 @@ fn span(place: &mut Option<u64>, value: &str) -> Result<(), String> {
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
+    use ledger_contract::{Direction, Mode};
+
+    #[test]
+    fn a_choice_shows_all_its_words() {
+        for (name, words) in [("mode", words::<Mode>()), ("direction", words::<Direction>())] {
+            assert_eq!(find(name, |_| true).unwrap().wanted, words.join("|"));
+        }
+    }
 
     fn read(texts: &[&str]) -> Result<RobotSettings, String> {
         collect(&texts.iter().map(|text| text.parse()).collect::<Result<Vec<_>, _>>()?)

@@ -10,7 +10,7 @@ use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Committed;
-use ledger_contract::{Grant, Mode, Released};
+use ledger_contract::{Capabilities, Fencing, Grant, Released};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -77,10 +77,12 @@ struct Granted {
 impl Facts for Granted {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Grant { service, holder, epoch, expires, mode, .. } = &self.grant;
-        let what = match (self.renewed, mode) {
-            (true, _) => "renewed",
-            (false, Mode::Exclusive) => "is yours alone",
-            (false, _) => "is yours, with everybody else who may",
+        let is_alone = mode.known().and_then(Capabilities::of_mode).map(|known| known.fencing == Fencing::Newest);
+        let what = match (self.renewed, is_alone) {
+            (true, _) => "renewed".to_owned(),
+            (false, Some(true)) => "is yours alone".to_owned(),
+            (false, Some(false)) => "is yours, with everybody else who may".to_owned(),
+            (false, None) => format!("is yours in mode {mode}"),
         };
         writeln!(out, "{service} {what}")?;
         let mut table = crate::output::Table::pairs();
@@ -157,14 +159,15 @@ impl Release {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use ledger_contract::{Mode, Told};
 
-    fn granted(renewed: bool, mode: Mode) -> Granted {
+    fn granted(renewed: bool, mode: impl Into<Told<Mode>>) -> Granted {
         let grant = Grant {
             service: "Turtlebot4/cmd_vel".into(),
             holder: "Org1/Salma".into(),
             epoch: 3,
             expires: 1_700_000_010_000_000,
-            mode,
+            mode: mode.into(),
             acquired_at: 1_700_000_000_000_000,
             lease_ms: 10_000,
             next_seq: 0,
@@ -186,6 +189,8 @@ mod tests {
         }
         assert!(text(&granted(true, Mode::Exclusive)).contains("renewed"));
         assert!(text(&granted(false, Mode::Open)).contains("everybody else who may"));
+        let newer = text(&granted(false, Told::Unknown("limited".into())));
+        assert!(newer.contains("Turtlebot4/cmd_vel is yours in mode limited"), "{newer}");
     }
 
     #[test]

@@ -149,7 +149,7 @@ impl Facts for Robots {
                 table.row([
                     service.service.clone(),
                     service.type_name.clone(),
-                    word(&service.mode),
+                    service.mode.to_string(),
                     robot.organisation.clone(),
                     robot.attribute_required.clone(),
                     if service.holders.is_empty() { "-".to_owned() } else { service.holders.join(", ") },
@@ -160,11 +160,6 @@ impl Facts for Robots {
         }
         table.write(out, 0)
     }
-}
-
-/// The word that stands for a value in JSON.
-fn word(value: &impl Serialize) -> String {
-    serde_json::to_value(value).ok().and_then(|value| value.as_str().map(str::to_owned)).unwrap_or_default()
 }
 
 /// A robot exactly as the ledger holds it, whatever fields later versions add.
@@ -221,6 +216,16 @@ Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  
         assert_eq!(text(&robots), wanted);
         let json: serde_json::Value = serde_json::to_value(&robots).unwrap();
         assert_eq!(json.as_array().unwrap().len(), 1);
+    }
+
+    #[test]
+    fn what_a_newer_node_tells_is_shown_as_it_came() {
+        let newer =
+            ASSET.replace("exclusive", "limited").replace(r#""holder":"#, r#""capabilities":{"places":"2"},"holder":"#);
+        let robots = Robots(vec![serde_json::from_str(&newer).unwrap()], 1_000_000);
+        assert!(text(&robots).contains("  limited  "), "{}", text(&robots));
+        let json = serde_json::to_string(&robots).unwrap();
+        assert!(json.contains(r#""mode":"limited""#) && json.contains(r#""capabilities":{"places":"2"}"#), "{json}");
     }
 
     #[test]

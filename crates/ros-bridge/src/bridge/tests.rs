@@ -357,6 +357,39 @@ async fn a_change_of_mode_counts_from_its_block_on() {
 }
 
 #[tokio::test]
+async fn a_robot_whose_rule_this_version_does_not_know_is_not_driven() {
+    if !network::isolated("bridge::tests::a_robot_whose_rule_this_version_does_not_know_is_not_driven") {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 10_000)).await;
+    let mut reader = bench.reader().await;
+    let salma = &bench.network.salma;
+    let (sent, _) = bench.message(salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    bench.fake.set_mode("limited");
+    bench.fake.deliver(micros(), "robot", &json!({ "robot": "T" }), None);
+    assert_eq!(next(&mut reader).await, stop());
+    bench.message(salma, 3, 2);
+    bench.fake.set_mode("exclusive");
+    bench.fake.deliver(micros(), "robot", &json!({ "robot": "T" }), None);
+    let (sent, _) = bench.message(salma, 3, 3);
+    assert_eq!(next(&mut reader).await, sent, "nothing in between");
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!((summary.published, summary.stops["no_service"], summary.gate["no_service"]), (2, 1, 1));
+}
+
+#[tokio::test]
+async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() {
+    let fake = Fake::new("limited");
+    let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
+    let config = Config::parse(text, Path::new("")).unwrap();
+    let refused = Bridge::start_with(config, fake, &context(&Network::until(2900))).await.unwrap_err();
+    assert_eq!(refused.code, Code::UnknownMode);
+    assert_eq!(refused.message, "T/cmd_vel is in mode limited, and this bridge does not know its rule");
+    assert_eq!(refused.found, "mode \"limited\" without capabilities");
+}
+
+#[tokio::test]
 async fn a_route_of_another_type_is_refused_at_the_start() {
     let fake = Fake::new("exclusive");
     let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'\ndirection = 'to_ledger'";

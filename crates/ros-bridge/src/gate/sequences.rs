@@ -1,5 +1,6 @@
 //! Which sequence number each publisher has reached: nothing passes twice, nothing passes backwards.
 
+use ledger_contract::Sequence;
 use std::collections::BTreeMap;
 
 /// Most publishers remembered at a time.
@@ -21,11 +22,10 @@ struct Last {
 }
 
 impl Sequences {
-    /// May these numbers follow? With `by_epoch` every epoch counts anew, as on an exclusive service.
-    pub(super) fn may_follow(&self, publisher: &str, by_epoch: bool, epoch: u64, first_seq: u64) -> bool {
-        self.last
-            .get(publisher)
-            .is_none_or(|last| if by_epoch && epoch > last.epoch { true } else { first_seq > last.seq })
+    /// May these numbers follow?
+    pub(super) fn may_follow(&self, publisher: &str, sequence: Sequence, epoch: u64, first_seq: u64) -> bool {
+        let anew = |last: &Last| sequence == Sequence::PerEpoch && epoch > last.epoch;
+        self.last.get(publisher).is_none_or(|last| anew(last) || first_seq > last.seq)
     }
 
     /// Takes note of a message that passed. False if there is no room: then it must not pass.
@@ -50,16 +50,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_only_grow_and_an_exclusive_service_counts_each_epoch_anew() {
+    fn numbers_only_grow_and_each_epoch_counts_anew_where_the_rule_says_so() {
         let mut sequences = Sequences::default();
         assert!(sequences.note("a", 1, 10, 100, 0));
-        for by_epoch in [true, false] {
-            assert!(!sequences.may_follow("a", by_epoch, 1, 10));
-            assert!(sequences.may_follow("a", by_epoch, 1, 11));
-            assert!(sequences.may_follow("b", by_epoch, 1, 1));
+        for sequence in [Sequence::PerEpoch, Sequence::PerPublisher] {
+            assert!(!sequences.may_follow("a", sequence, 1, 10));
+            assert!(sequences.may_follow("a", sequence, 1, 11));
+            assert!(sequences.may_follow("b", sequence, 1, 1));
         }
-        assert!(sequences.may_follow("a", true, 2, 1));
-        assert!(!sequences.may_follow("a", false, 2, 1));
+        assert!(sequences.may_follow("a", Sequence::PerEpoch, 2, 1));
+        assert!(!sequences.may_follow("a", Sequence::PerPublisher, 2, 1));
     }
 
     #[test]

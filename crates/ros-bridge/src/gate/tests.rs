@@ -7,7 +7,8 @@ use ledger::transaction::Transaction;
 use proptest::prelude::*;
 
 use super::{Delivered, Gate, HOLDERS_MAX, Refused};
-use crate::service::{Released, Revoked};
+use crate::service::{Released, Revoked, Service};
+use ledger_contract::{Capabilities, Fencing, Publishing, Sequence};
 
 /// Delivers a transaction in a block of now, with the certificate.
 fn deliver(gate: &mut Gate, user: &User, transaction: &Transaction) -> Result<usize, Refused> {
@@ -116,11 +117,34 @@ fn nobody_but_the_holder_passes() {
     assert_eq!(deliver(&mut free, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::NotHolder));
 }
 
+/// A service as of a mode that came after this version: several holders, each with a grant.
+fn side_by_side() -> Service {
+    let capabilities =
+        Capabilities { publishing: Publishing::Grant, fencing: Fencing::PerHolder, sequence: Sequence::PerPublisher };
+    Service { capabilities, ..service("exclusive") }
+}
+
 #[test]
-fn a_mode_that_this_version_does_not_know_needs_a_grant() {
+fn holders_side_by_side_pass_under_their_own_epochs_and_nobody_else_does() {
     let network = Network::new();
-    let mut gate = network.gate(&service("limited"), &[]);
-    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NotHolder));
+    let mut gate = network.gate(&side_by_side(), &[grant("Org1/Salma", 3), grant("Org1/Farhad", 4)]);
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 10, &TWIST)), Ok(1));
+    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 1, &TWIST)), Ok(1));
+    let of_another = network.salma.set(4, 11, &TWIST);
+    assert_eq!(deliver(&mut gate, &network.salma, &of_another), Err(Refused::NotHolder));
+    let without = network.salma.set(0, 11, &TWIST);
+    assert_eq!(deliver(&mut gate, &network.salma, &without), Err(Refused::NotHolder), "a policy alone is not enough");
+    let again = network.salma.set(3, 10, &TWIST);
+    assert_eq!(
+        deliver(&mut gate, &network.salma, &again),
+        Err(Refused::StaleSequence),
+        "another's message changes nothing"
+    );
+    network.granted(&mut gate, &network.farhad, "T", 5).unwrap();
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 11, &TWIST)), Ok(1), "hers goes on");
+    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 2, &TWIST)), Err(Refused::NotHolder));
+    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(5, 1, &TWIST)), Err(Refused::StaleSequence));
+    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(5, 2, &TWIST)), Ok(1));
 }
 
 #[test]
@@ -389,7 +413,7 @@ fn an_expired_certificate_does_not_pass() {
 #[test]
 fn only_the_owner_feeds_a_feed() {
     let network = Network::new();
-    let feed = crate::service::Service { direction: "feed".into(), ..service("open") };
+    let feed = crate::service::Service { direction: ledger_contract::Direction::Feed, ..service("open") };
     let mut gate = network.gate(&feed, &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NotOwner));
     assert_eq!(deliver(&mut gate, &network.robot, &network.robot.set(0, 1, &TWIST)), Ok(1));

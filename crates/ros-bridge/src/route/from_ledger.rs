@@ -15,6 +15,7 @@ use ledger_api::{
     Subscription,
     v1::{Delivery, EventRecord},
 };
+use ledger_contract::{Reason, Word};
 use ledger_rejection::Rejection;
 use tokio::time::{sleep_until, timeout};
 
@@ -91,10 +92,7 @@ fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown: &mut Show
 
 /// The reason of a release, as it is counted.
 fn reason(text: &str) -> &'static str {
-    ["released", "expired", "revoked", "taken", "robot_removed", "policy"]
-        .into_iter()
-        .find(|known| *known == text)
-        .unwrap_or("other")
+    Reason::of(text).map_or("other", Word::word)
 }
 
 /// A route from a service to a local topic.

@@ -8,7 +8,7 @@ use crate::session::{ABAC, Session};
 use crate::time;
 use crate::words::{self, Words};
 use bytes::Bytes;
-use ledger_contract::{Reason, RobotChange, SettingChange};
+use ledger_contract::{Reason, RobotChange, SettingChange, Told};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -122,7 +122,7 @@ impl Facts for Changed {
         for grant in ended {
             let end = if *dry_run { "would end" } else { "ended" };
             let (service, holder, epoch) = (&grant.service, &grant.holder, grant.epoch);
-            writeln!(out, "{end}: the grant of {service} to {holder} (epoch {epoch}): {}", why(grant.reason))?;
+            writeln!(out, "{end}: the grant of {service} to {holder} (epoch {epoch}): {}", why(&grant.reason))?;
         }
         Ok(())
     }
@@ -141,14 +141,15 @@ fn shown(setting: &str, value: &str) -> String {
     }
 }
 
-fn why(reason: Reason) -> &'static str {
-    match reason {
-        Reason::Policy => "the robot no longer permits this holder",
-        Reason::Taken => "the mode has no room for this holder",
-        Reason::RobotRemoved => "the robot no longer offers this service",
-        Reason::Released => "its holder gave it back",
-        Reason::Expired => "its lease ran out",
-        Reason::Revoked => "its holder's certificate is revoked",
+fn why(reason: &Told<Reason>) -> &str {
+    match reason.known() {
+        Some(Reason::Policy) => "the robot no longer permits this holder",
+        Some(Reason::Taken) => "the mode has no room for this holder",
+        Some(Reason::RobotRemoved) => "the robot no longer offers this service",
+        Some(Reason::Released) => "its holder gave it back",
+        Some(Reason::Expired) => "its lease ran out",
+        Some(Reason::Revoked) => "its holder's certificate is revoked",
+        Some(_) | None => reason.word(),
     }
 }
 
@@ -182,7 +183,7 @@ mod tests {
             service: "Husky/cmd_vel".into(),
             holder: "Org1/Salma".into(),
             epoch: 3,
-            reason: Reason::Policy,
+            reason: Reason::Policy.into(),
         }];
         assert_eq!(
             text(changed, ended, false),

@@ -66,7 +66,7 @@ impl Fake {
         *self.service.lock().unwrap() = json!({
             "service": "T/cmd_vel", "robot": "T", "organisation": "Org2", "topic": "/cmd_vel",
             "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 1000, "lease_ms": 10000,
-            "stop_hex": null, "epoch": 3,
+            "lease_ms_max": 600_000, "stop_hex": null, "holder": "", "holders": [], "epoch": 3, "expires": 0,
         });
     }
 

@@ -1,13 +1,13 @@
 //! Changing a robot: some of its settings (`configure`), or its whole description (`replace`). Both answer with what changed
 //! and what ended; a grant that the new settings still allow goes on.
 
+use super::robots::{self, ROBOTS_PER_SETUP_MAX};
+use super::{describe, end, show};
 use crate::arguments::Arguments;
-use crate::authorize::Decider;
-use crate::grant::mode_name;
-use crate::revoke;
-use crate::robot::{self, Robot};
-use crate::service::{self, Service, direction_name};
-use crate::store;
+use crate::policy::decider::Decider;
+use crate::records::robot::{self, Robot};
+use crate::records::service::{self, Service};
+use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::{RobotChange, RobotSettings, ServiceSpec, SettingChange};
@@ -22,8 +22,8 @@ type Setting<T> = (&'static str, fn(&T) -> String);
 /// The settings of a service.
 const OF_SERVICE: [Setting<Service>; 7] = [
     ("type", |service| service.type_name.clone()),
-    ("mode", |service| mode_name(service.mode).to_owned()),
-    ("direction", |service| direction_name(service.direction).to_owned()),
+    ("mode", |service| service.mode.to_string()),
+    ("direction", |service| service.direction.to_string()),
     ("max_age_ms", |service| service.max_age_ms.to_string()),
     ("lease_ms", |service| service.lease_ms.to_string()),
     ("lease_ms_max", |service| service.lease_ms_max.to_string()),
@@ -61,7 +61,7 @@ fn apply(settings: &RobotSettings, service: Service) -> ServiceSpec {
 /// `configure ROBOT[/TOPIC] SETTINGS_JSON`: changes some settings; by an admin of the robot's owner.
 pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("configure ROBOT[/TOPIC] SETTINGS_JSON", args, 2, 2)?;
-    let admin = robot::admin(ctx, "change robots")?;
+    let admin = robots::admin(ctx, "change robots")?;
     let id = args.text(0, "ROBOT[/TOPIC]")?;
     let wanted = "JSON of some of attribute_required, trusted, type, mode, direction, max_age_ms, lease_ms, lease_ms_max, \
                   stop_hex";
@@ -73,35 +73,35 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
     }
     let (name, topic) = service::split(id);
     let before = robot::find(ctx, name)?;
-    robot::check_owner(&before, admin)?;
+    robots::check_owner(&before, admin)?;
     let mut after = before.clone();
     if is_of_service(&settings) || !topic.is_empty() {
         let target = service::resolve(ctx, id)?;
         for service in after.services.iter_mut().filter(|service| service.topic == target.service.topic) {
-            *service = Service::check(apply(&settings, service.clone()))?;
+            *service = describe::check_service(apply(&settings, service.clone()))?;
         }
     }
     if let Some(required) = &settings.attribute_required {
-        after.attribute_required = robot::check_attribute(required)?;
+        after.attribute_required = describe::check_attribute(required)?;
     }
     if let Some(trusted) = settings.trusted {
-        after.trusted = robot::check_trusted(ctx, trusted)?;
+        after.trusted = describe::check_trusted(ctx, trusted)?;
     }
     store::json(&change(ctx, decider, Some(before), after)?)
 }
 
 /// `replace ROBOT_JSON...`: as `setup`, also for robots that exist; by an admin of their owner.
 pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let args = Arguments::new("replace ROBOT_JSON...", args, 1, robot::ROBOTS_PER_SETUP_MAX)?;
-    let admin = robot::admin(ctx, "change robots")?;
+    let args = Arguments::new("replace ROBOT_JSON...", args, 1, ROBOTS_PER_SETUP_MAX)?;
+    let admin = robots::admin(ctx, "change robots")?;
     let mut changes = Vec::new();
     for index in 0..args.rest(0).len() {
-        let spec = robot::read_spec(args, index)?;
-        let before = robot::registered(ctx, &spec.name)?;
+        let spec = describe::read_spec(args, index)?;
+        let before = robots::registered(ctx, &spec.name)?;
         if let Some(robot) = &before {
-            robot::check_owner(robot, admin)?;
+            robots::check_owner(robot, admin)?;
         }
-        let after = robot::describe(ctx, &admin.organisation, spec, before.as_ref())?;
+        let after = describe::describe(ctx, &admin.organisation, spec, before.as_ref())?;
         changes.push(change(ctx, decider, before, after)?);
     }
     store::json(&changes)
@@ -117,10 +117,10 @@ fn change(
 ) -> Result<RobotChange, Rejection> {
     let changed = before.as_ref().map_or_else(Vec::new, |before| differences(before, &after));
     let ended = match &before {
-        Some(before) if changed.is_empty() => revoke::robot_changed(ctx, decider, before, before)?,
-        before => robot::put(ctx, decider, before.as_ref(), after.clone())?,
+        Some(before) if changed.is_empty() => end::robot_changed(ctx, decider, before, before)?,
+        before => robots::put(ctx, decider, before.as_ref(), after.clone())?,
     };
-    Ok(RobotChange { robot: robot::find(ctx, &after.name)?.asset(ctx)?, changed, ended })
+    Ok(RobotChange { robot: show::asset(ctx, &robot::find(ctx, &after.name)?)?, changed, ended })
 }
 
 fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {

@@ -7,8 +7,8 @@
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
 //! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
-//! | `last/<service>` | last message of an exclusive service |
-//! | `last/<service>␀<publisher>` | last message of a publisher of an open service |
+//! | `last/<service>` | last message of a service whose sequences count by epoch |
+//! | `last/<service>␀<publisher>` | last message of a publisher of any other |
 //! | `policy/<organisation>/<id>` | Cedar text |
 //! | `version/<organisation>` | hash over the organisation's policies; absent while it has none of its own |
 //!
@@ -62,7 +62,7 @@ pub(crate) fn parse_certificate_key<'k>(key: &'k [u8], prefix: &[u8]) -> Option<
     std::str::from_utf8(key.strip_prefix(prefix)?).ok()?.split_once('\0')
 }
 
-/// The key of the last message of an exclusive service, or of one publisher of an open one.
+/// The key of the last message of a service, or of one of its publishers (see [`super::last`]).
 pub(crate) fn last_key(service: &str, publisher: Option<&str>) -> Vec<u8> {
     publisher.map_or_else(|| format!("last/{service}"), |who| format!("last/{service}\0{who}")).into_bytes()
 }

@@ -1,28 +1,38 @@
-//! How rights end without their holder's doing: expiry, revocation, a change of policy or of the robot.
+//! How grants end: expiry, revocation, a change of policy or of the robot, and whatever the other actions end.
 //!
 //! A right that ends at a height has no effect after it. But a block may tell of a bounded number of events, so when
 //! very many grants end at once, those beyond the bound are marked as ended (which no check overlooks) and made due
 //! at once; the following blocks sweep them up and tell why they ended.
 
-use crate::authorize::{self, Decider};
-use crate::conflict::{self, Outcome};
-use crate::grant::{self, Holding};
-use crate::robot::{self, Robot, SERVICES_MAX};
-use crate::service::Target;
-use crate::store;
+use super::robots;
+use crate::policy::decider::{self, Decider};
+use crate::records::grant::{self, Holding};
+use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
+use crate::records::service::Target;
+use crate::records::store;
+use crate::rules::{self, Decision};
 use ledger::{Context, Revocation};
-use ledger_contract::{Reason, Released};
+use ledger_contract::{Grant, Reason, Released};
 use ledger_rejection::Rejection;
 
 /// Most grants that one call or the start of one block ends with an event each.
 const ENDINGS_MAX: usize = 256;
+
+/// Removes a grant, and tells the world why.
+pub(crate) fn end(ctx: &mut Context<'_>, holding: &Holding, reason: Reason) -> Result<Released, Rejection> {
+    grant::remove(ctx, holding);
+    let Grant { service, holder, epoch, .. } = holding.grant.clone();
+    let released = Released { service, holder, epoch, reason: reason.into() };
+    ctx.emit("released", &released.service, store::json(&released)?);
+    Ok(released)
+}
 
 /// Ends grants now; returns those whose event was emitted now.
 pub(crate) fn end_all(ctx: &mut Context<'_>, ending: Vec<(Holding, Reason)>) -> Result<Vec<Released>, Rejection> {
     let mut released = Vec::new();
     for (holding, reason) in ending {
         if released.len() < ENDINGS_MAX {
-            released.push(grant::end(ctx, &holding, reason)?);
+            released.push(end(ctx, &holding, reason)?);
         } else {
             let mut marked = holding.clone();
             marked.ending = Some(reason);
@@ -50,7 +60,7 @@ pub(crate) fn sweep(ctx: &mut Context<'_>) -> Result<(), Rejection> {
         }
         match store::read::<Holding>(ctx, &store::grant_key(service, holder))? {
             Some(holding) if holding.grant.expires == expires => {
-                grant::end(ctx, &holding, holding.reason())?;
+                end(ctx, &holding, holding.reason())?;
             }
             _ => ctx.delete(&key),
         }
@@ -69,7 +79,7 @@ pub(crate) fn next_deadline(ctx: &Context<'_>) -> Option<u64> {
 pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> Result<(), Rejection> {
     let prefix = store::certificate_prefix(&revoked.issuer, &revoked.serial);
     let mut ending = Vec::new();
-    for (key, _) in ctx.range(&prefix, robot::ROBOTS_MAX * SERVICES_MAX) {
+    for (key, _) in ctx.range(&prefix, ROBOTS_MAX * SERVICES_MAX) {
         if let Some((service, holder)) = store::parse_certificate_key(&key, &prefix)
             && let Some(holding) = store::read::<Holding>(ctx, &store::grant_key(service, holder))?
             && holding.ending.is_none()
@@ -85,9 +95,9 @@ pub(crate) fn organisation_removed(ctx: &mut Context<'_>, organisation: &str) ->
     let (mut ending, mut told) = (Vec::new(), 0);
     for robot in robot::all(ctx)? {
         if robot.organisation == organisation {
-            ending.extend(robot::take_out(ctx, &robot)?);
+            ending.extend(robots::take_out(ctx, &robot)?);
             if told < ENDINGS_MAX {
-                robot::tell(ctx, &robot, "removed")?;
+                robots::tell(ctx, &robot, "removed")?;
                 told += 1;
             }
             continue;
@@ -139,17 +149,18 @@ pub(crate) fn robot_changed(
 /// The live grants of a service that policies deny now, or that its mode has no room for: the oldest stay. Those that stay
 /// are renewed by no more than the service now allows.
 fn unfit(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<Vec<(Holding, Reason)>, Rejection> {
+    let rule = rules::rule(target)?;
     let mut stay: Vec<Holding> = Vec::new();
     let mut ending = Vec::new();
     for holding in grant::live(ctx, &target.id)? {
         let grants: Vec<_> = stay.iter().map(|holding| &holding.grant).collect();
-        if authorize::may_hold(ctx, decider, &holding.principal, target).is_err() {
+        if decider::may_hold(ctx, decider, &holding.principal, target).is_err() {
             ending.push((holding, Reason::Policy));
-        } else if matches!(conflict::rule(target.service.mode).resolve(&holding.principal, &grants), Outcome::Held(_)) {
+        } else if matches!(rule.decide(&holding.principal, &grants), Decision::Wait(_)) {
             ending.push((holding, Reason::Taken));
         } else {
             let mut changed = holding.clone();
-            changed.grant.mode = target.service.mode;
+            changed.grant.mode = target.service.mode.into();
             changed.grant.lease_ms = holding.grant.lease_ms.min(target.service.lease_ms_max);
             if changed != holding {
                 grant::replace(ctx, &holding, &changed)?;

@@ -3,39 +3,29 @@
 //! The messages themselves stay in the transaction; the state keeps only where the last one is. A held grant is
 //! checked by comparing numbers, without asking any policy.
 
+use super::{NAME, hold, renew};
 use crate::arguments::Arguments;
-use crate::authorize::{self, Decider};
-use crate::conflict;
-use crate::contract::NAME;
-use crate::grant;
-use crate::service::Target;
-use crate::store;
+use crate::policy::decider::{Action, Decider};
+use crate::records::grant::{self, Holding};
+use crate::records::last::{self, Last};
+use crate::records::principal::Principal;
+use crate::records::service::Target;
+use crate::records::store;
+use crate::rules;
 use bytes::Bytes;
 use ledger::{Context, Foretold};
-use ledger_contract::{MessageEvent, Published};
+use ledger_contract::{MessageEvent, Published, Publishing};
+use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
-use serde::{Deserialize, Serialize};
+use std::sync::Arc;
 
 /// Most messages of one `set`.
 pub const MESSAGES_PER_CALL_MAX: usize = 1024;
 /// Bytes of the CDR encapsulation header before every message: two of representation, two of options.
 const CDR_HEADER_BYTES: usize = 4;
-
-/// Where the last message of a service is: key `last/…`.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-struct Last {
-    /// The epoch it was published under; 0 without a grant.
-    epoch: u64,
-    /// Its sequence number.
-    seq: u64,
-    /// The block it is in.
-    height: u64,
-    /// Who published it.
-    publisher: String,
-    /// How many messages its transaction holds; their sequence numbers end with `seq`.
-    count: u64,
-}
+/// The name of the event of what was published.
+pub(crate) const MESSAGE: &str = "message";
 
 const USAGE: &str = "set SERVICE EPOCH FIRST_SEQ PAYLOAD...";
 
@@ -49,11 +39,12 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
         .filter(|last| *last < u64::MAX)
         .ok_or_else(|| args.bad(2, "FIRST_SEQ", first_seq.to_string(), "room for all messages below 2^64 - 1"))?;
     let submitter = ctx.submitter()?;
-    let target = decider.target(ctx, args.text(0, "SERVICE")?)?;
-    let own = authorize::may_publish(ctx, decider, submitter, &target, Some(epoch))?;
+    let target = decider.records.target(ctx, args.text(0, "SERVICE")?)?;
+    let own = may_publish(ctx, decider, submitter, &target, Some(epoch))?;
 
     let publisher = submitter.id();
-    let next_seq = next_sequence(ctx, &target, epoch, &publisher)?;
+    let sequence = rules::rule(&target)?.capabilities().sequence;
+    let next_seq = last::next_sequence(ctx, &target.id, sequence, epoch, &publisher)?;
     if first_seq < next_seq {
         return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
             .found(format!("sequence number {first_seq}"))
@@ -61,11 +52,10 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
             .next("number messages upwards; after a restart, acquire again and go on from next_seq"));
     }
     if let Some(own) = &own {
-        grant::used(ctx, decider, &target, own)?;
+        renew::used(ctx, decider, &target, own)?;
     }
-    let key = last_message_key(&target, &publisher);
     let last = Last { epoch, seq: last_seq, height: ctx.height(), publisher, count };
-    store::write(ctx, &key, &last)?;
+    last::write(ctx, &target.id, sequence, &last)?;
     ctx.emit("message", &target.id, store::json(&MessageEvent { epoch, first_seq, count })?);
     store::json(&Published { epoch, next_seq: last_seq + 1 })
 }
@@ -85,17 +75,54 @@ pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
     Some(Foretold { response, events: vec![message] })
 }
 
-/// The smallest sequence number that `set` accepts. An exclusive service counts within an epoch, since every epoch
-/// has one publisher; an open one counts for each publisher, whatever the epoch.
-pub(crate) fn next_sequence(ctx: &Context<'_>, target: &Target, epoch: u64, publisher: &str) -> Result<u64, Rejection> {
-    let last: Option<Last> = store::read(ctx, &last_message_key(target, publisher))?;
-    let counts_on = |last: &Last| last.epoch == epoch || !conflict::rule(target.service.mode).publishing_needs_grant();
-    Ok(last.filter(counts_on).map_or(0, |last| last.seq + 1))
+/// May they publish now? With an epoch, that epoch must be the one of their grant; epoch 0 asks the policies alone,
+/// where the service's rule allows it. Returns the grant that entitles them, if it is one that does.
+///
+/// The usual case, a holder who publishes, reads two values of the state and asks no policy.
+///
+/// # Errors
+/// [`Code::StaleEpoch`], [`Code::NotHolder`], or what [`Decider::decide`] says.
+pub(crate) fn may_publish(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    submitter: &Identity,
+    target: &Target,
+    epoch: Option<u64>,
+) -> Result<Option<Arc<Holding>>, Rejection> {
+    let is_without_grant = epoch.is_none_or(|epoch| epoch == 0);
+    let by_policy = is_without_grant && rules::rule(target)?.capabilities().publishing == Publishing::Policy;
+    if !by_policy
+        && let Some(own) = decider.records.held(ctx, target, submitter)?
+        && epoch.is_none_or(|epoch| epoch == own.grant.epoch)
+    {
+        return Ok(Some(own));
+    }
+    let principal = &Principal::of(submitter);
+    if by_policy {
+        decider.decide(ctx, principal, target, Action::Publish)?;
+        return Ok(None);
+    }
+    let newest = grant::newest_epoch(ctx, &target.id)?;
+    let refused = match hold::own(ctx, principal, target) {
+        Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Some(Arc::new(own))),
+        Ok(own) => stale(target, epoch, own.grant.epoch),
+        // Who has lost the grant to a newer one hears that; who never had one hears what is missing.
+        Err(_) if epoch.is_some_and(|epoch| epoch > 0 && epoch < newest) => stale(target, epoch, newest),
+        Err(not_holder) => decider.decide(ctx, principal, target, Action::Publish).err().unwrap_or(not_holder),
+    };
+    Err(refused)
 }
 
-fn last_message_key(target: &Target, publisher: &str) -> Vec<u8> {
-    let shared = conflict::rule(target.service.mode).publishing_needs_grant();
-    store::last_key(&target.id, (!shared).then_some(publisher))
+fn stale(target: &Target, epoch: Option<u64>, wanted: u64) -> Rejection {
+    Rejection::new(Code::StaleEpoch, format!("this is not the epoch in which {} is held", target.id))
+        .found(format!("epoch {}", epoch.unwrap_or(0)))
+        .wanted(format!("epoch {wanted}, held by its holder"))
+        .next(format!("ledgerctl acquire {}", target.id))
+}
+
+/// The smallest sequence number that `set` accepts from a publisher in an epoch.
+pub(crate) fn next_sequence(ctx: &Context<'_>, target: &Target, epoch: u64, publisher: &str) -> Result<u64, Rejection> {
+    last::next_sequence(ctx, &target.id, rules::rule(target)?.capabilities().sequence, epoch, publisher)
 }
 
 /// Checks that every payload starts as CDR does; returns how many they are.

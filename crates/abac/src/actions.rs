@@ -1,0 +1,20 @@
+//! What can be done: one file for each function of the chaincode, or for few that belong together.
+//!
+//! An action reads its arguments, asks the policies who may and the rules who wins, and changes the records.
+
+pub(crate) mod acquire;
+pub(crate) mod authorize;
+pub(crate) mod describe;
+pub(crate) mod end;
+pub(crate) mod follow;
+pub(crate) mod hold;
+pub(crate) mod policies;
+pub(crate) mod publish;
+pub(crate) mod release;
+pub(crate) mod renew;
+pub(crate) mod robots;
+pub(crate) mod settings;
+pub(crate) mod show;
+
+/// Name of the chaincode.
+pub(crate) const NAME: &str = "abac";

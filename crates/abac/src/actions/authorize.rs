@@ -1,0 +1,93 @@
+//! Questions that change nothing: `authorize`, `GetSubmittingClientIdentity`.
+
+use super::{acquire, hold, publish};
+use crate::arguments::{Arguments, shown};
+use crate::nearest::did_you_mean;
+use crate::policy::decider::{Action, Decider};
+use crate::records::principal::Principal;
+use crate::records::store;
+use bytes::Bytes;
+use ledger::Context;
+use ledger_identity::Role;
+use ledger_rejection::{Code, Rejection};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Answer of `authorize`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Authorization {
+    /// May the caller do it now?
+    pub allowed: bool,
+    /// The stable code, e.g. `LGR-3001`; `LGR-0000` if allowed.
+    pub code: String,
+    /// The name of the code, e.g. `MISSING_ATTRIBUTE`.
+    pub name: String,
+    /// Why not, in words; empty if allowed.
+    pub reason: String,
+    /// The epoch of the caller's own grant; 0 if there is none.
+    pub epoch: u64,
+    /// The smallest sequence number that `set` accepts from the caller.
+    pub next_seq: u64,
+}
+
+/// Answer of `GetSubmittingClientIdentity`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Caller {
+    /// `Org1/Salma`.
+    pub id: String,
+    /// The organisation whose CA vouches for the caller.
+    pub organisation: String,
+    /// The name in the certificate.
+    pub name: String,
+    /// The role in the certificate.
+    pub role: Role,
+    /// The attributes in the certificate.
+    pub attributes: BTreeMap<String, String>,
+    /// The certificate's serial number, hexadecimal.
+    pub serial: String,
+    /// When the certificate expires (microseconds since the UNIX epoch).
+    pub not_after: u64,
+}
+
+/// `authorize SERVICE [ACTION]`: would it be allowed now? Decided by the same code as `set` and `acquire`.
+pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("authorize SERVICE [acquire|publish|subscribe]", args, 1, 2)?;
+    let target = decider.records.target(ctx, args.text(0, "SERVICE")?)?;
+    let name = if args.has(1) { args.text(1, "ACTION")? } else { Action::Publish.name() };
+    let action = Action::ALL.into_iter().find(|action| action.name() == name).ok_or_else(|| {
+        let near = did_you_mean(name, Action::ALL.map(Action::name), "");
+        args.bad(1, "ACTION", shown(name), "acquire, publish or subscribe").next(near)
+    })?;
+    let submitter = ctx.submitter()?;
+    let principal = Principal::of(submitter);
+    let outcome = match action {
+        Action::Acquire => acquire::may_acquire(ctx, decider, &principal, &target).map(drop),
+        Action::Publish => publish::may_publish(ctx, decider, submitter, &target, None).map(drop),
+        Action::Subscribe => decider.decide(ctx, &principal, &target, action),
+    };
+    let epoch = hold::own(ctx, &principal, &target).map_or(0, |own| own.grant.epoch);
+    let code = outcome.as_ref().err().map_or(Code::Ok, |rejection| rejection.code);
+    store::json(&Authorization {
+        allowed: outcome.is_ok(),
+        code: code.to_string(),
+        name: code.name().to_owned(),
+        reason: outcome.err().map(|rejection| rejection.message).unwrap_or_default(),
+        epoch,
+        next_seq: publish::next_sequence(ctx, &target, epoch, &principal.id())?,
+    })
+}
+
+/// `GetSubmittingClientIdentity`
+pub(crate) fn caller(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    Arguments::new("GetSubmittingClientIdentity", args, 0, 0)?;
+    let submitter = ctx.submitter()?;
+    store::json(&Caller {
+        id: submitter.id(),
+        organisation: submitter.organisation.clone(),
+        name: submitter.name.clone(),
+        role: submitter.role,
+        attributes: submitter.attributes.clone(),
+        serial: hex::encode(&submitter.serial),
+        not_after: submitter.not_after,
+    })
+}

@@ -1,0 +1,74 @@
+//! Who holds what: `grants`, and the caller's own grant.
+
+use super::publish;
+use crate::arguments::Arguments;
+use crate::records::grant::{self, Holding};
+use crate::records::principal::Principal;
+use crate::records::service::{self, Target};
+use crate::records::{robot, store};
+use crate::timestamp::rfc3339;
+use bytes::Bytes;
+use ledger::Context;
+use ledger_contract::Grant;
+use ledger_rejection::{Code, Rejection};
+
+/// `grants [SERVICE]`: the live grants of one service or of all.
+pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("grants [SERVICE]", args, 0, 1)?;
+    let targets = if args.has(0) {
+        vec![service::resolve(ctx, args.text(0, "SERVICE")?)?]
+    } else {
+        robot::all(ctx)?
+            .iter()
+            .flat_map(|robot| robot.services.iter().map(move |service| Target::of(robot, service)))
+            .collect()
+    };
+    let mut grants = Vec::new();
+    for target in &targets {
+        for Holding { mut grant, .. } in grant::live(ctx, &target.id)? {
+            grant.next_seq = publish::next_sequence(ctx, target, grant.epoch, &grant.holder)?;
+            grants.push(grant);
+        }
+    }
+    store::json(&grants)
+}
+
+/// The principal's own live grant, acquired with this certificate.
+///
+/// # Errors
+/// [`Code::NotHolder`], saying who holds the service instead.
+pub(crate) fn own(ctx: &Context<'_>, principal: &Principal, target: &Target) -> Result<Holding, Rejection> {
+    let own = grant::held_by(ctx, &target.id, &principal.id())?;
+    if let Some(own) = own.filter(|own| own.principal.same_certificate(principal)) {
+        return Ok(own);
+    }
+    Err(not_holder(target, &principal.id(), &grant::live(ctx, &target.id)?))
+}
+
+fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
+    let id = &target.id;
+    Rejection::new(Code::NotHolder, format!("{who} holds no grant of {id}"))
+        .found(holders_of(who, holders))
+        .wanted(format!("a grant of {id} to {who}"))
+        .next(match holders {
+            [holding] if holding.grant.holder != who => format!("once it is free: ledgerctl acquire {id}"),
+            _ => format!("ledgerctl acquire {id}"),
+        })
+}
+
+/// Who holds a service, told to one who does not.
+pub(crate) fn holders_of(who: &str, holders: &[Holding]) -> String {
+    match holders {
+        [] => "held by nobody".to_owned(),
+        [holding] if holding.grant.holder == who => {
+            format!("acquired with another certificate, until {}", until(&holding.grant))
+        }
+        [holding] => format!("held by {} until {}", holding.grant.holder, until(&holding.grant)),
+        many => format!("{} other holders", many.len()),
+    }
+}
+
+/// When a grant ends, for people and for programs.
+pub(crate) fn until(grant: &Grant) -> String {
+    format!("{} ({} µs)", rfc3339(grant.expires), grant.expires)
+}

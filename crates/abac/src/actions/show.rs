@@ -1,0 +1,86 @@
+//! Robots and services as everybody sees them: `robots`, `robot`, `service`.
+
+use crate::arguments::Arguments;
+use crate::records::robot::{self, Robot};
+use crate::records::service::{self, Target};
+use crate::records::{grant, store};
+use crate::rules;
+use bytes::Bytes;
+use ledger::Context;
+use ledger_contract::{Direction, Grant, RobotAsset, ServiceState};
+use ledger_hash::Hash;
+use ledger_rejection::Rejection;
+
+/// `robots`
+pub(crate) fn robots(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    Arguments::new("robots", args, 0, 0)?;
+    let assets = robot::all(ctx)?.iter().map(|robot| asset(ctx, robot)).collect::<Result<Vec<_>, Rejection>>()?;
+    store::json(&assets)
+}
+
+/// `robot NAME`
+pub(crate) fn robot(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("robot NAME", args, 1, 1)?;
+    store::json(&asset(ctx, &robot::find(ctx, args.text(0, "NAME")?)?)?)
+}
+
+/// `service SERVICE`
+pub(crate) fn service(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("service SERVICE", args, 1, 1)?;
+    store::json(&state(ctx, service::resolve(ctx, args.text(0, "SERVICE")?)?)?)
+}
+
+/// A robot as clients see it.
+pub(crate) fn asset(ctx: &Context<'_>, robot: &Robot) -> Result<RobotAsset, Rejection> {
+    let services = robot
+        .services
+        .iter()
+        .map(|service| state(ctx, Target::of(robot, service)))
+        .collect::<Result<Vec<_>, Rejection>>()?;
+    let topics = |direction| {
+        let of_direction = services.iter().filter(|service| service.direction == direction);
+        of_direction.map(|service| service.topic.as_str()).collect::<Vec<_>>().join(",")
+    };
+    let operated = services.iter().find(|s| s.direction == Direction::Command && !s.holder.is_empty());
+    Ok(RobotAsset {
+        name: robot.name.clone(),
+        sub_topic: topics(Direction::Command),
+        pub_topic: topics(Direction::Feed),
+        operator: operated.map(|service| service.holder.clone()).unwrap_or_default(),
+        under_operation: operated.is_some(),
+        organisation: robot.organisation.clone(),
+        attribute_required: robot.attribute_required.clone(),
+        trusted: robot.trusted.clone(),
+        services,
+    })
+}
+
+/// A service with who holds it now.
+///
+/// Capabilities are told to those who ask. The answer of a transaction lacks them: it is part of snapshots, which every
+/// version of the program must make alike.
+fn state(ctx: &Context<'_>, target: Target) -> Result<ServiceState, Rejection> {
+    let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
+    let is_asked = ctx.transaction() == Hash::ZERO;
+    let capabilities = if is_asked { Some(rules::rule(&target)?.capabilities().into()) } else { None };
+    let epoch = grant::newest_epoch(ctx, &target.id)?;
+    let Target { robot, service, id } = target;
+    Ok(ServiceState {
+        service: id,
+        robot: robot.name.clone(),
+        organisation: robot.organisation.clone(),
+        topic: service.topic,
+        type_name: service.type_name,
+        mode: service.mode.into(),
+        direction: service.direction.into(),
+        max_age_ms: service.max_age_ms,
+        lease_ms: service.lease_ms,
+        lease_ms_max: service.lease_ms_max,
+        stop_hex: service.stop_hex,
+        holder: grants.first().map(|grant| grant.holder.clone()).unwrap_or_default(),
+        epoch,
+        expires: grants.first().map_or(0, |grant| grant.expires),
+        holders: grants.into_iter().map(|grant| grant.holder).collect(),
+        capabilities,
+    })
+}

@@ -1,0 +1,163 @@
+//! Who may: asks the owner's policies and remembers the answers.
+
+use super::{Answer, Engine, Question, Resource, User, Verdict, refusal, texts};
+use crate::records::Records;
+use crate::records::principal::Principal;
+use crate::records::service::Target;
+use ledger::Context;
+use ledger_hash::Hash;
+use ledger_rejection::Rejection;
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+
+/// Most decisions that are remembered; when they are more, all are forgotten.
+const DECISIONS_MAX: usize = 16 * 1024;
+
+/// What somebody wants to do with a service; each is an action of the schema.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Action {
+    Acquire,
+    Publish,
+    Subscribe,
+}
+
+/// All that a decision depends on besides the time. Policies and robots go by hashes of their contents, so an
+/// answer stays true for ever, and one learned in a simulated call is true in an executed one.
+#[derive(PartialEq, Eq, PartialOrd, Ord)]
+struct Key {
+    fingerprint: Hash,
+    principal: String,
+    policies: Hash,
+    robot: Hash,
+    service: String,
+    action: Action,
+}
+
+/// Asks policies. What it remembers saves time and never changes an answer.
+pub(crate) struct Decider {
+    engine: Engine,
+    decisions: Mutex<BTreeMap<Key, Verdict>>,
+    /// What the questions are about, parsed before.
+    pub(crate) records: Records,
+}
+
+impl Action {
+    pub(crate) const ALL: [Self; 3] = [Self::Acquire, Self::Publish, Self::Subscribe];
+
+    /// As policies name it.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Acquire => "acquire",
+            Self::Publish => "publish",
+            Self::Subscribe => "subscribe",
+        }
+    }
+}
+
+impl Decider {
+    /// # Errors
+    /// As [`Engine::start`].
+    pub(crate) fn new() -> Result<Self, Rejection> {
+        Ok(Self { engine: Engine::start()?, decisions: Mutex::default(), records: Records::default() })
+    }
+
+    /// Is this text acceptable as a policy?
+    pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
+        self.engine.check(text)
+    }
+
+    /// May this principal do that, says the owner of the robot?
+    ///
+    /// # Errors
+    /// Why not: [`ledger_rejection::Code::MissingAttribute`], [`ledger_rejection::Code::DeniedByPolicy`] or [`ledger_rejection::Code::PolicyError`].
+    pub(crate) fn decide(
+        &self,
+        ctx: &Context<'_>,
+        principal: &Principal,
+        target: &Target,
+        action: Action,
+    ) -> Result<(), Rejection> {
+        let owner = &target.robot.organisation;
+        let version = texts::version(ctx, owner)?;
+        let key = Key {
+            fingerprint: principal.fingerprint,
+            principal: principal.id(),
+            policies: version,
+            robot: target.robot.version,
+            service: target.id.clone(),
+            action,
+        };
+        let known = self.decisions.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
+        let verdict = match known {
+            Some(verdict) => verdict,
+            None => {
+                let answer = self.ask(ctx, principal, target, action, version)?;
+                if answer.timeless {
+                    self.remember(key, answer.verdict.clone());
+                }
+                answer.verdict
+            }
+        };
+        match verdict {
+            Verdict::Permit => Ok(()),
+            denial => Err(refusal::explain(principal, target, action, denial)),
+        }
+    }
+
+    fn ask(
+        &self,
+        ctx: &Context<'_>,
+        principal: &Principal,
+        target: &Target,
+        action: Action,
+        version: Hash,
+    ) -> Result<Answer, Rejection> {
+        let (robot, service) = (&target.robot, &target.service);
+        let (attribute, value) = robot.required();
+        let question = Question {
+            version,
+            user: User {
+                organisation: principal.organisation.clone(),
+                name: principal.name.clone(),
+                role: principal.role.as_str(),
+                attributes: principal.attributes.clone(),
+            },
+            action: action.name(),
+            service: Resource {
+                id: target.id.clone(),
+                robot: robot.name.clone(),
+                owner: robot.organisation.clone(),
+                texts: vec![
+                    ("topic", service.topic.clone()),
+                    ("type", service.type_name.clone()),
+                    ("mode", service.mode.to_string()),
+                    ("direction", service.direction.to_string()),
+                    ("requiredAttribute", attribute.to_owned()),
+                    ("requiredValue", value.to_owned()),
+                ],
+                trusted: robot.trusted.clone(),
+            },
+            time_ms: i64::try_from(ctx.block_time() / 1000).unwrap_or(i64::MAX),
+        };
+        self.engine.decide(question, || texts::in_force(ctx, &robot.organisation))
+    }
+
+    fn remember(&self, key: Key, verdict: Verdict) {
+        let mut decisions = self.decisions.lock().unwrap_or_else(PoisonError::into_inner);
+        if decisions.len() >= DECISIONS_MAX {
+            decisions.clear();
+        }
+        decisions.insert(key, verdict);
+    }
+}
+
+/// May they hold a grant? It is the right to acquire and to publish.
+pub(crate) fn may_hold(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    principal: &Principal,
+    target: &Target,
+) -> Result<(), Rejection> {
+    decider.decide(ctx, principal, target, Action::Acquire)?;
+    decider.decide(ctx, principal, target, Action::Publish)
+}

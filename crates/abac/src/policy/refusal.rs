@@ -1,0 +1,66 @@
+//! Why policies deny, in words.
+
+use super::Verdict;
+use super::decider::Action;
+use crate::records::principal::Principal;
+use crate::records::service::Target;
+use ledger_contract::Direction;
+use ledger_rejection::{Code, Rejection};
+
+/// The refusal: what somebody can do something about comes first.
+pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, verdict: Verdict) -> Rejection {
+    let (robot, who) = (&target.robot, principal.id());
+    let owner = &robot.organisation;
+    let (attribute, value) = robot.required();
+    let verb = match action {
+        Action::Acquire => "acquire",
+        Action::Publish => "publish on",
+        Action::Subscribe => "subscribe to",
+    };
+    let refused = format!("{who} may not {verb} {}", target.id);
+    let ask_owner = format!("ask an admin of {owner}");
+    match verdict {
+        Verdict::Fault(fault) => {
+            return Rejection::new(Code::PolicyError, format!("{refused}: a policy of {owner} cannot be evaluated"))
+                .found(fault)
+                .wanted("policies that evaluate without errors")
+                .next(format!("{ask_owner} to correct it: ledgerctl query abac policies"));
+        }
+        Verdict::Forbidden(ids) => {
+            return Rejection::new(Code::DeniedByPolicy, format!("{refused}: a policy of {owner} forbids it"))
+                .found(format!("forbidden by {}", ids.join(", ")))
+                .wanted("no policy that forbids it")
+                .next(format!("{ask_owner}, or read it: ledgerctl query abac policies"));
+        }
+        Verdict::Permit | Verdict::NotPermitted => {}
+    }
+    if target.service.direction == Direction::Feed && action != Action::Subscribe {
+        return Rejection::new(Code::DeniedByPolicy, format!("{refused}: it is a feed of the robot"))
+            .found(format!("role {} of {}", principal.role, principal.organisation))
+            .wanted(format!(
+                "a call that the policies of {owner} permit; by default those of its robots, nodes and admins"
+            ))
+            .next(format!("subscribe to it: ledgerctl echo {}", target.id));
+    }
+    if !robot.trusted.contains(&principal.organisation) {
+        return Rejection::new(Code::DeniedByPolicy, format!("{refused}: {owner} does not trust its organisation"))
+            .found(format!("organisation {}", principal.organisation))
+            .wanted(format!("one of {}", robot.trusted.join(", ")))
+            .next(format!("{ask_owner} to add {} to the robot's trusted organisations", principal.organisation));
+    }
+    if principal.attributes.get(attribute).map(String::as_str) != Some(value) {
+        let carried: Vec<String> = principal.attributes.iter().map(|(key, value)| format!("{key}={value}")).collect();
+        let found = if carried.is_empty() { "no attributes".to_owned() } else { carried.join(", ") };
+        return Rejection::new(
+            Code::MissingAttribute,
+            format!("{refused}: the certificate lacks the attribute {attribute}={value}"),
+        )
+        .found(format!("attributes {found}").replace("attributes no ", "no "))
+        .wanted(format!("attribute {attribute}={value}, as {} requires", robot.name))
+        .next(format!("ask an admin of {} for the attribute, then enrol again", principal.organisation));
+    }
+    Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits it"))
+        .found(format!("role {}, attribute {attribute}={value}", principal.role))
+        .wanted("a policy that permits it")
+        .next(format!("{ask_owner}, or read the policies: ledgerctl query abac policies"))
+}

@@ -1,0 +1,142 @@
+//! What values of the state say, remembered, so that a value which has not changed is not parsed again.
+//!
+//! The state is asked every time, and a record counts only for exactly the bytes that it was parsed from. So what is
+//! remembered saves time and never changes an answer, in simulated calls and in executed ones.
+
+use bytes::Bytes;
+use ledger::Context;
+use ledger_rejection::Rejection;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// Most bytes of keys and values that are remembered; when they are more, all are forgotten.
+const BYTES_MAX: usize = 4 * 1024 * 1024;
+
+/// Values of one kind by their keys.
+pub(crate) struct Parsed<T>(Mutex<Known<T>>);
+
+struct Known<T> {
+    records: HashMap<Vec<u8>, (Bytes, Arc<T>)>,
+    /// Bytes of all keys and values.
+    bytes: usize,
+}
+
+impl<T> Default for Parsed<T> {
+    fn default() -> Self {
+        Self(Mutex::new(Known { records: HashMap::new(), bytes: 0 }))
+    }
+}
+
+impl<T> Parsed<T> {
+    /// The value of a key now, parsed now or before; none if the state has none.
+    ///
+    /// # Errors
+    /// What `parse`, which gets key and value, says.
+    pub(crate) fn read(
+        &self,
+        ctx: &Context<'_>,
+        key: &[u8],
+        parse: impl FnOnce(&[u8], &[u8]) -> Result<T, Rejection>,
+    ) -> Result<Option<Arc<T>>, Rejection> {
+        let Some(value) = ctx.get(key) else { return Ok(None) };
+        if let Some((bytes, record)) = self.lock().records.get(key)
+            && same(bytes, &value)
+        {
+            return Ok(Some(Arc::clone(record)));
+        }
+        let record = Arc::new(parse(key, &value)?);
+        self.lock().remember(key, value, Arc::clone(&record));
+        Ok(Some(record))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Known<T>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl<T> Known<T> {
+    fn remember(&mut self, key: &[u8], value: Bytes, record: Arc<T>) {
+        let bytes = key.len() + value.len();
+        if bytes > BYTES_MAX {
+            return;
+        }
+        if self.bytes + bytes > BYTES_MAX {
+            self.records.clear();
+            self.bytes = 0;
+        }
+        self.bytes += bytes;
+        if let Some((before, _)) = self.records.insert(key.to_vec(), (value, record)) {
+            self.bytes -= key.len() + before.len();
+        }
+    }
+}
+
+/// Mostly it is the same memory, which then need not be looked at.
+fn same(a: &Bytes, b: &Bytes) -> bool {
+    (a.as_ptr() == b.as_ptr() && a.len() == b.len()) || a == b
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use ledger::{Environment, Registry};
+    use ledger_hash::Hash;
+    use ledger_storage::state::MemoryState;
+    use ledger_storage::state::Overlay;
+    use std::cell::Cell;
+
+    /// Runs `body` in a context in which keys can be written.
+    fn in_context(body: impl FnOnce(&mut Context<'_>)) {
+        let registry = Registry::new();
+        let environment = Environment {
+            registry: &registry,
+            submitter: None,
+            network: Hash::ZERO,
+            height: 1,
+            time: 0,
+            transaction: Hash::ZERO,
+        };
+        let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
+        body(&mut Context::new(environment, "abac", &mut overlay, &mut events));
+    }
+
+    #[test]
+    fn a_value_is_parsed_once_and_again_when_it_changes_or_comes_back() {
+        in_context(|ctx| {
+            let (records, parsed) = (Parsed::default(), Cell::new(0));
+            let read = |ctx: &Context<'_>| {
+                let parse = |_: &[u8], value: &[u8]| {
+                    parsed.set(parsed.get() + 1);
+                    Ok(value.to_vec())
+                };
+                records.read(ctx, b"key", parse).unwrap().map(|value| value.to_vec())
+            };
+            assert_eq!(read(ctx), None);
+            for (value, times) in [(b"1", 1), (b"2", 2), (b"1", 3)] {
+                ctx.put(b"key", value.to_vec());
+                assert_eq!(read(ctx).as_deref(), Some(&value[..]));
+                assert_eq!(read(ctx).as_deref(), Some(&value[..]));
+                assert_eq!(parsed.get(), times);
+            }
+            ctx.delete(b"key");
+            assert_eq!(read(ctx), None, "what is remembered does not outlive the key");
+        });
+    }
+
+    #[test]
+    fn memory_is_bounded() {
+        in_context(|ctx| {
+            let records = Parsed::default();
+            let value = vec![7; BYTES_MAX / 8];
+            for number in 0..100u32 {
+                let key = number.to_be_bytes();
+                ctx.put(&key, value.clone());
+                records.read(ctx, &key, |_, value| Ok(value.len())).unwrap();
+                let known = records.lock();
+                let bytes: usize = known.records.iter().map(|(key, (value, _))| key.len() + value.len()).sum();
+                assert!(known.bytes == bytes && bytes <= BYTES_MAX, "{bytes}");
+            }
+        });
+    }
+}

@@ -1,0 +1,80 @@
+//! Robots: what an organisation registers.
+
+use super::service::Service;
+use super::store;
+use crate::arguments::shown;
+use crate::nearest::did_you_mean;
+use ledger::Context;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use serde::{Deserialize, Serialize};
+
+/// Most robots of a network.
+pub(crate) const ROBOTS_MAX: usize = 1024;
+/// Most services of one robot.
+pub(crate) const SERVICES_MAX: usize = 64;
+/// Longest robot name, in bytes.
+pub(crate) const NAME_BYTES_MAX: usize = 64;
+
+/// A registered robot.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Robot {
+    pub(crate) name: String,
+    /// The organisation that owns it.
+    pub(crate) organisation: String,
+    /// `KEY=VALUE`.
+    pub(crate) attribute_required: String,
+    /// Sorted.
+    pub(crate) trusted: Vec<String>,
+    /// In the order of the owner's description.
+    pub(crate) services: Vec<Service>,
+    /// Hash over all of the above: names this state of the robot in caches.
+    pub(crate) version: Hash,
+}
+
+impl Robot {
+    /// The id of one of its services.
+    pub(crate) fn service_id(&self, service: &Service) -> String {
+        format!("{}{}", self.name, service.topic)
+    }
+
+    /// Name and value of the required attribute.
+    pub(crate) fn required(&self) -> (&str, &str) {
+        self.attribute_required.split_once('=').unwrap_or((&self.attribute_required, "true"))
+    }
+}
+
+/// All registered robots in order of their names.
+pub(crate) fn all(ctx: &Context<'_>) -> Result<Vec<Robot>, Rejection> {
+    ctx.range(b"robot/", ROBOTS_MAX).iter().map(|(key, value)| store::parse(key, value)).collect()
+}
+
+/// The robot of that name.
+///
+/// # Errors
+/// [`Code::UnknownRobot`] with the nearest name.
+pub(crate) fn find(ctx: &Context<'_>, name: &str) -> Result<Robot, Rejection> {
+    if name.len() <= NAME_BYTES_MAX
+        && let Some(robot) = store::read(ctx, &store::robot_key(name))?
+    {
+        return Ok(robot);
+    }
+    let keys = ctx.range(b"robot/", ROBOTS_MAX);
+    let names = keys.iter().filter_map(|(key, _)| std::str::from_utf8(key).ok()?.strip_prefix("robot/"));
+    Err(Rejection::new(Code::UnknownRobot, format!("no robot {} is registered", shown(name)))
+        .found(shown(name))
+        .wanted("the name of a registered robot")
+        .next(did_you_mean(name, names, "ledgerctl robot list")))
+}
+
+/// Writes a robot with the hash that names this state of it.
+pub(crate) fn write(ctx: &mut Context<'_>, robot: &mut Robot) -> Result<(), Rejection> {
+    robot.version = Hash::ZERO;
+    robot.version = Hash::of(&[&store::json(&robot)?]);
+    store::write(ctx, &store::robot_key(&robot.name), &robot)
+}
+
+/// Removes a robot.
+pub(crate) fn remove(ctx: &mut Context<'_>, robot: &Robot) {
+    ctx.delete(&store::robot_key(&robot.name));
+}
