@@ -12,7 +12,7 @@ use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::{Grant, Reason};
 use ledger_mutation::lease_clock;
-use ledger_rejection::Rejection;
+use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
 /// Most holders of one service.
@@ -76,8 +76,13 @@ pub(crate) fn newest_epoch(ctx: &Context<'_>, service: &str) -> Result<u64, Reje
     Ok(store::read(ctx, &store::epoch_key(service))?.unwrap_or(0))
 }
 
-/// Writes a grant that was not there, and its index keys.
+/// Writes a grant that is not there, and its index keys.
 pub(crate) fn put(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Rejection> {
+    check(ctx, holding, None);
+    write(ctx, holding)
+}
+
+fn write(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Rejection> {
     let (service, holder) = (&holding.grant.service, &holding.grant.holder);
     store::write(ctx, &store::grant_key(service, holder), holding)?;
     ctx.put(&due_key(holding), Bytes::new());
@@ -87,15 +92,50 @@ pub(crate) fn put(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Reject
 
 /// Replaces a grant by itself with another expiry or state.
 pub(crate) fn replace(ctx: &mut Context<'_>, before: &Holding, after: &Holding) -> Result<(), Rejection> {
+    check(ctx, before, Some(before));
     ctx.delete(&due_key(before));
-    put(ctx, after)
+    write(ctx, after)
 }
 
 /// Removes a grant and its index keys.
 pub(crate) fn remove(ctx: &mut Context<'_>, holding: &Holding) {
+    check(ctx, holding, Some(holding));
     ctx.delete(&store::grant_key(&holding.grant.service, &holding.grant.holder));
     ctx.delete(&due_key(holding));
     ctx.delete(&certificate_key(holding));
+}
+
+/// Before a grant changes, the state has it exactly as `wanted`, with both index keys or without any. Everything that ends
+/// rights finds grants by these keys: a grant that they miss would stay for ever.
+fn check(ctx: &mut Context<'_>, holding: &Holding, wanted: Option<&Holding>) {
+    let grant_key = store::grant_key(&holding.grant.service, &holding.grant.holder);
+    let stored = ctx.get(&grant_key);
+    let agrees = match (&stored, wanted) {
+        (None, None) => true,
+        (Some(value), Some(wanted)) => {
+            store::parse::<Holding>(&grant_key, value).is_ok_and(|stored| stored == *wanted)
+                && ctx.get(&due_key(wanted)).is_some()
+                && ctx.get(&certificate_key(wanted)).is_some()
+        }
+        _ => false,
+    };
+    if !agrees {
+        let Grant { service, holder, epoch, .. } = &holding.grant;
+        let found =
+            stored.map_or_else(|| "no such grant".to_owned(), |value| String::from_utf8_lossy(&value).into_owned());
+        ctx.contradicted(
+            Rejection::new(
+                Code::Corrupt,
+                format!("the grant of {service} to {holder} and its index keys do not agree"),
+            )
+            .found(found)
+            .wanted(wanted.map_or_else(
+                || "no grant before this one".to_owned(),
+                |_| format!("the grant with epoch {epoch} and the keys that find it"),
+            ))
+            .next("stop the node and delete its state directory; it is rebuilt from the blocks"),
+        );
+    }
 }
 
 fn due_key(holding: &Holding) -> Vec<u8> {
@@ -107,4 +147,93 @@ fn certificate_key(holding: &Holding) -> Vec<u8> {
     let mut key = store::certificate_prefix(&holding.principal.issuer.0, &serial);
     key.extend_from_slice(format!("{}\0{}", holding.grant.service, holding.grant.holder).as_bytes());
     key
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use ledger::{Environment, Registry};
+    use ledger_contract::Mode;
+    use ledger_hash::Hash;
+    use ledger_identity::Role;
+    use ledger_storage::state::{MemoryState, Overlay};
+    use std::collections::BTreeMap;
+    use std::sync::Arc;
+
+    fn holding(expires: u64) -> Holding {
+        let grant = Grant {
+            service: "Turtlebot4/cmd_vel".to_owned(),
+            holder: "Org1/Salma".to_owned(),
+            epoch: 1,
+            expires,
+            mode: Mode::Exclusive.into(),
+            acquired_at: 0,
+            lease_ms: 1,
+            next_seq: 0,
+        };
+        let principal = Principal {
+            organisation: "Org1".to_owned(),
+            name: "Salma".to_owned(),
+            role: Role::Member,
+            attributes: BTreeMap::new(),
+            issuer: Hash::ZERO,
+            serial: "01".to_owned(),
+            fingerprint: Hash::ZERO,
+            not_after: u64::MAX,
+        };
+        Holding { grant, principal, ending: None }
+    }
+
+    /// What a fault of the program would do, and its name.
+    type Break = (&'static str, fn(&mut Context<'_>));
+
+    /// What becomes of a block that does this.
+    fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection> {
+        let registry = Registry::new();
+        let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
+        let environment = Environment { registry: &registry, submitter, network, height: 1, time: 0, transaction };
+        let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
+        body(&mut Context::new(environment, "abac", &mut overlay, &mut events));
+        overlay.finish().map(drop)
+    }
+
+    #[test]
+    fn a_grant_is_written_moved_and_removed_with_its_index_keys() {
+        block(|ctx| {
+            put(ctx, &holding(5)).unwrap();
+            replace(ctx, &holding(5), &holding(9)).unwrap();
+            assert_eq!(ctx.range(b"due/", 9).len(), 1);
+            remove(ctx, &holding(9));
+            assert!(ctx.range(b"", 9).is_empty());
+        })
+        .unwrap();
+    }
+
+    #[test]
+    fn a_grant_that_does_not_agree_with_its_index_keys_stops_the_node() {
+        let breaks: [Break; 5] = [
+            ("a grant is given twice", |ctx| put(ctx, &holding(5)).unwrap()),
+            ("it is not found when it is due", |ctx| {
+                ctx.delete(&due_key(&holding(5)));
+                remove(ctx, &holding(5));
+            }),
+            ("it is not found by its certificate", |ctx| {
+                ctx.delete(&certificate_key(&holding(5)));
+                replace(ctx, &holding(5), &holding(9)).unwrap();
+            }),
+            ("it is another than was read", |ctx| replace(ctx, &holding(7), &holding(9)).unwrap()),
+            ("it ends twice", |ctx| {
+                remove(ctx, &holding(5));
+                remove(ctx, &holding(5));
+            }),
+        ];
+        for (name, broken) in breaks {
+            let fault = block(|ctx| {
+                put(ctx, &holding(5)).unwrap();
+                broken(ctx);
+            });
+            assert_eq!(fault.unwrap_err().code, Code::Corrupt, "{name}");
+        }
+    }
 }

@@ -82,6 +82,12 @@ impl<'a> Context<'a> {
         self.overlay.write(key, None);
     }
 
+    /// Says that the state contradicts itself, which no sequence of calls can bring about. Nothing of this block counts
+    /// then, and the node stops with this fault: it must not answer from such a state.
+    pub fn contradicted(&mut self, fault: Rejection) {
+        self.overlay.fail(fault);
+    }
+
     /// At most `limit` of this chaincode's keys that start with `prefix`, in order, with their values.
     pub fn range(&self, prefix: &[u8], limit: usize) -> Vec<(Bytes, Bytes)> {
         self.range_after(prefix, None, limit)

@@ -66,6 +66,11 @@ impl Overlay {
         self.layers.len()
     }
 
+    /// Says that what was read contradicts itself: [`Overlay::finish`] gives this fault, and nothing computed here may be used.
+    pub fn fail(&self, fault: Rejection) {
+        self.fault.borrow_mut().get_or_insert(fault);
+    }
+
     /// The value as the top layer sees it. A store that cannot answer leaves a fault (see [`Overlay::finish`]).
     pub fn get(&self, key: &[u8]) -> Option<Bytes> {
         for layer in self.layers.iter().rev() {
