@@ -8,7 +8,7 @@ use proptest::prelude::*;
 
 use super::{Delivered, Gate, HOLDERS_MAX, Refused};
 use crate::service::{Released, Revoked, Service};
-use ledger_contract::{Capabilities, Fencing, Publishing, Sequence};
+use ledger_contract::{Capabilities, Direction, Fencing, Publishing, Sequence};
 
 /// Delivers a transaction in a block of now, with the certificate.
 fn deliver(gate: &mut Gate, user: &User, transaction: &Transaction) -> Result<usize, Refused> {
@@ -113,7 +113,7 @@ fn nobody_but_the_holder_passes() {
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(3, 1, &TWIST)), Err(Refused::NotHolder));
     let mut free = network.gate(&service("exclusive"), &[]);
-    free.describe(&crate::service::Service { epoch: 3, ..service("exclusive") }, &[]);
+    free.describe(&Service { epoch: 3, ..service("exclusive") }, &[]);
     assert_eq!(deliver(&mut free, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::NotHolder));
 }
 
@@ -413,7 +413,7 @@ fn an_expired_certificate_does_not_pass() {
 #[test]
 fn only_the_owner_feeds_a_feed() {
     let network = Network::new();
-    let feed = crate::service::Service { direction: ledger_contract::Direction::Feed, ..service("open") };
+    let feed = Service { direction: Direction::Feed, ..service("open") };
     let mut gate = network.gate(&feed, &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NotOwner));
     assert_eq!(deliver(&mut gate, &network.robot, &network.robot.set(0, 1, &TWIST)), Ok(1));
