@@ -38,7 +38,10 @@ impl NodeView {
             }
             let left = deadline.saturating_duration_since(Instant::now());
             match orderer.transfer(0, left).await {
-                Ok(RoleChange { leader, .. }) => return tracing::info!(leader, "handed over the leadership"),
+                Ok(RoleChange { leader, .. }) => {
+                    let leader = leader.map(|leader| self.directory.name(leader));
+                    return tracing::info!(leader, "handed over the leadership");
+                }
                 Err(reason) if deadline <= Instant::now() + HANDOVER_PAUSE => {
                     return tracing::warn!(%reason, "could not hand over; the others elect a leader");
                 }
@@ -54,7 +57,8 @@ impl NodeView {
                 .found(format!("role {}", caller.role))
                 .wanted("role admin"));
         }
-        tracing::info!(by = %caller.id(), to, "leadership is to be transferred");
+        let name = (to != 0).then(|| self.directory.name(to));
+        tracing::info!(by = %caller.id(), to = name, "an admin transfers the leadership");
         self.seat.handle()?.transfer(to, PATIENCE).await
     }
 }
