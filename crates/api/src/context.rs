@@ -68,7 +68,7 @@ pub struct Context {
     pub memory: Memory,
 }
 
-/// What `context.toml` holds.
+/// The content of `context.toml`.
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Settings {

@@ -17,7 +17,7 @@ const PREFIX: &str = "ledgerd1-";
 
 /// An invitation into a network, for `ledgerd join`. Prints as one word, and is read from it again.
 ///
-/// Whoever has it can join in the place of the one it was made for: it holds a secret, is good once, and expires.
+/// Its bearer can join in the place of the intended newcomer: it holds a secret, is good once, and expires.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct JoinToken {

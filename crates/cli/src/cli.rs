@@ -32,7 +32,7 @@ pub(crate) struct Cli {
     command: Command,
 }
 
-/// What every command understands.
+/// Options of every command.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Global {
     /// Act as this context; otherwise LEDGERCTL_CONTEXT, otherwise the one of `context use`
@@ -42,7 +42,7 @@ pub(crate) struct Global {
     #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "table|json")]
     #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
     pub(crate) output: Format,
-    /// What is done for the context beside the command
+    /// Upkeep of the context beside the command
     #[arg(skip)]
     pub(crate) upkeep: Upkeep,
 }

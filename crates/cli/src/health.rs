@@ -83,7 +83,7 @@ impl Voters {
         text
     }
 
-    /// What needs attention.
+    /// The point that needs attention, if there is one.
     pub(crate) fn attention(&self) -> Option<String> {
         (self.voters_reachable < self.voters || !self.quorum).then(|| format!("voters: {}", self.text()))
     }
@@ -100,7 +100,7 @@ pub(crate) struct Disk {
 }
 
 impl Disk {
-    /// What a node says of it; none if it is older than that.
+    /// The report of a node about it; none if it is older than that.
     pub(crate) fn of(status: &v1::StatusResponse) -> Option<Self> {
         let (free_bytes, total_bytes) = (status.disk_free_bytes, status.disk_total_bytes);
         let (path, accepts) = (status.data_directory.clone(), status.disk_accepts.clone());
@@ -122,7 +122,7 @@ impl Disk {
         }
     }
 
-    /// What needs attention.
+    /// The point that needs attention, if there is one.
     pub(crate) fn attention(&self, node: &str) -> Option<String> {
         let low = self.free_bytes < self.total_bytes / DISK_LOW_PART || self.accepts != "all";
         low.then(|| format!("disk of {node}: {}", self.text()))
@@ -175,7 +175,7 @@ impl Certificate {
         format!("{}{what} {}, {}", self.name, self.ends(now), time::moment(self.not_after))
     }
 
-    /// What needs attention.
+    /// The point that needs attention, if there is one.
     pub(crate) fn attention(&self, now: u64) -> Option<String> {
         let life = self.not_after.saturating_sub(self.not_before);
         let most = if self.kind == "ca" { CA_ENDING_US } else { ENDING_US };

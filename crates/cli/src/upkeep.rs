@@ -1,8 +1,7 @@
-//! What is done for a context beside the command that uses it: its certificate is renewed in time, and people are told
-//! what they should know about it and about their clock.
+//! Upkeep of a context beside the command that uses it: it renews the certificate in time, and warns of a wrong clock.
 //!
-//! None of it keeps a command waiting: it begins when the command is connected, goes on beside it, and has a moment more
-//! when the command is done.
+//! None of it keeps a command waiting: it begins when the command is connected, goes on beside it, and has a moment
+//! more when the command is done.
 
 use crate::cli::Global;
 use crate::output::{Format, warn};

@@ -4,7 +4,7 @@
 use crate::time;
 use ledger_rejection::{Code, Rejection};
 
-/// What people type for the arguments of a function.
+/// The words of the command line for the arguments of a function.
 pub(crate) struct Words {
     /// The name of an argument on the ledger, and what it is on the command line.
     pub(crate) arguments: &'static [(&'static str, &'static str)],

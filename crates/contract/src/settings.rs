@@ -5,8 +5,8 @@ use crate::robot::RobotAsset;
 use crate::service::{Direction, Mode};
 use serde::{Deserialize, Serialize};
 
-/// What `configure` changes. Settings that are not named stay unchanged. The first two belong to the robot, the others
-/// to a service.
+/// The settings that `configure` changes. Settings that are not named stay unchanged. The first two belong to the
+/// robot, the others to a service.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RobotSettings {

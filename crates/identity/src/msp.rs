@@ -1,7 +1,7 @@
 //! The authorities of an organisation (MSP, as in Fabric), and the check of a certificate against
 //! those of all organisations.
 //!
-//! The path itself is checked by rustls-webpki. What it leaves to its callers is checked here: the validity, path
+//! The path itself is checked by rustls-webpki. Its callers must check the rest, which happens here: the validity, path
 //! length and CA flag of the root, key usage, and that no certificate passes for two organisations.
 
 mod path;

@@ -27,8 +27,8 @@ pub trait Chaincode: Send + Sync {
     /// [`ChaincodePanic`](ledger_rejection::Code::ChaincodePanic).
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection>;
 
-    /// What a successful call answers and emits, where the call alone tells. A node then keeps neither: it has the call
-    /// in its block. What differs from what [`Chaincode::invoke`] gave is kept as it was given.
+    /// The answer and the events of a successful call, where the call alone determines them. A node then keeps neither:
+    /// it has the call in its block. A different outcome of [`Chaincode::invoke`] is kept as it was.
     ///
     /// The foretold outcome of a call must never change: results that were kept without it are read with it.
     fn foretell(&self, _function: &str, _args: &[Bytes]) -> Option<Foretold> {
@@ -88,7 +88,7 @@ pub trait Chaincode: Send + Sync {
     }
 }
 
-/// What [`Chaincode::foretell`] says.
+/// The answer of [`Chaincode::foretell`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Foretold {
     /// The answer of the call.

@@ -78,7 +78,7 @@ impl Transaction {
     /// Signs a body.
     ///
     /// # Errors
-    /// What [`Transaction::decode`] would refuse.
+    /// A transaction that [`Transaction::decode`] would refuse.
     pub fn sign(body: &Body, key: &SigningKey) -> Result<Self, Rejection> {
         let encoded_body = Bytes::from(body.encode_to_vec());
         let signature = key.sign(&signed_bytes(&encoded_body));
@@ -209,7 +209,7 @@ fn malformed(what: &str) -> Rejection {
 }
 
 /// Refuses bytes that the message does not account for: a field that it does not have, one that stands twice, a number
-/// that is longer than it must be. Whoever signed such a field meant something by it, and it would be left out in
+/// that is longer than it must be. The signer of such a field meant something by it, and it would be left out in
 /// silence.
 fn check_encoding(name: &str, message: &impl Message, found: usize) -> Result<(), Rejection> {
     let wanted = message.encoded_len();

@@ -17,8 +17,9 @@
 //! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
 //! ```
-//! Sender and receiver are not in the message: they are the two ends of an authenticated connection. What the engine
-//! could also say, but must not come from a peer (proposals, transfers, snapshots, local events), has no number.
+//! Sender and receiver are not in the message: they are the two ends of an authenticated connection. Messages that the
+//! engine could also send, but that must not come from a peer, have no number: proposals, transfers, snapshots, local
+//! events.
 
 pub(crate) mod convert;
 

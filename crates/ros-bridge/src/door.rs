@@ -1,13 +1,13 @@
 //! The door in front of the ledger: what came from it does not enter again.
 //!
-//! One message of a user would otherwise go round for ever, where a bridge that brings a service into a graph and one
-//! that takes it from there meet: each round signed anew, so never too old, and each of them a use of the grant.
+//! Where a bridge that brings a service into a graph meets one that takes it from there, a message of a user would go
+//! round for ever. Each round would be signed anew, so it would never be too old, and would use the grant.
 //!
-//! - **Bridges.** What a bridge of the same network has published is not taken in: it carries a [`Mark`].
+//! - **Bridges.** A sample of a bridge of the same network is not taken in: it carries a [`Mark`].
 //! - **Others that pass messages on** (a relay, a bridge between domains) carry none. So the door remembers what was
 //!   delivered to this graph: by this process, or by other bridges as far as it hears them; and what it has let in. Each of
-//!   these explains one repetition of the same payload by another publisher, and what is explained is not taken in. Whoever
-//!   sends what nothing explains is a source, and from then on may repeat itself, or others, as often as they like: constant
+//!   these explains one repetition of the same payload by another publisher, and the repetition is not taken in. A publisher
+//!   whose payload nothing explains is a source. From then on it may repeat itself, or others, without limit: constant
 //!   commands are the normal case.
 //! - **A stop must not be lost.** The first sample of a publisher that was quiet is taken in, unless the same was delivered
 //!   just now: it may be somebody who stops the robot with one message. One sample makes no loop.

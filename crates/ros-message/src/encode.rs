@@ -27,9 +27,9 @@ impl Time {
 }
 
 impl Message {
-    /// Writes a message with its header. What is not written takes the default of the definition, and zero, an empty
-    /// text or an empty sequence without one. As in `ros2 topic pub`, `now` for a `builtin_interfaces/msg/Time` is that
-    /// time, and `auto` for a `std_msgs/msg/Header` one with that time.
+    /// Writes a message with its header. A missing field takes the default of the definition, and without one zero, an
+    /// empty text or an empty sequence. As in `ros2 topic pub`, `now` for a `builtin_interfaces/msg/Time` is that time,
+    /// and `auto` for a `std_msgs/msg/Header` one with that time.
     ///
     /// # Errors
     /// If a field is not the type's, or what is written for one cannot be its value; both with the field.

@@ -1,6 +1,6 @@
 //! Why something was refused.
 
-/// What was refused, what was found, what was wanted, what to do next; the last three may be empty.
+/// The refusal, the value found, the value wanted, and advice; the last three may be empty.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct Fault {

@@ -95,8 +95,8 @@ pub fn archive(data: &Path, to: &Path, extent: Extent, network_of: NetworkOf<'_>
     })
 }
 
-/// The height up to which the node keeps results. What it has executed is committed, and was on the disk before its
-/// result was; the log itself says so only with the next block. Results that cannot be read prove nothing.
+/// The height up to which the node keeps results. A block that it has executed is committed, and was on the disk before
+/// its result was; the log itself says so only with the next block. Results that cannot be read prove nothing.
 fn executed(data: &Path, network: Hash) -> u64 {
     let results = RealDisk::open_beside_writer(data.join(RESULTS_DIRECTORY)).ok();
     let results = results.and_then(|disk| ResultStore::open(Arc::new(disk), network).ok());

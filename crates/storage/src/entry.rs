@@ -9,7 +9,7 @@ pub struct Entry {
     pub index: u64,
     /// Term of the leader that proposed it. Never falls from one entry to the next.
     pub term: u64,
-    /// What `data` means to the orderer.
+    /// The meaning of `data` to the orderer.
     pub kind: EntryKind,
     /// The content, opaque to the store. Empty for the entry a new leader starts with.
     pub data: Bytes,
@@ -52,7 +52,7 @@ impl EntryKind {
 pub struct HardState {
     /// Newest term seen. Never falls.
     pub term: u64,
-    /// Who got this node's vote in `term`; 0 for nobody.
+    /// The node that got this node's vote in `term`; 0 for none.
     pub vote: u64,
     /// Everything up to this index is committed. May lag behind what is known in memory.
     pub commit: u64,

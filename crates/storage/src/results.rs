@@ -1,10 +1,10 @@
 //! Results of executed blocks, and where each transaction is: in files of their own beside the segments.
 //!
 //! They follow from the blocks, as the world state does: whatever is wrong with them is dropped from there on and
-//! executed again. What was not flushed yet is in memory. [`ResultStore::flush`] makes results durable before the world
-//! state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut off. Whoever
-//! executes blocks takes a lock that is held for moments only, never the one of the files, where the writer may need
-//! long.
+//! executed again. Results that were not flushed yet are in memory. [`ResultStore::flush`] makes results durable before
+//! the world state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut
+//! off. The thread that executes blocks takes a lock that is held for moments only, never the one of the files, where
+//! the writer may need long.
 //!
 //! A node that has the blocks keeps only what they do not tell: a call's arguments are in its block, and what it
 //! answers and emits often says the same again. The chaincode can foretell that part, and it is not kept.

@@ -1,9 +1,9 @@
 //! Snapshots: the world state at a height, and what else a ledger needs to go on from there, as bytes that every node
 //! makes alike.
 //!
-//! A node makes one at heights that the genesis names, keeps the newest two, and
-//! signs their [content](Manifest::content). Who is far behind fetches the manifest and the chunks, checks who has
-//! signed the content, and installs it: the ledger opened on it stands where the others stood, and refuses the same
+//! A node makes one at heights that the genesis names, keeps the newest two, and signs their
+//! [content](Manifest::content). A node that is far behind fetches the manifest and the chunks, checks the signers of
+//! the content, and installs it. The ledger opened on it stands where the others stood, and refuses the same
 //! duplicates.
 //!
 //! | bytes of the file | content |

@@ -92,7 +92,7 @@ struct Table {
     outgoing: Option<Outgoing>,
     /// When the last answer came. A node with much to do answers late, but it answers.
     answered: Option<Instant>,
-    /// Until when those rest that a node could not take now. What is new rests with them, so that it does not overtake
+    /// Until when those rest that a node could not take now. New ones rest with them, so that they do not overtake
     /// them: a command that comes after its successor is refused.
     resting: Option<Instant>,
     /// Number of the next entry.

@@ -36,7 +36,7 @@ pub struct KnownNode {
     pub organisation: String,
 }
 
-/// What `nodes.json` holds.
+/// The content of `nodes.json`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(default)]
 struct Known {

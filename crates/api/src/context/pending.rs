@@ -2,7 +2,8 @@
 //! afterwards, a second try with the same key receives the same certificate.
 //!
 //! ```text
-//! <home>/contexts/.<CONTEXT>.enrolling-<8 digits of the CA's fingerprint>/key.pem         PKCS#8, readable by its owner only
+//! <home>/contexts/.<CONTEXT>.enrolling-<8 digits of the CA's fingerprint>/key.pem         PKCS#8, readable by its
+//! owner only
 //!                                                                         enrolment.toml  whose it is
 //! ```
 
@@ -25,7 +26,7 @@ pub struct PendingEnrolment {
     resumed: bool,
 }
 
-/// What `enrolment.toml` holds.
+/// The content of `enrolment.toml`.
 #[derive(PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Settings {
@@ -34,8 +35,8 @@ struct Settings {
 }
 
 impl PendingEnrolment {
-    /// Goes on with the enrolment of this registered name at this CA that was begun for this context, or begins one: the
-    /// key is on the disk when this returns. Without a kind of key it is the one that was begun with, else Ed25519.
+    /// Goes on with the enrolment of this registered name at this CA that was begun for this context, or begins one:
+    /// the key is on the disk when this returns. Without a kind of key it is the one that was begun with, else Ed25519.
     ///
     /// # Errors
     /// [`Code::NoContext`] for a name that no context may have, [`Code::BadFile`] if nothing can be written here,

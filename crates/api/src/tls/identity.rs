@@ -87,7 +87,7 @@ pub struct TlsIdentity {
     current: Arc<RwLock<Arc<Own>>>,
 }
 
-/// What a [`TlsIdentity`] shows and signs with at the moment.
+/// The certificate and the key of a [`TlsIdentity`] at the moment.
 pub struct Own {
     /// The own certificate, its issuers, and for first contact the root.
     pub chain: Vec<CertificateDer<'static>>,

@@ -15,8 +15,8 @@ use rustls::{
 use std::fmt;
 use std::sync::Arc;
 
-/// The settings of a node's server: clients of the network's organisations, or without a certificate. Who they are
-/// says [`client_identity`].
+/// The settings of a node's server: clients of the network's organisations, or without a certificate. Their identity
+/// comes from [`client_identity`].
 ///
 /// # Errors
 /// [`TlsError`] if rustls refuses the certificate or key.

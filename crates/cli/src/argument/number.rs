@@ -3,7 +3,7 @@
 /// A height of the chain.
 ///
 /// # Errors
-/// What is wanted, unless the text is a whole number.
+/// The wanted form, unless the text is a whole number.
 pub(crate) fn height(text: &str) -> Result<u64, String> {
     text.parse().map_err(|_| "wanted the height of a block: a whole number, 0 or more".to_owned())
 }
@@ -11,7 +11,7 @@ pub(crate) fn height(text: &str) -> Result<u64, String> {
 /// A count of things.
 ///
 /// # Errors
-/// What is wanted, unless the text is a whole number above zero.
+/// The wanted form, unless the text is a whole number above zero.
 pub(crate) fn count(text: &str) -> Result<u64, String> {
     text.parse().ok().filter(|count| *count > 0).ok_or_else(|| "wanted a whole number, 1 or more".to_owned())
 }

@@ -3,7 +3,7 @@
 use super::setting::{self, Key};
 use ledger_contract::{RobotSettings, ServiceSpec};
 
-/// What a service looks like, for messages.
+/// The form of a service, for messages.
 const WANTED: &str = "TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m]\
                       [,max-age=500ms][,stop=HEX], such as /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive";
 

@@ -1,17 +1,18 @@
-//! The settings of a robot and its services as people type them, `KEY=VALUE`: one table for `robot add` and `robot set`.
+//! The settings of a robot and its services as people type them, `KEY=VALUE`: one table for `robot add` and `robot
+//! set`.
 
 use super::span::Milliseconds;
 use ledger_contract::{RobotSettings, Word};
 
 /// One setting.
 pub(crate) struct Key {
-    /// What people type.
+    /// Its name as people type it.
     pub(crate) name: &'static str,
     /// Its name on the ledger.
     pub(crate) field: &'static str,
     /// Does it belong to a service, or to the robot?
     pub(crate) of_service: bool,
-    /// What its value looks like.
+    /// The form of its value.
     wanted: &'static str,
     read: fn(&mut RobotSettings, &str) -> Result<(), String>,
 }

@@ -12,7 +12,7 @@ use std::io::{self, Write};
 
 /// Show what the node refused lately before it was ordered, newest first; for admins.
 ///
-/// What was refused after it was ordered stands in the blocks: `ledgerctl block N`.
+/// Calls that were refused after ordering stand in the blocks: `ledgerctl block N`.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl denials --limit 20")]
 pub(crate) struct Denials {

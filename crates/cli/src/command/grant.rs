@@ -93,7 +93,7 @@ impl Facts for Granted {
     }
 }
 
-/// What people type where the chaincode has other names.
+/// The words of the command line where the chaincode has other names.
 const ACQUIRE: Words = Words { arguments: &[("LEASE_MS", "--for")], help: "ledgerctl acquire" };
 const RENEW: Words = Words { help: "ledgerctl renew", ..ACQUIRE };
 const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledgerctl release" };

@@ -43,7 +43,7 @@ Example:
 pub(crate) struct Register {
     /// The name, as it will stand in the certificate
     name: String,
-    /// What the identity is for
+    /// The role of the identity
     #[arg(long, value_name = "ROLE", default_value = "member", value_parser = role)]
     role: Role,
     /// An attribute to sign into the certificate; KEY alone means KEY=true

@@ -49,7 +49,7 @@ pub(crate) struct Remove {
     id: String,
 }
 
-/// What people type where the chaincode has other names.
+/// The words of the command line where the chaincode has other names.
 const WORDS: Words =
     Words { arguments: &[("ID", "the name of the policy"), ("TEXT", "the policy")], help: "ledgerctl policy" };
 

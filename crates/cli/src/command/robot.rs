@@ -79,7 +79,7 @@ pub(crate) struct Remove {
     name: String,
 }
 
-/// What people type where the chaincode has other names.
+/// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words {
     arguments: &[("NAME", "the name of the robot"), ("ROBOT", "the name of the robot")],
     help: "ledgerctl robot",

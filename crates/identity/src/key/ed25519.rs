@@ -1,10 +1,10 @@
 //! Ed25519 as ZIP 215 checks it: by an equation that allows many signatures to be checked at once, at a third of what
 //! each costs alone, with the same answer.
 //!
-//! RFC 8032 leaves open which of two equations a verifier checks. The stricter one, which ring has, cannot be checked for
-//! many signatures at once: somebody could make signatures whose verdict depends on what else a node checks with them, and
-//! nodes would disagree. The rules of ZIP 215 leave nothing open. What a key signs as everybody does it verifies under
-//! either.
+//! RFC 8032 leaves open which of two equations a verifier checks. The stricter one, which ring has, cannot be checked
+//! for many signatures at once: somebody could make signatures whose verdict depends on what else a node checks with
+//! them, and nodes would disagree. The rules of ZIP 215 leave nothing open. An ordinary signature of a key verifies
+//! under either.
 
 use chacha20::ChaCha20Rng;
 use chacha20::rand_core::SeedableRng;

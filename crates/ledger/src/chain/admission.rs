@@ -22,7 +22,7 @@ use super::TransactionRecord;
 /// How often a call is simulated again when blocks are committed while it is.
 const SIMULATE_RETRIES: usize = 3;
 
-/// What [`Ledger::admit`] answers.
+/// The answer of [`Ledger::admit`].
 #[derive(Clone, Debug, PartialEq)]
 pub enum Admission {
     /// Worth ordering.
@@ -148,7 +148,7 @@ impl Ledger {
     /// it on a quiet network.
     ///
     /// # Errors
-    /// The refusal, with the creator's name if it is known. What may be said to the client is another question: see
+    /// The refusal, with the creator's name if it is known. The answer to the client is another question: see
     /// [`Refusal::step`].
     pub fn admit(&self, encoded: Bytes, now: u64) -> Result<Admission, Box<Refusal>> {
         let transaction = Transaction::decode(encoded).map_err(|rejection| {

@@ -57,8 +57,8 @@ impl Registry {
         })
     }
 
-    /// The chaincodes that may emit an event of one of these names: of this chaincode or, if it is empty, of all. No names
-    /// stand for any.
+    /// The chaincodes that may emit an event of one of these names: of this chaincode or, if it is empty, of all. No
+    /// names stand for any.
     ///
     /// # Errors
     /// [`Code::UnknownChaincode`]; [`Code::BadArgument`] with the names that exist.
@@ -109,7 +109,7 @@ impl Registry {
         run(environment, callee.name(), 0, overlay, events, |ctx| callee.invoke(ctx, function, args))
     }
 
-    /// What a successful call answers and emits, if the call alone tells ([`Chaincode::foretell`]).
+    /// The answer and the events of a successful call, if the call alone determines them ([`Chaincode::foretell`]).
     pub(crate) fn foretell(&self, chaincode: &str, function: &str, args: &[Bytes]) -> Option<Foretold> {
         let callee = self.chaincodes.get(chaincode)?;
         catch_unwind(AssertUnwindSafe(|| callee.foretell(function, args))).ok().flatten()

@@ -1,7 +1,7 @@
 //! Which nodes carry the key of which organisation's CA.
 //!
-//! A node says so itself and proves it with a signature of that key. Whoever wants to enrol, and finds a node that does
-//! not carry the CA, is sent to one that does.
+//! A node says so itself and proves it with a signature of that key. A client that wants to enrol at a node without the
+//! CA is sent to one that carries it.
 
 use super::caller::{admin, node, object};
 use super::identities::{self, KnownIdentity};
@@ -60,7 +60,7 @@ pub struct CarryCa {
 }
 
 impl CarryCa {
-    /// What the node `ORGANISATION/NAME` says when it holds this key of that organisation's CA.
+    /// The statement of the node `ORGANISATION/NAME` that it holds this key of that organisation's CA.
     pub fn prove(network: &Hash, organisation: &str, node: &str, key: &SigningKey) -> Self {
         let proof = hex::encode(key.sign(&signed_bytes(network, organisation, node)));
         Self { organisation: organisation.to_owned(), proof, identities: Vec::new() }

@@ -23,8 +23,8 @@ pub struct Begun {
     pub height: u64,
     /// SHA-256 of its manifest: names its content.
     pub content: Hash,
-    /// Nodes that have signed this in blocks that were executed. Who does not trust the snapshot's origin looks here for
-    /// nodes of organisations that they trust.
+    /// Nodes that have signed this in blocks that were executed. A reader who does not trust the snapshot's origin
+    /// looks here for nodes of trusted organisations.
     pub attested_by: BTreeSet<String>,
 }
 

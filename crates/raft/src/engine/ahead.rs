@@ -63,9 +63,9 @@ impl Ahead {
         }
     }
 
-    /// The limit for the cost of the data of the next block. What waits for a majority, after `until`, does not count,
-    /// or a distant one would be the limit. A block takes at most half of what is allowed: two keep disk and executor
-    /// busy.
+    /// The limit for the cost of the data of the next block. Blocks that wait for a majority, after `until`, do not
+    /// count, or a distant one would be the limit. A block takes at most half of what is allowed: two keep disk and
+    /// executor busy.
     pub(super) fn room(&self, until: u64) -> usize {
         let waiting: usize = self.blocks.iter().take_while(|block| block.index <= until).map(|block| block.cost).sum();
         self.allowed.saturating_sub(waiting).min(self.allowed.div_ceil(2))

@@ -38,8 +38,8 @@ impl Engine {
         }
     }
 
-    /// A peer says that its log begins at `first_index`. Believed of the leader only. What counts is what is committed
-    /// here: the entries after it may be others than the leader's.
+    /// A peer says that its log begins at `first_index`. Believed of the leader only. Only committed entries count
+    /// here: the entries after them may differ from the leader's.
     pub(super) fn told_behind(&self, from: u64, first_index: u64, out: &mut Vec<Output>) {
         let committed = self.raw.raft.raft_log.committed;
         if self.is_leader() || self.leader() != Some(from) || committed >= first_index.saturating_sub(1) {

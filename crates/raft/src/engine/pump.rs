@@ -79,7 +79,7 @@ impl Engine {
             && self.membership.is_voter(self.config.id)
     }
 
-    /// What waits becomes one block, as soon as the previous write is under way.
+    /// Waiting transactions become one block, as soon as the previous write is under way.
     fn propose(&mut self, out: &mut Vec<Output>) {
         if !self.may_propose() {
             return;

@@ -22,8 +22,8 @@ impl Engine {
         [self.config.id, self.config.seed, context].iter().flat_map(|part| part.to_be_bytes()).collect()
     }
 
-    /// The context in the name of a read, if it is of this start of this node. What the leader has appended does not
-    /// count.
+    /// The context in the name of a read, if it is of this start of this node. Entries that the leader has only
+    /// appended do not count.
     pub(super) fn read_context(&self, name: &[u8]) -> Option<u64> {
         let (name, _) = name.split_at_checked(READ_NAME_BYTES)?;
         let (_, context) = name.split_at_checked(16)?;

@@ -197,7 +197,7 @@ fn cost(transaction: &Bytes) -> usize {
     transaction.len() + TRANSACTION_COST_BYTES
 }
 
-/// Its creator. What is no transaction belongs to nobody, who is one creator like others.
+/// Its creator. Bytes that are no transaction belong to an unknown creator, who is one creator like others.
 fn creator(transaction: &Bytes) -> Hash {
     claimed_creator(transaction).unwrap_or_default()
 }

@@ -15,7 +15,7 @@ pub(super) struct Wanted<'a> {
     pub(super) segment: &'a ScannedSegment,
     /// Its bytes up to here.
     pub(super) end: u64,
-    /// What follows them in the archive: of an unfinished segment the word that they are committed.
+    /// The bytes behind them in the archive: of an unfinished segment the hard state that commits them.
     pub(super) record: Vec<u8>,
     /// The segment after it, if it is finished.
     pub(super) next: Option<&'a ScannedSegment>,

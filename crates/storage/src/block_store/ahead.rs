@@ -1,7 +1,7 @@
 //! Writing zeros ahead of the log, so that a commit writes into blocks the file system has already placed.
 //!
-//! A commit that only overwrites needs no change of the file's metadata under its `fdatasync`. The whole next segment is
-//! zeroed before it is needed, as zeroing the active file makes the commits beside it slower.
+//! A commit that only overwrites needs no change of the file's metadata under its `fdatasync`. The whole next segment
+//! is zeroed before it is needed, as zeroing the active file makes the commits beside it slower.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -34,7 +34,7 @@ impl Marks {
     }
 }
 
-/// The files that are zeroed ahead. Whoever changes `Marks::zeroed` holds the lock around this.
+/// The files that are zeroed ahead. A change of `Marks::zeroed` needs the lock around this.
 #[derive(Default)]
 pub(super) struct Ahead {
     /// The active segment.

@@ -87,8 +87,8 @@ impl Oldest {
     }
 }
 
-/// Refuses a log whose oldest segments are missing. What is known of them is what this file says; a store from before
-/// it had one is believed.
+/// Refuses a log whose oldest segments are missing. Only this file knows of them; a store from before it had one is
+/// believed.
 ///
 /// # Errors
 /// [`StoreError::Corrupt`] with the first index that is missing.

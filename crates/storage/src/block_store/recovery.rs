@@ -213,8 +213,8 @@ fn tidy(disk: &dyn Disk, scan: &Scan<'_>, report: &mut Recovery) -> Result<(), S
 
 /// Makes sure that what was read is on disk, and that zeros follow it; returns the length of the file.
 ///
-/// What its own records do not prove durable is written again: it may be in the page cache only, and after a failed
-/// sync the kernel takes such pages for clean, so a sync alone would not save them.
+/// Records that the log does not prove durable are written again. They may be in the page cache only, and after a
+/// failed sync the kernel takes such pages for clean, so a sync alone would not save them.
 fn settle(name: &str, file: &dyn DiskFile, tail: Tail, torn: Option<&TornTail>) -> Result<u64, StoreError> {
     const PIECE_BYTES: u64 = 1 << 20;
     let mut at = tail.proven.max(HEADER_BYTES);

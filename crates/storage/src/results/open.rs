@@ -10,7 +10,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 
 impl ResultStore {
-    /// Opens the results in a directory. Whatever is wrong with one is left out with all that follow;
+    /// Opens the results in a directory. A wrong record is left out with all that follow;
     /// [`ResultStore::align`] finds out if they are missed.
     ///
     /// # Errors
@@ -40,8 +40,8 @@ impl ResultStore {
     /// Cuts off what lies beyond the savepoint: those blocks are executed again.
     ///
     /// # Errors
-    /// [`Code::Corrupt`] if results are missing or belong to another chain: world state and results are to be made again
-    /// then.
+    /// [`Code::Corrupt`] if results are missing or belong to another chain: world state and results are to be made
+    /// again then.
     pub fn align(&self, tip: &Tip) -> Result<(), Rejection> {
         let missing = |found: String| {
             Rejection::new(Code::Corrupt, "the results of blocks do not reach as far as the world state")

@@ -142,8 +142,8 @@ pub(crate) struct Head {
     pub(crate) seal: Option<Seal>,
 }
 
-/// Reads the hard state and the seal at the beginning of a segment. Whatever is not as it should be is left out:
-/// reading the segments whole then tells what is wrong.
+/// Reads the hard state and the seal at the beginning of a segment. A wrong part is left out: reading the segments
+/// whole then names the fault.
 pub(crate) fn read_head(disk: &dyn Disk, segment: &ScannedSegment) -> Result<Head, StoreError> {
     let name = &segment.name;
     let file = disk.open(name).map_err(|error| StoreError::io("open", name, error))?;

@@ -8,8 +8,8 @@ use ledger_rejection::{Code, Rejection};
 use std::io::ErrorKind;
 use std::sync::{Arc, MutexGuard, PoisonError};
 
-/// Gathers the chunks of a snapshot, each compared with the manifest, in a file beside the snapshots. What is in that
-/// file when it begins is used, so that it goes on after a crash.
+/// Gathers the chunks of a snapshot, each compared with the manifest, in a file beside the snapshots. The present
+/// content of that file is used, so that it continues after a crash.
 pub struct Installer<'a> {
     snapshots: &'a Snapshots,
     _one: MutexGuard<'a, ()>,

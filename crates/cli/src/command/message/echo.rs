@@ -27,7 +27,7 @@ const HEARTBEAT_MS: u32 = 2_000;
 const LENGTH_MAX: usize = 128;
 /// Arguments of `set` before the messages: service, epoch, sequence number.
 const ARGS_BEFORE_PAYLOADS: usize = 3;
-/// What people type where the chaincode has other names.
+/// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 
 /// Print the messages of a service as they are committed, until Ctrl-C.
@@ -224,7 +224,7 @@ fn messages(
         .collect())
 }
 
-/// Who signs: names that certificates carry, checked against the organisations of our context.
+/// The names of signers: names that certificates carry, checked against the organisations of our context.
 struct Senders<'a> {
     session: &'a Session,
     known: HashMap<Hash, Identity>,

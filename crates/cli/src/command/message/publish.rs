@@ -29,7 +29,7 @@ const COMMAND_TTL: Duration = Duration::from_secs(2);
 /// Advice to those whose bytes are no message.
 const AS_TEXT: &str = "write the message as YAML, and its bytes are made from it: '{linear: {x: 0.5}}'";
 
-/// What people type where the chaincode has other names.
+/// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[("PAYLOAD", "the message")], help: "ledgerctl publish" };
 
 /// Publish a message on a service, under the grant that you hold.
@@ -107,7 +107,7 @@ impl Source {
 }
 
 impl Content {
-    /// The bytes to publish at this moment. What is written needs the type; bytes are compared with it if it is known.
+    /// The bytes to publish at this moment. Text needs the type; bytes are compared with it if it is known.
     fn payload(&self, message: &Result<Message, Rejection>, now: u64) -> Result<Bytes, Rejection> {
         match (self, message) {
             (Self::Written(_), Err(unknown)) => Err(unknown.clone()),

@@ -106,7 +106,7 @@ impl Status {
     }
 }
 
-/// What the node has, however old: where nobody leads, nobody could confirm that it is the newest.
+/// The state of the node, however old: without a leader no node could confirm that it is the newest.
 async fn glance<T: DeserializeOwned>(session: &Session, function: &str, what: &str) -> Result<T, Rejection> {
     answer::parse(&session.client.query_at(0, MSP, function, vec![]).await?.response, what)
 }

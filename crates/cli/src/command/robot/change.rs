@@ -15,8 +15,8 @@ use std::io::{self, Write};
 
 /// Change settings of a robot of your organisation; for admins.
 ///
-/// What is not named stays as it is, and so do the grants that the new settings still allow. A summary tells what changed
-/// and which grants ended.
+/// Settings that are not named stay unchanged, and so do the grants that the new settings still allow. A summary tells
+/// what changed and which grants ended.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Settings of a service:
@@ -31,7 +31,7 @@ pub(crate) struct Set {
     /// The service; the robot alone is enough if it offers exactly one, and for the robot's own settings
     #[arg(value_name = "ROBOT[/TOPIC]")]
     target: String,
-    /// What to change, such as mode=open
+    /// Settings to change, such as mode=open
     #[arg(value_name = "KEY=VALUE", required = true)]
     settings: Vec<Setting>,
     /// Only tell what would change and which grants would end
@@ -75,7 +75,7 @@ pub(super) async fn replace(session: &Session, name: &str, spec: Bytes, output: 
     Ok(())
 }
 
-/// What people type where the chaincode has other names.
+/// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words {
     arguments: &[("ROBOT[/TOPIC]", "the robot"), ("ROBOT_JSON", "the description"), ("SETTINGS_JSON", "the settings")],
     help: "ledgerctl robot",
