@@ -9,6 +9,7 @@ use interest::Interests;
 use ledger::block::{Header, content};
 use ledger::{Ledger, Outcome};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::Observer;
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::result::TransactionResult;
 use std::collections::VecDeque;
@@ -43,7 +44,7 @@ impl Blocks {
     }
 
     /// Takes the block that was executed last and wakes everybody who waits for it, or for one of its events.
-    pub(crate) fn publish(&self, outcome: Arc<Outcome>) {
+    fn publish(&self, outcome: Arc<Outcome>) {
         let height = outcome.header.height;
         let events = Arc::clone(&outcome);
         {
@@ -135,6 +136,12 @@ impl Blocks {
             results: result.results,
             events: result.events,
         }))
+    }
+}
+
+impl Observer for Blocks {
+    fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
+        self.publish(Arc::clone(outcome));
     }
 }
 

@@ -1,5 +1,7 @@
 //! The node's clock: what a leader makes block time from.
 
+use ledger::{Ledger, Outcome};
+use ledger_replica::{Now, Observer};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -35,13 +37,20 @@ impl Clock {
         self.at(wall(), self.elapsed())
     }
 
+    /// What a replica is told.
+    pub(crate) fn both(&self) -> Now {
+        let elapsed = self.elapsed();
+        Now { clock: self.at(wall(), elapsed), elapsed }
+    }
+
     /// Takes note of the newest block's time, which the clock is not behind from now on. Where the machine's clock is
     /// behind, the nodes go on from the same block and so agree, but for the time that it took to reach them.
-    pub(crate) fn observe(&self, block_time: u64) {
+    fn observe(&self, block_time: u64) {
         self.observe_at(block_time, self.elapsed());
     }
 
-    fn elapsed(&self) -> u64 {
+    /// Microseconds since the clock was started, as the machine's monotonic clock has it.
+    pub(crate) fn elapsed(&self) -> u64 {
         u64::try_from(self.since.elapsed().as_micros()).unwrap_or(u64::MAX)
     }
 
@@ -51,6 +60,12 @@ impl Clock {
 
     fn observe_at(&self, block_time: u64, elapsed: u64) {
         self.base.store(block_time.saturating_sub(elapsed), Ordering::Relaxed);
+    }
+}
+
+impl Observer for Clock {
+    fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
+        self.observe(outcome.header.time);
     }
 }
 

@@ -7,8 +7,8 @@ use crate::catch_up::{Behind, CatchUp, Caught, Look};
 use crate::config::Order;
 use crate::node::count;
 use crate::orderer::Orderer;
-use ledger_raft::{Engine, EngineConfig};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::{Replica, Settings};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
@@ -129,15 +129,18 @@ impl Conductor {
 
     fn start_engine(&self) -> Result<(), Rejection> {
         let shared = &self.catch_up.shared;
-        let (ledger, store) = (&shared.ledger, &shared.store);
-        let mut settings = EngineConfig::new(self.id, ledger.members()?, crate::random::number()?);
-        settings.applied = ledger.tip().height;
-        settings.election_tick = count(self.order.election_ticks);
-        settings.data_wait_us = self.order.wait_ms.saturating_mul(1000);
-        settings.heartbeat_tick = (settings.election_tick / 5).max(1);
-        let engine = Engine::new(settings, Arc::clone(store))
-            .map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
-        let orderer = Orderer::start(engine, Arc::clone(shared), Duration::from_millis(self.order.tick_ms))
+        let Order { tick_ms, election_ticks, wait_ms, .. } = self.order;
+        let settings = Settings {
+            id: self.id,
+            seed: crate::random::number()?,
+            tick: tick_ms.saturating_mul(1000),
+            election_ticks: count(election_ticks),
+            data_wait: wait_ms.saturating_mul(1000),
+        };
+        let (store, executor, waiters) =
+            (Arc::clone(&shared.store), Arc::clone(&shared.executor), Arc::clone(&shared.waiters));
+        let replica = Replica::start(&settings, store, executor, waiters, shared.directory.desired())?;
+        let orderer = Orderer::start(replica, Arc::clone(shared))
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         self.catch_up.seat.take_in(orderer);
         Ok(())

@@ -5,7 +5,6 @@ mod current;
 mod held;
 mod line;
 mod reads;
-mod retries;
 mod share;
 mod submit;
 mod subscribe;
@@ -36,7 +35,7 @@ use ledger_api::v1::{
 };
 use ledger_identity::Identity;
 use ledger_rejection::Code;
-pub(crate) use retries::Retries;
+use ledger_replica::Retries;
 pub(crate) use share::{Place, Shares};
 use std::pin::Pin;
 use std::sync::Arc;

@@ -168,7 +168,7 @@ impl Rounds {
         self.node.space.look();
         if self.swept.is_none_or(|swept| swept.elapsed() >= LOOK_PERIOD) {
             self.swept = Some(Instant::now());
-            self.node.waiters.sweep();
+            self.node.waiters.sweep(self.node.clock.elapsed());
         }
         // What is left on a full disk is for what ends control, not for zeros. It may be over at any moment.
         if self.node.space.is_full() {

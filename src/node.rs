@@ -10,12 +10,12 @@ use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::denials::Denials;
 use crate::enrolment::{Authorities, EnrolmentService, Surroundings, Voice};
-use crate::gateway::{Audience, Current, GatewayService, NodeView, Retries, Shares};
+use crate::gateway::{Audience, Current, GatewayService, NodeView, Shares};
 use crate::housekeeping::{Bells, Housekeeping};
 use crate::identity::{Joined, own_membership, removed};
 use crate::join::{advised, check_member, nothing_here};
 use crate::listen::accept;
-use crate::orderer::{Executed, Reads, Seat, Shared};
+use crate::orderer::{Executed, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::renewal::{self, Keeper};
 use crate::retention::Pruner;
@@ -37,6 +37,7 @@ use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_raft::{Input, PEER_MESSAGE_BYTES_MAX};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::{Executor, Observer, Retries};
 use ledger_storage::layout::GENESIS_FILE;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
@@ -165,20 +166,32 @@ impl Node {
             trust: Arc::clone(&trust),
         };
         let peers = Peers::new(dialer.clone());
-        let (reads, executed) = (Arc::new(Reads::default()), Arc::new(Executed::default()));
+        let (seat, executed) = (Arc::new(Seat::empty()), Arc::new(Executed::default()));
+        let current = Current::new(Arc::clone(&seat), Arc::clone(&blocks), clock.clone());
         let denials = Arc::new(Denials::default());
         let workers = tokio::runtime::Handle::current().metrics().num_workers();
         let (witness, seen) = Witness::new();
         let awake = Awake::start(config.profile)
             .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
         let (awake, turns, bells) = (Arc::new(awake), Turns::of(config.profile), Arc::<Bells>::default());
+        // Who waits for a verdict is told first.
+        let observers: Vec<Arc<dyn Observer>> = vec![
+            Arc::new(clock.clone()),
+            Arc::clone(&waiters) as _,
+            Arc::clone(&directory) as _,
+            Arc::clone(&witness) as _,
+            Arc::clone(&blocks) as _,
+            Arc::new(current.clone()),
+            Arc::clone(&executed) as _,
+        ];
         let shared = Arc::new(Shared {
             ledger: Arc::clone(&ledger),
             store: Arc::clone(&store),
             snapshots: Arc::clone(&snapshots),
             blocks: Arc::clone(&blocks),
             waiters: Arc::clone(&waiters),
-            reads: Arc::clone(&reads),
+            current: current.clone(),
+            executor: Arc::new(Executor::new(Arc::clone(&ledger), observers)),
             directory: Arc::clone(&directory),
             peers: Arc::clone(&peers),
             clock: clock.clone(),
@@ -190,7 +203,6 @@ impl Node {
             }),
             start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
             space: Arc::clone(&space),
-            executed: Arc::clone(&executed),
             denials: Arc::clone(&denials),
             witness: Arc::clone(&witness),
             awake: Arc::clone(&awake),
@@ -198,7 +210,6 @@ impl Node {
             bells: Arc::clone(&bells),
         });
         peers.follow(&directory);
-        let seat = Arc::new(Seat::empty());
         let id = me.id;
         let testimony = Testimony {
             shared: Arc::clone(&shared),
@@ -210,7 +221,6 @@ impl Node {
             data: config.data.clone(),
         };
 
-        let current = Current::new(reads, Arc::clone(&seat), Arc::clone(&blocks));
         let audience = Audience::new(config.limits.subscribers_max, me.organisation.clone());
         let view = Arc::new(NodeView {
             me,

@@ -1,8 +1,9 @@
-//! The driver of the ordering engine: two threads.
+//! The threads that drive the replica: two.
 //!
-//! The *order* thread owns the engine. It takes what comes in, sends what goes out, and writes the log: while it waits
-//! for the disk, what arrives gathers and becomes the next block. The *execute* thread applies committed blocks to
-//! the ledger, wakes subscribers and answers clients; a block that is alone is executed by the order thread itself.
+//! The *order* thread owns the replica, which decides ([`ledger_replica`]). It takes what comes in, sends what goes out, and
+//! writes the log: while it waits for the disk, what arrives gathers and becomes the next block. The *execute* thread applies
+//! committed blocks to the ledger, wakes subscribers and answers clients; a block that is alone is executed by the order
+//! thread itself.
 //! Nothing else happens between a transaction and its verdict, so that one command costs as few wake-ups of threads as
 //! possible.
 //!
@@ -11,9 +12,7 @@
 //!   seat       where the rest of the node finds the orderer; empty while the node catches up
 //!   order      the order thread
 //!   inbox      what waits for one of the two threads
-//!   ticks      when the order thread wakes up by itself
 //!   execute    execution, on either thread
-//!   reads      linearizable reads that wait for the leader's word
 //!   handover   giving the leadership to another node
 //! ```
 
@@ -21,12 +20,9 @@ mod execute;
 mod handover;
 mod inbox;
 mod order;
-mod reads;
 mod seat;
-mod ticks;
 
 pub(crate) use execute::Executed;
-pub(crate) use reads::Reads;
 pub(crate) use seat::Seat;
 
 use crate::awake::Awake;
@@ -34,24 +30,25 @@ use crate::blocks::Blocks;
 use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::denials::Denials;
+use crate::gateway::Current;
 use crate::housekeeping::Bells;
 use crate::peers::{Directory, Peers};
 use crate::slice::Turns;
 use crate::space::Space;
-use crate::waiters::Waiters;
+use crate::waiters::{Client, Waiters};
 use crate::witness::Witness;
 use execute::Execute;
 use inbox::Inbox;
 use ledger::Ledger;
-use ledger_raft::{Engine, Input, RoleChange, Status};
+use ledger_raft::{Input, RoleChange, Status};
 use ledger_rejection::Rejection;
+use ledger_replica::{Executor, Replica};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
 use order::Order;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
 use tokio::sync::watch;
 
 /// Inputs from outside that wait for the order thread, which takes them all at once whenever the disk has answered.
@@ -69,8 +66,10 @@ pub(crate) struct Shared {
     pub blocks: Arc<Blocks>,
     /// Clients that wait for a verdict.
     pub waiters: Arc<Waiters>,
-    /// Clients that wait for a linearizable read.
-    pub reads: Arc<Reads>,
+    /// Who waits until the state is current.
+    pub current: Current,
+    /// Executes blocks, and tells everybody whom they concern.
+    pub executor: Arc<Executor>,
     /// Who belongs to the network.
     pub directory: Arc<Directory>,
     /// The other nodes.
@@ -85,8 +84,6 @@ pub(crate) struct Shared {
     pub start_again: Box<dyn Fn() + Send + Sync>,
     /// What the disk still has room for.
     pub space: Arc<Space>,
-    /// What was executed, by number of the verdict's code.
-    pub executed: Arc<Executed>,
     /// What was refused, here also by ordering.
     pub denials: Arc<Denials>,
     /// Compares what others attest.
@@ -126,17 +123,17 @@ impl Handle {
 }
 
 impl Orderer {
-    /// Starts the threads. `tick` is the unit in which the engine counts its timeouts.
+    /// Starts the threads.
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(engine: Engine, shared: Arc<Shared>, tick: Duration) -> io::Result<Self> {
+    pub(crate) fn start(replica: Replica<Client>, shared: Arc<Shared>) -> io::Result<Self> {
         let (inbox, blocks) = (Arc::new(Inbox::new()), Arc::new(Inbox::new()));
-        let first = engine.status();
+        let first = replica.status();
         let (role, roles) = watch::channel(first.role);
         let status = Arc::new(Mutex::new(first));
         let execute = Execute::new(Arc::clone(&shared));
-        let order = Order::new(engine, shared, tick, execute.clone(), &blocks, Arc::clone(&status), role);
+        let order = Order::new(replica, shared, execute.clone(), &blocks, Arc::clone(&status), role);
         let (inputs, applied) = (Arc::clone(&inbox), Arc::clone(&inbox));
         let threads = vec![
             std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks, &applied))?,

@@ -127,11 +127,6 @@ impl Space {
         }
     }
 
-    /// Does what is under way wait for room?
-    pub(crate) fn is_stuck(&self) -> bool {
-        self.stuck.load(Ordering::Relaxed)
-    }
-
     /// Is there too little for messages?
     pub(crate) fn is_full(&self) -> bool {
         self.accepts() > Accepts::All

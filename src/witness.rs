@@ -22,9 +22,10 @@ use crate::signer::Signer;
 use bytes::Bytes;
 use judge::{Finding, Judge};
 use ledger::governance::{self, Attest, Attestation};
-use ledger::{Admission, Outcome};
+use ledger::{Admission, Ledger, Outcome};
 use ledger_raft::{Input, Lane};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::Observer;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -63,8 +64,19 @@ impl Witness {
         (Arc::new(Self { seen, ordinary, snapshot, differing }), attestations)
     }
 
-    /// Takes note of an executed block.
-    pub(crate) fn observe(&self, outcome: &Outcome) {
+    /// Height of this node's newest snapshot, as far as it was noticed; 0 if there is none.
+    pub(crate) fn snapshot_height(&self) -> u64 {
+        self.snapshot.load(Ordering::Relaxed)
+    }
+
+    /// Who contradicts this node, in words; empty if nobody does.
+    pub(crate) fn divergence(&self) -> String {
+        self.differing.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+}
+
+impl Observer for Witness {
+    fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
         let mut attestations = 0;
         for emitted in &outcome.events {
             let event = &emitted.event;
@@ -79,16 +91,6 @@ impl Witness {
         if outcome.results.len() > attestations {
             self.ordinary.store(outcome.header.height, Ordering::Relaxed);
         }
-    }
-
-    /// Height of this node's newest snapshot, as far as it was noticed; 0 if there is none.
-    pub(crate) fn snapshot_height(&self) -> u64 {
-        self.snapshot.load(Ordering::Relaxed)
-    }
-
-    /// Who contradicts this node, in words; empty if nobody does.
-    pub(crate) fn divergence(&self) -> String {
-        self.differing.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
 }
 

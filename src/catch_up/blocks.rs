@@ -209,7 +209,7 @@ fn take_in(shared: &crate::orderer::Shared, batch: Batch) -> Result<(), Rejectio
     let Batch { entries, hashes, end } = batch;
     store(&shared.store, &entries, end)?;
     for (entry, hash) in entries.iter().zip(hashes) {
-        let outcome = shared.execute(entry)?;
+        let outcome = shared.executor.execute(entry)?;
         if outcome.hash != hash {
             return Err(Rejection::new(Code::Internal, format!("block {} has two hashes", entry.index))
                 .found(outcome.hash.to_string())

@@ -1,27 +1,19 @@
-//! Is this node's state as new as what was committed when somebody asked? Only then may it refuse because of its state.
-//!
-//! The leader knows, and a majority must confirm that it leads ([`Reads`]). One question serves everybody who waits when it
-//! is asked; whoever comes while it is under way waits for the next one, as an answer may be older than they are. So a flood
-//! of refusals costs the leader one question at a time.
+//! Makes this node's state as new as what was committed when somebody asked: carries out what [`Reads`] decides.
 
 use crate::blocks::Blocks;
-use crate::orderer::{Reads, Seat};
-use futures::FutureExt;
-use futures::future::BoxFuture;
+use crate::clock::Clock;
+use crate::orderer::Seat;
+use ledger::{Ledger, Outcome};
+use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
+pub(crate) use ledger_replica::Known;
+use ledger_replica::{Asker, Observer, ReadEffect, Reads, WAIT_FOR_HEIGHT};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
-use tokio::sync::oneshot;
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::runtime::Handle;
+use tokio::sync::{Notify, oneshot};
+use tokio::time::timeout;
 
-/// Longest time that somebody waits for a height that this node has not executed.
-const WAIT_FOR_HEIGHT: Duration = Duration::from_secs(2);
-/// From one question to the next while more and more ask. The first after a quiet moment is asked at once.
-const BETWEEN_QUESTIONS: Duration = Duration::from_millis(1);
-
-/// The height that the state has reached at least, and that was committed when the question was asked; or why that cannot
-/// be told now.
-pub(crate) type Known = Result<u64, Rejection>;
 /// Becomes known.
 pub(crate) type Question = oneshot::Receiver<Known>;
 
@@ -32,33 +24,44 @@ pub(crate) struct Current {
     questions: Arc<Questions>,
 }
 
-/// One question after the other, for as long as somebody waits.
-struct Questions {
-    ask: Box<dyn Fn() -> BoxFuture<'static, Known> + Send + Sync>,
-    asking: Mutex<Asking>,
+/// Who waits for an answer.
+struct Waiting(oneshot::Sender<Known>);
+
+impl Asker for Waiting {
+    fn is_gone(&self) -> bool {
+        self.0.is_closed()
+    }
 }
 
-#[derive(Default)]
-struct Asking {
-    /// A question is under way, or about to be asked.
-    busy: bool,
-    /// Those whom the next one serves.
-    waiting: Vec<oneshot::Sender<Known>>,
+/// Those who ask, where the engine is, and the time.
+struct Questions {
+    seat: Arc<Seat>,
+    clock: Clock,
+    runtime: Handle,
+    state: Mutex<State>,
+    /// Something is due earlier than the timer knows.
+    earlier: Notify,
+}
+
+struct State {
+    reads: Reads<Waiting>,
+    /// When the timer looks next; none while there is no timer.
+    timer: Option<u64>,
+}
+
+/// What the timer has to be told.
+enum Timer {
+    Fine,
+    Begin,
+    Earlier,
 }
 
 impl Current {
-    /// Of a node that finds its leader here, and its blocks there.
-    pub(crate) fn new(reads: Arc<Reads>, seat: Arc<Seat>, blocks: Arc<Blocks>) -> Self {
-        let executed = Arc::clone(&blocks);
-        let questions = Questions::new(move || {
-            let (reads, seat, blocks) = (Arc::clone(&reads), Arc::clone(&seat), Arc::clone(&executed));
-            async move {
-                let height = reads.confirmed_height(&seat).await?;
-                reach(&blocks, height).await?;
-                Ok(height)
-            }
-        });
-        Self { blocks, questions: Arc::new(questions) }
+    /// Of a node that finds its leader at the seat, and its blocks there. Runs in the runtime of the caller.
+    pub(crate) fn new(seat: Arc<Seat>, blocks: Arc<Blocks>, clock: Clock) -> Self {
+        let state = Mutex::new(State { reads: Reads::new(blocks.height()), timer: None });
+        let (runtime, earlier) = (Handle::current(), Notify::new());
+        Self { blocks, questions: Arc::new(Questions { seat, clock, runtime, state, earlier }) }
     }
 
     /// Waits until this node has executed everything that was committed when this was called, by whichever node.
@@ -72,7 +75,14 @@ impl Current {
 
     /// As [`Current::reach`], for who does something else meanwhile. What counts is the moment of this call.
     pub(crate) fn ask(&self) -> Question {
-        Questions::ask(&self.questions)
+        let (sender, known) = oneshot::channel();
+        self.questions.tell(|reads, now, out| reads.ask(now, Waiting(sender), out));
+        known
+    }
+
+    /// The engine's answer to a question.
+    pub(crate) fn answered(&self, context: u64, answer: Known) {
+        self.questions.tell(|reads, now, out| reads.answered(now, context, answer, out));
     }
 
     /// Waits until this node has executed the block at a height.
@@ -80,124 +90,96 @@ impl Current {
     /// # Errors
     /// [`Code::Behind`] if it does not in time, [`Code::ShuttingDown`].
     pub(crate) async fn reach_height(&self, height: u64) -> Result<(), Rejection> {
-        reach(&self.blocks, height).await
+        let mut head = self.blocks.head();
+        let reached = head.wait_for(|reached| *reached >= height);
+        match timeout(Duration::from_micros(WAIT_FOR_HEIGHT), reached).await {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
+            Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
+                .found(format!("height {}", self.blocks.height()))
+                .wanted(format!("height {height}"))
+                .next("ask again, or ask another node")),
+        }
+    }
+}
+
+impl Observer for Current {
+    fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
+        self.questions.tell(|reads, now, out| reads.executed(now, outcome.header.height, out));
     }
 }
 
 impl Questions {
-    /// Each is asked so.
-    fn new<F: Future<Output = Known> + Send + 'static>(ask: impl Fn() -> F + Send + Sync + 'static) -> Self {
-        Self { ask: Box::new(move || ask().boxed()), asking: Mutex::default() }
+    /// Tells what happened, and does what follows. Nobody holds the lock while a thread is woken.
+    fn tell(self: &Arc<Self>, happened: impl FnOnce(&mut Reads<Waiting>, u64, &mut Vec<ReadEffect<Waiting>>)) {
+        let mut effects = Vec::new();
+        self.change(|reads, now| happened(reads, now, &mut effects));
+        while let Some(effect) = effects.pop() {
+            match effect {
+                // Whoever has gone away needs no answer.
+                ReadEffect::Tell { asker, known } => drop(asker.0.send(known)),
+                ReadEffect::Ask { context } => {
+                    if let Err(reason) = self.put(context) {
+                        self.change(|reads, now| reads.answered(now, context, Err(reason), &mut effects));
+                    }
+                }
+            }
+        }
     }
 
-    fn ask(this: &Arc<Self>) -> Question {
-        let (sender, known) = oneshot::channel();
-        let begin = {
-            let mut asking = this.asking();
-            asking.waiting.push(sender);
-            !std::mem::replace(&mut asking.busy, true)
+    fn change(self: &Arc<Self>, change: impl FnOnce(&mut Reads<Waiting>, u64)) {
+        let timer = {
+            let mut state = self.state();
+            change(&mut state.reads, self.clock.elapsed());
+            state.look_at_timer()
         };
-        if begin {
-            tokio::spawn(Arc::clone(this).run());
+        match timer {
+            Timer::Fine => {}
+            Timer::Begin => drop(self.runtime.spawn(Arc::clone(self).keep_time())),
+            Timer::Earlier => self.earlier.notify_one(),
         }
-        known
     }
 
-    async fn run(self: Arc<Self>) {
+    fn put(&self, context: u64) -> Result<(), Rejection> {
+        if self.seat.handle()?.input(Input::ReadIndex { context }) {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::Overloaded, "the node cannot take more questions now").next("ask again later"))
+    }
+
+    /// Wakes [`Reads`] when something is due, for as long as somebody waits.
+    async fn keep_time(self: Arc<Self>) {
         loop {
-            let next = Instant::now() + BETWEEN_QUESTIONS;
-            let waiting = {
-                let mut asking = self.asking();
-                // Who has gone away needs no answer.
-                asking.waiting.retain(|waiter| !waiter.is_closed());
-                asking.busy = !asking.waiting.is_empty();
-                std::mem::take(&mut asking.waiting)
+            let due = {
+                let mut state = self.state();
+                state.timer = state.reads.wakes_at();
+                state.timer
             };
-            if waiting.is_empty() {
-                return;
-            }
-            let known = (self.ask)().await;
-            for waiter in waiting {
-                let _gone = waiter.send(known.clone());
-            }
-            if !self.asking().waiting.is_empty() {
-                sleep_until(next).await;
-            }
+            let Some(due) = due else { return };
+            let left = Duration::from_micros(due.saturating_sub(self.clock.elapsed()));
+            let _due_or_earlier = timeout(left, self.earlier.notified()).await;
+            self.tell(|reads, now, out| reads.time(now, out));
         }
     }
 
-    fn asking(&self) -> MutexGuard<'_, Asking> {
-        self.asking.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-async fn reach(blocks: &Blocks, height: u64) -> Result<(), Rejection> {
-    let mut head = blocks.head();
-    match timeout(WAIT_FOR_HEIGHT, head.wait_for(|reached| *reached >= height)).await {
-        Ok(Ok(_)) => Ok(()),
-        Ok(Err(_)) => Err(Rejection::new(Code::ShuttingDown, "the node is stopping")),
-        Err(_) => Err(Rejection::new(Code::Behind, "this node has not reached the height that was asked for")
-            .found(format!("height {}", blocks.height()))
-            .wanted(format!("height {height}"))
-            .next("ask again, or ask another node")),
-    }
-}
-
-#[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use tokio::sync::mpsc;
-
-    type Asked = mpsc::UnboundedReceiver<oneshot::Sender<Known>>;
-
-    /// Questions that the test answers.
-    fn questions() -> (Arc<Questions>, Asked) {
-        let (asked, asks) = mpsc::unbounded_channel();
-        let questions = Questions::new(move || {
-            let (sender, answer) = oneshot::channel();
-            asked.send(sender).unwrap();
-            async move { answer.await.unwrap() }
-        });
-        (Arc::new(questions), asks)
-    }
-
-    #[tokio::test]
-    async fn one_question_serves_all_who_wait_and_none_who_come_while_it_is_under_way() {
-        let (questions, mut asked) = questions();
-        let first = Questions::ask(&questions);
-        let under_way = asked.recv().await.unwrap();
-        let late: Vec<_> = (0..1000).map(|_| Questions::ask(&questions)).collect();
-        tokio::task::yield_now().await;
-        assert!(asked.try_recv().is_err(), "one at a time");
-        under_way.send(Ok(3)).unwrap();
-        assert_eq!(first.await.unwrap(), Ok(3));
-        let second = asked.recv().await.unwrap();
-        second.send(Ok(5)).unwrap();
-        for one in late {
-            assert_eq!(
-                one.await.unwrap(),
-                Ok(5),
-                "what was committed before they came may be more than the first answer"
-            );
+impl State {
+    /// Has the timer to be told? It may look too early, never too late.
+    fn look_at_timer(&mut self) -> Timer {
+        match (self.reads.wakes_at(), self.timer) {
+            (Some(due), Some(timer)) if due < timer => {
+                self.timer = Some(due);
+                Timer::Earlier
+            }
+            (Some(due), None) => {
+                self.timer = Some(due);
+                Timer::Begin
+            }
+            _ => Timer::Fine,
         }
-        assert!(asked.try_recv().is_err(), "nobody waits");
-        let after_a_while = Questions::ask(&questions);
-        asked.recv().await.unwrap().send(Ok(6)).unwrap();
-        assert_eq!(after_a_while.await.unwrap(), Ok(6));
-    }
-
-    #[tokio::test]
-    async fn nothing_is_asked_for_those_who_have_gone_away() {
-        let (questions, mut asked) = questions();
-        let first = Questions::ask(&questions);
-        let under_way = asked.recv().await.unwrap();
-        drop(Questions::ask(&questions));
-        under_way.send(Ok(3)).unwrap();
-        first.await.unwrap().unwrap();
-        let third = Questions::ask(&questions);
-        asked.recv().await.unwrap().send(Ok(4)).unwrap();
-        assert_eq!(third.await.unwrap(), Ok(4));
-        assert!(asked.try_recv().is_err());
     }
 }

@@ -44,7 +44,7 @@ impl Held {
     /// Must it wait behind one that is held?
     pub(super) fn holds_back(&self, arrived: &Arrived) -> bool {
         !self.subjects.is_empty()
-            && self.subjects.get(&self.subject(arrived)).is_some_and(|(control, _)| match arrived.lane {
+            && self.subjects.get(&self.subject(arrived)).is_some_and(|(control, _)| match arrived.ticket.lane {
                 Lane::Control => *control > 0,
                 Lane::Data => true,
             })
@@ -54,7 +54,7 @@ impl Held {
     pub(super) fn push(&mut self, item: Item, ask: impl Fn() -> Question) {
         let subject = self.subject(&item.arrived);
         let (control, data) = self.subjects.entry(subject).or_default();
-        let (queue, count) = match item.arrived.lane {
+        let (queue, count) = match item.arrived.ticket.lane {
             Lane::Control => (&mut self.control, control),
             Lane::Data => (&mut self.data, data),
         };
@@ -124,6 +124,7 @@ impl Held {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::gateway::line::Ticket;
     use crate::gateway::share::Shares;
     use futures::FutureExt;
     use ledger::transaction::{Body, Transaction};
@@ -159,7 +160,8 @@ mod tests {
             };
             let transaction = Transaction::sign(&body, &self.key).unwrap();
             let place = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();
-            Arrived { transaction, min_height: 0, first_attempt: true, lane, since: Instant::now(), place }
+            let ticket = Ticket { min_height: 0, first_attempt: true, lane, since: Instant::now(), place };
+            Arrived { transaction, ticket }
         }
 
         fn holds(&mut self, lane: Lane, function: &str, service: &'static str) {

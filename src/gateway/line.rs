@@ -16,6 +16,12 @@ use std::time::{Duration, Instant};
 pub(super) struct Arrived {
     /// It has the form of one.
     pub(super) transaction: Transaction,
+    /// What goes with it.
+    pub(super) ticket: Ticket,
+}
+
+/// What goes with a transaction until it is answered.
+pub(super) struct Ticket {
     /// Height at which it is to be looked at.
     pub(super) min_height: u64,
     /// The client says that it gave it to no node before.
@@ -37,7 +43,7 @@ pub(super) struct Line {
 
 impl Line {
     pub(super) fn push(&mut self, arrived: Arrived) {
-        self.lane(arrived.lane).push_back(arrived);
+        self.lane(arrived.ticket.lane).push_back(arrived);
     }
 
     /// How many there are.
@@ -56,7 +62,7 @@ impl Line {
 
     /// The height that the first of a lane waits for.
     pub(super) fn min_height(&mut self, lane: Lane) -> Option<u64> {
-        self.lane(lane).front().map(|arrived| arrived.min_height)
+        self.lane(lane).front().map(|arrived| arrived.ticket.min_height)
     }
 
     /// The first few of a lane.
@@ -72,7 +78,7 @@ impl Line {
     /// When the first data has waited too long: takes out all but the newest about each subject, and that too if it has
     /// waited twice as long.
     pub(super) fn take_late(&mut self, now: Instant, wait_max: Duration) -> Vec<(Arrived, Rejection)> {
-        let waited = |arrived: &Arrived| now.saturating_duration_since(arrived.since);
+        let waited = |arrived: &Arrived| now.saturating_duration_since(arrived.ticket.since);
         if self.data.front().is_none_or(|first| waited(first) <= wait_max) {
             return Vec::new();
         }
@@ -136,7 +142,7 @@ mod tests {
     use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
 
-    const WAIT_MAX: Duration = Duration::from_millis(100);
+    const DATA_WAIT_MAX: Duration = Duration::from_millis(100);
 
     struct Stream {
         line: Line,
@@ -165,12 +171,13 @@ mod tests {
             let transaction = Transaction::sign(&body, &self.key).unwrap();
             let place = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();
             let since = self.start + Duration::from_millis(at_ms);
-            self.line.push(Arrived { transaction, min_height: 0, first_attempt: true, lane, since, place });
+            let ticket = Ticket { min_height: 0, first_attempt: true, lane, since, place };
+            self.line.push(Arrived { transaction, ticket });
         }
 
         /// When those came that are refused after so many milliseconds, and what they are told.
         fn refused(&mut self, after_ms: u64) -> Vec<(u64, Rejection)> {
-            let late = self.line.take_late(self.start + Duration::from_millis(after_ms), WAIT_MAX);
+            let late = self.line.take_late(self.start + Duration::from_millis(after_ms), DATA_WAIT_MAX);
             late.into_iter().map(|(arrived, reason)| (arrived.transaction.body().not_after, reason)).collect()
         }
 

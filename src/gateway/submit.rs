@@ -2,16 +2,18 @@
 
 use super::current::Known;
 use super::held::{Held, Item};
-use super::line::{Arrived, Line, overloaded};
+use super::line::{Arrived, Line, Ticket, overloaded};
 use super::share::{Share, Turn};
 use super::{GatewayService, NodeView};
-use crate::waiters::{Waiter, known, refused};
+use crate::waiters::{Client, executed, refused};
 use futures::FutureExt;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Ground, Refusal, Step};
+use ledger::{Ground, Refusal};
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::{Input, Lane};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::Executed;
+use ledger_replica::admission::{Admitting, Decision, answer_to};
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -179,7 +181,7 @@ impl Desk {
         {
             let left = match self.held.holds_back(&arrived) {
                 true => Some(Item { arrived, refusal: None }),
-                false => self.node.submit(arrived, None, &self.answers),
+                false => self.node.submit(arrived, &self.answers),
             };
             if let Some(item) = left {
                 self.held.push(item, || self.node.current.ask());
@@ -227,19 +229,19 @@ impl NodeView {
             Ok(arrived) => arrived,
             Err(answer) => return drop(answers.send(Ok(*answer))),
         };
-        if let Err(reason) = self.at_height(arrived.min_height).await {
+        if let Err(reason) = self.at_height(arrived.ticket.min_height).await {
             return self.refuse_unordered(&arrived, &reason, answers);
         }
-        let Some(turn) = share.turn(arrived.lane).await else { return };
-        let waited = arrived.since.elapsed();
-        if arrived.lane == Lane::Data && waited > self.wait_max {
+        let Some(turn) = share.turn(arrived.ticket.lane).await else { return };
+        let waited = arrived.ticket.since.elapsed();
+        if arrived.ticket.lane == Lane::Data && waited > self.wait_max {
             let reason = overloaded(true, waited, (1, waited), self.wait_max);
             return self.refuse_overloaded(&arrived, reason, answers);
         }
-        let Some(item) = self.submit(arrived, None, answers) else { return };
+        let Some(item) = self.submit(arrived, answers) else { return };
         drop(turn);
         let known = self.current.reach().await;
-        let Some(_turn) = share.turn(item.arrived.lane).await else { return };
+        let Some(_turn) = share.turn(item.arrived.ticket.lane).await else { return };
         self.submit_again(item, &known, answers);
     }
 
@@ -271,7 +273,10 @@ impl NodeView {
         let urgent = chaincode.is_some_and(|called| called.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
         match share.place(lane, transaction.encoded().len()) {
-            Ok(place) => Ok(Arrived { transaction, min_height, first_attempt, lane, since: Instant::now(), place }),
+            Ok(place) => {
+                let ticket = Ticket { min_height, first_attempt, lane, since: Instant::now(), place };
+                Ok(Arrived { transaction, ticket })
+            }
             Err(rejection) => {
                 let who = Some(share.name().to_owned());
                 Err(self.refuse(first_attempt, &Refusal::of_node(who, Some(transaction), rejection)))
@@ -280,83 +285,71 @@ impl NodeView {
     }
 
     /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused here;
-    /// the answer may also be an earlier verdict. What the state refuses is given back with the reason as long as it is not
-    /// known whether the state is current: `reached` is what became of the question.
-    fn submit(&self, arrived: Arrived, reached: Option<&Known>, answers: &Answers) -> Option<Item> {
-        if self.waiters.has(&arrived.transaction) {
-            // It is on its way already. Perhaps it was lost there, so it goes once more.
-            self.order(arrived, answers);
-            return None;
+    /// the answer may also be an earlier verdict. What the state refuses is given back as long as it is not known whether the
+    /// state is current.
+    fn submit(&self, arrived: Arrived, answers: &Answers) -> Option<Item> {
+        let Arrived { transaction, ticket } = arrived;
+        let decision = self.admitting(&ticket).look(transaction);
+        self.carry_out(decision, ticket, None, answers)
+    }
+
+    /// As [`NodeView::submit`], for one that was held until it is known whether the state is current.
+    fn submit_again(&self, item: Item, known: &Known, answers: &Answers) {
+        let Item { arrived, refusal } = item;
+        let Arrived { transaction, ticket } = arrived;
+        let decision = self.admitting(&ticket).look_again(transaction, refusal, known);
+        let _never_held_twice = self.carry_out(decision, ticket, Some(known), answers);
+    }
+
+    fn admitting<'a>(&'a self, ticket: &'a Ticket) -> Admitting<'a, Client> {
+        Admitting {
+            ledger: &self.ledger,
+            waiters: &self.waiters,
+            retries: &self.retries,
+            clock: self.clock.now(),
+            who: ticket.place.name(),
+            first_attempt: ticket.first_attempt,
         }
-        let Arrived { transaction, min_height, first_attempt, lane, since, place } = arrived;
-        let back = |transaction| Arrived { transaction, min_height, first_attempt, lane, since, place };
-        match self.ledger.admit_decoded(transaction, self.clock.now()) {
-            Ok(Admission::New(transaction)) => {
-                let (arrived, waited) = (back(transaction), since.elapsed());
-                if reached.is_some() && lane == Lane::Data && waited > self.wait_max * 2 {
+    }
+
+    /// Does what was decided. `reached` is what became of the question whether the state is current, if it was asked.
+    fn carry_out(
+        &self,
+        decision: Decision,
+        ticket: Ticket,
+        reached: Option<&Known>,
+        answers: &Answers,
+    ) -> Option<Item> {
+        let (lane, since) = (ticket.lane, ticket.since);
+        match decision {
+            Decision::Order { transaction, again } => {
+                let (arrived, waited) = (Arrived { transaction, ticket }, since.elapsed());
+                if !again && reached.is_some() && lane == Lane::Data && waited > self.wait_max * 2 {
                     let reason = overloaded(true, waited, (1, waited), self.wait_max);
                     self.refuse_overloaded(&arrived, reason, answers);
                 } else {
                     self.order(arrived, answers);
                 }
             }
-            Ok(Admission::Known(id, record)) => drop(answers.send(Ok(known(&id, &record)))),
-            Err(refusal) => match refusal.transaction.clone() {
-                Some(transaction) => return self.conclude(back(transaction), refusal, reached, answers),
-                None => drop(answers.send(Ok(*self.refuse(first_attempt, &refusal)))),
-            },
+            Decision::Known(id, record) => drop(answers.send(Ok(executed(&Executed::recorded(id, &record))))),
+            Decision::Hold(transaction, refusal) => {
+                return Some(Item { arrived: Arrived { transaction, ticket }, refusal: Some(refusal) });
+            }
+            Decision::Refuse { refusal, reason } => {
+                self.denials.record(self.clock.now(), &refusal);
+                let id = refusal.transaction.as_ref().map(Transaction::id);
+                let _gone = answers.send(Ok(refused(id.as_ref(), &reason)));
+            }
         }
         None
-    }
-
-    /// As [`NodeView::submit`], for one that was held until it is known whether the state is current.
-    fn submit_again(&self, item: Item, known: &Known, answers: &Answers) {
-        let Item { arrived, refusal, .. } = item;
-        // Judged by a state that is new enough: it would be judged the same way again.
-        let judged = refusal.filter(|refusal| match (refusal.ground, known) {
-            (Ground::Judged { height } | Ground::State { height }, Ok(reached)) => height >= *reached,
-            _ => true,
-        });
-        let left = match judged {
-            Some(refusal) => self.conclude(arrived, refusal, Some(known), answers),
-            None => self.submit(arrived, Some(known), answers),
-        };
-        if let Some(Item { arrived, refusal: Some(refusal) }) = left {
-            self.answer(&arrived, &refusal, &refusal.open(), answers);
-        }
-    }
-
-    /// Does what is to be done with a transaction that the state refuses.
-    fn conclude(
-        &self,
-        arrived: Arrived,
-        refusal: Box<Refusal>,
-        reached: Option<&Known>,
-        answers: &Answers,
-    ) -> Option<Item> {
-        match refusal.step(arrived.first_attempt, reached) {
-            Step::Reach => return Some(Item { arrived, refusal: Some(refusal) }),
-            Step::Order if self.may_order(&arrived) => self.order(arrived, answers),
-            Step::Order => self.answer(&arrived, &refusal, &refusal.open(), answers),
-            Step::Answer(reason) => self.answer(&arrived, &refusal, &reason, answers),
-        }
-        None
-    }
-
-    fn answer(&self, arrived: &Arrived, refusal: &Refusal, reason: &Rejection, answers: &Answers) {
-        self.denials.record(self.clock.now(), refusal);
-        let _gone = answers.send(Ok(refused(Some(&arrived.transaction.id()), reason)));
-    }
-
-    fn may_order(&self, arrived: &Arrived) -> bool {
-        self.retries.allow(arrived.place.name(), arrived.transaction.encoded().len(), self.clock.now())
     }
 
     /// Hands a transaction to the orderer. It is answered when it has a verdict.
     fn order(&self, arrived: Arrived, answers: &Answers) {
         self.awake.keep();
-        let Arrived { transaction, lane, place, .. } = arrived;
-        self.waiters.add(&transaction, lane, Waiter { answers: answers.clone(), place });
+        let Arrived { transaction, ticket: Ticket { lane, place, .. } } = arrived;
+        let client = Client { answers: answers.clone(), place };
+        self.waiters.add(self.clock.elapsed(), &transaction, lane, client);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
         if let Err(rejection) = self.seat.input(input) {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
@@ -370,18 +363,15 @@ impl NodeView {
     }
 
     fn refuse_overloaded(&self, arrived: &Arrived, rejection: Rejection, answers: &Answers) {
-        let (who, transaction) = (Some(arrived.place.name().to_owned()), Some(arrived.transaction.clone()));
+        let (who, transaction) = (Some(arrived.ticket.place.name().to_owned()), Some(arrived.transaction.clone()));
         let refusal = Refusal::of_node(who, transaction, rejection);
-        let _gone = answers.send(Ok(*self.refuse(arrived.first_attempt, &refusal)));
+        let _gone = answers.send(Ok(*self.refuse(arrived.ticket.first_attempt, &refusal)));
     }
 
     /// Counts a refusal; the answer to it.
     fn refuse(&self, first_attempt: bool, refusal: &Refusal) -> Box<SubmitResponse> {
         self.denials.record(self.clock.now(), refusal);
-        let reason = match refusal.step(first_attempt, None) {
-            Step::Answer(reason) => reason,
-            Step::Reach | Step::Order => refusal.open(),
-        };
+        let reason = answer_to(refusal, first_attempt);
         Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &reason))
     }
 }

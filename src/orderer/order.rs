@@ -1,16 +1,13 @@
-//! The order thread: owns the engine, writes the log.
+//! The order thread: owns the replica, writes the log, carries out what is to be done.
 
 use super::Shared;
-use super::execute::{Circumstances, Execute, InPlace};
+use super::execute::Execute;
 use super::inbox::Inbox;
-use super::ticks::Ticks;
 use crate::catch_up::Behind;
-use ledger::Refusal;
-use ledger::transaction::Transaction;
-use ledger_raft::{
-    Change, Engine, Input, Output, PeerMessage, Role, RoleChange, Status, Transactions, next_step, successor,
-};
-use ledger_rejection::{Code, Rejection};
+use crate::peers::Member;
+use crate::waiters::Client;
+use ledger_raft::{Change, Input, Role, RoleChange, Status};
+use ledger_replica::{Circumstances, Effect, Event, Replica, Work};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::Entry;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -21,75 +18,37 @@ use tokio::sync::watch;
 const INPUTS_PER_WRITE_MAX: usize = 4096;
 /// Inputs that come while the log is written when there is much to do.
 const MANY_INPUTS: usize = 8;
-/// How long a learner, for whose disk nobody waits, gathers before it writes.
-const LEARNER_WRITE_DELAY: Duration = Duration::from_millis(2);
-/// Pause before a write is tried again that found no space.
-const FULL_DISK_PAUSE: Duration = Duration::from_millis(100);
-/// Pause before a leader with a full disk hands over again: where all voters have one disk, or all are full, the leadership
-/// must not go round and round.
-const LEAVE_AGAIN_PAUSE: Duration = Duration::from_secs(10);
 
 /// The order thread.
 pub(super) struct Order {
-    engine: Engine,
-    ticks: Ticks,
-    leading: bool,
+    replica: Replica<Client>,
     shared: Arc<Shared>,
     execute: Execute,
     /// To the execute thread.
     blocks: Arc<Inbox<Entry>>,
-    /// Committed, and neither executed nor handed over.
-    committed: Vec<Entry>,
-    /// Whether what is committed may be executed here.
-    in_place: InPlace,
-    outputs: Vec<Output>,
-    /// Number of the newest flush that the engine waits for.
-    flush: Option<u64>,
-    /// When that flush is due.
-    flush_due: Instant,
+    effects: Vec<Effect>,
     status: Arc<Mutex<Status>>,
     role: watch::Sender<RoleChange>,
-    /// The deadline for which an empty block was asked for, and the height then: asked once until a block came.
-    asked_for: (u64, u64),
-    /// Another node leads than before: what waits is submitted again.
-    submit_again: bool,
-    /// When the leadership was given away last because of a full disk.
-    left_full_disk: Option<Instant>,
-    /// The members have changed: the next step towards what the ledger wants need not wait for a tick.
-    reconcile: bool,
+    /// Who belongs to the network, to notice when it changes.
+    members: watch::Receiver<Arc<[Member]>>,
+    /// The node cannot go on.
+    failed: bool,
 }
 
 impl Order {
     pub(super) fn new(
-        engine: Engine,
+        replica: Replica<Client>,
         shared: Arc<Shared>,
-        tick: Duration,
         execute: Execute,
         blocks: &Arc<Inbox<Entry>>,
         status: Arc<Mutex<Status>>,
         role: watch::Sender<RoleChange>,
     ) -> Self {
-        let (leading, outputs, asked_for) = (false, Vec::new(), (0, 0));
-        let (submit_again, reconcile, left_full_disk) = (false, false, None);
-        Self {
-            engine,
-            ticks: Ticks::every(tick, Instant::now()),
-            leading,
-            shared,
-            execute,
-            blocks: Arc::clone(blocks),
-            committed: Vec::new(),
-            in_place: InPlace::default(),
-            outputs,
-            flush: None,
-            flush_due: Instant::now(),
-            status,
-            role,
-            asked_for,
-            submit_again,
-            left_full_disk,
-            reconcile,
-        }
+        let (blocks, effects, failed) = (Arc::clone(blocks), Vec::new(), false);
+        let mut members = shared.directory.subscribe();
+        // The replica may have been told before the last change.
+        members.mark_changed();
+        Self { replica, shared, execute, blocks, effects, status, role, members, failed }
     }
 
     /// Until the inbox is closed, or the node cannot go on.
@@ -98,214 +57,124 @@ impl Order {
         let blocks = Arc::clone(&self.blocks);
         let _ends = (inputs.close_at_end(), blocks.close_at_end());
         while !inputs.is_closed() {
-            if self.ticks.due(Instant::now()) {
-                self.step(Input::Tick);
-                self.leave_full_disk();
-                self.report();
-                self.reconcile = true;
-            }
-            self.meet_deadline();
-            self.submit_again();
-            self.reconcile();
-            let wait = match self.flush {
-                _ if !self.committed.is_empty() => Duration::ZERO,
-                Some(_) if self.shared.space.is_stuck() => FULL_DISK_PAUSE,
-                Some(_) => self.flush_due.saturating_duration_since(Instant::now()),
-                None => self.idle_time(),
-            };
-            inputs.wait(wait);
+            inputs.wait(Duration::from_micros(self.replica.wait(self.shared.clock.both())));
             let mut taken = 0;
             while taken < INPUTS_PER_WRITE_MAX && !inputs.is_empty() {
                 let waiting = inputs.take();
                 taken += waiting.len();
-                waiting.into_iter().for_each(|input| self.step(input));
+                waiting.into_iter().for_each(|input| self.step(Event::Input(input)));
             }
             self.shared.turns.adapt(taken >= MANY_INPUTS);
+            self.follow_members();
+            self.step(Event::Time { full: self.shared.space.is_full() });
+            if self.replica.must_write(self.shared.clock.both()) {
+                self.write();
+            }
             // What waits already is to be ordered while the other thread executes.
-            if !(self.write() && self.execute(!inputs.is_empty())) {
+            self.execute(!inputs.is_empty());
+            if self.failed {
                 return;
             }
         }
-        self.flush_due = Instant::now();
-        let _stopping = self.write() && self.execute(true);
+        if self.replica.waits_for_write() {
+            self.write();
+        }
+        self.execute(true);
     }
 
-    /// Executes what was committed, or has it executed: a little of it in place if nothing else is to be done, as waking
-    /// the other thread takes longer. False if the node cannot go on.
-    fn execute(&mut self, inputs_wait: bool) -> bool {
-        let entries = std::mem::take(&mut self.committed);
-        let Some(height) = entries.last().map(|entry| entry.index) else { return true };
-        let now = Circumstances {
-            awaited: self.engine.is_voter() && !self.leading,
-            inputs_wait,
-            other_is_idle: self.execute.is_idle(),
+    /// Executes what was committed, or has it executed.
+    fn execute(&mut self, inputs_wait: bool) {
+        match self.replica.work(Circumstances { inputs_wait, other_is_idle: self.execute.is_idle() }) {
+            _ if self.failed => {}
+            None => {}
+            Some(Work::Elsewhere(entries)) => self.execute.hand_over(&self.blocks, entries),
+            Some(Work::Here(entries)) => {
+                let start = Instant::now();
+                self.failed = !self.execute.execute(&entries);
+                let took = u64::try_from(start.elapsed().as_micros()).unwrap_or(u64::MAX);
+                if let Some(height) = entries.last().map(|entry| entry.index).filter(|_| !self.failed) {
+                    self.step(Event::Executed { height, took });
+                }
+            }
+        }
+    }
+
+    /// Makes the log durable.
+    fn write(&mut self) {
+        let result = loop {
+            match self.shared.store.flush() {
+                Err(StoreError::DiskFull { .. }) if self.shared.space.no_room() => {}
+                result => break result.map(drop),
+            }
         };
-        if !self.in_place.allows(&entries, &now) {
-            self.execute.hand_over(&self.blocks, entries);
-            return true;
-        }
-        let start = Instant::now();
-        if !self.execute.execute(&entries) {
-            return false;
-        }
-        self.in_place.took(start.elapsed());
-        self.step(Input::Applied { height, at: self.shared.clock.now() });
-        true
-    }
-
-    /// Until the next tick, or the next deadline of a chaincode if that is earlier.
-    fn idle_time(&self) -> Duration {
-        let until_tick = self.ticks.wait(Instant::now(), self.engine.needs_ticks());
-        let deadline = self.execute.deadline();
-        match deadline.saturating_sub(self.shared.clock.now()) {
-            // Asked for already, or not ours to meet.
-            0 => until_tick,
-            _ if !self.leading => until_tick,
-            left => until_tick.min(Duration::from_micros(left)),
-        }
-    }
-
-    /// A leader without space can promise nothing and answers nobody: another voter shall lead.
-    fn leave_full_disk(&mut self) {
-        if self.leading
-            && self.shared.space.is_full()
-            && self.left_full_disk.is_none_or(|left| left.elapsed() >= LEAVE_AGAIN_PAUSE)
-            && let Some(to) = successor(&self.engine.status())
-        {
-            self.left_full_disk = Some(Instant::now());
-            self.step(Input::TransferLeadership { to });
-        }
-    }
-
-    /// Orders an empty block when something is due and no traffic moved block time past it.
-    fn meet_deadline(&mut self) {
-        let deadline = self.execute.deadline();
-        if !self.leading || self.shared.clock.now() < deadline {
-            return;
-        }
-        let asking_for = (deadline, self.shared.ledger.tip().height);
-        if self.asked_for != asking_for {
-            self.asked_for = asking_for;
-            self.step(Input::ProposeEmpty);
-        }
-    }
-
-    /// What was given to a leader that is gone may be lost with it: everything that still waits goes to the next one.
-    /// The id makes sure that it is executed once.
-    fn submit_again(&mut self) {
-        if std::mem::take(&mut self.submit_again) {
-            for (lane, transaction) in self.shared.waiters.all() {
-                self.step(Input::Submit { lane, transaction });
+        if result.is_ok() {
+            self.shared.space.room();
+            if self.shared.store.wants_preparing() {
+                self.shared.bells.rounds.ring();
             }
         }
+        self.step(Event::Written(result));
     }
 
-    /// A leader takes the next step from the members that there are to those that the ledger wants.
-    fn reconcile(&mut self) {
-        if !std::mem::take(&mut self.reconcile) || !self.leading {
-            return;
-        }
-        if let Some(step) = next_step(&self.shared.directory.desired(), &self.engine.status()) {
-            tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
-            self.step(step);
-        }
-    }
-
-    /// Makes the log durable if the engine waits for it. False if the node cannot go on.
-    fn write(&mut self) -> bool {
-        let Some(ready) = self.flush.take_if(|_| self.flush_due <= Instant::now()) else { return true };
-        match self.shared.store.flush() {
-            Ok(_) => {
-                self.shared.space.room();
-                if self.shared.store.wants_preparing() {
-                    self.shared.bells.rounds.ring();
-                }
-                self.step(Input::Persisted { ready });
-                true
-            }
-            Err(StoreError::DiskFull { .. }) => {
-                // Nothing of it is on disk and nobody was told otherwise: it is tried again until there is space.
-                self.flush = Some(ready);
-                if self.shared.space.no_room() {
-                    return self.write();
-                }
-                true
-            }
-            Err(error) => {
-                (self.shared.fatal)(error.into());
-                false
-            }
+    fn follow_members(&mut self) {
+        // Without a sender nothing changes any more.
+        if self.members.has_changed().unwrap_or(false) {
+            self.members.mark_unchanged();
+            self.step(Event::Wanted(self.shared.directory.desired()));
         }
     }
 
-    fn step(&mut self, input: Input) {
-        if !matches!(input, Input::Tick) {
-            self.ticks.note_work();
-        }
+    fn step(&mut self, event: Event) {
         // A leader waits for a voter's answer; nobody waits for a learner's, which may be on a robot's battery.
-        if let Input::Message { message, .. } = &input
+        if let Event::Input(Input::Message { message, .. }) = &event
             && message.brings_entries()
-            && self.engine.is_voter()
+            && self.replica.is_voter()
         {
             self.shared.awake.keep();
         }
-        let mut outputs = std::mem::take(&mut self.outputs);
-        self.engine.step(self.shared.clock.now(), input, &mut outputs);
-        for output in outputs.drain(..) {
-            self.carry_out(output);
+        let (mut effects, mut unsent) = (std::mem::take(&mut self.effects), Vec::new());
+        self.replica.step(self.shared.clock.both(), event, &mut effects);
+        for effect in effects.drain(..) {
+            self.carry_out(effect, &mut unsent);
         }
-        self.outputs = outputs;
+        self.effects = effects;
+        unsent.into_iter().for_each(|event| self.step(event));
     }
 
-    fn carry_out(&mut self, output: Output) {
-        match output {
-            Output::Send { to, message } => {
-                if !self.shared.peers.send(to, &message)
-                    && let PeerMessage::Forward(lost) = message
-                {
-                    self.not_forwarded(to, lost);
+    fn carry_out(&mut self, effect: Effect, unsent: &mut Vec<Event>) {
+        match effect {
+            Effect::Send { to, message } => {
+                if !self.shared.peers.send(to, &message) {
+                    unsent.push(Event::Unsent { to, message });
                 }
             }
-            Output::Flush { ready } => {
-                if self.flush.is_none() {
-                    let delay = if self.engine.is_voter() { Duration::ZERO } else { LEARNER_WRITE_DELAY };
-                    self.flush_due = Instant::now() + delay;
-                }
-                self.flush = Some(ready);
-            }
-            Output::Commit(entries) => self.committed.extend(entries),
-            Output::Role(change) => {
-                self.leading = change.role == Role::Leader;
-                self.asked_for = (0, 0);
+            Effect::Status(status) => *self.status.lock().unwrap_or_else(PoisonError::into_inner) = *status,
+            Effect::Role(change) => {
                 self.tell_role(&change);
-                self.report();
                 self.role.send_replace(change);
-                self.submit_again = change.leader.is_some();
             }
-            Output::Membership { height, membership } => {
+            Effect::Members { height, membership } => {
                 let directory = &self.shared.directory;
                 let (voters, learners) = (directory.names(&membership.voters), directory.names(&membership.learners));
                 tracing::info!(height, voters, learners, "members changed");
-                // Whoever sees the change on the ledger must find it here, too.
-                self.report();
-                self.reconcile = true;
             }
-            Output::Dropped { transaction, reason } => {
-                if let Ok(transaction) = Transaction::decode(transaction) {
-                    self.refuse(transaction, reason);
-                }
+            Effect::Reconciles(step) => {
+                tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
             }
-            Output::ReadReady { context, index } => self.shared.reads.answer(context, Ok(index)),
-            Output::Refused { input, reason } => match *input {
-                Input::ReadIndex { context } => self.shared.reads.answer(context, Err(reason)),
-                input => tracing::warn!(request = self.described(&input), %reason, "ordering refused a request"),
-            },
-            Output::Behind { from, first_index } => {
+            Effect::Read { context, answer } => self.shared.current.answered(context, answer),
+            Effect::Denied(refusal) => self.shared.denials.record(self.shared.clock.now(), &refusal),
+            Effect::Refused { input, reason } => {
+                tracing::warn!(request = self.described(&input), %reason, "ordering refused a request");
+            }
+            Effect::Behind { from, first_index } => {
                 let leader = self.shared.directory.name(from);
                 tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
                 self.shared.behind.send_replace(Some(Behind { from, first_index }));
             }
-            Output::Failed(reason) => (self.shared.fatal)(reason),
+            Effect::Failed(reason) => {
+                self.failed = true;
+                (self.shared.fatal)(reason);
+            }
         }
     }
 
@@ -335,32 +204,7 @@ impl Order {
                 });
                 changes.collect::<Vec<_>>().join(", ")
             }
-            Input::ProposeEmpty => "an empty block".to_owned(),
-            Input::ReadIndex { .. } => "a read".to_owned(),
-            Input::Submit { .. } => "a transaction".to_owned(),
-            _ => "a message".to_owned(),
+            _ => "something else".to_owned(),
         }
-    }
-
-    /// There is no way to the leader now.
-    fn not_forwarded(&self, leader: u64, lost: Transactions) {
-        let reason = Rejection::new(Code::NoLeader, format!("node {leader} leads, but there is no connection to it"))
-            .next("submit the same transaction again, through this or another node");
-        for transaction in lost.control.into_iter().chain(lost.data) {
-            if let Ok(transaction) = Transaction::decode(transaction) {
-                self.refuse(transaction, reason.clone());
-            }
-        }
-    }
-
-    /// Tells whoever submitted it, and counts it.
-    fn refuse(&self, transaction: Transaction, rejection: Rejection) {
-        let who = self.shared.waiters.refuse(&transaction.id(), &rejection);
-        let refusal = Refusal::of_node(who, Some(transaction), rejection);
-        self.shared.denials.record(self.shared.clock.now(), &refusal);
-    }
-
-    fn report(&self) {
-        *self.status.lock().unwrap_or_else(PoisonError::into_inner) = self.engine.status();
     }
 }

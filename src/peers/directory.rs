@@ -4,6 +4,7 @@ use ledger::governance::{self, NodeRecord, NodeRole};
 use ledger::members::Membership;
 use ledger::{Ledger, Outcome};
 use ledger_raft::Desired;
+use ledger_replica::Observer;
 use ledger_storage::result::BlockKind;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
@@ -75,17 +76,6 @@ impl Directory {
         directory
     }
 
-    /// Takes note of an executed block, which may have changed who belongs here.
-    pub(crate) fn observe(&self, outcome: &Outcome, ledger: &Ledger) {
-        let governed = || {
-            let events = outcome.events.iter().map(|emitted| &emitted.event);
-            events.filter(|event| event.name != "attested").any(|event| event.chaincode == governance::NAME)
-        };
-        if outcome.kind == BlockKind::Membership || governed() {
-            self.refresh(ledger);
-        }
-    }
-
     fn refresh(&self, ledger: &Ledger) {
         let _one = self.reading.lock().unwrap_or_else(PoisonError::into_inner);
         let actual = ledger.members().unwrap_or_else(|fault| {
@@ -145,6 +135,19 @@ impl Directory {
     /// The members as they change.
     pub(crate) fn subscribe(&self) -> watch::Receiver<Arc<[Member]>> {
         self.members.subscribe()
+    }
+}
+
+impl Observer for Directory {
+    /// A block may have changed who belongs here.
+    fn executed(&self, outcome: &Arc<Outcome>, ledger: &Ledger) {
+        let governed = || {
+            let events = outcome.events.iter().map(|emitted| &emitted.event);
+            events.filter(|event| event.name != "attested").any(|event| event.chaincode == governance::NAME)
+        };
+        if outcome.kind == BlockKind::Membership || governed() {
+            self.refresh(ledger);
+        }
     }
 }
 

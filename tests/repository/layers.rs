@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 16] = [
+const LAYERS: [(&str, &[&str]); 17] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // The deliberate bugs of the mutation check.
@@ -17,6 +17,19 @@ const LAYERS: [(&str, &[&str]); 16] = [
     ("ledger-storage", &["ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
     ("ledger", &["ledger", "ledger-hash", "ledger-identity", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
     ("ledger-raft", &["ledger", "ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
+    // Decides, and does nothing: what drives the engine in a node and in the simulation.
+    (
+        "ledger-replica",
+        &[
+            "ledger",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-mutation",
+            "ledger-raft",
+            "ledger-rejection",
+            "ledger-storage",
+        ],
+    ),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
     ("ledger-contract", &[]),
     (
@@ -70,6 +83,7 @@ const LAYERS: [(&str, &[&str]); 16] = [
             "ledger-identity",
             "ledger-raft",
             "ledger-rejection",
+            "ledger-replica",
             "ledger-storage",
             "ros-bridge",
             "ros-message",
@@ -90,6 +104,7 @@ const LAYERS: [(&str, &[&str]); 16] = [
             "ledger-mutation",
             "ledger-raft",
             "ledger-rejection",
+            "ledger-replica",
             "ledger-storage",
         ],
     ),

@@ -5,6 +5,7 @@
 mod access;
 mod architecture;
 mod documents;
+mod driver;
 mod events;
 mod keys;
 mod layers;

@@ -32,6 +32,12 @@ pub enum Mutation {
     RefuseOnAnOldState,
     /// A gateway refuses a repetition as if no other copy could be on its way.
     RefuseARetry,
+    /// A client is answered with the verdict on a copy that somebody else forged.
+    AnswerWithAForgedCopy,
+    /// Who waits while another node begins to lead is forgotten.
+    ForgetAWaiter,
+    /// A node takes its own state for current without asking the leader.
+    AnswerAMinorityRead,
 }
 
 /// Is this bug turned on?

@@ -104,6 +104,8 @@ pub struct Coverage {
     pub timeouts: u64,
     /// Reads that had to be linearizable and were answered.
     pub linearizable: u64,
+    /// Groups of blocks that the order thread executed itself.
+    pub in_place: u64,
     /// Facts checked by the oracle.
     pub checks: u64,
 }
@@ -134,6 +136,7 @@ impl Coverage {
         self.answered += other.answered;
         self.timeouts += other.timeouts;
         self.linearizable += other.linearizable;
+        self.in_place += other.in_place;
         self.checks += other.checks;
     }
 
@@ -157,6 +160,7 @@ impl fmt::Display for Coverage {
             self.operations, self.answered, self.timeouts
         )?;
         writeln!(f, "linearizable      {} reads", self.linearizable)?;
+        writeln!(f, "in place          {} times", self.in_place)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;
         for fault in Fault::ALL {

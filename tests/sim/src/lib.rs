@@ -12,10 +12,11 @@
 //! [`invariant`], one file each. In the end [`oracle`] replays the chain through a small model of access control, written
 //! apart from the product, and looks at every client's view in real time.
 //!
-//! What is real: `ledger_raft::Engine`, `ledger_storage::block_store::BlockStore`, `ledger::Ledger` with the chaincodes `msp` and
-//! `abac`. What is simulated: disks ([`ledger_storage::disk::SimDisk`]), network, clocks, clients, and the threads of the node
-//! that drive all that (`node`, `world`; compare `src/orderer.rs`). What it is not: a test of sockets, TLS, gRPC, threads
-//! or sled; tests/cluster does those with real processes.
+//! What is real: `ledger_replica::Replica` with everything that a node decides around the engine,
+//! `ledger_storage::block_store::BlockStore`, `ledger::Ledger` with the chaincodes `msp` and `abac`. What is simulated: disks
+//! ([`ledger_storage::disk::SimDisk`]), network, clocks, clients, and the threads that drive the replica (`world`; compare
+//! `src/orderer/order.rs`). What it is not: a test of sockets, TLS, gRPC, threads or sled; tests/cluster does those with
+//! real processes.
 //!
 //! | module | what is there |
 //! |---|---|

@@ -1,5 +1,4 @@
-//! One node: the real engine, block store and ledger on a simulated disk, driven as the node's own threads drive them
-//! (`src/orderer.rs`, `src/stores.rs`, `src/gateway/`), but by events in virtual time.
+//! One node: the real replica, block store and ledger on a simulated disk. The node's threads are events in virtual time.
 
 mod open;
 mod shelf;
@@ -12,20 +11,16 @@ use crate::coverage::Fault;
 use bytes::Bytes;
 use ledger::{Ledger, Refusal};
 use ledger_hash::Hash;
-use ledger_raft::{Engine, Input, Lane};
+use ledger_raft::Desired;
 use ledger_rejection::Code;
+use ledger_replica::{Answer as Told, Asker, Event, Executor, Reads, Replica, Retries, Waiter, Waiters};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
 use ledger_storage::snapshot::Snapshots;
 use ledger_storage::state::State;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::Arc;
-
-/// After this long without a verdict a client is told that the outcome is unknown (`src/waiters.rs`).
-pub const WAIT_MAX: u64 = 10 * crate::clock::SECOND;
-/// Longest time that a request waits for the height that it wants (`src/gateway/reads.rs`).
-pub const WAIT_FOR_HEIGHT: u64 = 2 * crate::clock::SECOND;
+use std::sync::{Arc, mpsc};
 
 /// A machine with a disk, and the process on it, if it runs.
 pub struct Node {
@@ -64,87 +59,115 @@ pub struct Node {
 /// The process of a node.
 pub struct Running {
     /// Orders; none while blocks are fetched from peers.
-    pub engine: Option<Engine>,
+    pub replica: Option<Replica<Client>>,
+    /// The members that the replica was told are wanted.
+    pub desired: Desired,
+    /// Executes.
+    pub executor: Arc<Executor>,
+    /// Who waits for the verdict on a transaction.
+    pub waiters: Arc<Waiters<Client>>,
+    /// Who waits until the state is current.
+    pub reads: Reads<Asking>,
+    /// Repetitions that are ordered although the state refuses them.
+    pub retries: Retries,
+    /// What clients are told.
+    pub answers: (mpsc::Sender<Verdict>, mpsc::Receiver<Verdict>),
+    /// Since when clients wait.
+    pub waiting: BTreeMap<Reply, u64>,
     /// The log.
     pub store: Arc<BlockStore>,
     /// The world state.
     pub state: Arc<State>,
     /// The world state at some heights.
     pub snapshots: Arc<Snapshots>,
-    /// Executes.
-    pub ledger: Ledger,
-    /// The number of the newest flush that the engine waits for.
-    pub flush: Option<u64>,
+    /// The ledger that the executor applies blocks to.
+    pub ledger: Arc<Ledger>,
     /// A flush is under way.
     pub flushing: bool,
     /// The order thread does nothing else while it flushes, as in the node; without, more can overlap.
     pub waits_for_disk: bool,
     /// What has come in meanwhile.
-    pub inbox: VecDeque<Input>,
-    /// Committed and not executed.
-    pub committed: VecDeque<Entry>,
+    pub inbox: VecDeque<Event>,
+    /// Given to the execute thread, and not executed.
+    pub given: VecDeque<Entry>,
     /// The execute thread has something to do.
     pub executing: bool,
-    /// Who waits for the verdict on a transaction.
-    pub waiters: BTreeMap<Hash, Waiting>,
-    /// Another node leads than before: what waits is submitted again.
-    pub submit_again: bool,
-    /// Numbers what waits.
-    pub next_waiting: u64,
-    /// What waits for the leader's confirmation, and then for a height.
-    pub reads: BTreeMap<u64, Read>,
+    /// When the order thread is woken next.
+    pub turn_at: u64,
+    /// When who asks is looked after next.
+    pub reads_at: u64,
     /// Requests that wait for a height.
     pub behind: Vec<(u64, Request)>,
     /// The log cannot be written for lack of space.
     pub disk_full: bool,
-    /// The deadline for which an empty block was asked for, and the height then.
-    pub asked_for: (u64, u64),
     /// The height up to which blocks are to be fetched from peers.
     pub catch_up_to: u64,
-    /// It leads.
+    /// It led when that was looked at last.
     pub leading: bool,
-    /// Names of reads.
-    pub next_context: u64,
 }
 
-/// A transaction whose verdict clients wait for.
+/// A client that waits for the verdict on a transaction.
 #[derive(Debug)]
-pub struct Waiting {
-    /// In which order it came.
-    pub number: u64,
-    /// How urgent it is.
-    pub lane: Lane,
-    /// The signed bytes.
-    pub encoded: Bytes,
-    /// Who waits.
-    pub waiters: Vec<Waiter>,
-}
-
-/// A client that waits for a verdict.
-#[derive(Clone, Copy, Debug)]
-pub struct Waiter {
+pub struct Client {
     /// Where the answer goes.
     pub reply: Reply,
-    /// When it began to wait.
-    pub since: u64,
+    /// What it is told.
+    pub answers: mpsc::Sender<Verdict>,
+}
+
+/// What a client is told about its transaction.
+#[derive(Clone, Debug)]
+pub struct Verdict {
+    /// Where the answer goes.
+    pub reply: Reply,
+    /// The transaction.
+    pub transaction: Hash,
+    /// The answer.
+    pub answer: Answer,
+}
+
+impl Waiter for Client {
+    fn answer(self, answer: &Told<'_>) {
+        let (transaction, answer) = match answer {
+            Told::Executed(told) => {
+                let (height, index) = (told.height, told.index);
+                let (code, response) = (told.result.code(), told.result.response.clone());
+                (told.id, Answer::Verdict { height, index, code, response })
+            }
+            Told::Refused { id, reason } => (*id, Answer::Refused(Refused::unordered(reason.code))),
+        };
+        let _gone = self.answers.send(Verdict { reply: self.reply, transaction, answer });
+    }
+
+    fn name(&self) -> &str {
+        ""
+    }
+
+    fn is_gone(&self) -> bool {
+        false
+    }
 }
 
 /// A request that waits until the node's state is as new as what was committed when it came: a read, or a transaction that
 /// the state refuses.
 #[derive(Clone, Debug)]
-pub struct Read {
+pub struct Asking {
     /// What is asked.
     pub request: Request,
     /// Why the state refuses it, if it is a transaction.
     pub refusal: Option<Box<Refusal>>,
-    /// The height to wait for, once it is known.
-    pub index: Option<u64>,
-    /// When it gives up.
-    pub until: u64,
+    /// The height and the time by which it was refused.
+    pub judged: (u64, u64),
+}
+
+impl Asker for Asking {
+    fn is_gone(&self) -> bool {
+        false
+    }
 }
 
 /// Where an answer goes.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Reply {
     /// The client.
     pub client: usize,

@@ -62,12 +62,14 @@ pub(crate) enum Event {
 
 /// What a process does at its own time.
 pub(crate) enum Timer {
-    /// A tick of the engine.
-    Tick,
+    /// The order thread has something to do.
+    Turn,
     /// The flush of the log is done.
     Flushed,
     /// Committed blocks are executed.
     Execute,
+    /// Who waits until the state is current is looked after.
+    Reads,
     /// Blocks are fetched from a peer.
     CatchUp,
     /// The world state is flushed, who waits too long is told.
@@ -133,6 +135,8 @@ pub struct World {
     /// Who shall vote and follow, as the operator wants it.
     pub desired: Desired,
     pub(crate) access: Option<Arc<dyn Chaincode>>,
+    /// A member forges a copy of the next transaction that it hears of.
+    pub(crate) forges_next: bool,
     queue: BTreeMap<(u64, u64), Event>,
     sequence: u64,
     /// Names faults that end.
@@ -192,6 +196,7 @@ impl World {
             replacement: None,
             desired: Desired { voters: (1..=voters).collect(), learners: (voters + 1..=all).collect() },
             access: None,
+            forges_next: false,
             queue: BTreeMap::new(),
             sequence: 0,
             faults: 0,
@@ -299,7 +304,8 @@ impl World {
     /// The node that leads and may order, if there is one; of two, the one of the higher term.
     pub fn leader(&self) -> Option<u64> {
         let leading = self.nodes.values().filter_map(|node| {
-            let status = node.up.as_ref().filter(|up| up.leading)?.engine.as_ref()?.status();
+            let replica = node.up.as_ref()?.replica.as_ref()?;
+            let status = replica.leads().then(|| replica.status())?;
             status.may_propose.then_some((status.role.term, node.id))
         });
         leading.max().map(|(_, id)| id)

@@ -1,4 +1,4 @@
-//! Would the simulation notice? Twelve deliberate bugs, one at a time: each must be caught within a bounded number of
+//! Would the simulation notice? Fifteen deliberate bugs, one at a time: each must be caught within a bounded number of
 //! seeds, by the promises that it breaks.
 //!
 //! `cargo test --release -p ledgerd-sim --features mutations --test mutations`
@@ -95,4 +95,19 @@ fn a_refusal_on_an_old_state_is_noticed() {
 #[test]
 fn a_repetition_that_is_refused_for_good_is_noticed() {
     caught(Mutation::RefuseARetry, &["refused is final", "clients see one history"]);
+}
+
+#[test]
+fn an_answer_with_the_verdict_on_a_forged_copy_is_noticed() {
+    caught(Mutation::AnswerWithAForgedCopy, &["clients see one history"]);
+}
+
+#[test]
+fn a_waiter_that_is_forgotten_is_noticed() {
+    caught(Mutation::ForgetAWaiter, &["everybody is answered"]);
+}
+
+#[test]
+fn a_read_that_no_majority_confirms_is_noticed() {
+    caught(Mutation::AnswerAMinorityRead, &["answered is seen", "clients see one history"]);
 }

@@ -1,15 +1,18 @@
 //! A node that the leader cannot serve any more fetches blocks from whoever has them: the engine ends, blocks come in
 //! batches, are written, executed, and a new engine goes on from there (`src/catch_up/` of the node).
 
-use super::{Event, Timer, World};
+use super::{Event as Happening, Timer, World};
 use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Running;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::block_store::{Base, StoreError};
-use ledger_storage::entry::{Entry, HardState};
+use ledger_replica::Event;
+use ledger_storage::block_store::Base;
+use ledger_storage::block_store::StoreError;
+use ledger_storage::entry::Entry;
+use ledger_storage::entry::HardState;
 use ledger_storage::snapshot::Snapshot;
 
 /// Most blocks of one answer of a peer.
@@ -18,15 +21,32 @@ const BATCH_MAX: u64 = 64;
 impl World {
     /// The leader says that its log begins after what this node needs.
     pub(super) fn behind(&mut self, id: u64, first_index: u64) -> Check {
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         self.coverage.fault(Fault::CatchUp);
-        running.engine = None;
-        running.leading = false;
-        (running.flush, running.flushing) = (None, false);
-        running.inbox.clear();
+        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        running.replica = None;
+        (running.leading, running.flushing) = (false, false);
+        let lost = std::mem::take(&mut running.inbox);
         running.catch_up_to = first_index.saturating_sub(1);
+        // What it wrote is durable when the next one begins, which takes everything in the log for durable.
+        let written = running.store.flush();
+        match written {
+            Ok(_) => self.invariants.acknowledged.flushed(id, &running.store),
+            Err(StoreError::DiskFull { .. }) => {}
+            Err(error) => return self.failed(id, &error.to_string()),
+        }
         self.note(format_args!("n{id} fetches blocks up to {first_index}"));
         self.schedule_timer(id, MILLISECOND, Timer::CatchUp);
+        self.lose_inputs(id, lost)
+    }
+
+    /// Nobody takes these in any more.
+    fn lose_inputs(&mut self, id: u64, lost: impl IntoIterator<Item = Event>) -> Check {
+        let behind = || Rejection::new(Code::Behind, "this node fetches blocks that it missed");
+        for event in lost {
+            if let Event::Input(Input::ReadIndex { context }) = event {
+                self.reads(id, |reads, now, out| reads.answered(now, context, Err(behind()), out))?;
+            }
+        }
         Ok(())
     }
 
@@ -34,13 +54,13 @@ impl World {
     pub(super) fn fetch(&mut self, id: u64) -> Check {
         let pause = self.random.nodes.between(5, 60) * MILLISECOND;
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        if running.engine.is_some() {
+        if running.replica.is_some() {
             return Ok(());
         }
         // What is committed here comes first; it cannot be written again.
         let next = running.ledger.tip().height + 1;
         let own = running.store.entries(next..running.store.committed() + 1, usize::MAX).unwrap_or_default();
-        running.committed.clear();
+        running.given.clear();
         let target = running.catch_up_to;
         if !own.is_empty() {
             self.take(id, own)?;
@@ -106,7 +126,7 @@ impl World {
         let height = snapshot.manifest().height;
         self.note(format_args!("n{id} takes the snapshot of height {height}, interrupted: {interrupted}"));
         self.stop(id, interrupted);
-        self.schedule(MILLISECOND, Event::Start { node: id });
+        self.schedule(MILLISECOND, Happening::Start { node: id });
         Ok(true)
     }
 
@@ -150,18 +170,21 @@ impl World {
         for entry in &entries {
             self.invariants.committed.committed(id, entry)?;
         }
-        running.committed.extend(entries);
+        running.given.extend(entries);
         self.execute(id)
     }
 
     /// Everything that was missing is here: ordering goes on.
     fn resume(&mut self, id: u64) -> Check {
         let seed = self.random.nodes.number();
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        running.engine = Some(super::start::engine(id, seed, &running.ledger, &running.store)?);
+        let Some(running) = self.nodes.get(&id).and_then(|node| node.up.as_ref()) else { return Ok(()) };
+        let replica = self.replica(id, seed, &running.store, &running.executor, &running.waiters)?;
+        let Some(running) = self.running(id) else { return Ok(()) };
+        running.replica = Some(replica);
         let height = running.ledger.tip().height;
         self.note(format_args!("n{id} has fetched blocks up to {height}"));
-        self.input(id, Input::Tick)
+        self.schedule_timer(id, 0, Timer::Turn);
+        Ok(())
     }
 
     /// Drops old blocks, as far as the node's own world state does not need them.

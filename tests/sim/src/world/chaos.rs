@@ -116,7 +116,9 @@ impl World {
             Fault::MembershipChange => return self.change_members(),
             Fault::Hostile => {
                 self.coverage.fault(fault);
-                if let Some(transaction) = self.forge() {
+                if self.random.faults.percent(30) {
+                    self.forges_next = true;
+                } else if let Some(transaction) = self.forge() {
                     return self.input(id, Input::Submit { lane: Lane::Data, transaction });
                 }
             }

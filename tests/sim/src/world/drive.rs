@@ -1,77 +1,105 @@
-//! The order thread of a node: inputs into the engine, its outputs carried out.
+//! The order thread of a node: events into its replica, whose effects are carried out.
 
-use super::{Event, Timer, World};
-use crate::clock::MILLISECOND;
+use super::{Event as Happening, Timer, World};
 use crate::coverage::Fault;
-use crate::invariant::Check;
-use crate::node::{Answer, Refused, WAIT_MAX};
+use crate::invariant::{Check, Violation};
+use crate::node::{Running, Verdict};
 use bytes::Bytes;
-use ledger::transaction::Transaction;
-use ledger_raft::{Input, Output, PeerMessage, RaftKind, Role, RoleChange, next_step, successor};
-use ledger_rejection::Code;
+use ledger_raft::{Input, PeerMessage, RaftKind, Role, RoleChange};
+use ledger_replica::{Circumstances, Effect, Event, Now, WAIT_MAX, Work};
 use ledger_storage::block_store::StoreError;
 
-/// Pause before a write is tried again that found no space (`src/orderer.rs`).
-const FULL_DISK_PAUSE: u64 = 100 * MILLISECOND;
-
 impl World {
-    /// Hands an input to a node's engine; while its thread is busy with the disk, it waits in the inbox.
+    /// The process of a node, if it runs.
+    pub(super) fn running(&mut self, id: u64) -> Option<&mut Running> {
+        self.nodes.get_mut(&id)?.up.as_mut()
+    }
+
+    /// Both clocks of a node.
+    pub(super) fn clocks(&self, id: u64) -> Now {
+        Now { clock: self.nodes.get(&id).map_or(0, |node| node.clock.now(self.now)), elapsed: self.now }
+    }
+
+    /// Hands an input to a node; while its thread is busy with the disk, it waits in the inbox.
     pub(super) fn input(&mut self, id: u64, input: Input) -> Check {
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        let Some(running) = self.running(id) else { return Ok(()) };
         if running.flushing && running.waits_for_disk {
-            running.inbox.push_back(input);
+            running.inbox.push_back(Event::Input(input));
             return Ok(());
         }
-        self.step(id, input)
+        self.turn(id, [Event::Input(input)])
     }
 
-    fn step(&mut self, id: u64, input: Input) -> Check {
-        let now = self.now;
-        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
-        let clock = node.clock.now(now);
-        let Some(running) = node.up.as_mut() else { return Ok(()) };
-        let mut outputs = Vec::new();
-        let Some(engine) = running.engine.as_mut() else { return Ok(()) };
-        engine.step(clock, input, &mut outputs);
-        if outputs.iter().any(|output| matches!(output, Output::Flush { .. } | Output::Role(_))) {
-            self.invariants.log_matching.look(id, &running.store)?;
+    /// One turn of the order thread, as in `src/orderer/order.rs`: what has come in, what is due, the write, execution.
+    fn turn(&mut self, id: u64, events: impl IntoIterator<Item = Event>) -> Check {
+        for event in events {
+            self.step(id, event)?;
         }
-        // Nothing that comes after the end of an engine is carried out.
-        outputs.into_iter().try_for_each(|output| match self.has_engine(id) {
-            true => self.carry_out(id, output),
-            false => Ok(()),
-        })
+        let desired = self.desired.clone();
+        let Some(running) = self.running(id) else { return Ok(()) };
+        let full = running.disk_full;
+        if running.desired != desired {
+            running.desired = desired.clone();
+            self.step(id, Event::Wanted(desired))?;
+        }
+        self.step(id, Event::Time { full })?;
+        self.begin_write(id)?;
+        self.execute_committed(id)?;
+        self.sleep(id);
+        Ok(())
     }
 
-    fn carry_out(&mut self, id: u64, output: Output) -> Check {
-        match output {
-            Output::Send { to, message } => return self.send(id, to, &message),
-            Output::Flush { ready } => self.flush(id, ready),
-            Output::Commit(entries) => return self.committed(id, entries),
-            Output::Role(change) => return self.role(id, change),
-            Output::Membership { height, membership } => {
+    fn step(&mut self, id: u64, event: Event) -> Check {
+        let now = self.clocks(id);
+        let Some(replica) = self.running(id).and_then(|running| running.replica.as_mut()) else { return Ok(()) };
+        let mut effects = Vec::new();
+        replica.step(now, event, &mut effects);
+        // Nothing that comes after the end of a replica is carried out.
+        effects.into_iter().try_for_each(|effect| match self.has_replica(id) {
+            true => self.carry_out(id, effect),
+            false => Ok(()),
+        })?;
+        self.tell(id)
+    }
+
+    fn carry_out(&mut self, id: u64, effect: Effect) -> Check {
+        match effect {
+            Effect::Send { to, message } => return self.send(id, to, message),
+            Effect::Status(_) | Effect::Reconciles(_) => {}
+            Effect::Role(change) => return self.role(id, change),
+            Effect::Members { height, membership } => {
                 self.note(format_args!("n{id} members at {height}: {membership:?}"));
             }
-            Output::Dropped { transaction, reason } => self.dropped(id, transaction, reason.code),
-            Output::ReadReady { context, index } => {
-                let running = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut());
-                if let Some(read) = running.and_then(|running| running.reads.get_mut(&context)) {
-                    read.index = Some(index);
-                }
-                return self.catch_up(id);
+            Effect::Read { context, answer } => {
+                return self.reads(id, |reads, now, out| reads.answered(now, context, answer, out));
             }
-            Output::Refused { input, reason } => match *input {
-                Input::ReadIndex { context } => self.read_refused(id, context, reason),
-                input => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
-            },
-            Output::Behind { first_index, .. } => return self.behind(id, first_index),
-            Output::Failed(reason) => return self.failed(id, &reason.to_string()),
+            Effect::Denied(refusal) => {
+                let (code, transaction) = (refusal.rejection.code, refusal.transaction.map(|denied| denied.id()));
+                self.note(format_args!("n{id} drops {transaction:?}: {code}"));
+            }
+            Effect::Refused { input, reason } => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
+            Effect::Behind { first_index, .. } => return self.behind(id, first_index),
+            Effect::Failed(reason) => return self.failed(id, &reason.to_string()),
         }
         Ok(())
     }
 
-    fn has_engine(&self, id: u64) -> bool {
-        self.nodes.get(&id).and_then(|node| node.up.as_ref()).is_some_and(|running| running.engine.is_some())
+    fn has_replica(&self, id: u64) -> bool {
+        self.nodes.get(&id).and_then(|node| node.up.as_ref()).is_some_and(|running| running.replica.is_some())
+    }
+
+    /// When the thread is to be woken, if nothing comes in before.
+    fn sleep(&mut self, id: u64) {
+        let (now, tick) = (self.clocks(id), self.plan.tick);
+        let Some(running) = self.running(id) else { return };
+        let Some(replica) = &running.replica else { return };
+        // The write that it waits for is under way.
+        let wait = if running.flushing { tick } else { replica.wait(now) };
+        let at = now.elapsed.saturating_add(wait);
+        if at < running.turn_at || running.turn_at <= now.elapsed {
+            running.turn_at = at;
+            self.schedule_timer(id, wait, Timer::Turn);
+        }
     }
 
     fn role(&mut self, id: u64, change: RoleChange) -> Check {
@@ -79,8 +107,7 @@ impl World {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         let elected = change.role == Role::Leader && !running.leading;
         running.leading = change.role == Role::Leader;
-        running.asked_for = (0, 0);
-        running.submit_again = change.leader.is_some();
+        self.invariants.log_matching.look(id, &running.store)?;
         if running.leading {
             self.invariants.election_safety.leads(id, change.term)?;
         }
@@ -90,8 +117,8 @@ impl World {
         Ok(())
     }
 
-    fn send(&mut self, id: u64, to: u64, message: &PeerMessage) -> Check {
-        if let PeerMessage::Raft(raft) = message {
+    fn send(&mut self, id: u64, to: u64, message: PeerMessage) -> Check {
+        if let PeerMessage::Raft(raft) = &message {
             let (kind, term, index, entries) = (raft.kind(), raft.term, raft.index, raft.entries.len());
             let (commit, reject) = (raft.commit, if raft.reject { " refused" } else { "" });
             match kind {
@@ -107,10 +134,14 @@ impl World {
             self.trace.note(self.now, what);
         } else {
             self.note(format_args!("n{id} > n{to} transactions"));
+            // A connection that is broken is known to be, or not yet.
+            if self.links.is_cut((id, to)) && self.random.nodes.percent(50) {
+                return self.step(id, Event::Unsent { to, message });
+            }
         }
         let bytes = message.to_bytes();
         for at in self.links.send(self.now, (id, to), &mut self.random.network, &mut self.coverage) {
-            self.schedule_at(at, Event::Deliver { from: id, to, bytes: bytes.clone() });
+            self.schedule_at(at, Happening::Deliver { from: id, to, bytes: bytes.clone() });
         }
         Ok(())
     }
@@ -136,81 +167,38 @@ impl World {
     /// What a process does at its own time.
     pub(super) fn timer(&mut self, id: u64, timer: Timer) -> Check {
         match timer {
-            Timer::Tick => {
-                self.schedule_timer(id, self.plan.tick, Timer::Tick);
-                self.input(id, Input::Tick)?;
-                self.reconcile(id)?;
-                self.leave_full_disk(id)?;
-                self.submit_again(id)?;
-                self.meet_deadline(id)
+            Timer::Turn => {
+                let Some(running) = self.running(id) else { return Ok(()) };
+                if running.flushing && running.waits_for_disk {
+                    return Ok(());
+                }
+                let inbox = std::mem::take(&mut running.inbox);
+                self.turn(id, inbox)
             }
             Timer::Flushed => self.flushed(id),
             Timer::Execute => self.execute(id),
+            Timer::Reads => self.reads(id, |reads, now, out| reads.time(now, out)),
             Timer::CatchUp => self.fetch(id),
             Timer::Housekeeping => self.keep_house(id),
         }
     }
 
-    /// What was given to a leader that is gone may be lost with it: everything that still waits goes to the next one.
-    fn submit_again(&mut self, id: u64) -> Check {
+    /// The log is to be flushed if the replica says so: that takes time.
+    fn begin_write(&mut self, id: u64) -> Check {
+        let now = self.clocks(id);
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        if !std::mem::take(&mut running.submit_again) {
+        let due = running.replica.as_ref().is_some_and(|replica| replica.must_write(now));
+        if !due || std::mem::replace(&mut running.flushing, true) {
             return Ok(());
         }
-        let mut all: Vec<_> =
-            running.waiters.values().map(|waiting| (waiting.number, waiting.lane, waiting.encoded.clone())).collect();
-        all.sort_unstable_by_key(|(number, ..)| *number);
-        all.into_iter().try_for_each(|(_, lane, transaction)| self.input(id, Input::Submit { lane, transaction }))
-    }
-
-    /// A leader without space answers nobody: another voter shall lead.
-    fn leave_full_disk(&mut self, id: u64) -> Check {
-        let running = self.nodes.get(&id).and_then(|node| node.up.as_ref());
-        let full = running.filter(|running| running.leading && running.disk_full);
-        match full.and_then(|running| successor(&running.engine.as_ref()?.status())) {
-            Some(to) => self.step(id, Input::TransferLeadership { to }),
-            None => Ok(()),
-        }
-    }
-
-    /// A leader brings the members to what the operator wants.
-    fn reconcile(&mut self, id: u64) -> Check {
-        let Some(running) = self.nodes.get(&id).and_then(|node| node.up.as_ref()) else { return Ok(()) };
-        let Some(engine) = running.engine.as_ref().filter(|_| running.leading) else { return Ok(()) };
-        match next_step(&self.desired, &engine.status()) {
-            Some(step) => self.input(id, step),
-            None => Ok(()),
-        }
-    }
-
-    /// Orders an empty block when something is due and no traffic moved block time past it.
-    fn meet_deadline(&mut self, id: u64) -> Check {
-        let now = self.now;
-        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
-        let clock = node.clock.now(now);
-        let Some(running) = node.up.as_mut().filter(|running| running.leading) else { return Ok(()) };
-        let deadline = running.ledger.next_deadline().unwrap_or(u64::MAX);
-        let asking_for = (deadline, running.ledger.tip().height);
-        if clock < deadline || running.asked_for == asking_for {
-            return Ok(());
-        }
-        running.asked_for = asking_for;
-        self.input(id, Input::ProposeEmpty)
-    }
-
-    /// The log is to be flushed: that takes time.
-    fn flush(&mut self, id: u64, ready: u64) {
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return };
-        running.flush = Some(ready);
-        if std::mem::replace(&mut running.flushing, true) {
-            return;
-        }
+        self.invariants.log_matching.look(id, &running.store)?;
         let mut time = 50 + self.random.disk.below(self.plan.disk_max);
         if self.chaos && self.plan.faults.contains(&Fault::SlowDisk) && self.random.disk.percent(2) {
             self.coverage.fault(Fault::SlowDisk);
             time += self.random.disk.below(50 * self.plan.disk_max);
         }
         self.schedule_timer(id, time, Timer::Flushed);
+        Ok(())
     }
 
     fn flushed(&mut self, id: u64) -> Check {
@@ -219,31 +207,58 @@ impl World {
             return Ok(());
         }
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        let Some(ready) = running.flush.take() else { return Ok(()) };
-        match running.store.flush() {
+        // The replica that wanted it may have ended meanwhile.
+        if !std::mem::take(&mut running.flushing) {
+            return Ok(());
+        }
+        let written = running.store.flush();
+        let inbox = std::mem::take(&mut running.inbox);
+        match &written {
             Ok(durable) => {
-                (running.flushing, running.disk_full) = (false, false);
+                running.disk_full = false;
                 self.invariants.acknowledged.flushed(id, &running.store);
-                let inbox = std::mem::take(&mut running.inbox);
-                self.note(format_args!("n{id} flushed {ready}, durable up to {durable}"));
-                self.step(id, Input::Persisted { ready })?;
-                inbox.into_iter().try_for_each(|input| self.input(id, input))
+                self.note(format_args!("n{id} flushed, durable up to {durable}"));
             }
             Err(StoreError::DiskFull { .. }) => {
-                let known = std::mem::replace(&mut running.disk_full, true);
-                running.flush = Some(ready);
-                // The thread looks at what came in between two attempts.
-                let inbox = std::mem::take(&mut running.inbox);
-                if !known {
+                if !std::mem::replace(&mut running.disk_full, true) {
                     self.coverage.fault(Fault::FullDisk);
                     self.note(format_args!("n{id} has no room"));
                 }
-                self.schedule_timer(id, FULL_DISK_PAUSE, Timer::Flushed);
-                inbox.into_iter().try_for_each(|input| self.step(id, input))
             }
-            Err(error) => {
-                self.note(format_args!("n{id} cannot flush: {error}"));
-                self.failed(id, &error.to_string())
+            Err(error) => self.note(format_args!("n{id} cannot flush: {error}")),
+        }
+        self.step(id, Event::Written(written.map(drop)))?;
+        self.execute_committed(id)?;
+        self.turn(id, inbox)
+    }
+
+    /// Committed blocks are executed here, or given to the execute thread.
+    fn execute_committed(&mut self, id: u64) -> Check {
+        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        let Some(replica) = running.replica.as_mut() else { return Ok(()) };
+        let term = replica.status().role.term;
+        let now = Circumstances { inputs_wait: !running.inbox.is_empty(), other_is_idle: running.given.is_empty() };
+        let Some(work) = replica.work(now) else { return Ok(()) };
+        let (Work::Here(entries) | Work::Elsewhere(entries)) = &work;
+        for entry in entries {
+            self.invariants.committed.committed(id, entry)?;
+            self.invariants.leader_completeness.committed(entry.index, entry.term, term);
+        }
+        match work {
+            Work::Here(entries) => {
+                self.coverage.in_place += 1;
+                self.execute_all(id, &entries)?;
+                let height = entries.last().map_or(0, |entry| entry.index);
+                let took = self.random.nodes.below(1_020);
+                self.step(id, Event::Executed { height, took })
+            }
+            Work::Elsewhere(entries) => {
+                running.given.extend(entries);
+                if !std::mem::replace(&mut running.executing, true) {
+                    let delay = 20 + self.random.nodes.below(if self.chaos { 2_000 } else { 200 });
+                    self.schedule_timer(id, delay, Timer::Execute);
+                }
+                Ok(())
             }
         }
     }
@@ -260,21 +275,13 @@ impl World {
             self.invariants.state_agreement.snapshot(id, height, content)?;
         }
         let prepared = if self.plan.prepares { running.store.prepare() } else { Ok(false) };
-        let mut late = Vec::new();
-        running.waiters.retain(|_, waiting| {
-            let expired = waiting.waiters.iter().any(|waiter| now > waiter.since + WAIT_MAX);
-            if expired {
-                late.append(&mut waiting.waiters);
-            }
-            !expired
-        });
-        for waiter in late {
-            self.reply(id, waiter.reply, Answer::Refused(Refused::unordered(Code::Timeout)));
-        }
+        running.waiters.sweep(now);
         match prepared {
             Ok(_) | Err(StoreError::DiskFull { .. }) => {}
             Err(error) => return self.failed(id, &error.to_string()),
         }
+        self.tell(id)?;
+        self.nobody_is_forgotten(id)?;
         self.catch_up(id)?;
         if kept.is_ok()
             && let Some(node) = self.nodes.get_mut(&id)
@@ -284,13 +291,32 @@ impl World {
         self.prune(id)
     }
 
-    fn dropped(&mut self, id: u64, transaction: Bytes, code: Code) {
-        let Ok(transaction) = Transaction::decode(transaction) else { return };
-        self.note(format_args!("n{id} drops {}: {code}", transaction.id()));
-        let running = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut());
-        let waiting = running.and_then(|running| running.waiters.remove(&transaction.id()));
-        for waiter in waiting.map(|waiting| waiting.waiters).unwrap_or_default() {
-            self.reply(id, waiter.reply, Answer::Refused(Refused::unordered(code)));
+    /// Whoever waits is answered within a bounded time, if only that nobody knows.
+    fn nobody_is_forgotten(&mut self, id: u64) -> Check {
+        let now = self.now;
+        let Some(running) = self.running(id) else { return Ok(()) };
+        match running.waiting.iter().find(|(_, since)| now > **since + WAIT_MAX) {
+            None => Ok(()),
+            Some((reply, since)) => {
+                let what = format!("node {id} has not answered {reply:?} for {} us", now - since);
+                Err(Violation::new("everybody is answered", what))
+            }
         }
+    }
+
+    /// What waiters were told goes to their clients.
+    pub(super) fn tell(&mut self, id: u64) -> Check {
+        let Some(running) = self.running(id) else { return Ok(()) };
+        let answers: Vec<Verdict> = running.answers.1.try_iter().collect();
+        for Verdict { reply, transaction, answer } in answers {
+            if let Some(running) = self.running(id) {
+                running.waiting.remove(&reply);
+            }
+            if let crate::node::Answer::Verdict { height, .. } = &answer {
+                self.acknowledge(id, &transaction, *height)?;
+            }
+            self.reply(id, reply, answer);
+        }
+        Ok(())
     }
 }

@@ -1,19 +1,22 @@
-//! The gateway of a node: admission, queries, waiting for heights (`src/gateway/`).
+//! The gateway of a node: admission, queries, waiting for heights (`src/gateway/`). What is decided is the replica's.
 
-use super::{Event, World};
+use super::{Event, Timer, World};
 use crate::invariant::Check;
-use crate::node::{Answer, Read, Refused, Reply, Request, WAIT_FOR_HEIGHT, Waiter, Waiting, What};
+use crate::node::{Answer, Asking, Client, Refused, Reply, Request, What};
 use bytes::Bytes;
+use ledger::Ground;
 use ledger::transaction::Transaction;
-use ledger::{Admission, Ground, Refusal, Step};
 use ledger_raft::{Input, Lane};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::admission::{Admitting, Decision};
+use ledger_replica::{Event as ReplicaEvent, Executed, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};
+use std::collections::VecDeque;
 
 impl World {
     /// A request arrives.
     pub(super) fn request(&mut self, id: u64, request: Request) -> Check {
         let now = self.now;
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        let Some(running) = self.running(id) else { return Ok(()) };
         if request.min_height > running.ledger.tip().height {
             running.behind.push((now + WAIT_FOR_HEIGHT, request));
             return Ok(());
@@ -25,76 +28,135 @@ impl World {
         match request.what {
             What::Submit { .. } => self.submit(id, request, None),
             What::Read { may_be_stale: true, .. } => self.answer_read(id, &request),
-            What::Read { may_be_stale: false, .. } => self.reach(id, request, None),
+            What::Read { may_be_stale: false, .. } => {
+                let asking = Asking { request, refusal: None, judged: (0, 0) };
+                self.reads(id, |reads, now, out| reads.ask(now, asking, out))
+            }
         }
     }
 
-    /// Serves a request when this node has everything that was committed when it came.
-    fn reach(&mut self, id: u64, request: Request, refusal: Option<Box<Refusal>>) -> Check {
-        let until = self.now + WAIT_FOR_HEIGHT;
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        running.next_context += 1;
-        let context = running.next_context;
-        running.reads.insert(context, Read { request, refusal, index: None, until });
-        self.input(id, Input::ReadIndex { context })
+    /// Tells who waits for the state to be current what happened, and does what follows.
+    pub(super) fn reads(
+        &mut self,
+        id: u64,
+        happened: impl FnOnce(&mut Reads<Asking>, u64, &mut Vec<ReadEffect<Asking>>),
+    ) -> Check {
+        let now = self.now;
+        let Some(running) = self.running(id) else { return Ok(()) };
+        let mut effects = Vec::new();
+        happened(&mut running.reads, now, &mut effects);
+        let mut told = VecDeque::new();
+        while let Some(effect) = effects.pop() {
+            match effect {
+                ReadEffect::Tell { asker, known } => told.push_front((asker, known)),
+                ReadEffect::Ask { context } if running.replica.is_some() => {
+                    running.inbox.push_back(ReplicaEvent::Input(Input::ReadIndex { context }));
+                }
+                ReadEffect::Ask { context } => {
+                    let behind = Rejection::new(Code::Behind, "this node fetches blocks that it missed");
+                    running.reads.answered(now, context, Err(behind), &mut effects);
+                }
+            }
+        }
+        let (asked, due) = (!running.inbox.is_empty(), running.reads.wakes_at());
+        if let Some(due) = due.filter(|due| *due != running.reads_at) {
+            running.reads_at = due;
+            self.schedule_timer(id, due.saturating_sub(now), Timer::Reads);
+        }
+        if asked {
+            self.schedule_timer(id, 0, Timer::Turn);
+        }
+        told.into_iter().try_for_each(|(asking, known)| self.known(id, asking, &known))
     }
 
-    /// A transaction: admitted, or refused as far as that can be said. `reached` is a height that was committed when it came.
-    fn submit(&mut self, id: u64, request: Request, reached: Option<u64>) -> Check {
-        let (now, reply) = (self.now, request.reply);
-        let What::Submit { transaction, first_attempt } = request.what.clone() else { return Ok(()) };
-        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
-        let clock = node.clock.now(now);
-        let Some(running) = node.up.as_mut() else { return Ok(()) };
+    /// It is known whether the state is current.
+    fn known(&mut self, id: u64, asking: Asking, known: &Known) -> Check {
+        match (&asking.request.what, known) {
+            (What::Submit { .. }, _) => self.submit(id, asking.request.clone(), Some((asking, known))),
+            (What::Read { .. }, Ok(_)) => self.answer_read(id, &asking.request),
+            (What::Read { .. }, Err(reason)) => {
+                self.reply(id, asking.request.reply, Answer::Refused(Refused::unordered(reason.code)));
+                Ok(())
+            }
+        }
+    }
+
+    /// A transaction: admitted, or refused as far as that can be said. `held`: it was held, until what is known now.
+    fn submit(&mut self, id: u64, request: Request, held: Option<(Asking, &Known)>) -> Check {
+        let (clock, reply) = (self.clocks(id).clock, request.reply);
+        let What::Submit { transaction, first_attempt } = &request.what else { return Ok(()) };
+        let who = self.clients[reply.client].person.clone();
+        let Some(running) = self.running(id) else { return Ok(()) };
         if running.disk_full {
             self.reply(id, reply, Answer::Refused(Refused::unordered(Code::DiskFull)));
             return Ok(());
         }
-        let decoded = Transaction::decode(transaction.clone()).unwrap();
-        let waits = running.waiters.get(&decoded.id());
-        if waits.is_some_and(|waiting| waiting.encoded == transaction) {
-            return self.order(id, reply, &decoded);
-        }
+        let transaction = Transaction::decode(transaction.clone()).unwrap();
         let tip = running.ledger.tip();
-        match running.ledger.admit(transaction, clock) {
-            Ok(Admission::New(transaction)) => self.order(id, reply, &transaction),
-            Ok(Admission::Known(transaction, record)) => {
+        let mut judged = (tip.height, clock.max(tip.time));
+        let admitting = Admitting {
+            ledger: &running.ledger,
+            waiters: &running.waiters,
+            retries: &running.retries,
+            clock,
+            who: &who,
+            first_attempt: *first_attempt,
+        };
+        let before = held.as_ref().and_then(|(asking, _)| Some((asking.refusal.clone()?, asking.judged)));
+        let decision = match held {
+            None => admitting.look(transaction),
+            Some((asking, known)) => admitting.look_again(transaction, asking.refusal, known),
+        };
+        match decision {
+            Decision::Order { transaction, .. } => self.order(id, reply, &transaction),
+            Decision::Known(transaction, record) => {
                 self.acknowledge(id, &transaction, record.height)?;
-                let (height, index, code) = (record.height, record.index, record.result.code());
-                self.reply(id, reply, Answer::Verdict { height, index, code, response: record.result.response });
+                let Executed { height, index, result, .. } = Executed::recorded(transaction, &record);
+                let (code, response) = (result.code(), result.response.clone());
+                self.reply(id, reply, Answer::Verdict { height, index, code, response });
                 Ok(())
             }
-            Err(refusal) => match refusal.step(first_attempt, reached.map(Ok).as_ref()) {
-                Step::Reach => self.reach(id, request, Some(refusal)),
-                Step::Order => self.order(id, reply, &decoded),
-                Step::Answer(reason) => {
-                    let code = reason.code;
-                    *self.coverage.refusals.entry(code).or_default() += 1;
-                    self.note(format_args!("n{id} refuses {reply:?}: {code}"));
-                    if code.is_final() && !matches!(refusal.ground, Ground::Bytes | Ground::Past) {
-                        self.invariants.answered_is_seen.decided(id, tip.height, request.told)?;
-                    }
-                    let judged = (code == refusal.rejection.code).then_some((tip.height, clock.max(tip.time)));
-                    self.reply(id, reply, Answer::Refused(Refused { code, judged }));
-                    Ok(())
+            Decision::Hold(_, refusal) => {
+                let asking = Asking { request, refusal: Some(refusal), judged };
+                self.reads(id, |reads, now, out| reads.ask(now, asking, out))
+            }
+            Decision::Refuse { refusal, reason } => {
+                if let Some((earlier, then)) = before
+                    && earlier == refusal
+                {
+                    judged = then;
                 }
-            },
+                let code = reason.code;
+                *self.coverage.refusals.entry(code).or_default() += 1;
+                self.note(format_args!("n{id} refuses {reply:?}: {code}"));
+                if code.is_final() && !matches!(refusal.ground, Ground::Bytes | Ground::Past) {
+                    self.invariants.answered_is_seen.decided(id, judged.0, request.told)?;
+                }
+                let judged = (code == refusal.rejection.code).then_some(judged);
+                self.reply(id, reply, Answer::Refused(Refused { code, judged }));
+                Ok(())
+            }
         }
     }
 
-    /// Hands a transaction to the engine; who submitted it waits for its verdict.
+    /// Hands a transaction to the replica; who submitted it waits for its verdict.
     fn order(&mut self, id: u64, reply: Reply, transaction: &Transaction) -> Check {
         let now = self.now;
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        let Some(running) = self.running(id) else { return Ok(()) };
         let body = transaction.body();
         let chaincode = running.ledger.registry().find(&body.chaincode);
         let urgent = chaincode.is_ok_and(|chaincode| chaincode.urgent(&body.function));
         let lane = if urgent { Lane::Control } else { Lane::Data };
-        running.next_waiting += 1;
-        let (number, encoded) = (running.next_waiting, transaction.encoded().clone());
-        let waiting = Waiting { number, lane, encoded, waiters: Vec::new() };
-        let waiting = running.waiters.entry(transaction.id()).or_insert(waiting);
-        waiting.waiters.push(Waiter { reply, since: now });
+        running.waiting.insert(reply, now);
+        running.waiters.add(now, transaction, lane, Client { reply, answers: running.answers.0.clone() });
+        if running.replica.is_none() {
+            let behind = Rejection::new(Code::Behind, "this node fetches blocks that it missed");
+            running.waiters.refuse(&transaction.id(), &behind);
+            return self.tell(id);
+        }
+        if std::mem::take(&mut self.forges_next) {
+            self.order_forged(id, transaction)?;
+        }
         self.input(id, Input::Submit { lane, transaction: transaction.encoded().clone() })
     }
 
@@ -121,9 +183,9 @@ impl World {
     /// Serves who has waited for the height that is reached now, and tells who has waited too long.
     pub(super) fn catch_up(&mut self, id: u64) -> Check {
         let now = self.now;
-        let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        let Some(running) = self.running(id) else { return Ok(()) };
         let height = running.ledger.tip().height;
-        let (mut ready, mut late, mut confirmed) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut ready, mut late) = (Vec::new(), Vec::new());
         running.behind.retain(|(until, request)| {
             if request.min_height <= height {
                 ready.push(request.clone());
@@ -134,40 +196,10 @@ impl World {
             }
             false
         });
-        running.reads.retain(|_, read| {
-            if read.index.is_some_and(|index| index <= height) {
-                confirmed.push((read.request.clone(), read.index));
-            } else if now > read.until {
-                late.push(read.request.reply);
-            } else {
-                return true;
-            }
-            false
-        });
         for reply in late {
             self.reply(id, reply, Answer::Refused(Refused::unordered(Code::Behind)));
         }
-        for (request, index) in confirmed {
-            match request.what {
-                What::Submit { .. } => self.submit(id, request, index)?,
-                What::Read { .. } => self.answer_read(id, &request)?,
-            }
-        }
         ready.into_iter().try_for_each(|request| self.serve(id, request))
-    }
-
-    /// What was committed cannot be known.
-    pub(super) fn read_refused(&mut self, id: u64, context: u64, reason: Rejection) {
-        let running = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut());
-        let Some(Read { request, refusal, .. }) = running.and_then(|running| running.reads.remove(&context)) else {
-            return;
-        };
-        let first_attempt = matches!(request.what, What::Submit { first_attempt: true, .. });
-        let code = match refusal.map(|refusal| refusal.step(first_attempt, Some(&Err(reason.clone())))) {
-            Some(Step::Answer(answer)) => answer.code,
-            _ => reason.code,
-        };
-        self.reply(id, request.reply, Answer::Refused(Refused::unordered(code)));
     }
 
     /// Sends an answer on its way.

@@ -3,10 +3,27 @@
 use super::World;
 use crate::client::{Call, SERVICES, sign};
 use crate::clock::{EPOCH, SECOND};
+use crate::invariant::Check;
 use bytes::Bytes;
+use ledger::transaction::Transaction;
 use ledger_hash::Hash;
+use ledger_raft::{Input, Lane};
 
 impl World {
+    /// A member that hears of a transaction has a copy of it ordered first, signed by somebody else: the id is the same, and
+    /// the verdict says nothing about the transaction.
+    pub(super) fn order_forged(&mut self, id: u64, transaction: &Transaction) -> Check {
+        let other = self.people.all.iter().find(|person| person.fingerprint() != transaction.creator());
+        let Some(other) = other else { return Ok(()) };
+        let mut forged = Transaction::sign(transaction.body(), &other.key).unwrap();
+        if let Some(certificate) = transaction.certificate() {
+            forged = forged.with_certificate(certificate.clone()).unwrap();
+        }
+        assert_eq!(forged.id(), transaction.id(), "the id does not cover the signature");
+        self.note(format_args!("n{id} orders a forged copy of {}", transaction.id()));
+        self.input(id, Input::Submit { lane: Lane::Control, transaction: forged.encoded().clone() })
+    }
+
     /// One of the things that execution must refuse, or ignore, on every node alike.
     pub(super) fn forge(&mut self) -> Option<Bytes> {
         let random = &mut self.random.faults;

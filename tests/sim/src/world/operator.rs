@@ -23,8 +23,8 @@ impl World {
         let healthy = self.nodes.values().all(|node| node.damaged.is_none());
         // Everybody must know who is needed: one who does not know of the last change would wait for the lost one.
         let known = members.voters.iter().filter(|voter| **voter != id).all(|voter| {
-            let engine = self.nodes.get(voter).and_then(|node| node.up.as_ref()?.engine.as_ref());
-            engine.is_some_and(|engine| engine.status().membership == *members)
+            let replica = self.nodes.get(voter).and_then(|node| node.up.as_ref()?.replica.as_ref());
+            replica.is_some_and(|replica| replica.status().membership == *members)
         });
         let settled = self.replacement.is_none() && self.is_settled() && healthy && known;
         settled && members.voters.len() >= 3 && (members.voters.contains(&id) || members.learners.contains(&id))

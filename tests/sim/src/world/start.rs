@@ -4,16 +4,16 @@ use super::{Event, Timer, World};
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
-use crate::node::{Opened, Running, open, open_blocks};
-use ledger::{Chaincode, Ledger};
+use crate::node::{Client, Opened, Running, open, open_blocks};
+use ledger::Chaincode;
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
-use ledger_raft::{Engine, EngineConfig};
+use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Waiters};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::Arc;
+use std::sync::{Arc, mpsc};
 
 /// What is broken when a node ends for no reason that was injected.
 const UNEXPLAINED: &str = "a node ends only for a reason";
@@ -47,42 +47,47 @@ impl World {
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
         node.clock.start(self.now, ledger.tip().time);
+        let ledger = Arc::new(ledger);
+        let waiters = Arc::new(Waiters::default());
+        let executor = Arc::new(Executor::new(Arc::clone(&ledger), vec![Arc::clone(&waiters) as _]));
         for entry in &replay {
-            self.executed(id, &ledger, entry)?;
+            self.executed(id, &executor, entry)?;
         }
         let tip = ledger.tip().height;
-        let engine = engine(id, seed, &ledger, &store)?;
+        let replica = self.replica(id, seed, &store, &executor, &waiters)?;
         self.invariants.log_matching.look(id, &store)?;
         let last = store.last_index();
         let running = Running {
-            engine: Some(engine),
+            replica: Some(replica),
+            executor,
+            waiters,
+            desired: self.desired.clone(),
+            reads: Reads::new(tip),
+            retries: Retries::default(),
+            answers: mpsc::channel(),
+            waiting: BTreeMap::new(),
             store,
             state,
             snapshots,
             ledger,
-            flush: None,
             flushing: false,
             waits_for_disk,
             inbox: VecDeque::new(),
-            committed: VecDeque::new(),
+            given: VecDeque::new(),
             executing: false,
-            waiters: BTreeMap::new(),
-            submit_again: false,
-            next_waiting: 0,
-            reads: BTreeMap::new(),
+            turn_at: u64::MAX,
+            reads_at: u64::MAX,
             behind: Vec::new(),
             disk_full: false,
-            asked_for: (0, 0),
-            leading: false,
             catch_up_to: 0,
-            next_context: 0,
+            leading: false,
         };
         if let Some(node) = self.nodes.get_mut(&id) {
             node.up = Some(running);
         }
         self.note(format_args!("n{id} starts at height {tip}, log up to {last}"));
         let housekeeping = self.random.nodes.below(self.plan.state_flush);
-        self.schedule_timer(id, 1, Timer::Tick);
+        self.schedule_timer(id, 1, Timer::Turn);
         self.schedule_timer(id, housekeeping, Timer::Housekeeping);
         Ok(())
     }
@@ -149,16 +154,31 @@ impl World {
     }
 
     /// A node executes a block.
-    pub(super) fn executed(&mut self, id: u64, ledger: &Ledger, entry: &Entry) -> Check {
+    pub(super) fn executed(&mut self, id: u64, executor: &Executor, entry: &Entry) -> Check {
         #[cfg(feature = "mutations")]
         if let Some(node) = self.nodes.get(&id) {
             ledger_mutation::set_wall_clock(node.clock.wall(self.now));
         }
         let index = entry.index;
-        let outcome = ledger
-            .apply(entry)
+        let outcome = executor
+            .execute(entry)
             .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot execute block {index}: {fault}")))?;
-        self.observe(id, ledger, entry, outcome)
+        self.observe(id, executor.ledger(), entry, &outcome)
+    }
+
+    /// A new replica that goes on from what is executed.
+    pub(super) fn replica(
+        &self,
+        id: u64,
+        seed: u64,
+        store: &Arc<BlockStore>,
+        executor: &Arc<Executor>,
+        waiters: &Arc<Waiters<Client>>,
+    ) -> Result<Replica<Client>, Violation> {
+        let settings = Settings { id, seed, tick: self.plan.tick, election_ticks: 20, data_wait: 200 * MILLISECOND };
+        let (store, executor, waiters) = (Arc::clone(store), Arc::clone(executor), Arc::clone(waiters));
+        Replica::start(&settings, store, executor, waiters, self.desired.clone())
+            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))
     }
 
     /// Access control for one start of a node. Most runs share one, which is faster; the others give every start its
@@ -179,15 +199,4 @@ impl World {
         let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
         Some((tip.height, tip.hash, tip.digest))
     }
-}
-
-/// A new engine that goes on from what is executed.
-pub(super) fn engine(id: u64, seed: u64, ledger: &Ledger, store: &Arc<BlockStore>) -> Result<Engine, Violation> {
-    let members = ledger
-        .members()
-        .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not know the members: {fault}")))?;
-    let mut config = EngineConfig::new(id, members, seed);
-    config.applied = ledger.tip().height;
-    Engine::new(config, Arc::clone(store))
-        .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))
 }

@@ -15,7 +15,7 @@ const SECOND: u64 = 1_000_000;
 
 /// What identities have used of the current second.
 #[derive(Default)]
-pub(crate) struct Retries {
+pub struct Retries {
     used: Mutex<HashMap<String, Used>>,
 }
 
@@ -28,7 +28,7 @@ struct Used {
 
 impl Retries {
     /// May one more of so many bytes be ordered for an identity, at the node's time in microseconds? Then it is counted.
-    pub(super) fn allow(&self, who: &str, bytes: usize, now: u64) -> bool {
+    pub fn allow(&self, who: &str, bytes: usize, now: u64) -> bool {
         let second = now / SECOND;
         let mut all = self.used.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= IDENTITIES_MAX {

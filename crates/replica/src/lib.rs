@@ -1,0 +1,57 @@
+//! What a node decides between a socket and the engine, as state machines.
+//!
+//! Nothing here has a thread, a socket, a file or a clock of its own. A node's threads tell a [`Replica`] what happened
+//! and when, and do what it says. The simulation (`tests/sim`) drives the same code in virtual time.
+//!
+//! | module | what is there |
+//! |---|---|
+//! | `replica` | [`Replica`]: the engine and its duties; events in, effects out |
+//! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
+//! | `in_place` | which blocks the thread that orders executes itself |
+//! | [`admission`] | order a transaction, answer it, or hold it until the state is current |
+//! | `ticks` | when the thread that orders wakes up by itself |
+//! | `retries` | how many refused repetitions of one identity are ordered |
+//! | `reads` | [`Reads`]: is the state as new as what was committed when somebody asked? |
+//! | `waiters` | [`Waiters`]: who waits for which verdict, and which verdict is the transaction's own |
+//!
+//! A turn of the thread that orders, for a replica that has everything it needs:
+//!
+//! ```
+//! use ledger_storage::block_store::BlockStore;
+//! use ledger_replica::{Circumstances, Effect, Event, Now, Replica, Waiter, Work};
+//!
+//! fn turn<W: Waiter>(replica: &mut Replica<W>, store: &BlockStore, now: Now, inputs: Vec<Event>) -> Vec<Effect> {
+//!     let mut effects = Vec::new();
+//!     for event in inputs {
+//!         replica.step(now, event, &mut effects);
+//!     }
+//!     replica.step(now, Event::Time { full: false }, &mut effects);
+//!     if replica.must_write(now) {
+//!         replica.step(now, Event::Written(store.flush().map(drop)), &mut effects);
+//!     }
+//!     match replica.work(Circumstances { inputs_wait: false, other_is_idle: true }) {
+//!         Some(Work::Here(_blocks)) => { /* execute, then tell Event::Executed */ }
+//!         Some(Work::Elsewhere(_blocks)) => { /* give them to the thread that executes */ }
+//!         None => {}
+//!     }
+//!     effects
+//! }
+//! ```
+
+#![forbid(unsafe_code)]
+
+pub mod admission;
+mod executor;
+mod in_place;
+mod reads;
+mod replica;
+mod retries;
+mod ticks;
+mod waiters;
+
+pub use executor::{Executor, Observer, in_turns};
+pub use in_place::Circumstances;
+pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};
+pub use replica::{Effect, Event, FULL_DISK_PAUSE, LEARNER_WRITE_DELAY, Now, Replica, Settings, Work};
+pub use retries::Retries;
+pub use waiters::{Answer, Executed, WAIT_MAX, Waiter, Waiters};

@@ -1,0 +1,81 @@
+//! What the engine wants, as what the node must do.
+
+use super::{Effect, LEARNER_WRITE_DELAY, Now, Replica};
+use crate::waiters::Waiter;
+use bytes::Bytes;
+use ledger::Refusal;
+use ledger::transaction::Transaction;
+use ledger_raft::{Input, Output, PeerMessage, Role};
+use ledger_rejection::{Code, Rejection};
+
+impl<W: Waiter> Replica<W> {
+    /// Hands an input to the engine.
+    pub(super) fn order(&mut self, now: Now, input: Input, out: &mut Vec<Effect>) {
+        if !matches!(input, Input::Tick) {
+            self.ticks.note_work();
+        }
+        let mut outputs = std::mem::take(&mut self.outputs);
+        self.engine.step(now.clock, input, &mut outputs);
+        for output in outputs.drain(..) {
+            self.carry_out(now, output, out);
+        }
+        self.outputs = outputs;
+    }
+
+    fn carry_out(&mut self, now: Now, output: Output, out: &mut Vec<Effect>) {
+        match output {
+            Output::Send { to, message } => out.push(Effect::Send { to, message }),
+            Output::Flush { ready } => {
+                if self.flush.is_none() {
+                    let delay = if self.engine.is_voter() { 0 } else { LEARNER_WRITE_DELAY };
+                    self.flush_due = now.elapsed.saturating_add(delay);
+                }
+                assert!(self.flush.is_none_or(|before| before < ready), "flush {ready} after {:?}", self.flush);
+                self.flush = Some(ready);
+            }
+            Output::Commit(entries) => self.committed.extend(entries),
+            Output::Role(change) => {
+                self.leading = change.role == Role::Leader;
+                self.asked_for = (0, 0);
+                self.report(out);
+                out.push(Effect::Role(change));
+                self.submit_again = change.leader.is_some();
+            }
+            Output::Membership { height, membership } => {
+                // Whoever sees the change on the ledger must find it in the status, too.
+                self.report(out);
+                out.push(Effect::Members { height, membership });
+                self.reconcile = true;
+            }
+            Output::Dropped { transaction, reason } => self.refuse(transaction, reason, out),
+            Output::ReadReady { context, index } => out.push(Effect::Read { context, answer: Ok(index) }),
+            Output::Refused { input, reason } => out.push(match *input {
+                Input::ReadIndex { context } => Effect::Read { context, answer: Err(reason) },
+                _ => Effect::Refused { input, reason },
+            }),
+            Output::Behind { from, first_index } => out.push(Effect::Behind { from, first_index }),
+            Output::Failed(reason) => out.push(Effect::Failed(reason)),
+        }
+    }
+
+    /// There is no way to the leader now, so who waits for what was forwarded is told.
+    pub(super) fn unsent(&mut self, to: u64, message: PeerMessage, out: &mut Vec<Effect>) {
+        let PeerMessage::Forward(lost) = message else { return };
+        let reason = Rejection::new(Code::NoLeader, format!("node {to} leads, but there is no connection to it"))
+            .next("submit the same transaction again, through this or another node");
+        for transaction in lost.control.into_iter().chain(lost.data) {
+            self.refuse(transaction, reason.clone(), out);
+        }
+    }
+
+    /// Tells whoever submitted it.
+    fn refuse(&mut self, transaction: Bytes, reason: Rejection, out: &mut Vec<Effect>) {
+        let Ok(transaction) = Transaction::decode(transaction) else { return };
+        let who = self.waiters.refuse(&transaction.id(), &reason);
+        out.push(Effect::Denied(Box::new(Refusal::of_node(who, Some(transaction), reason))));
+    }
+
+    pub(super) fn report(&self, out: &mut Vec<Effect>) {
+        out.push(Effect::Status(Box::new(self.engine.status())));
+    }
+}

@@ -1,0 +1,370 @@
+//! One voter with a simulated disk and no threads: what its replica does with what happens.
+
+#![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+use bytes::Bytes;
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::transaction::{Body, Transaction};
+use ledger::{Chaincode, Context, Ledger, Registry};
+use ledger_hash::Hash;
+use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_raft::{Desired, Input, Lane, PeerMessage, Transactions};
+use ledger_rejection::{Code, Rejection};
+use ledger_replica::{
+    Answer, Circumstances, Effect, Event, Executor, FULL_DISK_PAUSE, Now, Replica, Settings, WAIT_MAX, Waiter, Waiters,
+    Work,
+};
+use ledger_storage::block_store::{BlockStore, Options, StoreError};
+use ledger_storage::disk::SimDisk;
+use ledger_storage::entry::{Entry, EntryKind};
+use ledger_storage::results::ResultStore;
+use ledger_storage::state::{MemoryState, State};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use ring::rand::SystemRandom;
+use std::sync::{Arc, mpsc};
+
+/// 2030-01-01, in microseconds since the UNIX epoch.
+const EPOCH: u64 = 1_893_456_000_000_000;
+const SECOND: u64 = 1_000_000;
+const TICK: u64 = 10_000;
+
+/// Notes what it is told; `alarm` wants a block five seconds later.
+struct Notes;
+
+impl Chaincode for Notes {
+    fn name(&self) -> &'static str {
+        "notes"
+    }
+
+    fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        ctx.put(function.as_bytes(), ctx.block_time().to_be_bytes().to_vec());
+        Ok(args.first().cloned().unwrap_or_default())
+    }
+
+    fn begin_block(&self, ctx: &mut Context<'_>) {
+        if self.next_deadline(ctx).is_some_and(|due| due <= ctx.block_time()) {
+            ctx.delete(b"alarm");
+        }
+    }
+
+    fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {
+        let set = ctx.get(b"alarm")?;
+        Some(u64::from_be_bytes(set.as_ref().try_into().unwrap()) + 5 * SECOND)
+    }
+}
+
+/// What a client heard: the code, and the height of the block.
+type Heard = (u32, Code, u64);
+
+struct Client(u32, mpsc::Sender<Heard>);
+
+impl Waiter for Client {
+    fn answer(self, answer: &Answer<'_>) {
+        let (code, height) = match answer {
+            Answer::Executed(told) => (told.result.code(), told.height),
+            Answer::Refused { reason, .. } => (reason.code, 0),
+        };
+        self.1.send((self.0, code, height)).unwrap();
+    }
+
+    fn name(&self) -> &str {
+        "Org1/Salma"
+    }
+
+    fn is_gone(&self) -> bool {
+        false
+    }
+}
+
+struct Node {
+    replica: Replica<Client>,
+    executor: Arc<Executor>,
+    waiters: Arc<Waiters<Client>>,
+    store: Arc<BlockStore>,
+    disk: SimDisk,
+    now: u64,
+    key: SigningKey,
+    certificate: Bytes,
+    network: Hash,
+    nonce: u64,
+    answers: (mpsc::Sender<Heard>, mpsc::Receiver<Heard>),
+}
+
+impl Node {
+    fn new() -> Self {
+        let (ca, certificate, key) = authority();
+        let organisation = FoundingOrganisation { name: "Org1".into(), roots: vec![ca], intermediates: Vec::new() };
+        let node = |id: u64| FoundingNode {
+            id,
+            name: format!("node{id}"),
+            organisation: "Org1".into(),
+            address: format!("127.0.0.1:{}", 7000 + id),
+            voter: true,
+        };
+        let genesis = Genesis {
+            rules: RULES_VERSION,
+            label: "test".into(),
+            created: EPOCH - SECOND,
+            salt: Hash::ZERO,
+            organisations: vec![organisation],
+            nodes: vec![node(1)],
+            snapshot_every: 1000,
+        };
+        let genesis = genesis.to_bytes().unwrap();
+        let (_, network) = Genesis::from_bytes(&genesis).unwrap();
+        let disk = SimDisk::new(1);
+        let (store, _) = BlockStore::open(Arc::new(disk.clone()), Options::new(network.0, || 7)).unwrap();
+        let store = Arc::new(store);
+        let results = Arc::new(ResultStore::open(Arc::new(SimDisk::new(2)), network).unwrap());
+        let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
+        let mut registry = Registry::new();
+        registry.install(Arc::new(Notes)).unwrap();
+        let ledger = Arc::new(Ledger::open(&genesis, registry, state, results).unwrap());
+        let waiters = Arc::new(Waiters::default());
+        let executor = Arc::new(Executor::new(ledger, vec![Arc::clone(&waiters) as _]));
+        let settings = Settings { id: 1, seed: 1, tick: TICK, election_ticks: 20, data_wait: 200_000 };
+        let desired = Desired { voters: [1].into(), learners: [].into() };
+        let replica =
+            Replica::start(&settings, Arc::clone(&store), Arc::clone(&executor), Arc::clone(&waiters), desired);
+        let mut node = Self {
+            replica: replica.unwrap(),
+            executor,
+            waiters,
+            store,
+            disk,
+            now: 0,
+            key,
+            certificate,
+            network,
+            nonce: 0,
+            answers: mpsc::channel(),
+        };
+        // It is alone, so it leads; it orders once the first block of its term is executed.
+        while node.executor.ledger().tip().height == 0 {
+            node.turn();
+            node.finish();
+        }
+        assert!(node.replica.leads());
+        node
+    }
+
+    fn clocks(&self) -> Now {
+        Now { clock: EPOCH + self.now, elapsed: self.now }
+    }
+
+    fn step(&mut self, event: Event) -> Vec<Effect> {
+        let mut effects = Vec::new();
+        self.replica.step(self.clocks(), event, &mut effects);
+        effects
+    }
+
+    /// What is due now is done, but for the write and the execution.
+    fn turn(&mut self) {
+        self.step(Event::Time { full: false });
+    }
+
+    /// Writes and executes until nothing is left to do at this moment.
+    fn finish(&mut self) {
+        while self.replica.must_write(self.clocks()) {
+            let written = self.store.flush().map(drop);
+            let stuck = written.is_err();
+            self.step(Event::Written(written));
+            if stuck {
+                return;
+            }
+            self.execute();
+        }
+    }
+
+    fn execute(&mut self) {
+        while let Some(Work::Here(entries) | Work::Elsewhere(entries)) =
+            self.replica.work(Circumstances { inputs_wait: false, other_is_idle: true })
+        {
+            self.executor.execute_all(&entries).unwrap();
+            let height = entries.last().unwrap().index;
+            self.step(Event::Executed { height, took: 1 });
+        }
+    }
+
+    fn transaction(&mut self, function: &str) -> Transaction {
+        self.nonce += 1;
+        let body = Body {
+            network: Bytes::copy_from_slice(&self.network.0),
+            creator: Bytes::copy_from_slice(&Hash::of(&[&self.certificate]).0),
+            nonce: [self.nonce.to_be_bytes(), [0; 8]].concat().into(),
+            not_after: EPOCH + self.now + 60 * SECOND,
+            chaincode: "notes".into(),
+            function: function.into(),
+            args: Vec::new(),
+        };
+        Transaction::sign(&body, &self.key).unwrap().with_certificate(self.certificate.clone()).unwrap()
+    }
+
+    /// A client waits for a transaction.
+    fn waits(&self, client: u32, transaction: &Transaction) {
+        self.waiters.add(self.now, transaction, Lane::Data, Client(client, self.answers.0.clone()));
+    }
+
+    fn submit(&mut self, client: u32, function: &str) {
+        let transaction = self.transaction(function);
+        self.waits(client, &transaction);
+        self.step(Event::Input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() }));
+    }
+
+    fn heard(&self) -> Vec<Heard> {
+        self.answers.1.try_iter().collect()
+    }
+
+    fn height(&self) -> u64 {
+        self.executor.ledger().tip().height
+    }
+}
+
+/// A CA's certificate, and somebody's certificate with its key.
+fn authority() -> (Bytes, Bytes, SigningKey) {
+    let params = |name: &str, unit: &str| {
+        let mut params = CertificateParams::default();
+        params.distinguished_name = rcgen::DistinguishedName::new();
+        params.distinguished_name.push(DnType::CommonName, name);
+        params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+        params.not_before = rcgen::date_time_ymd(2029, 1, 1);
+        params.not_after = rcgen::date_time_ymd(2031, 1, 1);
+        params
+    };
+    let mut root = params("org1-ca", "ca");
+    root.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    root.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    let ca = CertifiedIssuer::self_signed(root, KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap()).unwrap();
+    let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+    let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+    let certificate = params("Salma", "member").signed_by(&public, &ca).unwrap();
+    (Bytes::copy_from_slice(ca.der()), Bytes::copy_from_slice(certificate.der()), key)
+}
+
+#[test]
+fn a_client_is_answered_when_its_block_is_on_the_disk_and_executed() {
+    let mut node = Node::new();
+    let height = node.height();
+    node.submit(1, "note");
+    assert_eq!(node.replica.work(Circumstances { inputs_wait: false, other_is_idle: true }), None, "not written yet");
+    assert_eq!(node.heard(), []);
+    node.finish();
+    assert_eq!(node.heard(), [(1, Code::Ok, height + 1)]);
+    assert!(node.waiters.is_empty());
+}
+
+#[test]
+fn a_full_disk_is_tried_again_after_a_pause_and_answers_nobody_before() {
+    let mut node = Node::new();
+    node.disk.set_capacity(Some(node.disk.used_bytes()));
+    node.submit(1, "note");
+    assert!(node.replica.must_write(node.clocks()));
+    let full = node.store.flush();
+    assert!(matches!(full, Err(StoreError::DiskFull { .. })), "{full:?}");
+    node.step(Event::Written(full.map(drop)));
+    node.submit(2, "note");
+    assert!(!node.replica.must_write(node.clocks()), "what comes does not hurry it");
+    assert!(node.heard().is_empty() && node.replica.waits_for_write());
+    node.disk.set_capacity(None);
+    node.now += FULL_DISK_PAUSE;
+    assert!(node.replica.must_write(node.clocks()));
+    node.finish();
+    let height = node.height();
+    assert_eq!(node.heard(), [(1, Code::Ok, height - 1), (2, Code::Ok, height)]);
+}
+
+#[test]
+fn a_deadline_that_no_traffic_meets_is_met_by_one_empty_block() {
+    let mut node = Node::new();
+    node.submit(1, "alarm");
+    node.finish();
+    let height = node.height();
+    let due = node.executor.deadline();
+    assert_eq!(due, EPOCH + node.now + 5 * SECOND);
+    for _ in 0..TICK {
+        node.turn();
+        assert!(!node.replica.must_write(node.clocks()) || node.clocks().clock >= due, "too early");
+        if node.clocks().clock >= due {
+            break;
+        }
+        let wait = node.replica.wait(node.clocks());
+        assert!((1..=SECOND).contains(&wait), "a node alone looks at the clock once a second");
+        node.now += wait;
+    }
+    assert_eq!(node.clocks().clock, due, "it wakes up at the deadline itself");
+    node.turn();
+    node.finish();
+    assert_eq!((node.height(), node.executor.deadline()), (height + 1, u64::MAX));
+    node.turn();
+    assert!(!node.replica.must_write(node.clocks()), "nothing more is due");
+}
+
+#[test]
+fn who_waits_for_what_could_not_be_forwarded_is_told_at_once() {
+    let mut node = Node::new();
+    let (lost, other) = (node.transaction("lost"), node.transaction("other"));
+    node.waits(1, &lost);
+    node.waits(2, &other);
+    let forward = Transactions { control: Vec::new(), data: vec![lost.encoded().clone()], code: 0 };
+    let effects = node.step(Event::Unsent { to: 7, message: PeerMessage::Forward(forward) });
+    let [Effect::Denied(denied)] = effects.as_slice() else { panic!("{effects:?}") };
+    assert_eq!((denied.who.as_deref(), denied.rejection.code), (Some("Org1/Salma"), Code::NoLeader));
+    assert_eq!(node.heard(), [(1, Code::NoLeader, 0)]);
+}
+
+#[test]
+fn what_waits_is_submitted_again_in_the_order_in_which_it_came() {
+    let mut node = Node::new();
+    let transactions: Vec<_> = (0..20).map(|_| node.transaction("note")).collect();
+    for (client, transaction) in (0..).zip(&transactions) {
+        node.waits(client, transaction);
+    }
+    // A second client keeps the place of the first.
+    node.waits(100, transactions.first().unwrap());
+    let again: Vec<_> = node.waiters.all().into_iter().map(|(_, encoded)| encoded).collect();
+    assert!(again.iter().eq(transactions.iter().map(Transaction::encoded)));
+}
+
+#[test]
+fn the_verdict_on_a_forged_copy_answers_nobody() {
+    let mut node = Node::new();
+    let transaction = node.transaction("note");
+    let stranger = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+    let forged = Transaction::sign(transaction.body(), &stranger).unwrap();
+    let forged = forged.with_certificate(node.certificate.clone()).unwrap();
+    assert_eq!(forged.id(), transaction.id());
+    node.waits(1, &transaction);
+    for copy in [&forged, &transaction] {
+        let transaction = copy.encoded().clone();
+        node.step(Event::Input(Input::Submit { lane: Lane::Data, transaction }));
+        node.finish();
+    }
+    assert_eq!(node.heard(), [(1, Code::Ok, node.height())]);
+}
+
+#[test]
+fn who_waits_too_long_is_told_that_nobody_knows() {
+    let mut node = Node::new();
+    let (one, two) = (node.transaction("note"), node.transaction("note"));
+    node.waits(1, &one);
+    node.now += SECOND;
+    node.waits(2, &two);
+    node.now += WAIT_MAX - SECOND;
+    node.waiters.sweep(node.now);
+    assert_eq!(node.heard(), []);
+    node.waiters.sweep(node.now + 1);
+    assert_eq!(node.heard(), [(1, Code::Timeout, 0)]);
+    assert!(!node.waiters.is_empty(), "the other one waits on");
+}
+
+#[test]
+fn a_lot_is_executed_by_the_other_thread_and_in_order() {
+    let mut node = Node::new();
+    node.submit(1, "note");
+    node.step(Event::Written(node.store.flush().map(drop)));
+    let busy = Circumstances { inputs_wait: true, other_is_idle: true };
+    let Some(Work::Elsewhere(entries)) = node.replica.work(busy) else { panic!("inputs wait") };
+    let next = Entry { kind: EntryKind::Normal, ..entries.first().unwrap().clone() };
+    assert_eq!(next.index, node.height() + 1);
+    assert_eq!(node.replica.work(busy), None, "it is given once");
+}

@@ -1,0 +1,51 @@
+//! One driver: what a node decides around the engine is in crates/replica, and nowhere a second time.
+
+use crate::sources::{code, files, read, root};
+use std::path::PathBuf;
+
+/// Only a machine has these.
+const MACHINERY: [&str; 7] = ["std::thread", "std::time", "std::fs", "std::net", "tokio", "Instant", "SystemTime"];
+/// Whoever names these drives the engine itself.
+const DRIVING: [&str; 8] = [
+    "Engine::",
+    "EngineConfig",
+    "Output::",
+    "Input::Tick",
+    "Input::Persisted",
+    "Input::ProposeEmpty",
+    "next_step(",
+    "is_early(",
+];
+/// Times that the replica decides about.
+const TIMES: [&str; 6] =
+    ["WAIT_MAX", "WAIT_FOR_HEIGHT", "CONFIRM_TIME_MAX", "FULL_DISK_PAUSE", "LEARNER_WRITE_DELAY", "LEAVE_AGAIN_PAUSE"];
+
+/// The files below a folder in which a line of code has one of these, and what it has.
+fn having(folder: &str, words: &[String]) -> Vec<(PathBuf, String)> {
+    let has = |path: &PathBuf| {
+        let text = read(path);
+        code(&text).find_map(|line| words.iter().find(|word| line.contains(word.as_str())).cloned())
+    };
+    let files = files(&root().join(folder), ".rs").into_iter();
+    files.filter_map(|path| has(&path).map(|word| (path, word))).collect()
+}
+
+fn words(words: &[&str]) -> Vec<String> {
+    words.iter().map(|word| (*word).to_owned()).collect()
+}
+
+#[test]
+fn the_replica_has_no_thread_no_clock_and_no_file() {
+    assert_eq!(having("crates/replica/src", &words(&MACHINERY)), []);
+}
+
+#[test]
+fn the_node_and_the_simulation_drive_the_replica_and_no_copy_of_it() {
+    for folder in ["src", "tests/sim/src"] {
+        assert_eq!(having(folder, &words(&DRIVING)), [], "the replica does that");
+        let times: Vec<String> = TIMES.iter().map(|time| format!("const {time}")).collect();
+        assert_eq!(having(folder, &times), [], "the replica decides about that time");
+        assert!(!having(folder, &words(&["Replica::start"])).is_empty(), "{folder} starts no replica");
+        assert!(!having(folder, &words(&["replica.step("])).is_empty(), "{folder} drives no replica");
+    }
+}
