@@ -68,6 +68,7 @@ pub mod setup;
 mod signer;
 mod slice;
 mod space;
+mod speaks;
 mod stores;
 mod telemetry;
 mod verify;

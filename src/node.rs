@@ -23,6 +23,7 @@ use crate::scrub::Scrub;
 use crate::signer::Signer;
 use crate::slice::Turns;
 use crate::space::Space;
+use crate::speaks::Telling;
 use crate::stores::Stores;
 use crate::waiters::Waiters;
 use crate::witness::{Testimony, Witness};
@@ -119,8 +120,8 @@ pub struct Node {
     server: JoinHandle<()>,
     conductor: JoinHandle<()>,
     /// What goes on beside: renewing the certificate, attesting, watching whether the node still belongs here, telling the
-    /// ledger what its CA knows.
-    beside: [JoinHandle<()>; 4],
+    /// ledger what its CA knows, and which rules it speaks.
+    beside: [JoinHandle<()>; 5],
     stop: watch::Sender<bool>,
 }
 
@@ -221,6 +222,12 @@ impl Node {
             data: config.data.clone(),
         };
 
+        let telling = Telling {
+            shared: Arc::clone(&shared),
+            seat: Arc::clone(&seat),
+            signer: Signer::new(tls.clone(), ledger.network(), clock.clone()),
+            me: id,
+        };
         let audience = Audience::new(config.limits.subscribers_max, me.organisation.clone());
         let view = Arc::new(NodeView {
             me,
@@ -335,6 +342,7 @@ impl Node {
             tokio::spawn(keeper.keep()),
             tokio::spawn(testimony.run(seen)),
             tokio::spawn(belonging),
+            tokio::spawn(telling.run()),
             tokio::spawn(registrar.keep_registered()),
         ];
         let bridge = NodeBridge::start(config, own_gateway)?;

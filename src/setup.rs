@@ -20,7 +20,8 @@ use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::{CertificateAuthority, Issued};
 use crate::node::{CERTIFICATE_FILE, KEY_FILE};
 use bytes::Bytes;
-use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::Rules;
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
 use ledger_identity::{Role, check_name};
@@ -191,7 +192,8 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
     });
     let label = plan.label.clone();
     let (nodes, snapshot_every) = (nodes.collect(), plan.snapshot_every);
-    let genesis = Genesis { rules: RULES_VERSION, label, created: now, salt, organisations, nodes, snapshot_every };
+    let genesis =
+        Genesis { rules: Rules::NEWEST.number(), label, created: now, salt, organisations, nodes, snapshot_every };
     let document = genesis.to_bytes()?;
     let (genesis, network) = Genesis::from_bytes(&document)?;
     for (node, stage) in plan.nodes.iter().zip(staged) {

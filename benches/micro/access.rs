@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use criterion::{BenchmarkId, Criterion};
-use ledger::{Chaincode, Context, Environment, Registry};
+use ledger::{Chaincode, Context, Environment, Registry, Rules};
 use ledger_abac::{AccessControl, Grant};
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
@@ -137,6 +137,7 @@ impl Fleet {
             registry: &self.registry,
             submitter: Some(who),
             network: Hash::ZERO,
+            rules: Rules::NEWEST,
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,

@@ -88,7 +88,7 @@ impl Directory {
         });
         let mut members: Vec<Member> = records
             .into_iter()
-            .map(|NodeRecord { id, name, organisation, address, role }| {
+            .map(|NodeRecord { id, name, organisation, address, role, .. }| {
                 let wanted = match role {
                     NodeRole::Voter => Some(Part::Voter),
                     NodeRole::Learner => Some(Part::Learner),

@@ -37,6 +37,7 @@ mod power;
 mod readers;
 mod rebuild;
 mod renewal;
+mod rules;
 mod story;
 mod subscribing;
 mod three;

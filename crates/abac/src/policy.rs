@@ -6,12 +6,14 @@
 //! looks at the stack that is left, stacks of different sizes would decide differently on different nodes.
 
 pub(crate) mod decider;
+pub(crate) mod defaults;
 mod index;
 mod refusal;
 #[cfg(test)]
 mod tests;
 pub(crate) mod texts;
 
+use self::defaults::schemas;
 use self::index::Index;
 use crate::arguments::shown;
 use cedar_policy::{
@@ -25,10 +27,6 @@ use std::collections::{BTreeMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
-/// The Cedar schema that every policy is checked against.
-pub const SCHEMA: &str = include_str!("schema.cedarschema");
-/// The rule of the paper, in force for an organisation that has put no policy of its own.
-pub const DEFAULT_POLICY: &str = include_str!("default.cedar");
 /// Longest text of one policy, in bytes.
 pub const POLICY_BYTES_MAX: usize = 8 * 1024;
 /// Deepest nesting of brackets, and most `if`s of one policy: both nest.
@@ -105,7 +103,8 @@ pub(crate) struct Answer {
 }
 
 enum Job {
-    Check(String, SyncSender<Result<(), Vec<String>>>),
+    /// By the schema that comes first.
+    Check(&'static str, String, SyncSender<Result<(), Vec<String>>>),
     /// With the texts of the set, if they were asked for.
     Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
 }
@@ -125,24 +124,28 @@ impl Engine {
     /// [`Code::Internal`] if the operating system gives no thread, or the built-in schema is broken.
     pub(crate) fn start() -> Result<Self, Rejection> {
         let internal = |fault: String| Rejection::new(Code::Internal, "policies cannot be evaluated").found(fault);
-        let (schema, _) = Schema::from_cedarschema_str(SCHEMA).map_err(|fault| internal(fault.to_string()))?;
+        let mut validators = Validators::new();
+        for text in schemas() {
+            let (schema, _) = Schema::from_cedarschema_str(text).map_err(|fault| internal(fault.to_string()))?;
+            validators.insert(text, Validator::new(schema));
+        }
         let (jobs, queue) = sync_channel(QUEUE_MAX);
         std::thread::Builder::new()
             .name("policies".to_owned())
             .stack_size(STACK_BYTES)
-            .spawn(move || serve(&queue, &Validator::new(schema)))
+            .spawn(move || serve(&queue, &validators))
             .map_err(|fault| internal(fault.to_string()))?;
         Ok(Self { jobs })
     }
 
-    /// Is this text acceptable as a policy?
+    /// Is this text acceptable as a policy under that schema?
     ///
     /// # Errors
     /// [`Code::PolicyInvalid`] with the first faults.
-    pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
+    pub(crate) fn check(&self, schema: &'static str, text: &str) -> Result<(), Rejection> {
         check_limits(text)?;
         let (reply, answer) = sync_channel(1);
-        let faults = self.jobs.send(Job::Check(text.to_owned(), reply)).ok().and_then(|()| answer.recv().ok());
+        let faults = self.jobs.send(Job::Check(schema, text.to_owned(), reply)).ok().and_then(|()| answer.recv().ok());
         let Err(mut faults) = faults.unwrap_or_else(|| Err(vec!["the policy thread is gone".to_owned()])) else {
             return Ok(());
         };
@@ -265,14 +268,18 @@ struct Parsed {
     bytes: usize,
 }
 
-fn serve(queue: &Receiver<Job>, validator: &Validator) {
+/// One for each schema.
+type Validators = BTreeMap<&'static str, Validator>;
+
+fn serve(queue: &Receiver<Job>, validators: &Validators) {
     let mut parsed: BTreeMap<Hash, Parsed> = BTreeMap::new();
     while let Ok(job) = queue.recv() {
         // A caller that has given up waiting is no fault of ours.
         match job {
-            Job::Check(text, reply) => {
-                let outcome = catch_unwind(|| validate(validator, &text));
-                let _ = reply.send(outcome.unwrap_or_else(|_| Err(vec!["Cedar panicked on it".to_owned()])));
+            Job::Check(schema, text, reply) => {
+                let outcome = validators.get(schema).map(|validator| catch_unwind(|| validate(validator, &text)));
+                let fault = || Err(vec!["Cedar panicked on it, or knows no such schema".to_owned()]);
+                let _ = reply.send(outcome.and_then(Result::ok).unwrap_or_else(fault));
             }
             Job::Decide(question, texts, reply) => {
                 let outcome = catch_unwind(AssertUnwindSafe(|| {

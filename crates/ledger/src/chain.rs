@@ -2,6 +2,7 @@
 
 mod admission;
 mod readers;
+mod rules;
 mod storage;
 
 pub use admission::{Admission, Ground, Refusal, Step};
@@ -10,10 +11,11 @@ use crate::block::{Header, Payload, leaf};
 use crate::chaincode::{Context, Environment, Registry};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
-use crate::governance::{self, Governance, ORGANISATION_KEYS, certificate_key, revoked_key};
+use crate::governance::{self, Governance, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::members::Membership;
 use crate::network::Genesis;
+use crate::rules::Schedule;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use crate::verified::Verified;
 use crate::window::Window;
@@ -42,6 +44,10 @@ pub struct Ledger {
     results: Arc<ResultStore>,
     /// The result of the genesis block, which is in no file.
     genesis: BlockResult,
+    /// Number of the rules that the network was founded with.
+    founded: u32,
+    /// Which rules it has at which height.
+    schedule: RwLock<Schedule>,
     /// Blocks between two snapshots.
     snapshot_every: u64,
     identities: Identities,
@@ -104,7 +110,7 @@ impl Ledger {
     ///
     /// # Errors
     /// [`Code::Corrupt`] if state or results are of another network, cannot be read or do not belong together: rebuild
-    /// both then.
+    /// both then. [`Code::UnknownRules`] if this release does not speak the rules of the next block.
     pub fn open(
         genesis_bytes: &[u8],
         mut registry: Registry,
@@ -129,19 +135,24 @@ impl Ledger {
             Ok(())
         })?;
         window.forget_before(tip.time);
-        Ok(Self {
+        let schedule = Schedule::new(founding.rules, governance::activations(&*state)?);
+        let ledger = Self {
             network,
             registry,
             identities: Identities::read(&*state)?,
             state,
             results,
             genesis,
+            founded: founding.rules,
+            schedule: RwLock::new(schedule),
             snapshot_every: founding.snapshot_every,
             verified: Verified::default(),
             window: RwLock::new(window),
             writes: Mutex::default(),
             flushing: Mutex::default(),
-        })
+        };
+        ledger.rules_of(tip.height + 1)?;
+        Ok(ledger)
     }
 
     /// Name of the network.
@@ -180,8 +191,8 @@ impl Ledger {
     /// Executes the next block and makes its writes visible.
     ///
     /// # Errors
-    /// [`Code::ChainInvalid`] if the entry is not the next one, or a fault of the store. The node must stop then:
-    /// it cannot know what the others know.
+    /// [`Code::ChainInvalid`] if the entry is not the next one, [`Code::UnknownRules`] if this release does not speak its
+    /// rules, or a fault of the store. The node must stop then: it cannot know what the others know.
     pub fn apply(&self, entry: &Entry) -> Result<Outcome, Rejection> {
         let previous = self.tip();
         if entry.index != previous.height + 1 || entry.term < previous.term {
@@ -191,6 +202,7 @@ impl Ledger {
         }
         let executor = Executor {
             network: self.network,
+            rules: self.rules_of(entry.index)?,
             registry: &self.registry,
             identities: &self.identities,
             state: Arc::clone(&self.state) as Arc<dyn StateRead>,
@@ -203,6 +215,7 @@ impl Ledger {
             .range::<[u8], _>((Bound::Included(ORGANISATION_KEYS), Bound::Unbounded))
             .next()
             .is_some_and(|(key, _)| key.starts_with(ORGANISATION_KEYS));
+        let changed_rules = writes.contains_key(RULES_KEY);
         let (hash, digest, kind) = (tip.hash, tip.digest, result.kind());
         // Who sees the block as executed finds all of it.
         self.results.push(tip.height, &result, &foretold)?;
@@ -216,6 +229,9 @@ impl Ledger {
         self.state.commit(writes, tip, cut);
         if changed_organisations {
             self.identities.reload(&*self.state)?;
+        }
+        if changed_rules {
+            self.reload_rules()?;
         }
         Ok(Outcome { header, hash, digest, kind, transactions, ids, results: result.results, events: result.events })
     }
@@ -390,8 +406,8 @@ impl Ledger {
     }
 
     fn environment<'a>(&'a self, submitter: Option<&'a Identity>, tip: &Tip, time: u64) -> Environment<'a> {
-        let (registry, network) = (&self.registry, self.network);
-        Environment { registry, submitter, network, height: tip.height, time, transaction: Hash::ZERO }
+        let (registry, network, rules) = (&self.registry, self.network, self.rules());
+        Environment { registry, submitter, network, rules, height: tip.height, time, transaction: Hash::ZERO }
     }
 
     fn overlay(&self) -> Overlay {

@@ -5,6 +5,7 @@ use crate::chaincode::{Environment, Registry};
 use crate::governance::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::identities::Identities;
 use crate::network::Genesis;
+use crate::rules::Rules;
 use crate::transaction::Transaction;
 use crate::window::Window;
 use bytes::Bytes;
@@ -22,6 +23,8 @@ use std::sync::{Arc, PoisonError, RwLock};
 /// The needs of the execution of a block besides the block.
 pub(crate) struct Executor<'a> {
     pub(crate) network: Hash,
+    /// By which the block is executed.
+    pub(crate) rules: Rules,
     pub(crate) registry: &'a Registry,
     pub(crate) identities: &'a Identities,
     pub(crate) state: Arc<dyn StateRead>,
@@ -127,6 +130,7 @@ impl Executor<'_> {
             registry: self.registry,
             submitter: None,
             network: self.network,
+            rules: self.rules,
             height: header.height,
             time: header.time,
             transaction: Hash::ZERO,

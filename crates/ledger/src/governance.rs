@@ -16,6 +16,9 @@
 //! | `join_organisation {...}` ([`JoinOrganisation`]) | any node, for the newcomer | [`Organisation`] |
 //! | `update_organisation {roots, intermediates}` | an admin, for their own | [`Organisation`] |
 //! | `remove_organisation {name}` | an admin, with approval | [`Decision`] |
+//! | `rules` | | [`RulesOverview`] |
+//! | `speak {newest, release}` | a node, for itself | [`NodeRecord`] |
+//! | `activate_rules {number, height?}` | an admin, with approval | [`Decision`] |
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
 //! | `revoke ISSUER SERIAL [REASON]` | an admin of the issuing organisation | [`RevocationRecord`] |
@@ -30,14 +33,15 @@
 //! | `carry_ca {...}` ([`CarryCa`]) | a node, for itself | nothing |
 //! | `uncarry_ca {organisation, node?}` | a node for itself, or an admin of the organisation | nothing |
 //!
-//! Events: `joined`, `moved` and `role_changed` with the [`NodeRecord`] and the node as subject; `proposed`,
+//! Events: `joined`, `moved`, `role_changed` and `speaks` with the [`NodeRecord`] and the node as subject; `proposed`,
 //! `approved`, `withdrawn` and `executed` with the [`Proposal`] and its id; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its name;
 //! `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial number;
 //! `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with organisation,
 //! name, role and who did it, and `certified` with the [`IssuedCertificate`], all with `ORGANISATION/NAME`;
 //! `ca_carried` and
-//! `ca_dropped` with the [`CarrierRecord`] and the node.
+//! `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with the
+//! [`crate::Activation`] and the number.
 
 mod attestations;
 mod caller;
@@ -49,6 +53,7 @@ mod organisations;
 mod proposals;
 mod read;
 mod revocations;
+mod rules;
 mod store;
 
 pub use attestations::{Attest, Attestation, AttestationRecord};
@@ -67,9 +72,10 @@ pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{Action, Decision, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal};
 pub use read::{attestations, invitation, members, nodes, organisations};
 pub use revocations::RevocationRecord;
+pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
-pub(crate) use read::members_record;
-pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, certificate_key, revoked_key};
+pub(crate) use read::{activations, members_record};
+pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
 
 use crate::chaincode::{Chaincode, Context};
 use crate::members::Membership;
@@ -83,7 +89,8 @@ use store::{full, json};
 pub const NAME: &str = "msp";
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 26] = [
+const FUNCTIONS: [(&str, &str); 29] = [
+    ("activate_rules", "RULES_JSON"),
     ("approve", "ID"),
     ("attest", "ATTEST_JSON"),
     ("attestations", "none"),
@@ -106,14 +113,16 @@ const FUNCTIONS: [(&str, &str); 26] = [
     ("revocations", "none"),
     ("revoke", "ISSUER SERIAL [REASON]"),
     ("revoke_identity", "REVOKE_JSON"),
+    ("rules", "none"),
     ("set_node_role", "ROLE_JSON"),
+    ("speak", "SPEAKS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
     ("withdraw", "ID"),
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 19] = [
+const EVENTS: [&str; 21] = [
     "approved",
     "attested",
     "ca_carried",
@@ -132,6 +141,8 @@ const EVENTS: [&str; 19] = [
     "registration_cancelled",
     "revoked",
     "role_changed",
+    "rules_activated",
+    "speaks",
     "withdrawn",
 ];
 
@@ -180,6 +191,9 @@ impl Chaincode for Governance {
             ("join_organisation", [join]) => invitations::join(ctx, join),
             ("update_organisation", [update]) => organisations::update(ctx, update),
             ("remove_organisation", [remove]) => organisations::remove(ctx, remove),
+            ("rules", []) => rules::show(ctx),
+            ("speak", [speaks]) => rules::speak(ctx, speaks),
+            ("activate_rules", [activate]) => rules::activate(ctx, activate),
             ("proposals", []) => proposals::list(ctx),
             ("approve", [id]) => proposals::approve(ctx, id),
             ("withdraw", [id]) => proposals::withdraw(ctx, id),

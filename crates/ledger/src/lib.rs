@@ -10,7 +10,7 @@
 //! | [`Ledger`] | the chain as far as it is executed: admission, applying blocks, queries, storing |
 //! | [`Chaincode`] | a program that every node executes; [`Context`] is all that it may know |
 //! | [`governance`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
-//! | [`network`] | the genesis |
+//! | [`network`], [`Rules`] | the genesis; the numbers of the rules by which blocks are executed |
 //! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
 //! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
 //!
@@ -50,6 +50,7 @@ pub mod governance;
 mod identities;
 pub mod members;
 pub mod network;
+mod rules;
 pub mod transaction;
 mod verified;
 #[cfg(feature = "verify")]
@@ -59,3 +60,4 @@ pub mod writes;
 
 pub use chain::{Admission, Ground, Ledger, Outcome, Refusal, Seal, Step, TransactionRecord};
 pub use chaincode::{Chaincode, Context, Environment, Foretold, Registry, Revocation};
+pub use rules::{Activation, Rules};

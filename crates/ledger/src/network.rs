@@ -1,5 +1,6 @@
 //! The genesis of a network: what all its nodes agree on before the first block.
 
+use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
@@ -10,16 +11,12 @@ use std::collections::BTreeSet;
 pub const GENESIS_BYTES_MAX: usize = 1024 * 1024;
 /// Blocks between two snapshots at least, unless the network's founder chose otherwise.
 pub const SNAPSHOT_EVERY_DEFAULT: u64 = 10_000;
-/// The version of the rules by which blocks are executed.
-///
-/// 2: fields that a transaction does not have are refused, and `abac setup` refuses a robot that exists.
-pub const RULES_VERSION: u32 = 2;
 
 /// The genesis block, height 0. Its hash names the network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Genesis {
-    /// Version of the rules by which blocks are executed.
+    /// Number of the [`Rules`] by which blocks are executed from height 1 on.
     pub rules: u32,
     /// A name for people; need not be unique.
     pub label: String,
@@ -92,12 +89,13 @@ impl Genesis {
                 .wanted(format!("at most {GENESIS_BYTES_MAX} bytes")));
         }
         let genesis: Self = serde_json::from_slice(bytes).map_err(|error| wrong(error.to_string()))?;
-        if genesis.rules != RULES_VERSION {
-            let message = "genesis is not usable: the network was founded for other rules of execution";
-            return Err(Rejection::new(Code::Malformed, message)
-                .found(format!("rules version {}", genesis.rules))
-                .wanted(format!("rules version {RULES_VERSION}"))
-                .next("start it with the version of ledgerd that founded the network"));
+        if Rules::find(genesis.rules).is_none() {
+            let message =
+                "genesis is not usable: this release does not speak the rules that the network was founded with";
+            return Err(Rejection::new(Code::UnknownRules, message)
+                .found(format!("rules {}", genesis.rules))
+                .wanted(Rules::spoken())
+                .next("install the release of ledgerd that the other nodes of the network run"));
         }
         let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();
         if names.is_empty() || names.len() != genesis.organisations.len() {

@@ -165,6 +165,8 @@ codes! {
     LastOne = 3015 "LAST_ONE" Invalid;
     /// The service is in a mode whose rule this program does not know.
     UnknownMode = 3016 "UNKNOWN_MODE" Invalid;
+    /// A voter does not speak the rules of execution that are to be activated.
+    RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;
@@ -191,6 +193,8 @@ codes! {
     Internal = 5005 "INTERNAL" Failure;
     /// The world state of this node differs from that of most others.
     Diverged = 5006 "DIVERGED" Failure;
+    /// The network executes blocks by rules that this release does not speak.
+    UnknownRules = 5007 "UNKNOWN_RULES" Failure;
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid;

@@ -3,7 +3,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use bytes::Bytes;
-use ledger::network::{FoundingNode, FoundingOrganisation, Genesis, RULES_VERSION};
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Ledger, Registry};
 use ledger_hash::Hash;
@@ -102,7 +102,7 @@ impl Node {
             voter: true,
         };
         let genesis = Genesis {
-            rules: RULES_VERSION,
+            rules: ledger::Rules::NEWEST.number(),
             label: "test".into(),
             created: EPOCH - SECOND,
             salt: Hash::ZERO,

@@ -27,8 +27,8 @@ use crate::random::Random;
 use crate::trace::Trace;
 use bytes::Bytes;
 use ledger::members::Membership;
-use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
-use ledger::{Chaincode, Outcome};
+use ledger::network::{FoundingNode, Genesis};
+use ledger::{Chaincode, Outcome, Rules};
 use ledger_hash::Hash;
 use ledger_raft::Desired;
 use ledger_storage::entry::Entry;
@@ -342,7 +342,7 @@ fn found(plan: &Plan, people: &People, seed: u64) -> (Bytes, Hash) {
         voter: id <= plan.voters,
     });
     let genesis = Genesis {
-        rules: RULES_VERSION,
+        rules: Rules::NEWEST.number(),
         label: "simulated".into(),
         created: EPOCH - SECOND,
         salt: Hash::of(&[&seed.to_be_bytes()]),

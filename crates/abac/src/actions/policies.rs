@@ -2,9 +2,10 @@
 
 use super::{end, robots};
 use crate::arguments::{Arguments, shown};
+use crate::policy::POLICY_BYTES_MAX;
 use crate::policy::decider::Decider;
+use crate::policy::defaults::Defaults;
 use crate::policy::texts::{DEFAULT_ID, POLICIES_MAX, hash, own};
-use crate::policy::{DEFAULT_POLICY, POLICY_BYTES_MAX};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
@@ -31,7 +32,7 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         ("put", true) => {
             check_id(id)?;
             let text = args.document(2, "TEXT", DOCUMENT_BYTES_MAX)?;
-            decider.check(text)?;
+            decider.check(ctx, text)?;
             if ctx.get(&key).is_none() && own(ctx, organisation)?.len() >= POLICIES_MAX {
                 return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has too many policies"))
                     .found(format!("{POLICIES_MAX} policies"))
@@ -73,8 +74,11 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
 /// `policies`: those of every organisation, and the built-in one.
 pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
     Arguments::new("policies", args, 0, 0)?;
-    let built_in =
-        PolicyEntry { organisation: String::new(), id: DEFAULT_ID.to_owned(), text: DEFAULT_POLICY.to_owned() };
+    let built_in = PolicyEntry {
+        organisation: String::new(),
+        id: DEFAULT_ID.to_owned(),
+        text: Defaults::of(ctx.rules()).policy.to_owned(),
+    };
     let mut entries = vec![built_in];
     for (key, value) in ctx.range(b"policy/", LISTED_MAX) {
         let text = String::from_utf8_lossy(&value).into_owned();

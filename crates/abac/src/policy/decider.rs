@@ -1,5 +1,6 @@
 //! Who may: asks the owner's policies and remembers the answers.
 
+use super::defaults::Defaults;
 use super::{Answer, Engine, Question, Resource, User, Verdict, refusal, texts};
 use crate::records::Records;
 use crate::records::principal::Principal;
@@ -62,8 +63,8 @@ impl Decider {
     }
 
     /// Is this text acceptable as a policy?
-    pub(crate) fn check(&self, text: &str) -> Result<(), Rejection> {
-        self.engine.check(text)
+    pub(crate) fn check(&self, ctx: &Context<'_>, text: &str) -> Result<(), Rejection> {
+        self.engine.check(Defaults::of(ctx.rules()).schema, text)
     }
 
     /// May this principal do that, says the owner of the robot?

@@ -1,6 +1,7 @@
 //! The policies on the ledger: every organisation keeps its own, and they decide about its robots only.
 
-use super::{DEFAULT_POLICY, Texts};
+use super::Texts;
+use super::defaults::Defaults;
 use crate::records::store;
 use ledger::Context;
 use ledger_hash::Hash;
@@ -14,13 +15,14 @@ pub(crate) const DEFAULT_ID: &str = "default";
 /// The policies that decide about the robots of an organisation.
 pub(crate) fn in_force(ctx: &Context<'_>, organisation: &str) -> Result<Texts, Rejection> {
     let own = own(ctx, organisation)?;
-    Ok(if own.is_empty() { vec![(DEFAULT_ID.to_owned(), DEFAULT_POLICY.to_owned())] } else { own })
+    let default = || (DEFAULT_ID.to_owned(), Defaults::of(ctx.rules()).policy.to_owned());
+    Ok(if own.is_empty() { vec![default()] } else { own })
 }
 
-/// The hash that names them; zero for the built-in one.
+/// The hash that names them.
 pub(crate) fn version(ctx: &Context<'_>, organisation: &str) -> Result<Hash, Rejection> {
     match ctx.get(&store::version_key(organisation)) {
-        None => Ok(Hash::ZERO),
+        None => Ok(Defaults::of(ctx.rules()).version),
         Some(value) => Hash::from_slice(&value).ok_or_else(|| {
             Rejection::new(Code::Corrupt, format!("policy version of {organisation} is not readable"))
                 .found(format!("{} bytes", value.len()))

@@ -192,7 +192,9 @@ mod tests {
     fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection> {
         let registry = Registry::new();
         let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
-        let environment = Environment { registry: &registry, submitter, network, height: 1, time: 0, transaction };
+        let rules = ledger::Rules::NEWEST;
+        let environment =
+            Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         body(&mut Context::new(environment, "abac", &mut overlay, &mut events));
         overlay.finish().map(drop)

@@ -63,7 +63,9 @@ mod tests {
     fn after_both(sequence: Sequence) -> [u64; 2] {
         let registry = Registry::new();
         let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
-        let environment = Environment { registry: &registry, submitter, network, height: 1, time: 0, transaction };
+        let rules = ledger::Rules::NEWEST;
+        let environment =
+            Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         let mut ctx = Context::new(environment, "abac", &mut overlay, &mut events);
         for (epoch, seq, publisher) in [(1, 9, "Org1/Salma"), (2, 4, "Org1/Farhad")] {

@@ -80,7 +80,7 @@ fn same(a: &Bytes, b: &Bytes) -> bool {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::{Environment, Registry};
+    use ledger::{Environment, Registry, Rules};
     use ledger_hash::Hash;
     use ledger_storage::state::MemoryState;
     use ledger_storage::state::Overlay;
@@ -93,6 +93,7 @@ mod tests {
             registry: &registry,
             submitter: None,
             network: Hash::ZERO,
+            rules: Rules::NEWEST,
             height: 1,
             time: 0,
             transaction: Hash::ZERO,

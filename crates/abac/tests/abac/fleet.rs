@@ -1,7 +1,7 @@
 //! The network of the paper in memory: two organisations, their people, three robots, and a block at a time.
 
 use bytes::Bytes;
-use ledger::{Chaincode, Context, Environment, Registry, Revocation};
+use ledger::{Chaincode, Context, Environment, Registry, Revocation, Rules};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
@@ -270,6 +270,7 @@ impl Fleet {
             registry: &self.registry,
             submitter,
             network: Hash::ZERO,
+            rules: Rules::NEWEST,
             height: self.height,
             time: self.time,
             transaction: self.transaction,

@@ -6,6 +6,7 @@ mod invite;
 mod nodes;
 mod organisations;
 mod proposals;
+mod rules;
 mod status;
 
 use crate::answer;
@@ -35,6 +36,7 @@ pub(crate) enum Network {
     RemoveOrganisation(change::RemoveOrganisation),
     Transfer(change::Transfer),
     Proposals(proposals::List),
+    Rules(rules::Rules),
     Approve(proposals::Approve),
     Withdraw(proposals::Withdraw),
 }
@@ -52,6 +54,7 @@ impl Network {
             Self::Remove(command) => command.run(session, output).await,
             Self::RemoveOrganisation(command) => command.run(session, output).await,
             Self::Transfer(command) => command.run(session, output).await,
+            Self::Rules(command) => command.run(session, output).await,
             Self::Proposals(_) => proposals::run(session, output).await,
             Self::Approve(command) => command.run(session, output).await,
             Self::Withdraw(command) => command.run(session, output).await,
@@ -111,7 +114,14 @@ mod tests {
     use super::*;
 
     fn node(id: u64, organisation: &str, name: &str, role: NodeRole) -> NodeRecord {
-        NodeRecord { id, name: name.into(), organisation: organisation.into(), address: format!("{name}:1"), role }
+        NodeRecord {
+            id,
+            name: name.into(),
+            organisation: organisation.into(),
+            address: format!("{name}:1"),
+            role,
+            speaks: None,
+        }
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! The world as a running chaincode sees it.
 
 use super::{Chaincode, Registry, Revocation};
+use crate::rules::Rules;
 use bytes::{BufMut, Bytes, BytesMut};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -27,12 +28,28 @@ pub struct Environment<'a> {
     pub submitter: Option<&'a Identity>,
     /// Name of the network: hash of its genesis block.
     pub network: Hash,
+    /// The rules by which the block is executed; for queries, those of the next block.
+    pub rules: Rules,
     /// Height of the block that is executed; for queries, the committed height.
     pub height: u64,
     /// Block time, microseconds since the UNIX epoch.
     pub time: u64,
     /// Id of the transaction; zero in hooks and queries.
     pub transaction: Hash,
+}
+
+impl Environment<'_> {
+    /// Refuses an answer that is too long for a transaction. Queries may answer with more: nobody stores that.
+    pub(super) fn check_answer(&self, answer: &Bytes) -> Result<(), Rejection> {
+        let max = self.rules.answer_bytes_max();
+        if self.transaction == Hash::ZERO || answer.len() <= max {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::LimitExceeded, "the answer is too long for a transaction")
+            .found(format!("{} bytes", answer.len()))
+            .wanted(format!("at most {max} bytes"))
+            .next("ask with a query: what only reads needs no transaction"))
+    }
 }
 
 /// All that a chaincode may know and do. Its keys are its own: no other chaincode sees them.
@@ -127,6 +144,11 @@ impl<'a> Context<'a> {
     /// Name of the network: hash of its genesis block.
     pub fn network(&self) -> Hash {
         self.environment.network
+    }
+
+    /// The rules by which the block is executed. What differs between two of them asks here, and nowhere else.
+    pub fn rules(&self) -> Rules {
+        self.environment.rules
     }
 
     /// Id of the transaction that is executed; zero in hooks and queries.

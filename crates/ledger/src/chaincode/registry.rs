@@ -106,7 +106,11 @@ impl Registry {
         args: &[Bytes],
     ) -> Result<Bytes, Rejection> {
         let callee = environment.registry.find(chaincode)?;
-        run(environment, callee.name(), 0, overlay, events, |ctx| callee.invoke(ctx, function, args))
+        run(environment, callee.name(), 0, overlay, events, |ctx| {
+            let answer = callee.invoke(ctx, function, args)?;
+            environment.check_answer(&answer)?;
+            Ok(answer)
+        })
     }
 
     /// The answer and the events of a successful call, if the call alone determines them ([`Chaincode::foretell`]).

@@ -5,8 +5,9 @@
 
 use super::caller::{admin, check_address, node, object};
 use super::proposals::{Action, Decision, decide};
+use super::rules::Speaks;
 use super::store::{self, MEMBERS_KEY, NEXT_NODE, NODES, json, node_key};
-use super::{NAME, attestations, carriers};
+use super::{NAME, attestations, carriers, rules};
 use crate::chaincode::Context;
 use crate::members::{Membership, NODES_MAX};
 use crate::network::Genesis;
@@ -60,6 +61,9 @@ pub struct NodeRecord {
     pub address: String,
     /// Its wanted role.
     pub role: NodeRole,
+    /// Which rules it speaks; none if it has said nothing: then those in force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speaks: Option<Speaks>,
 }
 
 impl NodeRecord {
@@ -99,6 +103,7 @@ pub(super) fn founding(genesis: &Genesis) -> (Vec<NodeRecord>, u64) {
         organisation: node.organisation.clone(),
         address: node.address.clone(),
         role: if node.voter { NodeRole::Voter } else { NodeRole::Learner },
+        speaks: None,
     });
     (nodes.collect(), genesis.nodes.iter().map(|node| node.id).max().unwrap_or(0).saturating_add(1))
 }
@@ -120,7 +125,8 @@ pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
     json(&Nodes { nodes: all(ctx)?, members: members(ctx)? })
 }
 
-fn members(ctx: &Context<'_>) -> Result<Membership, Rejection> {
+/// The members in fact.
+pub(super) fn members(ctx: &Context<'_>) -> Result<Membership, Rejection> {
     let key = MEMBERS_KEY.get(NAME.len() + 1..).unwrap_or_default();
     let record = ctx.get(key).ok_or_else(|| Rejection::new(Code::Corrupt, "the ledger holds no members"))?;
     store::parse(key, &record)
@@ -179,6 +185,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         organisation: caller.organisation.clone(),
         address: join.address,
         role: NodeRole::Learner,
+        speaks: None,
     };
     write(ctx, &node)?;
     ctx.emit("joined", &node.full_name(), json(&node)?);
@@ -239,7 +246,7 @@ pub(super) fn set_role(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
         }
     };
     let Some(node) = node else { return Err(no_such_node(&nodes)) };
-    check_change(&nodes, node, set.role)?;
+    check_change(ctx, &nodes, node, set.role)?;
     if node.role == set.role {
         return json(&Decision::done(None));
     }
@@ -279,15 +286,18 @@ fn change_role(
     node: &NodeRecord,
     role: NodeRole,
 ) -> Result<(), Rejection> {
-    check_change(nodes, node, role)?;
+    check_change(ctx, nodes, node, role)?;
     put_role(ctx, node, role)
 }
 
-fn check_change(nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
+fn check_change(ctx: &Context<'_>, nodes: &[NodeRecord], node: &NodeRecord, role: NodeRole) -> Result<(), Rejection> {
     if node.role == NodeRole::Removed && role != NodeRole::Removed {
         return Err(Rejection::new(Code::NotAMember, format!("node {} ({}) was removed", node.id, node.full_name()))
             .wanted("a node of the network; numbers are never used again")
             .next("let it join again as a new node: ledgerctl network invite --node NAME"));
+    }
+    if role == NodeRole::Voter {
+        rules::check_voter(ctx, node)?;
     }
     let (voters, _) = desired(nodes);
     if role != NodeRole::Voter && voters.len() == 1 && voters.contains(&node.id) {
@@ -326,7 +336,8 @@ fn forget_removed(ctx: &mut Context<'_>) -> Result<(), Rejection> {
     Ok(())
 }
 
-fn write(ctx: &mut Context<'_>, node: &NodeRecord) -> Result<(), Rejection> {
+/// Writes a record.
+pub(super) fn write(ctx: &mut Context<'_>, node: &NodeRecord) -> Result<(), Rejection> {
     store::write(ctx, &node_key(node.id), node)
 }
 
@@ -348,6 +359,7 @@ mod tests {
             organisation: "Org1".into(),
             address: format!("h:{id}"),
             role,
+            speaks: None,
         };
         let nodes = [
             node(4, NodeRole::Learner),

@@ -8,7 +8,7 @@
 use super::caller::{admin, bad, text};
 use super::nodes::{self, NodeRole};
 use super::store::{self, NEXT_PROPOSAL, PROPOSALS, json, proposal_key};
-use super::{invitations, organisations};
+use super::{invitations, organisations, rules};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
@@ -50,6 +50,14 @@ pub enum Action {
     RemoveOrganisation {
         /// Its name.
         name: String,
+    },
+    /// Blocks are executed by newer rules.
+    ActivateRules {
+        /// Number of the rules.
+        number: u32,
+        /// They hold from this block on at the earliest.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        height: Option<u64>,
     },
 }
 
@@ -214,6 +222,7 @@ fn execute(ctx: &mut Context<'_>, proposal: &Proposal) -> Result<(), Rejection> 
             invitations::execute(ctx, name, *key, *expires, &proposal.organisation)?;
         }
         Action::RemoveOrganisation { name } => organisations::execute_remove(ctx, name)?,
+        Action::ActivateRules { number, height } => rules::execute(ctx, *number, *height)?,
     }
     ctx.delete(proposal_key(&proposal.id).as_bytes());
     ctx.emit("executed", &proposal.id.to_string(), json(proposal)?);

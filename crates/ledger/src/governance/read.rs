@@ -5,10 +5,11 @@ use super::invitations::Invitation;
 use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
 use super::store::{
-    ATTESTATIONS, MEMBERS_KEY, NODES, ORGANISATIONS, invitation_key, json, list_state, parse, read_state,
+    ACTIVATIONS, ATTESTATIONS, MEMBERS_KEY, NODES, ORGANISATIONS, invitation_key, json, list_state, parse, read_state,
 };
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;
+use crate::rules::Activation;
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
@@ -54,6 +55,11 @@ pub fn members(state: &dyn StateRead) -> Result<Membership, Rejection> {
     let record =
         state.get(MEMBERS_KEY)?.ok_or_else(|| Rejection::new(Code::Corrupt, "the world state holds no members"))?;
     parse(MEMBERS_KEY, &record)
+}
+
+/// The rules that were activated, in order of heights.
+pub(crate) fn activations(state: &dyn StateRead) -> Result<Vec<Activation>, Rejection> {
+    Ok(read_state(state, ACTIVATIONS)?.unwrap_or_default())
 }
 
 /// The members as they stand on the ledger.

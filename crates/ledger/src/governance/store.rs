@@ -6,6 +6,7 @@
 //! | `former/<name>` | an organisation that was removed, as it was last |
 //! | `node/<id, 20 digits>` | [`super::NodeRecord`] |
 //! | `next/node`, `next/proposal` | the next number, never given twice |
+//! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
 //! | `proposal/<id>` | [`super::Proposal`] |
 //! | `invitation/<name>` | [`super::Invitation`] |
@@ -28,6 +29,8 @@ use serde::de::DeserializeOwned;
 
 /// Where the members stand: written by the execution of the blocks that change them, never by a transaction.
 pub(crate) const MEMBERS_KEY: &[u8] = b"msp\0members";
+/// Which rules were activated at which heights; a block that writes it may change the rules of the next one.
+pub(crate) const RULES_KEY: &[u8] = b"msp\0rules";
 /// Keys of the organisations start with this; a block that writes one changes whom the next block trusts.
 pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
 
@@ -38,6 +41,7 @@ pub(super) const INVITATIONS: &str = "invitation/";
 pub(super) const ATTESTATIONS: &str = "attestation/";
 pub(super) const CARRIERS: &str = "carrier/";
 pub(super) const REVOKED: &[u8] = b"revoked/";
+pub(super) const ACTIVATIONS: &str = "rules";
 pub(super) const NEXT_NODE: &str = "next/node";
 pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
 

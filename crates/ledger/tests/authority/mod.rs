@@ -3,8 +3,11 @@
 
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
+use ledger_identity::certificate::{ATTRIBUTES_OID, encode_attributes};
 use ledger_identity::key::{KeyKind, SigningKey};
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use rcgen::{
+    BasicConstraints, CertificateParams, CertifiedIssuer, CustomExtension, DnType, IsCa, KeyPair, KeyUsagePurpose,
+};
 use ring::rand::SystemRandom;
 
 /// An organisation's CA.
@@ -34,9 +37,22 @@ impl Ca {
     }
 
     pub(crate) fn user(&self, name: &str, unit: &str, kind: KeyKind) -> User {
+        self.issue(params(name, unit), kind)
+    }
+
+    /// Somebody with attributes, each of them `true`.
+    pub(crate) fn user_with(&self, name: &str, unit: &str, attributes: &[&str]) -> User {
+        let attributes = attributes.iter().map(|name| ((*name).to_owned(), "true".to_owned())).collect();
+        let extension = CustomExtension::from_oid_content(ATTRIBUTES_OID, encode_attributes(&attributes).unwrap());
+        let mut params = params(name, unit);
+        params.custom_extensions.push(extension);
+        self.issue(params, KeyKind::Ed25519)
+    }
+
+    fn issue(&self, params: CertificateParams, kind: KeyKind) -> User {
         let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
         let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
-        let certificate = params(name, unit).signed_by(&public, &self.0).unwrap();
+        let certificate = params.signed_by(&public, &self.0).unwrap();
         User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
     }
 

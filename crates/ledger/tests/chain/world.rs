@@ -3,9 +3,9 @@
 pub(crate) use crate::authority::{Ca, User};
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
+use ledger::network::{FoundingNode, Genesis};
 use ledger::transaction::{Body, Transaction};
-use ledger::{Chaincode, Context, Foretold, Ledger, Outcome, Registry, Revocation};
+use ledger::{Chaincode, Context, Foretold, Ledger, Outcome, Registry, Revocation, Rules};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::disk::SimDisk;
@@ -133,7 +133,7 @@ impl World {
     pub(crate) fn new() -> Self {
         let (org1, org2) = (Ca::new("org1-ca"), Ca::new("org2-ca"));
         let genesis = Genesis {
-            rules: RULES_VERSION,
+            rules: Rules::NEWEST.number(),
             label: "test".into(),
             created: NOW - SECOND,
             salt: Hash::ZERO,

@@ -9,4 +9,5 @@ mod attestations;
 mod identities;
 mod nodes;
 mod organisations;
+mod rules;
 mod world;

@@ -4,9 +4,9 @@ pub(crate) use crate::authority::{Ca, User};
 use bytes::Bytes;
 use ledger::block::Payload;
 use ledger::governance::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
-use ledger::network::{FoundingNode, Genesis, RULES_VERSION};
+use ledger::network::{FoundingNode, Genesis};
 use ledger::transaction::{Body, Transaction};
-use ledger::{Chaincode, Context, Ledger, Registry};
+use ledger::{Chaincode, Context, Ledger, Registry, Rules};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
@@ -32,8 +32,11 @@ impl Chaincode for Listener {
         "listener"
     }
 
-    fn invoke(&self, ctx: &mut Context<'_>, _function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
-        Ok(ctx.get(b"removed").unwrap_or_default())
+    fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        match (function, args) {
+            ("echo", [text]) => Ok(text.clone()),
+            _ => Ok(ctx.get(b"removed").unwrap_or_default()),
+        }
     }
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
@@ -41,11 +44,18 @@ impl Chaincode for Listener {
     }
 }
 
+fn registry() -> Registry {
+    let mut registry = Registry::new();
+    registry.install(Arc::new(Listener)).unwrap();
+    registry
+}
+
 pub(crate) struct Network {
     pub(crate) cas: Vec<Ca>,
     admins: Vec<User>,
     nodes: Vec<User>,
     pub(crate) ledger: Ledger,
+    stores: (Bytes, Arc<State>, Arc<ResultStore>),
     pub(crate) time: u64,
     nonce: u64,
     /// Events of the last block.
@@ -55,6 +65,11 @@ pub(crate) struct Network {
 impl Network {
     /// `Org1`, `Org2` …, each with an admin and a node `nodeN`; the first `voters` of the nodes vote.
     pub(crate) fn new(organisations: usize, voters: usize) -> Self {
+        Self::founded_with(Rules::NEWEST, organisations, voters)
+    }
+
+    /// The same with other rules.
+    pub(crate) fn founded_with(rules: Rules, organisations: usize, voters: usize) -> Self {
         let cas: Vec<_> = (1..=organisations).map(|number| Ca::new(&format!("org{number}-ca"))).collect();
         let node = |index: usize| FoundingNode {
             id: index as u64 + 1,
@@ -64,7 +79,7 @@ impl Network {
             voter: index < voters,
         };
         let genesis = Genesis {
-            rules: RULES_VERSION,
+            rules: rules.number(),
             label: "test".into(),
             created: START,
             salt: Hash::ZERO,
@@ -72,25 +87,36 @@ impl Network {
             organisations: (1..).zip(&cas).map(|(number, ca)| ca.organisation(&format!("Org{number}"))).collect(),
             nodes: (0..organisations).map(node).collect(),
         };
-        let mut registry = Registry::new();
-        registry.install(Arc::new(Listener)).unwrap();
-        let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-        let ledger =
-            Ledger::open(&genesis.to_bytes().unwrap(), registry, state, Arc::new(ResultStore::in_memory())).unwrap();
+        let genesis = genesis.to_bytes().unwrap();
+        let (state, results) = (State::open(Box::new(MemoryState::default())).unwrap(), ResultStore::in_memory());
+        let (state, results) = (Arc::new(state), Arc::new(results));
+        let ledger = Ledger::open(&genesis, registry(), Arc::clone(&state), Arc::clone(&results)).unwrap();
         let admins = cas.iter().map(|ca| ca.user("Admin", "admin", KeyKind::Ed25519)).collect();
         let nodes =
             (1..).zip(&cas).map(|(number, ca)| ca.user(&format!("node{number}"), "node", KeyKind::Ed25519)).collect();
-        Self { cas, admins, nodes, ledger, time: START, nonce: 0, events: Vec::new() }
+        let stores = (genesis, state, results);
+        Self { cas, admins, nodes, ledger, stores, time: START, nonce: 0, events: Vec::new() }
+    }
+
+    /// The ledger as it is after a restart.
+    pub(crate) fn open_again(&self) -> Result<Ledger, Rejection> {
+        let (genesis, state, results) = &self.stores;
+        Ledger::open(genesis, registry(), Arc::clone(state), Arc::clone(results))
     }
 
     pub(crate) fn sign(&mut self, by: &User, function: &str, args: &[&str]) -> Transaction {
+        self.sign_for("msp", by, function, args)
+    }
+
+    /// As [`Network::sign`], for another chaincode.
+    pub(crate) fn sign_for(&mut self, chaincode: &str, by: &User, function: &str, args: &[&str]) -> Transaction {
         self.nonce += 1;
         let body = Body {
             network: Bytes::copy_from_slice(&self.ledger.network().0),
             creator: Bytes::copy_from_slice(&Hash::of(&[&by.certificate]).0),
             nonce: [&self.nonce.to_be_bytes()[..], &[0; 8]].concat().into(),
             not_after: self.time + 60 * SECOND,
-            chaincode: "msp".into(),
+            chaincode: chaincode.into(),
             function: function.into(),
             args: args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect(),
         };

@@ -1,7 +1,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
-use ledger::{Environment, Registry};
+use ledger::{Environment, Registry, Rules};
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
 use ledger_identity::{Identity, Role};
@@ -67,6 +67,7 @@ impl World {
             registry: &self.registry,
             submitter: Some(who),
             network: Hash::ZERO,
+            rules: Rules::NEWEST,
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,

@@ -136,7 +136,8 @@ impl RemoveOrganisation {
     }
 }
 
-async fn decide(
+/// Calls a function that may need approval, and tells what came of it.
+pub(super) async fn decide(
     session: &Session,
     output: &mut Output,
     function: &str,
@@ -187,6 +188,7 @@ mod tests {
             organisation: organisation.into(),
             address: "h:1".into(),
             role: NodeRole::Voter,
+            speaks: None,
         };
         let carrier = |organisation: &str, node: &str| CarrierRecord {
             organisation: organisation.into(),

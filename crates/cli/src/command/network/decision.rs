@@ -45,6 +45,8 @@ pub(super) fn what(action: &Action) -> String {
         Action::SetNodeRole { id, node, role } => format!("make node {node} (id {id}) a {role}"),
         Action::InviteOrganisation { name, .. } => format!("invite organisation {name}"),
         Action::RemoveOrganisation { name } => format!("remove organisation {name}"),
+        Action::ActivateRules { number, height: None } => format!("activate rules {number}"),
+        Action::ActivateRules { number, height: Some(height) } => format!("activate rules {number} at block {height}"),
     }
 }
 

@@ -264,6 +264,7 @@ mod tests {
             organisation: organisation.into(),
             address: format!("node{id}:7450"),
             role,
+            speaks: None,
         };
         let nodes = [
             node(1, "Org1", NodeRole::Voter),

@@ -1,0 +1,145 @@
+use crate::world::{Network, code, is_executed, json, waiting};
+use bytes::Bytes;
+use ledger::block::Payload;
+use ledger::governance::{NodeRecord, RulesOverview, Speaks};
+use ledger::{Activation, Rules};
+use ledger_identity::key::KeyKind;
+use ledger_rejection::Code;
+use ledger_storage::entry::{Entry, EntryKind};
+
+fn speaks(newest: u32) -> String {
+    format!(r#"{{"newest":{newest},"release":"9.0.0"}}"#)
+}
+
+fn activate(number: u32) -> String {
+    format!(r#"{{"number":{number}}}"#)
+}
+
+fn overview(network: &Network) -> RulesOverview {
+    network.query("rules", &[])
+}
+
+/// Three organisations whose nodes vote, founded with the oldest rules.
+fn old() -> Network {
+    Network::founded_with(Rules::FIRST, 3, 3)
+}
+
+/// The next block, which is empty.
+fn next(network: &Network) -> Entry {
+    let data = Payload { time: network.time, transactions: Vec::new() }.to_bytes();
+    Entry { index: network.ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data }
+}
+
+#[test]
+fn rules_are_activated_when_every_voter_speaks_them_and_more_than_half_of_the_organisations_approve() {
+    let mut network = old();
+    let newest = Rules::NEWEST.number();
+    assert_eq!(code(&network.admin(1, "activate_rules", &[&activate(newest)])), Code::RulesNotSpoken);
+    for node in [1, 2] {
+        network.node(node, "speak", &[&speaks(newest)]).unwrap();
+    }
+    let refused = network.admin(1, "activate_rules", &[&activate(newest)]).unwrap_err();
+    assert!(refused.code == Code::RulesNotSpoken && refused.found == "Org3/node3 (up to 2)", "{refused}");
+    network.node(3, "speak", &[&speaks(newest)]).unwrap();
+    let id = waiting(network.admin(1, "activate_rules", &[&activate(newest)]));
+    assert_eq!((overview(&network).active, network.ledger.rules()), (2, Rules::FIRST));
+    assert!(is_executed(network.admin(2, "approve", &[&id])));
+    let height = network.ledger.tip().height;
+    let shown = overview(&network);
+    assert_eq!((shown.active, shown.pending), (newest, None), "from the next block on");
+    assert_eq!(shown.activations, [Activation { number: newest, height: height + 1 }]);
+    assert_eq!(network.ledger.rules(), Rules::NEWEST);
+    assert_eq!(network.event_names(), ["approved", "rules_activated", "executed"]);
+    let again = network.admin(1, "activate_rules", &[&activate(newest)]);
+    assert_eq!(code(&again), Code::BadArgument, "they are in force");
+}
+
+#[test]
+fn a_voter_that_takes_its_word_back_before_the_last_approval_keeps_the_rules_as_they_are() {
+    let mut network = old();
+    for node in [1, 2, 3] {
+        network.node(node, "speak", &[&speaks(3)]).unwrap();
+    }
+    let id = waiting(network.admin(1, "activate_rules", &[&activate(3)]));
+    network.node(3, "speak", &[&speaks(2)]).unwrap();
+    assert_eq!(code(&network.admin(2, "approve", &[&id])), Code::RulesNotSpoken);
+    network.node(3, "speak", &[&speaks(3)]).unwrap();
+    assert!(is_executed(network.admin(2, "approve", &[&id])));
+}
+
+#[test]
+fn rules_for_a_later_block_wait_for_it_and_nobody_becomes_a_voter_who_does_not_speak_them() {
+    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    let edge = network.cas[0].user("edge", "node", KeyKind::Ed25519);
+    network.call(&edge, "join_node", &[r#"{"address":"edge:7450"}"#]).unwrap();
+    let height = network.ledger.tip().height + 6;
+    let wish = format!(r#"{{"number":3,"height":{height}}}"#);
+    assert!(is_executed(network.admin(1, "activate_rules", &[&wish])));
+    let pending = Some(Activation { number: 3, height });
+    assert_eq!((overview(&network).active, overview(&network).pending), (2, pending));
+    assert_eq!(network.ledger.pending_rules(), pending);
+    assert_eq!(code(&network.admin(1, "activate_rules", &[&activate(4)])), Code::AlreadyExists);
+    let voter = r#"{"id":2,"role":"voter"}"#;
+    assert_eq!(code(&network.admin(1, "set_node_role", &[voter])), Code::RulesNotSpoken);
+    network.call(&edge, "speak", &[&speaks(3)]).unwrap();
+    assert!(is_executed(network.admin(1, "set_node_role", &[voter])));
+    while network.ledger.tip().height + 1 < height {
+        assert_eq!(network.ledger.rules(), Rules::FIRST);
+        network.block(&[]);
+    }
+    assert_eq!(network.ledger.rules(), Rules::NEWEST);
+    assert_eq!((overview(&network).active, overview(&network).pending), (3, None));
+}
+
+#[test]
+fn a_node_that_does_not_speak_the_rules_of_the_next_block_stops_and_says_which_release_does() {
+    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+    let unknown = Rules::NEWEST.number() + 1;
+    network.node(1, "speak", &[&speaks(unknown)]).unwrap();
+    assert!(is_executed(network.admin(1, "activate_rules", &[&activate(unknown)])));
+    let height = network.ledger.tip().height;
+    let refused = network.ledger.apply(&next(&network)).unwrap_err();
+    assert_eq!(refused.code, Code::UnknownRules);
+    assert_eq!(refused.found, format!("rules {unknown} from block {} on", height + 1));
+    assert_eq!(refused.wanted, Rules::spoken());
+    assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
+    assert_eq!(network.ledger.tip().height, height, "nothing was executed");
+    let again = network.open_again();
+    assert_eq!(again.err().map(|reason| reason.code), Some(Code::UnknownRules), "nor does it start");
+}
+
+#[test]
+fn only_nodes_say_what_they_speak_and_only_admins_activate() {
+    let mut network = old();
+    assert_eq!(code(&network.admin(1, "speak", &[&speaks(3)])), Code::WrongRole);
+    assert_eq!(code(&network.node(1, "activate_rules", &[&activate(3)])), Code::NotAdmin);
+    let stranger = network.cas[0].user("stranger", "node", KeyKind::Ed25519);
+    assert_eq!(code(&network.call(&stranger, "speak", &[&speaks(3)])), Code::NotAMember);
+    for release in ["", "1 0", &"9".repeat(65)] {
+        let wrong = format!(r#"{{"newest":3,"release":"{release}"}}"#);
+        assert_eq!(code(&network.node(1, "speak", &[&wrong])), Code::BadArgument, "{release}");
+    }
+    let record: NodeRecord = json(network.node(1, "speak", &[&speaks(3)]));
+    assert_eq!(record.speaks, Some(Speaks { newest: 3, release: "9.0.0".into() }));
+}
+
+#[test]
+fn a_transaction_answers_with_little_under_the_newest_rules_and_a_query_with_more() {
+    let much = Bytes::from(vec![b'x'; 600 * 1024]);
+    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    let member = network.cas[0].user("Salma", "member", KeyKind::Ed25519);
+    let echo = |network: &mut Network| {
+        let call = network.sign_for("listener", &member, "echo", &[&"x".repeat(600 * 1024)]);
+        network.block(&[&call]).remove(0)
+    };
+    assert_eq!(echo(&mut network).unwrap(), much);
+    assert!(is_executed(network.admin(1, "activate_rules", &[&activate(3)])));
+    let refused = echo(&mut network).unwrap_err();
+    assert!(refused.code == Code::LimitExceeded && refused.wanted.contains("524288"), "{refused}");
+    let caller = network.ledger.msps().verify(&member.certificate, &[], network.time).unwrap();
+    let (answer, _) =
+        network.ledger.query(&caller, network.time, "listener", "echo", std::slice::from_ref(&much)).unwrap();
+    assert_eq!(answer, much);
+}
