@@ -2,7 +2,8 @@
 
 use crate::ca::operator;
 use crate::config::{CONFIG_BYTES_MAX, Config, Fault, Log};
-use crate::node::{Ended, NodeBuilder};
+use crate::host::NodeBuilder;
+use crate::instance::Ended;
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
 use clap::{Parser, Subcommand};
 use ledger_api::report;

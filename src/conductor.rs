@@ -5,7 +5,7 @@
 
 use crate::catch_up::{Behind, CatchUp, Caught, Look};
 use crate::config::Order;
-use crate::node::count;
+use crate::instance::count;
 use crate::orderer::Orderer;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::{Replica, Settings};

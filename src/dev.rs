@@ -6,7 +6,7 @@ use crate::ca::{self, CertificateAuthority};
 use crate::clock::wall;
 use crate::command::{print_line, stop_signal, until_stopped};
 use crate::config::{Config, Log};
-use crate::node::NodeBuilder;
+use crate::host::NodeBuilder;
 use crate::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use crate::telemetry;
 use bytes::Bytes;

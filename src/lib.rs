@@ -20,7 +20,8 @@
 //! |---|---|
 //! | `command` | the command line: `run`, `check`, `init`, `join`, `dev`, `demo`, `bridge`, `verify` |
 //! | `config` | the configuration file, every fault at once |
-//! | `node` | a node from its stores to its server, and back down in order |
+//! | `host` | what the process gives: listener, certificate, CAs, the server; `Node` is a host and its instance |
+//! | `instance` | one ledger, from its stores to its services, and back down in order |
 //! | `clock` | time that never goes back |
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
@@ -52,12 +53,13 @@ mod denials;
 mod dev;
 mod enrolment;
 mod gateway;
+mod host;
 mod housekeeping;
 mod identity;
+mod instance;
 mod join;
 mod listen;
 mod memory;
-mod node;
 mod orderer;
 mod peers;
 mod random;
@@ -76,4 +78,5 @@ mod waiters;
 mod witness;
 
 pub use command::run;
-pub use node::{Ended, Node, NodeBuilder};
+pub use host::{Node, NodeBuilder};
+pub use instance::Ended;

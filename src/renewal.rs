@@ -7,7 +7,7 @@ use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::pem;
 use crate::clock::wall;
 use crate::enrolment::{Authorities, EnrolmentService, lock};
-use crate::node::{CERTIFICATE_FILE, KEY_FILE};
+use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use ledger::Ledger;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Credentials, Renewal, renewal_due};

@@ -18,7 +18,7 @@ pub(crate) use settings::{Settings, public_address};
 use crate::ca;
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::{CertificateAuthority, Issued};
-use crate::node::{CERTIFICATE_FILE, KEY_FILE};
+use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use bytes::Bytes;
 use ledger::Rules;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};

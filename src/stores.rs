@@ -25,6 +25,7 @@ const LOG_CACHE_BYTES: usize = 2 * 1024 * 1024;
 const DIRTY_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// The opened stores.
+#[derive(Clone)]
 pub(crate) struct Stores {
     /// What the network began with.
     pub genesis: Genesis,

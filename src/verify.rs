@@ -1,7 +1,7 @@
 //! `ledgerd verify`: checks a chain offline, with the chaincodes of this program.
 
 use crate::command::print_line;
-use crate::node::NodeBuilder;
+use crate::host::NodeBuilder;
 use ledger::verify::{Dissent, Report, verify_directory};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;

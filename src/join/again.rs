@@ -9,8 +9,8 @@
 use super::{Records, enter};
 use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::config::Config;
+use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::identity::{JOINED_FILE, Joined};
-use crate::node::{CERTIFICATE_FILE, KEY_FILE};
 use crate::setup::public_address;
 use crate::witness::DIVERGED_FILE;
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};

@@ -4,7 +4,7 @@ use super::place::Place;
 use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::{self, CertificateAuthority, pem};
 use crate::config::Config;
-use crate::node::{CERTIFICATE_FILE, KEY_FILE};
+use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::renewal;
 use crate::setup::NODE_KEY;
 use bytes::Bytes;

@@ -1,8 +1,8 @@
 //! The directory of a node that joins: beside the data directory until the network has accepted the node.
 
 use crate::ca::durable::{self, PUBLIC_MODE};
+use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::identity::{JOINED_FILE, Joined};
-use crate::node::{CERTIFICATE_FILE, KEY_FILE};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::renewal_due;
 use ledger_api::tls::TlsIdentity;

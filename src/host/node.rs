@@ -1,0 +1,123 @@
+//! A node: a host and its instance, up and down in order.
+
+use super::Host;
+use super::serve::Serving;
+use crate::bridge::NodeBridge;
+use crate::config::Config;
+use crate::instance::{Ended, Instance, Prepared};
+use crate::join::{advised, nothing_here};
+use crate::stores::Stores;
+use ledger::{Chaincode, Ledger, Registry};
+use ledger_abac::AccessControl;
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::layout::GENESIS_FILE;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Collects what a node consists of. The chaincodes `msp` and `abac` are always installed.
+#[derive(Clone, Default)]
+pub struct NodeBuilder {
+    registry: Registry,
+    faults: Vec<Rejection>,
+}
+
+impl NodeBuilder {
+    /// Installs a chaincode. Every node of the network needs the same ones.
+    #[must_use]
+    pub fn chaincode(mut self, chaincode: impl Chaincode + 'static) -> Self {
+        if let Err(fault) = self.registry.install(Arc::new(chaincode)) {
+            self.faults.push(fault);
+        }
+        self
+    }
+
+    /// The chaincodes that a node will have besides `msp`.
+    ///
+    /// # Errors
+    /// If one of them cannot be installed.
+    pub fn registry(&self) -> Result<Registry, Rejection> {
+        if let Some(fault) = self.faults.first() {
+            return Err(fault.clone());
+        }
+        let mut registry = self.registry.clone();
+        registry.install(Arc::new(AccessControl::new()?))?;
+        Ok(registry)
+    }
+
+    /// Starts a node in the directory that the configuration names.
+    ///
+    /// # Errors
+    /// What is missing or wrong, in words for the operator.
+    pub async fn start(&self, config: &Config) -> Result<Node, Rejection> {
+        Node::start(self.registry()?, config).await.map_err(|reason| advised(reason, config))
+    }
+}
+
+/// A running node. Dropping it without [`Node::stop`] is like pulling the plug, which it survives. A process may hold several,
+/// of one network or of many.
+pub struct Node {
+    address: SocketAddr,
+    instance: Instance,
+    serving: Serving,
+    bridge: Option<NodeBridge>,
+}
+
+impl Node {
+    /// Collects what a node consists of.
+    pub fn builder() -> NodeBuilder {
+        NodeBuilder::default()
+    }
+
+    async fn start(registry: Registry, config: &Config) -> Result<Self, Rejection> {
+        let started = Instant::now();
+        let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
+        let stores = Stores::open(config, &genesis, registry)?;
+        let host = Host::open(config).await?;
+        let (address, own_gateway) = (host.address(), host.own_gateway());
+        let (prepared, services) = Prepared::new((&host, config), (stores, genesis.into()), started)?;
+        let serving = host.serve(services, &config.limits)?;
+        let instance = match prepared.begin(serving.stopping()).await {
+            Ok(instance) => instance,
+            Err(reason) => {
+                serving.abort();
+                return Err(reason);
+            }
+        };
+        let ledger = &instance.view.ledger;
+        tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {} ms", started.elapsed().as_millis());
+        let bridge = NodeBridge::start(config, own_gateway)?;
+        Ok(Self { address, instance, serving, bridge })
+    }
+
+    /// Where the node listens; the port is the real one where the configuration said 0.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The ledger, for looking into it in the same process.
+    pub fn ledger(&self) -> &Arc<Ledger> {
+        &self.instance.view.ledger
+    }
+
+    /// Waits until the node cannot go on as it is, and says why.
+    pub async fn ended(&self) -> Ended {
+        let mut ended = self.instance.ended.clone();
+        match ended.wait_for(Option::is_some).await {
+            Ok(reason) => reason.clone(),
+            Err(_) => None,
+        }
+        .unwrap_or_else(|| Ended::Failed(Rejection::new(Code::Internal, "the node ended without a reason")))
+    }
+
+    /// Ends the node: the leadership goes to another voter, no new calls, the verdicts that are under way, then the
+    /// stores.
+    pub async fn stop(self) {
+        if let Some(bridge) = self.bridge {
+            bridge.stop().await;
+        }
+        self.instance.leave().await;
+        self.serving.stop().await;
+        self.instance.stop().await;
+    }
+}
