@@ -144,6 +144,7 @@ impl Network {
         for bridge in self.bridges.drain(..) {
             let printed = bridge.stop().await?;
             summary.add(BridgeReport::read(&printed)?);
+            summary.counted.extend(printed.lines().last().map(str::to_owned));
         }
         let deadline = Instant::now() + CONVERGE_TIME_MAX;
         loop {

@@ -32,6 +32,9 @@ pub(super) struct Summary {
     pub stopped: bool,
     /// Did the next holder's messages arrive?
     pub handed_over: bool,
+    /// The last line of each bridge, for whoever looks for the cause of a failure.
+    #[serde(skip)]
+    pub counted: Vec<String>,
 }
 
 /// The summary that a bridge prints when it ends.
@@ -121,7 +124,9 @@ impl Summary {
     pub(super) fn check(&self) -> Result<(), Rejection> {
         match self.faults() {
             faults if faults.is_empty() => Ok(()),
-            faults => Err(Rejection::new(Code::Internal, "the experiment failed").found(faults.join("; "))),
+            faults => Err(Rejection::new(Code::Internal, "the experiment failed")
+                .found(faults.join("; "))
+                .next(format!("look at what the bridges counted: {}", self.counted.join(" ")))),
         }
     }
 
