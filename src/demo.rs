@@ -10,7 +10,7 @@ mod summary;
 use crate::command::{eprint_line, print_line, stop_signal};
 use crate::dev::paper_robots;
 use bytes::Bytes;
-use graph::{Operator, Publisher, Received, Robot};
+use graph::{DISCOVERY_TIME_MAX, Operator, Publisher, Received, Robot, nobody_there};
 use ledger_api::Client;
 use ledger_rejection::{Code, Rejection};
 use measure::{Phase, RosToRos};
@@ -24,6 +24,8 @@ use tokio::time::interval;
 const HZ: u32 = 50;
 /// Time for messages that are under way when a phase ends.
 const SETTLE: Duration = Duration::from_millis(500);
+/// How long Salma publishes before the demo looks whether the robot has heard her.
+const FIRST_TRY: Duration = Duration::from_millis(100);
 /// The service in question.
 const SERVICE: &str = "Turtlebot4/cmd_vel";
 
@@ -92,6 +94,7 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let mut salma_node = Publisher::open(domains.salma, Operator::Salma).await?;
     let mut farhad_node = Publisher::open(domains.farhad, Operator::Farhad).await?;
     tokio::try_join!(salma_node.matched(), farhad_node.matched(), robot.matched(), network.bridges_found())?;
+    first_heard(&robot, &mut salma_node).await?;
 
     say(&format!(
         "exclusive: both publish Twist at {HZ} Hz on their own /cmd_vel for {} s; only Salma holds the robot",
@@ -180,6 +183,19 @@ async fn publish_both(
     };
     tokio::time::sleep(SETTLE).await;
     Ok((first, times, times_farhad))
+}
+
+/// Salma publishes until the robot hears her: rates are counted from then on, not from somewhere in DDS discovery.
+async fn first_heard(robot: &Robot, salma: &mut Publisher) -> Result<(), Rejection> {
+    let deadline = Instant::now() + DISCOVERY_TIME_MAX;
+    while robot.received_from(Operator::Salma) == 0 {
+        if Instant::now() > deadline {
+            return Err(nobody_there("the robot"));
+        }
+        salma.publish(HZ, FIRST_TRY).await?;
+    }
+    tokio::time::sleep(SETTLE).await;
+    Ok(())
 }
 
 /// Farhad publishes until the robot hears him.
