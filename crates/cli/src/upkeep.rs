@@ -8,7 +8,6 @@ use crate::output::{Format, warn};
 use crate::{context, time};
 use ledger_api::context::{Renewed, warning_due};
 use ledger_api::{Client, Context};
-use ledger_rejection::Rejection;
 use std::cell::RefCell;
 use std::time::Duration;
 use tokio::task::JoinHandle;
@@ -58,12 +57,13 @@ async fn look_after(format: Format, context: &Context, client: &Client) {
     match context.renew_if_due(client).await {
         Ok(Renewed::Yes(renewed)) => warn_of_end(format, &renewed, there, None),
         Ok(Renewed::No) => warn_of_end(format, context, there, None),
-        Err(reason) => warn_of_end(format, context, there, Some(&reason)),
+        Ok(Renewed::Failed(reason)) => warn_of_end(format, context, there, Some(&reason)),
+        Err(reason) => warn_of_end(format, context, there, Some(&reason.message)),
     }
 }
 
 /// Warns of the end of a certificate, if it is near, or of a renewal that failed.
-fn warn_of_end(format: Format, context: &Context, now: u64, failed: Option<&Rejection>) {
+fn warn_of_end(format: Format, context: &Context, now: u64, failed: Option<&str>) {
     let Ok(own) = context.certificate() else { return };
     let name = &context.name;
     let id = format!("{}/{}", context.organisation, own.name().unwrap_or(name));
@@ -74,7 +74,7 @@ fn warn_of_end(format: Format, context: &Context, now: u64, failed: Option<&Reje
             warn(format, &format!("the certificate of {id} has expired: it ended {ends}"), &context.way_back());
         }
         Some(reason) => {
-            let message = format!("the certificate of {id} ends {ends} and could not be renewed: {}", reason.message);
+            let message = format!("the certificate of {id} ends {ends} and could not be renewed: {reason}");
             warn(format, &message, &format!("{again}, when that is cured"));
         }
         None if now >= warning_due(own.not_before, own.not_after) => {

@@ -8,7 +8,8 @@ use crate::renew::{Renewal, renewal_due};
 use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 use std::fs::{File, OpenOptions};
-use std::os::unix::fs::OpenOptionsExt;
+use std::io::Read;
+use std::os::unix::fs::{FileExt, OpenOptionsExt};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -19,6 +20,10 @@ pub const WARNING_DAYS: u64 = 30;
 const DAY: u64 = 24 * 3600 * 1_000_000;
 /// A renewal that failed is not tried at every command.
 const RETRY_AFTER: Duration = Duration::from_secs(600);
+/// The reason of a try that has not come to its end.
+const CUT_SHORT: &str = "the command that tried it last ended before it was done";
+/// Bytes of a reason that are read.
+const REASON_MAX: u64 = 4096;
 /// How long one who was asked to renew waits for another one who does.
 const OTHER_WAITS_MAX: Duration = Duration::from_secs(20);
 /// Between two looks.
@@ -52,8 +57,10 @@ impl RenewalRule {
 /// The outcome of an automatic renewal.
 #[derive(Debug)]
 pub enum Renewed {
-    /// It was not due, is switched off, has failed lately, or another program does it.
+    /// It was not due, is switched off, or another program does it.
     No,
+    /// It has failed minutes ago, and is not tried again yet: why it failed.
+    Failed(String),
     /// The context has a new certificate.
     Yes(Box<Context>),
 }
@@ -81,14 +88,21 @@ impl Context {
         if stored.chain.first() != self.chain.first() {
             return Ok(Renewed::Yes(Box::new(stored)));
         }
-        if turn.failed_lately() {
-            return Ok(Renewed::No);
+        if let Some(reason) = turn.failed_lately() {
+            return Ok(Renewed::Failed(reason));
         }
         // Until it has succeeded: a command that ends meanwhile must not make the next one wait as long.
-        turn.failed();
-        let renewed = stored.ask(client, &home).await?;
-        turn.succeeded();
-        Ok(Renewed::Yes(Box::new(renewed)))
+        turn.failed(CUT_SHORT);
+        match stored.ask(client, &home).await {
+            Ok(renewed) => {
+                turn.succeeded();
+                Ok(Renewed::Yes(Box::new(renewed)))
+            }
+            Err(reason) => {
+                turn.failed(&reason.message);
+                Err(reason)
+            }
+        }
     }
 
     /// Renews the certificate of a stored context now, with a new key, and stores it. `client` is connected as this
@@ -155,14 +169,16 @@ impl Turn {
         Ok(file.try_lock().is_ok().then_some(Self { file }))
     }
 
-    /// The file is empty unless the last try has failed.
-    fn failed_lately(&self) -> bool {
-        let age = |metadata: std::fs::Metadata| metadata.modified().ok()?.elapsed().ok();
-        self.file.metadata().is_ok_and(|found| found.len() > 0 && age(found).is_some_and(|age| age < RETRY_AFTER))
+    /// Why the last try failed, if that was not long ago. The file is empty after a try that succeeded.
+    fn failed_lately(&self) -> Option<String> {
+        let age = self.file.metadata().ok()?.modified().ok()?.elapsed().ok()?;
+        let mut reason = String::new();
+        (&self.file).take(REASON_MAX).read_to_string(&mut reason).ok()?;
+        (age < RETRY_AFTER && !reason.is_empty()).then_some(reason)
     }
 
-    fn failed(&self) {
-        let _unnoted = self.file.set_len(0).and_then(|()| self.file.set_len(1));
+    fn failed(&self, reason: &str) {
+        let _unnoted = self.file.set_len(0).and_then(|()| self.file.write_all_at(reason.as_bytes(), 0));
     }
 
     fn succeeded(&self) {

@@ -20,7 +20,7 @@ fn aged(authority: &Authority, node: &Fake) -> (TempDir, Context) {
 fn renewed(outcome: Renewed) -> Option<Context> {
     match outcome {
         Renewed::Yes(context) => Some(*context),
-        Renewed::No => None,
+        Renewed::No | Renewed::Failed(_) => None,
     }
 }
 
@@ -86,7 +86,8 @@ async fn a_ca_that_refuses_is_told_once_and_left_in_peace_for_a_while() {
     let refusal = Rejection::new(Code::NotFound, "\"Salma\" is not registered");
     *node.node.no_renewal.lock().unwrap() = Some(refusal.clone());
     assert_eq!(context.renew_if_due(&client).await.unwrap_err(), refusal);
-    assert!(matches!(context.renew_if_due(&client).await.unwrap(), Renewed::No));
+    let again = context.renew_if_due(&client).await.unwrap();
+    assert!(matches!(&again, Renewed::Failed(reason) if *reason == refusal.message), "{again:?}");
     assert_eq!(node.node.renewals.load(Ordering::SeqCst), 1);
     assert_eq!(Context::load(home.path(), None).unwrap().chain, context.chain, "the present one stays in use");
     // Who asks for it is not put off.
