@@ -11,5 +11,6 @@ mod keys;
 mod layers;
 mod links;
 mod logs;
+mod routes;
 mod sources;
 mod words;

@@ -11,18 +11,18 @@ use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
-    config::{Config, Direction, IdentitySource, RouteConfig, all_faults, circle},
+    config::{Config, IdentitySource, RouteConfig, all_faults, circle},
     count::{Counters, RouteSummary, line},
     domain::{Domain, ROS_DOMAIN_ID},
-    door::Door,
-    fit::Fit,
-    gate::Settings,
     gateway::Gateway,
     mark::Mark,
     names::TopicName,
     renewal::keep_renewed,
     report::{Reporter, Watched},
-    route::{from_ledger::FromLedger, local::Local, to_ledger::ToLedger},
+    route::{
+        kind::{Opened, Opening},
+        local::Local,
+    },
     service::Service,
 };
 
@@ -118,52 +118,14 @@ impl Bridge {
         let mut routes: Vec<futures::future::BoxFuture<'static, ()>> = Vec::new();
         let mut counters = Vec::new();
         for (route, (service, topic)) in config.routes.iter().zip(services) {
-            let gateway = Arc::clone(&gateway);
             let mark = Mark::new(&context.network, &route.service);
             let is_command = service.is_command();
-            let in_memory;
-            match route.direction {
-                Direction::ToLedger => {
-                    let max_age = Duration::from_millis(service.max_age_ms);
-                    let delivered = Arc::clone(local.delivered());
-                    let door = Arc::new(Door::new(mark, &route.service, max_age, delivered));
-                    let inlet =
-                        local.inlet(&topic, &route.message, &route.qos, route.limits(), Arc::clone(&door)).await?;
-                    in_memory = inlet.in_memory();
-                    let counted = Counters::new(route, inlet.matched(), Some(door));
-                    counted.lock().live.needs_grant = service.needs_grant() && is_command;
-                    counters.push(counted.clone());
-                    let opened = ToLedger::open(
-                        gateway,
-                        &route.service,
-                        (inlet, Fit::of(&route.message)),
-                        route.batch_max,
-                        counted,
-                    )
-                    .await?;
-                    routes.push(Box::pin(opened.run(told.clone())));
-                }
-                Direction::FromLedger => {
-                    let settings = Settings {
-                        network: context.network,
-                        msps: Arc::clone(&context.msps),
-                        sample_bytes_max: route.sample_bytes_max,
-                        max_age: route.max_age,
-                    };
-                    let outlet = async {
-                        let outlet = local.outlet(&topic, &route.message, &route.qos, mark).await?;
-                        let counted = Counters::new(route, outlet.matched(), None);
-                        Ok((outlet, counted))
-                    };
-                    let opened = FromLedger::open(gateway, route.clone(), settings, service, outlet).await?;
-                    in_memory = opened.in_memory();
-                    counters.push(opened.counters().clone());
-                    routes.push(Box::pin(opened.run(told.clone())));
-                }
-            }
-            if let Some(counters) = counters.last().cloned() {
-                watched.push(Watched { route: route.clone(), topic, mark, is_command, counters, in_memory });
-            }
+            let (gateway, stop) = (Arc::clone(&gateway), told.clone());
+            let opening = Opening { route, gateway, context, local: &local, service, topic: &topic, mark, stop };
+            let Opened { counters: counted, in_memory, running } = route.plan.open(opening).await?;
+            routes.push(running);
+            counters.push(counted.clone());
+            watched.push(Watched { route: route.clone(), topic, mark, is_command, counters: counted, in_memory });
         }
         let reporter = Reporter::ready(&config, context, domain, gateway, local, watched);
         routes.push(Box::pin(reporter.run(told)));
@@ -208,10 +170,10 @@ impl Bridge {
 /// Refuses a pair of routes between which each message would go round.
 fn no_circle(routes: &[RouteConfig], services: &[(Service, TopicName)]) -> Result<(), Rejection> {
     let routes = || (1..).zip(routes.iter().zip(services));
-    for (one, (up, (_, topic))) in routes().filter(|(_, (route, _))| route.direction == Direction::ToLedger) {
-        for (two, (down, (_, other))) in routes().filter(|(_, (route, _))| route.direction == Direction::FromLedger) {
+    for (one, (up, (_, topic))) in routes().filter(|(_, (route, _))| route.kind.takes_in()) {
+        for (two, (down, (_, other))) in routes().filter(|(_, (route, _))| !route.kind.takes_in()) {
             if up.service == down.service && topic == other {
-                return Err(circle(&up.service, topic.as_str(), [(one, up.direction), (two, down.direction)]));
+                return Err(circle(&up.service, topic.as_str(), [(one, up.kind), (two, down.kind)]));
             }
         }
     }

@@ -27,18 +27,20 @@ mod table;
 use std::{
     collections::BTreeSet,
     path::{Path, PathBuf},
+    sync::Arc,
     time::Duration,
 };
 
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
 
-use self::table::Table;
+pub(crate) use self::table::Table;
 use crate::{
     dds::DOMAIN_MAX,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
+    route::kind::{KINDS, Kind, Plan},
     sample::{SAMPLE_BYTES_MAX, Sample},
 };
 
@@ -46,21 +48,14 @@ use crate::{
 const CONFIG_BYTES_MAX: u64 = 1024 * 1024;
 /// Most routes of one bridge.
 pub const ROUTES_MAX: usize = 64;
-/// Most samples of one transaction.
-pub const BATCH_SAMPLES_MAX: u32 = 256;
 /// How often the ledger gives a sign of life.
 pub(crate) const HEARTBEAT_MS: u32 = 250;
-/// Shortest `stale_after_ms`: one heartbeat may be late.
-const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
-/// Longest `stale_after_ms` and `max_age_ms`.
-const WAIT_MS_MAX: u64 = 3_600_000;
-const STALE_MS_DEFAULT: u64 = 1_000;
 /// Longest `report_s`.
 const REPORT_S_MAX: u64 = 86_400;
 const REPORT_S_DEFAULT: u64 = 60;
 
 /// The settings of a bridge.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub struct Config {
     /// The context that it uses towards the ledger.
     pub identity: IdentitySource,
@@ -87,23 +82,15 @@ pub enum IdentitySource {
     Directory(PathBuf),
 }
 
-/// Which way the samples of a route go.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, serde::Serialize, serde::Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Direction {
-    /// From the local graph to the ledger: a user's commands, a robot's feed.
-    ToLedger,
-    /// From the ledger to the local graph, through the gate.
-    FromLedger,
-}
-
-/// One topic, one direction.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// One topic, one kind.
+#[derive(Debug, Clone)]
 pub struct RouteConfig {
     /// The service, e.g. `Turtlebot4/cmd_vel`.
     pub service: String,
-    /// Which way.
-    pub direction: Direction,
+    /// Its kind.
+    pub(crate) kind: &'static Kind,
+    /// The settings that only its kind has.
+    pub(crate) plan: Arc<dyn Plan>,
     /// The local topic; none = the service's.
     pub topic: Option<TopicName>,
     /// The type of its messages; must be the service's.
@@ -112,14 +99,6 @@ pub struct RouteConfig {
     pub qos: Qos,
     /// Largest sample, in bytes with its encapsulation header.
     pub sample_bytes_max: usize,
-    /// Most samples of one transaction; a batch is never waited for.
-    pub batch_max: usize,
-    /// Age beyond which a message is dropped; none = the service's. The shorter of both counts.
-    pub max_age: Option<Duration>,
-    /// Silence of the ledger after which the robot is stopped.
-    pub stale_after: Duration,
-    /// The stop message instead of the service's or the type's.
-    pub stop: Option<Sample>,
 }
 
 impl RouteConfig {
@@ -203,7 +182,7 @@ impl Config {
         let routes: Vec<RouteConfig> = routes.collect();
         let mut known = BTreeSet::new();
         for route in &routes {
-            if !known.insert((&route.service, route.direction)) {
+            if !known.insert((&route.service, route.kind.name)) {
                 let message = format!("two routes carry {} in the same direction", route.service);
                 faults.push(Rejection::new(Code::BadConfiguration, message).wanted("each service once per direction"));
             }
@@ -222,11 +201,11 @@ impl Config {
 /// Pairs of routes that are a circle by what the configuration alone says.
 fn circles(routes: &[RouteConfig]) -> Vec<Rejection> {
     let mut found = Vec::new();
-    for (number, one) in (1..).zip(routes).filter(|(_, route)| route.direction == Direction::ToLedger) {
-        for (other_number, other) in (1..).zip(routes).filter(|(_, route)| route.direction == Direction::FromLedger) {
+    for (number, one) in (1..).zip(routes).filter(|(_, route)| route.kind.takes_in()) {
+        for (other_number, other) in (1..).zip(routes).filter(|(_, route)| !route.kind.takes_in()) {
             if one.service == other.service && one.topic == other.topic {
                 let topic = one.topic.as_ref().map_or("the service's topic", TopicName::as_str);
-                found.push(circle(&one.service, topic, [(number, one.direction), (other_number, other.direction)]));
+                found.push(circle(&one.service, topic, [(number, one.kind), (other_number, other.kind)]));
             }
         }
     }
@@ -234,14 +213,12 @@ fn circles(routes: &[RouteConfig]) -> Vec<Rejection> {
 }
 
 /// Two routes between which each message would go round.
-pub(crate) fn circle(service: &str, topic: &str, routes: [(usize, Direction); 2]) -> Rejection {
-    let word = |direction| if direction == Direction::ToLedger { "to_ledger" } else { "from_ledger" };
+pub(crate) fn circle(service: &str, topic: &str, routes: [(usize, &Kind); 2]) -> Rejection {
     let [(one, up), (two, down)] = routes;
     Rejection::new(Code::BadConfiguration, format!("routes {one} and {two} close a circle: {service} on {topic}"))
         .found(format!(
             "route {one}: {service} {} from {topic}; route {two}: {service} {} to {topic}",
-            word(up),
-            word(down)
+            up.name, down.name
         ))
         .wanted("different topics for the two directions")
         .next(format!("give route {two} another topic, e.g. topic = \"/watched\", or remove one of both"))
@@ -262,7 +239,7 @@ fn route(number: usize, table: toml::Table, faults: &mut Vec<Rejection>) -> Opti
         }
         usable
     });
-    let direction = table.required("direction", "\"to_ledger\" or \"from_ledger\"");
+    let kind: Option<&'static Kind> = table.required("direction", &Kind::names());
     let topic: Option<String> = table.take("topic", "a ROS 2 topic name");
     let topic = topic.and_then(|topic| table.checked(TopicName::parse(&topic)));
     let message: Option<String> = table.required("type", "a ROS 2 message type, e.g. \"geometry_msgs/msg/Twist\"");
@@ -272,30 +249,12 @@ fn route(number: usize, table: toml::Table, faults: &mut Vec<Rejection>) -> Opti
     let bytes_max = table.integer("sample_bytes_max", 64..=SAMPLE_BYTES_MAX as u64);
     let sample_bytes_max = bytes_max.and_then(|bytes| usize::try_from(bytes).ok());
     let sample_bytes_max = sample_bytes_max.unwrap_or(Limits::default().sample_bytes_max);
-    let (mut batch_max, mut max_age, mut stale_after, mut stop) = (None, None, None, None);
-    match direction {
-        Some(Direction::ToLedger) => batch_max = table.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX)),
-        Some(Direction::FromLedger) => {
-            max_age = table.integer("max_age_ms", 1..=WAIT_MS_MAX);
-            stale_after = table.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX);
-            let text: Option<String> = table.take("stop_hex", "CDR in hexadecimal digits");
-            stop = text.and_then(|text| table.checked(stop_sample(&text, sample_bytes_max)));
-        }
-        None => table.ignore(&["batch_max", "max_age_ms", "stale_after_ms", "stop_hex"]),
+    let plan = kind.map(|kind| (kind.read)(&mut table, sample_bytes_max));
+    if kind.is_none() {
+        KINDS.iter().for_each(|kind| table.ignore(kind.keys));
     }
     table.finish();
-    Some(RouteConfig {
-        service: service?,
-        direction: direction?,
-        topic,
-        message: message?,
-        qos,
-        sample_bytes_max,
-        batch_max: batch_max.and_then(|count| usize::try_from(count).ok()).unwrap_or(1),
-        max_age: max_age.map(Duration::from_millis),
-        stale_after: Duration::from_millis(stale_after.unwrap_or(STALE_MS_DEFAULT)),
-        stop,
-    })
+    Some(RouteConfig { service: service?, kind: kind?, plan: plan?, topic, message: message?, qos, sample_bytes_max })
 }
 
 /// The stop message that hexadecimal digits stand for.
@@ -341,8 +300,8 @@ mod tests {
         assert_eq!(config.identity, IdentitySource::Selected);
         assert_eq!((config.domain_id, config.shared_memory), (None, true));
         let route = &config.routes[0];
-        assert_eq!((route.direction, route.batch_max), (Direction::FromLedger, 1));
-        assert_eq!((route.max_age, route.stale_after), (None, Duration::from_secs(1)));
+        assert_eq!(route.kind.name, "from_ledger");
+        assert_eq!(format!("{:?}", route.plan), "Settings { max_age: None, stale_after: 1s, stop: None }");
         assert_eq!(route.limits().queue_samples_max, 100);
     }
 

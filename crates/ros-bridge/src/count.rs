@@ -7,12 +7,7 @@ use hdrhistogram::Histogram;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 
-use crate::{
-    config::{Direction, RouteConfig},
-    dds::Matched,
-    door::Door,
-    gateway::Tally,
-};
+use crate::{config::RouteConfig, dds::Matched, door::Door, gateway::Tally};
 
 /// Longest latency told apart, in microseconds.
 const LATENCY_US_MAX: u64 = 60_000_000;
@@ -24,8 +19,8 @@ const COMPLAINT_EVERY: Duration = Duration::from_secs(10);
 pub struct RouteSummary {
     /// The service.
     pub service: String,
-    /// Which way.
-    pub direction: Direction,
+    /// The kind of the route by its name in the configuration.
+    pub direction: &'static str,
     /// Publishers or subscribers of other ROS 2 nodes that this route is connected with now.
     pub matched: usize,
     /// Samples taken in from the local graph.
@@ -106,7 +101,7 @@ impl Counters {
     pub(crate) fn new(route: &RouteConfig, matched: &Matched, door: Option<Arc<Door>>) -> Self {
         let summary = RouteSummary {
             service: route.service.clone(),
-            direction: route.direction,
+            direction: route.kind.name,
             matched: 0,
             samples_in: 0,
             replaced: 0,

@@ -12,7 +12,7 @@
 //! |---|---|
 //! | `bridge` | [`run`], [`Bridge`]: a running bridge and its summary |
 //! | [`config`] | what it is told to do |
-//! | `route` | one topic, one direction: `to_ledger`, `from_ledger`, and `local`, their side of the graph |
+//! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
 //! | [`gate`] | what a robot checks for itself before anything reaches its graph |
 //! | `gateway`, [`service`] | what is asked of the ledger, and what it answers |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |

@@ -21,7 +21,7 @@ use tokio::{
 
 use self::{neighbourhood::Neighbourhood, silent::Teller};
 use crate::{
-    config::{Config, Direction, RouteConfig},
+    config::{Config, RouteConfig},
     count::{Counters, RouteSummary},
     domain::{ChosenBy, Domain},
     gateway::{Gateway, Tally},
@@ -101,10 +101,7 @@ impl Reporter {
         }
         for (number, Watched { route, topic, .. }) in (1..).zip(&routes) {
             let (service, message, qos) = (&route.service, &route.message, &route.qos);
-            let (direction, arrow) = match route.direction {
-                Direction::ToLedger => ("to_ledger", format!("{topic} -> {service}")),
-                Direction::FromLedger => ("from_ledger", format!("{service} -> {topic}")),
-            };
+            let (direction, arrow) = (route.kind.name, route.kind.arrow(topic, service));
             let (reliability, durability) = (qos.reliability.name(), qos.durability.name());
             tracing::info!(
                 service, direction, topic = topic.as_str(), r#type = %message, reliability, durability, depth = qos.depth,
@@ -186,7 +183,7 @@ impl Reporter {
             let counts = watched.counters.lock();
             let facts = Facts {
                 service: &watched.route.service,
-                direction: watched.route.direction,
+                kind: watched.route.kind,
                 topic: watched.topic.as_str(),
                 surroundings,
                 live: &counts.live,

@@ -1,9 +1,11 @@
-//! Routes: one topic, one direction. Each is a task of its own; what it decides is in a part without IO.
+//! Routes: one topic of one service. Each is a task of its own; what it decides is in parts without IO. The kinds are
+//! one table, [`kind::KINDS`], and each kind is a file.
 
-pub(crate) mod from_ledger;
+mod from_ledger;
+pub(crate) mod kind;
 pub(crate) mod local;
 pub(crate) mod silence;
-pub(crate) mod to_ledger;
+mod to_ledger;
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 

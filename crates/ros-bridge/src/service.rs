@@ -127,11 +127,11 @@ impl Service {
     ///
     /// # Errors
     /// [`Code::BadArgument`] if the owner's is no sample.
-    pub(crate) fn stop_for(&self, route: &RouteConfig) -> Result<Option<Sample>, Rejection> {
+    pub(crate) fn stop_for(&self, route: &RouteConfig, own: Option<&Sample>) -> Result<Option<Sample>, Rejection> {
         if !self.is_command() {
             return Ok(None);
         }
-        if let Some(stop) = &route.stop {
+        if let Some(stop) = own {
             return Ok(Some(stop.clone()));
         }
         match &self.stop_hex {

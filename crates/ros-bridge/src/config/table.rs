@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 const ALIKE: f64 = 0.7;
 
 /// A table that is being read.
-pub(super) struct Table<'f> {
+pub(crate) struct Table<'f> {
     /// The beginning of messages, e.g. `route 2: `.
     place: String,
     left: toml::Table,
@@ -18,12 +18,12 @@ pub(super) struct Table<'f> {
 }
 
 impl<'f> Table<'f> {
-    pub(super) fn new(place: &str, table: toml::Table, faults: &'f mut Vec<Rejection>) -> Self {
+    pub(crate) fn new(place: &str, table: toml::Table, faults: &'f mut Vec<Rejection>) -> Self {
         Self { place: place.to_owned(), left: table, asked: Vec::new(), faults }
     }
 
     /// The value of a key, if it is there and usable.
-    pub(super) fn take<T: DeserializeOwned>(&mut self, key: &'static str, wanted: &str) -> Option<T> {
+    pub(crate) fn take<T: DeserializeOwned>(&mut self, key: &'static str, wanted: &str) -> Option<T> {
         self.asked.push(key);
         let value = self.left.remove(key)?;
         let found = value.to_string();
@@ -38,7 +38,7 @@ impl<'f> Table<'f> {
     }
 
     /// The value of a key that must be there.
-    pub(super) fn required<T: DeserializeOwned>(&mut self, key: &'static str, wanted: &str) -> Option<T> {
+    pub(crate) fn required<T: DeserializeOwned>(&mut self, key: &'static str, wanted: &str) -> Option<T> {
         if !self.left.contains_key(key) {
             self.asked.push(key);
             self.fault(&format!("{key} is missing"), "", wanted, "");
@@ -48,7 +48,7 @@ impl<'f> Table<'f> {
     }
 
     /// A whole number within a range.
-    pub(super) fn integer(&mut self, key: &'static str, range: RangeInclusive<u64>) -> Option<u64> {
+    pub(crate) fn integer(&mut self, key: &'static str, range: RangeInclusive<u64>) -> Option<u64> {
         let wanted = format!("{} to {}", range.start(), range.end());
         let value: i64 = self.take(key, &wanted)?;
         let inside = u64::try_from(value).ok().filter(|value| range.contains(value));
@@ -59,7 +59,7 @@ impl<'f> Table<'f> {
     }
 
     /// The value, or its fault noted.
-    pub(super) fn checked<T, E: Into<Rejection>>(&mut self, checked: Result<T, E>) -> Option<T> {
+    pub(crate) fn checked<T, E: Into<Rejection>>(&mut self, checked: Result<T, E>) -> Option<T> {
         checked
             .map_err(|error| {
                 let mut fault: Rejection = error.into();
@@ -70,13 +70,13 @@ impl<'f> Table<'f> {
     }
 
     /// Notes a fault.
-    pub(super) fn fault(&mut self, message: &str, found: &str, wanted: &str, next: &str) {
+    pub(crate) fn fault(&mut self, message: &str, found: &str, wanted: &str, next: &str) {
         let message = format!("{}{message}", self.place);
         self.faults.push(Rejection::new(Code::BadConfiguration, message).found(found).wanted(wanted).next(next));
     }
 
     /// Keys that cannot be judged because of another fault.
-    pub(super) fn ignore(&mut self, keys: &[&'static str]) {
+    pub(crate) fn ignore(&mut self, keys: &[&'static str]) {
         for key in keys {
             self.asked.push(key);
             self.left.remove(*key);
@@ -84,7 +84,7 @@ impl<'f> Table<'f> {
     }
 
     /// Keys that are left are unknown.
-    pub(super) fn finish(mut self) {
+    pub(crate) fn finish(mut self) {
         for key in std::mem::take(&mut self.left).keys() {
             let alike = self.asked.iter().map(|known| (strsim::jaro_winkler(key, known), known));
             let nearest = alike.filter(|(score, _)| *score >= ALIKE).max_by(|a, b| a.0.total_cmp(&b.0));

@@ -11,13 +11,12 @@ use tokio::task::AbortHandle;
 
 use super::Watched;
 use crate::{
-    config::Direction,
     dds::{Change, Neighbour, Role},
     mark::Mark,
     names::{TopicName, quoted},
     qos::{Qos, Reliability},
     queue::Limits,
-    route::{local::Local, silence::Surroundings},
+    route::{kind::Beside, local::Local, silence::Surroundings},
 };
 
 /// At most so many lines about those who come and leave ...
@@ -108,7 +107,7 @@ impl Neighbourhood {
         let mut surroundings = Surroundings::default();
         let (topic, wanted) = (watched.topic.dds(), watched.route.message.dds());
         for neighbour in self.known.values().filter(|neighbour| neighbour.topic == topic) {
-            if neighbour.role == other_end(watched.route.direction) {
+            if neighbour.role == watched.route.kind.other_end {
                 surroundings.add(neighbour, &wanted, misfit(watched, neighbour), is_bridge(neighbour, watched.mark));
             }
         }
@@ -139,9 +138,7 @@ impl Neighbourhood {
     fn listen(&mut self, neighbour: &Neighbour) {
         let Some(mark) = neighbour.mark.filter(|_| neighbour.role == Role::Publisher) else { return };
         let meant = |watched: &&Watched| {
-            watched.route.direction == Direction::ToLedger
-                && watched.mark == mark
-                && watched.route.message.dds() == neighbour.type_name
+            watched.route.kind.takes_in() && watched.mark == mark && watched.route.message.dds() == neighbour.type_name
         };
         let Some(watched) = self.routes.iter().find(meant) else { return };
         self.local.delivered().begins(mark);
@@ -186,14 +183,6 @@ fn count_in_memory(watched: &Watched) -> usize {
     watched.in_memory.as_ref().map_or(0, crate::shm::Peers::count)
 }
 
-/// The endpoints with which a route is connected.
-fn other_end(direction: Direction) -> Role {
-    match direction {
-        Direction::ToLedger => Role::Publisher,
-        Direction::FromLedger => Role::Subscriber,
-    }
-}
-
 fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
     neighbour.mark.is_some_and(|mark| mark.is_of_network_of(own))
 }
@@ -236,26 +225,10 @@ impl Lines {
 fn meaning(watched: &Watched, neighbour: &Neighbour, came: bool) -> Option<Line> {
     let (service, topic, role) = (&watched.route.service, watched.topic.as_str(), neighbour.role.name());
     let is_same_service = neighbour.mark == Some(watched.mark);
-    let direction = watched.route.direction;
-    if neighbour.role != other_end(direction) {
-        let text = match direction {
-            _ if !came => return None,
-            Direction::ToLedger if is_same_service => {
-                format!(
-                    "another bridge takes {topic} to {service} too: each sample is submitted twice; stop one of both"
-                )
-            }
-            Direction::FromLedger if is_same_service => {
-                format!(
-                    "another bridge delivers {service} on {topic} too: each message arrives twice; stop one of both"
-                )
-            }
-            Direction::FromLedger if watched.is_command => {
-                format!("a publisher beside this bridge on {topic}: what it sends goes around the ledger")
-            }
-            Direction::ToLedger | Direction::FromLedger => return None,
-        };
-        return Some(Line::Warning(text));
+    let kind = watched.route.kind;
+    if neighbour.role != kind.other_end {
+        let beside = Beside { service, topic, is_same_service, is_command: watched.is_command };
+        return (kind.beside)(&beside).filter(|_| came).map(Line::Warning);
     }
     if !came {
         return Some(Line::Note(format!("a {role} on {topic} has left")));

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::Watched;
-use crate::{config::Direction, route::silence::Silence};
+use crate::route::silence::Silence;
 
 /// A reason must last so long to be told.
 const SETTLE: Duration = Duration::from_secs(2);
@@ -29,8 +29,7 @@ enum Line {
 impl Teller {
     /// Looks at a route, and tells what is worth it.
     pub(super) fn look(&mut self, watched: &Watched, silence: Option<Silence>, passed: Option<Instant>, now: Instant) {
-        let service = &watched.route.service;
-        let direction = if watched.route.direction == Direction::ToLedger { "to_ledger" } else { "from_ledger" };
+        let (service, direction) = (&watched.route.service, watched.route.kind.name);
         match self.line(silence, passed, now) {
             Some(Line::Silent(Silence { name, reason, is_fault: true })) => {
                 tracing::warn!(service, direction, why = name, "the route is silent: {reason}");

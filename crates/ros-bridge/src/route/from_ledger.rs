@@ -3,34 +3,42 @@
 //! Subscribed from now on: commands of the past are nobody's. A connection that broke is resumed where it was cut
 //! off, and what is then too old stays out.
 
+mod act;
+
 use std::{
-    collections::HashMap,
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use bytes::Bytes;
-use futures::StreamExt;
-use ledger_api::{
-    Subscription,
-    v1::{Delivery, EventRecord},
-};
-use ledger_contract::{Reason, Word};
+use futures::{FutureExt, StreamExt, future::BoxFuture};
+use ledger_api::{Subscription, v1::Delivery};
 use ledger_rejection::Rejection;
 use tokio::time::{sleep_until, timeout};
 
-use super::{Clocks, Stop, local::Outlet, stopped};
+use self::act::{Act, Shown, judge};
+use super::{
+    Clocks, Stop,
+    kind::{Beside, Kind, Opened, Opening, Plan},
+    local::Outlet,
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
+};
 use crate::{
-    config::{HEARTBEAT_MS, RouteConfig},
+    config::{HEARTBEAT_MS, RouteConfig, Table, stop_sample},
     count::{Complaint, Counters, count, line},
+    dds::Role,
     error::Error,
-    gate::{Delivered, Gate, Now, Refused, Settings},
+    gate::{Gate, Refused, Settings as GateSettings},
     gateway::{ABAC, Deliveries, Gateway, MSP, ask},
     sample::Sample,
-    service::{Grant, Released, Revoked, Service, read},
-    shm::Peers,
+    service::{Grant, Revoked, Service},
 };
 
+/// Shortest `stale_after_ms`: one heartbeat may be late.
+const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
+const STALE_MS_DEFAULT: u64 = 1_000;
+/// Longest `stale_after_ms` and `max_age_ms`.
+const WAIT_MS_MAX: u64 = 3_600_000;
 /// How long a stop message is waited for when the bridge ends.
 const FLUSH_MAX: Duration = Duration::from_millis(500);
 /// How long the writer stays after its last message was confirmed: some middleware (RustDDS) confirms before it hands
@@ -39,66 +47,87 @@ const LINGER: Duration = Duration::from_millis(200);
 /// A subscription that has to show a certificate again is renewed at most this often.
 const RENEW_EVERY: Duration = Duration::from_secs(1);
 
-/// The action that an event asks for.
-#[derive(Debug, PartialEq, Eq)]
-enum Act {
-    Nothing,
-    /// Publish these, in order.
-    Publish(Vec<Sample>),
-    /// Publish the stop message, for this reason.
-    Stop(&'static str),
-    /// The service may have changed: ask for it before the next event.
-    Describe,
-    /// The gate did not let it pass.
-    Refused(Refused),
+/// Commands on the robot's side, or a feed on the user's: through the gate to the local graph.
+pub(super) static KIND: Kind = Kind {
+    name: "from_ledger",
+    right: "subscribe",
+    other_end: Role::Subscriber,
+    keys: &["max_age_ms", "stale_after_ms", "stop_hex"],
+    read,
+    silence,
+    beside,
+};
+
+/// The settings of this kind.
+#[derive(Debug, Clone)]
+struct Settings {
+    /// Age beyond which a message is dropped; none = the service's. The shorter of both counts.
+    max_age: Option<Duration>,
+    /// Silence of the ledger after which the robot is stopped.
+    stale_after: Duration,
+    /// The stop message instead of the service's or the type's.
+    stop: Option<Sample>,
 }
 
-/// Transactions of one block by their position: the first event of each carries it.
-type Shown = HashMap<u32, (Bytes, Bytes)>;
+fn read(table: &mut Table<'_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
+    let max_age = table.integer("max_age_ms", 1..=WAIT_MS_MAX).map(Duration::from_millis);
+    let stale_ms = table.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX).unwrap_or(STALE_MS_DEFAULT);
+    let stop: Option<String> = table.take("stop_hex", "CDR in hexadecimal digits");
+    let stop = stop.and_then(|text| table.checked(stop_sample(&text, sample_bytes_max)));
+    Arc::new(Settings { max_age, stale_after: Duration::from_millis(stale_ms), stop })
+}
 
-/// The meaning of an event to the gate.
-fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown: &mut Shown, now: Now) -> Act {
-    if !event.transaction.is_empty() {
-        shown.insert(event.index, (event.transaction.clone(), event.certificate.clone()));
+impl Plan for Settings {
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
+        self.join(opening).boxed()
     }
-    let none = (Bytes::new(), Bytes::new());
-    let (transaction, certificate) = shown.get(&event.index).unwrap_or(&none);
-    let delivered = Delivered { block_time, transaction, certificate };
-    let outcome = match (event.chaincode.as_str(), event.name.as_str()) {
-        (ABAC, "message") => gate.pass(delivered, now).map(Act::Publish),
-        (ABAC, "granted") => match read::<Grant>(&event.payload) {
-            Some(grant) => gate.granted(&grant, delivered).map(|()| Act::Nothing),
-            None => Err(Refused::Malformed),
-        },
-        (ABAC, "renewed") => match read::<Grant>(&event.payload) {
-            Some(grant) => gate.renewed(&grant, delivered, now).map(|()| Act::Nothing),
-            None => Err(Refused::Malformed),
-        },
-        (ABAC, "released") => match read::<Released>(&event.payload) {
-            Some(released) if gate.released(&released, block_time) => Ok(Act::Stop(reason(&released.reason))),
-            Some(_) => Ok(Act::Nothing),
-            None => Err(Refused::Malformed),
-        },
-        (ABAC, "robot") => Ok(Act::Describe),
-        (MSP, "revoked") => match read::<Revoked>(&event.payload) {
-            Some(revoked) if gate.revoked(&revoked) => Ok(Act::Stop("revoked")),
-            Some(_) => Ok(Act::Nothing),
-            None => Err(Refused::Malformed),
-        },
-        _ => Ok(Act::Nothing),
-    };
-    outcome.unwrap_or_else(Act::Refused)
 }
 
-/// The reason of a release, as it is counted.
-fn reason(text: &str) -> &'static str {
-    Reason::of(text).map_or("other", Word::word)
+impl Settings {
+    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
+        let Opening { route, gateway, context, local, service, topic, mark, stop } = opening;
+        let gate = GateSettings {
+            network: context.network,
+            msps: Arc::clone(&context.msps),
+            sample_bytes_max: route.sample_bytes_max,
+            max_age: self.max_age,
+        };
+        let outlet = async {
+            let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
+            let counters = Counters::new(route, outlet.matched(), None);
+            Ok((outlet, counters))
+        };
+        let opened = FromLedger::open(gateway, (route.clone(), self.clone()), gate, service, outlet).await?;
+        let (counters, in_memory) = (opened.counters.clone(), opened.outlet.in_memory());
+        Ok(Opened { counters, in_memory, running: opened.run(stop).boxed() })
+    }
+}
+
+/// The words for a cause of silence.
+fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
+    let Facts { service, topic, .. } = facts;
+    match cause {
+        Cause::Alone => pause("no_subscriber", format!("nobody subscribes to {topic}")),
+        Cause::Refused { line, .. } => fault("gate", format!("the gate lets nothing pass: {line}")),
+        Cause::NotHeld => pause("no_holder", format!("nobody holds {service}")),
+        Cause::NothingCame => pause("no_message", "nothing has come from the ledger yet".to_owned()),
+    }
+}
+
+/// The warning about another that publishes.
+fn beside(Beside { service, topic, is_same_service, is_command }: &Beside<'_>) -> Option<String> {
+    if *is_same_service {
+        let what = "each message arrives twice; stop one of both";
+        return Some(format!("another bridge delivers {service} on {topic} too: {what}"));
+    }
+    is_command.then(|| format!("a publisher beside this bridge on {topic}: what it sends goes around the ledger"))
 }
 
 /// A route from a service to a local topic.
-pub(crate) struct FromLedger {
+struct FromLedger {
     gateway: Arc<dyn Gateway>,
     route: RouteConfig,
+    settings: Settings,
     outlet: Outlet,
     counters: Counters,
     clocks: Clocks,
@@ -116,21 +145,21 @@ pub(crate) struct FromLedger {
 impl FromLedger {
     /// Learns what stands now: the service, its grants, and what was revoked. The outlet comes to be when the gate is
     /// there: whoever sees it may publish, and that shall pass.
-    pub(crate) async fn open(
+    async fn open(
         gateway: Arc<dyn Gateway>,
-        route: RouteConfig,
-        settings: Settings,
+        (route, settings): (RouteConfig, Settings),
+        gate: GateSettings,
         service: Service,
         outlet: impl Future<Output = Result<(Outlet, Counters), Rejection>>,
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
-        let mut gate = Gate::new(settings, &route.service, clocks.now());
+        let mut gate = Gate::new(gate, &route.service, clocks.now());
         let (revoked, _): (Vec<Revoked>, u64) = ask(&*gateway, height, MSP, "revocations", &[]).await?;
         for revoked in &revoked {
             gate.revoked(revoked);
         }
-        let stop = service.stop_for(&route)?;
+        let stop = service.stop_for(&route, settings.stop.as_ref())?;
         if stop.is_none() && service.is_command() {
             let message = route.message.to_string();
             tracing::warn!(service = route.service, message, "no stop message is known for this type: set stop_hex");
@@ -139,6 +168,7 @@ impl FromLedger {
         let mut opened = Self {
             gateway,
             route,
+            settings,
             outlet,
             counters,
             clocks,
@@ -154,18 +184,8 @@ impl FromLedger {
         Ok(opened)
     }
 
-    /// Subscribers in shared memory.
-    pub(crate) fn in_memory(&self) -> Option<Peers> {
-        self.outlet.in_memory()
-    }
-
-    /// Its counters.
-    pub(crate) fn counters(&self) -> &Counters {
-        &self.counters
-    }
-
     /// Runs until it is told to end; then the robot stops, if anybody moved it.
-    pub(crate) async fn run(mut self, mut stop: Stop) {
+    async fn run(mut self, mut stop: Stop) {
         let mut events = self.subscribe();
         let mut revocations = self.gateway.subscribe(Subscription {
             from_height: self.next_height,
@@ -222,7 +242,7 @@ impl FromLedger {
     /// the end of its driver's lease and of the ledger's silence. None while nobody moves it.
     fn stop_at(&self) -> Option<(Instant, &'static str)> {
         let lease = self.clocks.instant(self.gate.deadline()?);
-        let stale = self.heard + self.route.stale_after;
+        let stale = self.heard + self.settings.stale_after;
         Some(if lease <= stale { (lease, "lease") } else { (stale, "stale") })
     }
 
@@ -341,7 +361,7 @@ impl FromLedger {
     async fn try_describe(&mut self, height: u64) {
         // No longer than until the robot must stop: nothing else is looked at meanwhile.
         let until_stop = self.stop_due().map(|due| due.saturating_duration_since(Instant::now()));
-        let patience = until_stop.unwrap_or(Duration::MAX).min(self.route.stale_after);
+        let patience = until_stop.unwrap_or(Duration::MAX).min(self.settings.stale_after);
         let failure = match timeout(patience, self.describe(height)).await {
             Ok(Ok(())) => {
                 // It answered: that is a sign of life, however long it took.
@@ -372,7 +392,7 @@ impl FromLedger {
         let (service, height) = Service::ask(&*self.gateway, height, &id).await?;
         let (grants, _): (Vec<Grant>, u64) = ask(&*self.gateway, height, ABAC, "grants", &[&id]).await?;
         service.topic_for(&self.route)?;
-        self.stop = service.stop_for(&self.route)?;
+        self.stop = service.stop_for(&self.route, self.settings.stop.as_ref())?;
         self.gate.describe(&service, &grants);
         self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         self.service = service;

@@ -2,12 +2,8 @@
 
 use std::time::{Duration, Instant};
 
-use crate::{
-    config::Direction,
-    count::Live,
-    dds::{Neighbour, Role},
-    names::quoted,
-};
+use super::kind::Kind;
+use crate::{count::Live, dds::Neighbour, names::quoted};
 
 /// An event that is not older counts as present.
 const RECENT: Duration = Duration::from_secs(2);
@@ -15,7 +11,7 @@ const RECENT: Duration = Duration::from_secs(2);
 /// The known state of a route.
 pub(crate) struct Facts<'a> {
     pub(crate) service: &'a str,
-    pub(crate) direction: Direction,
+    pub(crate) kind: &'static Kind,
     /// The local topic, `/cmd_vel`.
     pub(crate) topic: &'a str,
     pub(crate) surroundings: Surroundings,
@@ -35,6 +31,24 @@ pub(crate) struct Surroundings {
     pub(crate) other_qos: Option<String>,
     /// Those in shared memory, without our own.
     pub(crate) in_memory: usize,
+}
+
+/// A cause of silence for which each kind of route has its words.
+#[derive(Clone, Copy)]
+pub(crate) enum Cause<'a> {
+    /// Nobody is at the other end in the local graph.
+    Alone,
+    /// The last message was refused, by this code or rule and in these words.
+    Refused {
+        name: &'a str,
+        line: &'a str,
+        /// Is there a grant, or is none needed?
+        is_held: bool,
+    },
+    /// The grant is missing.
+    NotHeld,
+    /// No message has come yet.
+    NothingCame,
 }
 
 /// A reason for silence.
@@ -63,81 +77,63 @@ impl Surroundings {
     }
 }
 
-fn fault(name: &'static str, reason: String) -> Option<Silence> {
-    Some(Silence { name, reason, is_fault: true })
+/// Somebody must repair something.
+pub(super) fn fault(name: &'static str, reason: String) -> Silence {
+    Silence { name, reason, is_fault: true }
 }
 
-fn pause(name: &'static str, reason: String) -> Option<Silence> {
-    Some(Silence { name, reason, is_fault: false })
+/// All is in order.
+pub(super) fn pause(name: &'static str, reason: String) -> Silence {
+    Silence { name, reason, is_fault: false }
 }
 
 /// Why nothing passes; none if something does, or if there is just nothing to carry now.
 pub(crate) fn silence(facts: &Facts<'_>, now: Instant) -> Option<Silence> {
-    let Facts { service, direction, topic, surroundings, live } = facts;
+    let Facts { kind, topic, surroundings, live, .. } = facts;
     let is_recent = |moment: Option<Instant>| moment.is_some_and(|at| now.saturating_duration_since(at) <= RECENT);
     if is_recent(live.passed) {
         return None;
     }
     if let Some(reason) = &live.waiting {
-        return fault("waiting", reason.clone());
+        return Some(fault("waiting", reason.clone()));
     }
-    let to_ledger = *direction == Direction::ToLedger;
     if surroundings.usable == 0 && surroundings.in_memory == 0 {
-        let role = if to_ledger { Role::Publisher } else { Role::Subscriber }.name();
-        if let Some(found) = &surroundings.other_type {
-            return fault("other_type", format!("the {role} on {topic} has another type: {found}"));
-        }
-        if let Some(policy) = &surroundings.other_qos {
+        let role = kind.other_end.name();
+        return Some(if let Some(found) = &surroundings.other_type {
+            fault("other_type", format!("the {role} on {topic} has another type: {found}"))
+        } else if let Some(policy) = &surroundings.other_qos {
             let reason = format!("the qos of this route and of the {role} on {topic} do not fit together: {policy}");
-            return fault("other_qos", reason);
-        }
-        if to_ledger && surroundings.bridges > 0 {
-            let reason = format!("only a bridge publishes on {topic}, and what came from the ledger is not taken in");
-            return fault("only_bridges", reason);
-        }
-        return if to_ledger {
-            pause("no_publisher", format!("nobody publishes on {topic}"))
+            fault("other_qos", reason)
         } else {
-            pause("no_subscriber", format!("nobody subscribes to {topic}"))
-        };
+            (kind.silence)(facts, Cause::Alone)
+        });
     }
-    let no_grant = live.needs_grant && !live.held;
-    if let Some((name, line, _)) = live.refused.as_ref().filter(|(_, _, at)| is_recent(Some(*at))) {
-        return if !to_ledger {
-            fault("gate", format!("the gate lets nothing pass: {line}"))
-        } else if no_grant && *name == ledger_rejection::Code::NotHolder.name() {
-            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
-        } else {
-            fault("refused", format!("the ledger refuses: {line}"))
-        };
-    }
-    if no_grant {
-        return if to_ledger {
-            pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}"))
-        } else {
-            pause("no_holder", format!("nobody holds {service}"))
-        };
-    }
-    match (live.came, to_ledger) {
-        (Some(_), _) => None,
-        (None, true) => pause("no_message", format!("the publisher on {topic} has sent nothing yet")),
-        (None, false) => pause("no_message", "nothing has come from the ledger yet".to_owned()),
-    }
+    let is_held = live.held || !live.needs_grant;
+    let cause = if let Some((name, line, _)) = live.refused.as_ref().filter(|(_, _, at)| is_recent(Some(*at))) {
+        Cause::Refused { name, line, is_held }
+    } else if !is_held {
+        Cause::NotHeld
+    } else if live.came.is_none() {
+        Cause::NothingCame
+    } else {
+        return None;
+    };
+    Some((kind.silence)(facts, cause))
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use super::{super::kind::KINDS, *};
 
-    fn name(direction: Direction, surroundings: Surroundings, live: &Live, now: Instant) -> &'static str {
-        let facts = Facts { service: "T/cmd_vel", direction, topic: "/cmd_vel", surroundings, live };
+    fn name(kind: &'static Kind, surroundings: Surroundings, live: &Live, now: Instant) -> &'static str {
+        let facts = Facts { service: "T/cmd_vel", kind, topic: "/cmd_vel", surroundings, live };
         silence(&facts, now).map_or("", |silence| silence.name)
     }
 
     #[test]
     fn each_state_of_a_route_has_its_reason() {
         let now = Instant::now();
-        let (up, down) = (Direction::ToLedger, Direction::FromLedger);
+        let [up, down] = KINDS;
         let some = || Surroundings { usable: 1, ..Surroundings::default() };
         let none = Surroundings::default;
         let held = || Live { needs_grant: true, held: true, ..Live::default() };
@@ -163,10 +159,11 @@ mod tests {
     #[test]
     fn who_carries_messages_or_has_carried_some_and_has_none_now_is_not_silent() {
         let now = Instant::now();
+        let [up, down] = KINDS;
         let some = || Surroundings { usable: 1, ..Surroundings::default() };
         let passed = Live { passed: Some(now), refused: Some(("X", "why".to_owned(), now)), ..Live::default() };
-        assert_eq!(name(Direction::ToLedger, Surroundings::default(), &passed, now), "");
+        assert_eq!(name(up, Surroundings::default(), &passed, now), "");
         let came = Live { came: Some(now), ..Live::default() };
-        assert_eq!(name(Direction::FromLedger, some(), &came, now), "");
+        assert_eq!(name(down, some(), &came, now), "");
     }
 }

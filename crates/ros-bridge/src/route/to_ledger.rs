@@ -3,30 +3,42 @@
 //! Nothing waits for an earlier verdict, and no batch waits to be filled. When the ledger is slower than the topic,
 //! the newest samples replace the oldest that wait, and that is counted.
 
+mod publishing;
+
 use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
 
-use bytes::Bytes;
 use futures::{
     FutureExt, StreamExt,
     future::{BoxFuture, OptionFuture},
     stream::FuturesUnordered,
 };
-use ledger_api::{Subscription, v1::Delivery};
+use ledger_api::Subscription;
 use ledger_rejection::{Code, Rejection};
 
-use super::{Clocks, Stop, local::Inlet, stopped};
+use self::publishing::Publishing;
+use super::{
+    Clocks, Stop,
+    kind::{Beside, Kind, Opened, Opening, Plan},
+    local::Inlet,
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
+};
 use crate::{
-    config::HEARTBEAT_MS,
+    config::{HEARTBEAT_MS, Table},
     count::{Complaint, Counters, count, line},
+    dds::Role,
+    door::Door,
     fit::Fit,
     gateway::{ABAC, Gateway, ask},
     queue::Incoming,
-    service::{Authorization, Caller, Grant, Released, read},
+    service::{Authorization, Caller},
 };
 
+/// Most samples of one transaction.
+const BATCH_SAMPLES_MAX: u32 = 256;
 /// Most transactions of one route without a verdict; beyond it samples wait, and the newest replace the oldest.
 const IN_FLIGHT_MAX: usize = 256;
 /// Most bytes of one route without a verdict; the same beyond it.
@@ -36,67 +48,77 @@ const BATCH_BYTES_MAX: usize = 256 * 1024;
 /// The own grant is asked for at most this often.
 const REFRESH_EVERY: Duration = Duration::from_millis(500);
 
-/// The own grant as far as it is known, and the next sequence number.
+/// A user's commands, or a robot's feed.
+pub(super) static KIND: Kind = Kind {
+    name: "to_ledger",
+    right: "publish",
+    other_end: Role::Publisher,
+    keys: &["batch_max"],
+    read,
+    silence,
+    beside,
+};
+
+/// The settings of this kind.
 #[derive(Debug)]
-struct Publishing {
-    service: String,
-    /// `Org1/Salma`.
-    me: String,
-    /// 0 without a grant.
-    epoch: u64,
-    /// The largest sequence number used or known to be used.
-    last_seq: u64,
-    /// Height of the newest knowledge about the grant.
-    as_of: u64,
+struct Settings {
+    /// Most samples of one transaction; a batch is never waited for.
+    batch_max: usize,
 }
 
-impl Publishing {
-    /// Arguments of `set` for these samples, in order. Numbers go on from the clock, so that a restarted bridge, or
-    /// another one of the same user, goes on above what was used before.
-    fn call(&mut self, wall_us: u64, samples: &[Incoming]) -> Vec<Bytes> {
-        let first = self.last_seq.saturating_add(1).max(wall_us);
-        self.last_seq = first.saturating_add(samples.len() as u64).saturating_sub(1);
-        let head = [self.service.clone(), self.epoch.to_string(), first.to_string()];
-        head.into_iter().map(Bytes::from).chain(samples.iter().map(|incoming| incoming.sample.wire().clone())).collect()
-    }
+fn read(table: &mut Table<'_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
+    let batch_max = table.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX));
+    Arc::new(Settings { batch_max: batch_max.and_then(|count| usize::try_from(count).ok()).unwrap_or(1) })
+}
 
-    /// Events about the own grant.
-    fn hear(&mut self, delivery: &Delivery) {
-        for event in &delivery.events {
-            match event.name.as_str() {
-                "granted" | "renewed" => {
-                    if let Some(grant) = read::<Grant>(&event.payload).filter(|grant| grant.holder == self.me) {
-                        self.learn(delivery.height, grant.epoch, grant.next_seq);
-                    }
-                }
-                "released" => {
-                    let own = |released: &Released| released.holder == self.me && released.epoch == self.epoch;
-                    if read::<Released>(&event.payload).is_some_and(|released| own(&released)) {
-                        self.learn(delivery.height, 0, 0);
-                    }
-                }
-                _ => {}
-            }
-        }
-        self.as_of = self.as_of.max(delivery.height);
+impl Plan for Settings {
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
+        self.join(opening).boxed()
     }
+}
 
-    /// Takes over what is newer than what is known.
-    fn learn(&mut self, height: u64, epoch: u64, next_seq: u64) {
-        if height < self.as_of {
-            return;
-        }
-        self.as_of = height;
-        self.last_seq = self.last_seq.max(next_seq.saturating_sub(1));
-        if self.epoch != epoch {
-            tracing::info!(service = self.service, epoch, "{}", if epoch == 0 { "grant ended" } else { "grant held" });
-            self.epoch = epoch;
-        }
+impl Settings {
+    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
+        let Opening { route, gateway, local, service, topic, mark, stop, .. } = opening;
+        let max_age = Duration::from_millis(service.max_age_ms);
+        let door = Arc::new(Door::new(mark, &route.service, max_age, Arc::clone(local.delivered())));
+        let inlet = local.inlet(topic, &route.message, &route.qos, route.limits(), Arc::clone(&door)).await?;
+        let in_memory = inlet.in_memory();
+        let counters = Counters::new(route, inlet.matched(), Some(door));
+        counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
+        let inlet = (inlet, Fit::of(&route.message));
+        let opened = ToLedger::open(gateway, &route.service, inlet, self.batch_max, counters.clone()).await?;
+        Ok(Opened { counters, in_memory, running: opened.run(stop).boxed() })
     }
+}
+
+/// The words for a cause of silence.
+fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
+    let Facts { service, topic, .. } = facts;
+    match cause {
+        Cause::Alone if facts.surroundings.bridges > 0 => {
+            let reason = format!("only a bridge publishes on {topic}, and what came from the ledger is not taken in");
+            fault("only_bridges", reason)
+        }
+        Cause::Alone => pause("no_publisher", format!("nobody publishes on {topic}")),
+        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
+            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
+        }
+        Cause::Refused { line, .. } => fault("refused", format!("the ledger refuses: {line}")),
+        Cause::NotHeld => pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}")),
+        Cause::NothingCame => pause("no_message", format!("the publisher on {topic} has sent nothing yet")),
+    }
+}
+
+/// The warning about another that takes samples in.
+fn beside(Beside { service, topic, is_same_service, .. }: &Beside<'_>) -> Option<String> {
+    let warning =
+        || format!("another bridge takes {topic} to {service} too: each sample is submitted twice; stop one of both");
+    is_same_service.then(warning)
 }
 
 /// A route from a local topic to a service.
-pub(crate) struct ToLedger {
+struct ToLedger {
     gateway: Arc<dyn Gateway>,
     inlet: Inlet,
     batch_max: usize,
@@ -124,7 +146,7 @@ struct Outcome {
 
 impl ToLedger {
     /// Learns who the bridge is and what it holds now.
-    pub(crate) async fn open(
+    async fn open(
         gateway: Arc<dyn Gateway>,
         service: &str,
         (inlet, fit): (Inlet, Fit),
@@ -155,7 +177,7 @@ impl ToLedger {
     }
 
     /// Runs until it is told to end, or the middleware ends.
-    pub(crate) async fn run(mut self, mut stop: Stop) {
+    async fn run(mut self, mut stop: Stop) {
         let mut events = self.gateway.subscribe(Subscription {
             from_height: self.from_height,
             chaincode: ABAC.to_owned(),
@@ -295,58 +317,5 @@ async fn authorization(
     height: u64,
     service: String,
 ) -> Result<(Authorization, u64), Rejection> {
-    ask(&*gateway, height, ABAC, "authorize", &[&service, "publish"]).await
-}
-
-#[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::sample::{CDR_LE, Sample};
-    use ledger_api::v1::EventRecord;
-
-    fn publishing() -> Publishing {
-        Publishing { service: "T/cmd_vel".into(), me: "Org1/Salma".into(), epoch: 0, last_seq: 0, as_of: 0 }
-    }
-
-    fn samples(count: u64) -> Vec<Incoming> {
-        let sample = Sample::new(CDR_LE, &[7]).unwrap();
-        let received = Instant::now();
-        (1..=count).map(|sequence| Incoming { sample: sample.clone(), source: [0; 16], sequence, received }).collect()
-    }
-
-    fn event(height: u64, name: &str, holder: &str, epoch: u64) -> Delivery {
-        let payload = serde_json::json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "lease_ms": 1, "reason": "x" });
-        let payload = Bytes::from(payload.to_string());
-        let event = EventRecord { name: name.into(), payload, ..EventRecord::default() };
-        Delivery { height, events: vec![event], ..Delivery::default() }
-    }
-
-    #[test]
-    fn numbers_follow_the_clock_and_never_repeat() {
-        let mut publishing = publishing();
-        let number = |args: Vec<Bytes>| String::from_utf8(args.get(2).unwrap().to_vec()).unwrap();
-        assert_eq!(number(publishing.call(1000, &samples(3))), "1000");
-        assert_eq!(number(publishing.call(1001, &samples(1))), "1003", "the three before end with 1002");
-        assert_eq!(number(publishing.call(500, &samples(1))), "1004", "the clock went back");
-        publishing.learn(1, 4, 9000);
-        assert_eq!(number(publishing.call(2000, &samples(1))), "9000", "the ledger knows larger ones");
-    }
-
-    #[test]
-    fn the_epoch_is_that_of_the_own_grant_only() {
-        let mut publishing = publishing();
-        publishing.hear(&event(5, "granted", "Org1/Farhad", 3));
-        assert_eq!(publishing.epoch, 0);
-        publishing.hear(&event(6, "granted", "Org1/Salma", 4));
-        assert_eq!(publishing.epoch, 4);
-        publishing.hear(&event(7, "released", "Org1/Salma", 3));
-        assert_eq!(publishing.epoch, 4, "an older grant ended");
-        publishing.learn(6, 3, 0);
-        assert_eq!(publishing.epoch, 4, "an answer from an older state changes nothing");
-        publishing.hear(&event(8, "released", "Org1/Salma", 4));
-        assert_eq!(publishing.epoch, 0);
-        let args = publishing.call(1, &samples(1));
-        assert_eq!(args.get(1).unwrap(), "0");
-    }
+    ask(&*gateway, height, ABAC, "authorize", &[&service, KIND.right]).await
 }

@@ -1,0 +1,134 @@
+//! The kinds of routes: a file for each, and its line in [`KINDS`].
+//!
+//! The rest of the bridge reads what a kind says of itself, never its name. A new kind is a new file and a new line.
+
+use std::{fmt, sync::Arc};
+
+use futures::future::BoxFuture;
+use ledger_api::Context;
+use ledger_rejection::Rejection;
+use serde::{Deserialize, Deserializer, de::Error};
+
+use super::{
+    Stop, from_ledger,
+    local::Local,
+    silence::{Cause, Facts, Silence},
+    to_ledger,
+};
+use crate::{
+    config::{RouteConfig, Table},
+    count::Counters,
+    dds::Role,
+    gateway::Gateway,
+    mark::Mark,
+    names::TopicName,
+    service::Service,
+    shm::Peers,
+};
+
+/// Every kind.
+pub(crate) static KINDS: [&Kind; 2] = [&to_ledger::KIND, &from_ledger::KIND];
+
+/// A kind of route.
+pub(crate) struct Kind {
+    /// Its name in the configuration, in the log and in the summary.
+    pub(crate) name: &'static str,
+    /// The right on the service that the bridge's identity needs.
+    pub(crate) right: &'static str,
+    /// The endpoints of the local graph with which the route is connected.
+    pub(crate) other_end: Role,
+    /// The keys that only this kind has.
+    pub(crate) keys: &'static [&'static str],
+    /// Reads the settings under these keys; the number is the largest sample of the route, in bytes.
+    pub(crate) read: fn(&mut Table<'_>, usize) -> Arc<dyn Plan>,
+    /// The words for a cause of silence.
+    pub(crate) silence: fn(&Facts<'_>, Cause<'_>) -> Silence,
+    /// The warning about an endpoint that does beside this route what the route does.
+    pub(crate) beside: fn(&Beside<'_>) -> Option<String>,
+}
+
+/// The own settings of a route, read and checked: it can be opened.
+pub(crate) trait Plan: fmt::Debug + Send + Sync {
+    /// Joins the topic, and learns from the ledger where the route stands.
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>>;
+}
+
+/// The surroundings of a route that is being opened.
+pub(crate) struct Opening<'a> {
+    pub(crate) route: &'a RouteConfig,
+    pub(crate) gateway: Arc<dyn Gateway>,
+    pub(crate) context: &'a Context,
+    pub(crate) local: &'a Local,
+    pub(crate) service: Service,
+    /// The local topic.
+    pub(crate) topic: &'a TopicName,
+    pub(crate) mark: Mark,
+    /// Tells the route to end.
+    pub(crate) stop: Stop,
+}
+
+/// An open route.
+pub(crate) struct Opened {
+    pub(crate) counters: Counters,
+    /// The other users of the topic in shared memory.
+    pub(crate) in_memory: Option<Peers>,
+    /// Runs until it is told to end, or the middleware ends.
+    pub(crate) running: BoxFuture<'static, ()>,
+}
+
+/// An endpoint of another node on the same side of a route's topic.
+pub(crate) struct Beside<'a> {
+    pub(crate) service: &'a str,
+    pub(crate) topic: &'a str,
+    /// Is it a bridge of this network, with a route of the same service?
+    pub(crate) is_same_service: bool,
+    /// Do users publish and the robot listens?
+    pub(crate) is_command: bool,
+}
+
+impl Kind {
+    /// Does a route of this kind take samples in from the local graph, rather than deliver them there?
+    pub(crate) fn takes_in(&self) -> bool {
+        self.other_end == Role::Publisher
+    }
+
+    /// The way of the samples.
+    pub(crate) fn arrow(&self, topic: &TopicName, service: &str) -> String {
+        if self.takes_in() { format!("{topic} -> {service}") } else { format!("{service} -> {topic}") }
+    }
+
+    /// The names of all kinds as the configuration wants them.
+    pub(crate) fn names() -> String {
+        KINDS.map(|kind| format!("\"{}\"", kind.name)).join(" or ")
+    }
+}
+
+impl fmt::Debug for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name)
+    }
+}
+
+impl<'de> Deserialize<'de> for &'static Kind {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = String::deserialize(deserializer)?;
+        let named = KINDS.into_iter().find(|kind| kind.name == name);
+        named.ok_or_else(|| D::Error::custom("no kind of route has this name"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn each_kind_has_a_name_and_keys_of_its_own() {
+        let mut names = BTreeSet::new();
+        for kind in KINDS {
+            assert!(names.insert(kind.name), "{kind:?} twice");
+            assert!(kind.keys.iter().all(|key| names.insert(key)), "{kind:?} shares a key");
+        }
+        assert_eq!(Kind::names(), "\"to_ledger\" or \"from_ledger\"");
+    }
+}

@@ -1,0 +1,76 @@
+//! Kinds of routes: each is a file and its line in one table, and nothing else of the bridge names one.
+
+use crate::sources::{code, files, read, root};
+use std::path::Path;
+
+const SOURCES: &str = "crates/ros-bridge/src";
+const ROUTES: &str = "crates/ros-bridge/src/route";
+const TABLE: &str = "crates/ros-bridge/src/route/kind.rs";
+
+/// The modules in the table of kinds, as in `&to_ledger::KIND`.
+fn modules() -> Vec<String> {
+    let table = read(&root().join(TABLE));
+    let paths = table.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
+    paths.filter_map(|path| path.strip_suffix("::KIND")).map(str::to_owned).collect()
+}
+
+/// What a file says before its tests.
+fn product(path: &Path) -> String {
+    let text = read(path);
+    text.split("#[cfg(test)]\nmod tests")
+        .next()
+        .and_then(|text| text.split("#[cfg(test)]\n#[expect").next())
+        .unwrap_or("")
+        .to_owned()
+}
+
+/// The text of a field of the kind that a file declares.
+fn declared(module: &str, field: &str) -> String {
+    let text = product(&root().join(ROUTES).join(format!("{module}.rs")));
+    let kind = text.split_once("static KIND: Kind = Kind {").unwrap_or_else(|| panic!("{module} declares no kind")).1;
+    let after = kind.split_once(&format!("{field}: \"")).unwrap_or_else(|| panic!("{module} has no {field}")).1;
+    after.split_once('"').map(|(value, _)| value.to_owned()).unwrap_or_default()
+}
+
+#[test]
+fn every_file_that_declares_a_kind_of_route_is_in_the_table() {
+    let files = files(&root().join(ROUTES), ".rs");
+    let declare = files.iter().filter(|path| product(path).contains("static KIND: Kind"));
+    let mut declared: Vec<_> = declare.filter_map(|path| path.file_stem()?.to_str()).collect();
+    let mut listed = modules();
+    declared.sort_unstable();
+    listed.sort_unstable();
+    assert_eq!(declared, listed);
+}
+
+#[test]
+fn a_kind_of_route_is_named_in_its_own_file_and_in_the_table_only() {
+    for module in modules() {
+        let (name, own) = (declared(&module, "name"), format!("{ROUTES}/{module}"));
+        for path in files(&root().join(SOURCES), ".rs") {
+            let relative = path.strip_prefix(root()).unwrap_or(&path).to_string_lossy().into_owned();
+            if relative.starts_with(&own) || relative == TABLE || relative.ends_with("tests.rs") {
+                continue;
+            }
+            let text = product(&path);
+            let declaration = format!("mod {module};");
+            let named = code(&text).find(|line| {
+                *line != declaration
+                    && (line.contains(&name) || line.contains(&module) || line.contains("kind.name =="))
+            });
+            assert!(named.is_none(), "{relative} names a kind of route; read what the kind says of itself: {named:?}");
+        }
+    }
+}
+
+#[test]
+fn the_settings_of_bridges_name_every_kind_of_route_and_its_right() {
+    let document = read(&root().join("docs/bridge.md"));
+    let row = document.lines().find(|line| line.starts_with("| `direction` |"));
+    let row = row.unwrap_or_else(|| panic!("docs/bridge.md has no row for direction"));
+    for module in modules() {
+        for word in [declared(&module, "name"), declared(&module, "right")] {
+            assert!(row.contains(&format!("`{word}`")), "docs/bridge.md, direction: {word} is missing in {row}");
+        }
+    }
+}
