@@ -6,7 +6,6 @@
 //!   look       the question with which a node starts, and what must wait for the answers
 //!   blocks     pulling blocks: verified, stored, executed
 //!   snapshot   taking the world state, where the blocks are gone
-//!   trust      whether a snapshot is believed
 //!   serve      the other side: what this node gives to those that ask
 //! ```
 //!
@@ -24,17 +23,16 @@ mod blocks;
 mod look;
 mod serve;
 mod snapshot;
-mod trust;
 
 pub(crate) use look::{Ballot, Look};
 pub(crate) use serve::Source;
 
-use crate::join::REJOIN;
 use crate::orderer::{Seat, Shared};
 use crate::peers::{Dialer, Member};
 use ask::{Answers, Offer};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::REJOIN;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;

@@ -6,7 +6,6 @@
 
 use crate::ca::durable;
 use crate::clock::wall;
-use crate::join::REJOIN;
 use crate::peers::{Member, Part};
 use ledger::Ledger;
 use ledger::governance::{self, NodeRole};
@@ -16,6 +15,7 @@ use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::REJOIN;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 use std::sync::Arc;

@@ -18,7 +18,7 @@ mod identity;
 mod place;
 
 pub(crate) use again::{RejoinOptions, rejoin};
-pub(crate) use comeback::{REJOIN, advised, check_member, nothing_here, way_back};
+pub(crate) use comeback::{advised, check_member, nothing_here, way_back};
 
 use crate::clock::wall;
 use crate::config::{Config, MemberOf};

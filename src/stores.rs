@@ -1,29 +1,24 @@
 //! Opening what a node keeps: blocks, which are the truth, and the world state, which is rebuilt if there is any doubt.
 
 use crate::config::Config;
-use crate::join::REJOIN;
 use crate::random;
 use crate::witness::DIVERGED_FILE;
 use ledger::network::Genesis;
 use ledger::{Ledger, Registry};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::opening::{Kept, Opening};
 use ledger_storage::block_store::{BlockStore, Options, StoreError};
 use ledger_storage::disk::RealDisk;
 use ledger_storage::layout::{BLOCKS_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, STATE_DIRECTORY};
 use ledger_storage::results::ResultStore;
 use ledger_storage::snapshot::Snapshots;
-use ledger_storage::state::{SledStore, State, Store};
-use std::path::{Path, PathBuf};
+use ledger_storage::state::{SledStore, Store};
+use std::path::Path;
 use std::sync::Arc;
 
-/// Entries read at once while blocks are executed again.
-const REPLAY_BYTES: usize = 4 * 1024 * 1024;
 /// Blocks of the log that stay in memory for followers that lack a few; more are in the cache of the operating system.
 const LOG_CACHE_BYTES: usize = 2 * 1024 * 1024;
-/// World state in memory that is moved to the store while blocks are executed again.
-const DIRTY_BYTES_MAX: usize = 16 * 1024 * 1024;
-
 /// The opened stores.
 #[derive(Clone)]
 pub(crate) struct Stores {
@@ -49,24 +44,9 @@ impl Stores {
         let snapshots = Arc::new(Snapshots::open(Arc::new(snapshots), network)?);
         let mark = config.data.join(DIVERGED_FILE);
         let diverged = mark.exists();
-        if diverged {
-            set_aside(&config.data.join(STATE_DIRECTORY))?;
-            set_aside(&config.data.join(RESULTS_DIRECTORY))?;
-            tracing::warn!(
-                "world state and results differed from those of other nodes; the node rebuilds them from the blocks"
-            );
-        }
-        let open = || open_ledger(&config.data, genesis_bytes, &registry, &store, &snapshots);
-        let ledger = match open() {
-            Ok(ledger) => ledger,
-            Err(fault) if fault.code == Code::Corrupt => {
-                let aside = set_aside(&config.data.join(STATE_DIRECTORY))?;
-                set_aside(&config.data.join(RESULTS_DIRECTORY))?;
-                tracing::warn!(reason = %fault, aside = %aside.display(), "world state and results are set aside and rebuilt from the blocks");
-                open()?
-            }
-            Err(fault) => return Err(fault),
-        };
+        let opening =
+            Opening { genesis: genesis_bytes, registry: &registry, store: &store, snapshots: &snapshots, diverged };
+        let ledger = opening.open(&mut Directories { data: &config.data, network })?;
         if diverged && let Err(error) = std::fs::remove_file(&mark) {
             tracing::warn!(%error, mark = %mark.display(), "cannot remove the mark; the next start will rebuild the world state again");
         }
@@ -108,73 +88,30 @@ fn open_blocks(config: &Config, network: Hash) -> Result<BlockStore, Rejection> 
     Ok(store)
 }
 
-fn open_ledger(
-    data: &Path,
-    genesis: &[u8],
-    registry: &Registry,
-    store: &Arc<BlockStore>,
-    snapshots: &Snapshots,
-) -> Result<Ledger, Rejection> {
-    let (_, network) = Genesis::from_bytes(genesis)?;
-    let kept = SledStore::open(&data.join(STATE_DIRECTORY))?;
-    let results = ResultStore::open(Arc::new(open_directory(&data.join(RESULTS_DIRECTORY))?), network)?;
-    let results = results.beside(Arc::clone(store));
-    if store.first_index() > 1 && kept.range(b"", None, 1)?.is_empty() {
-        fill(&kept, &results, store, snapshots)?;
-    }
-    let state = Arc::new(State::open(Box::new(kept))?);
-    let ledger = Ledger::open(genesis, registry.clone(), state, Arc::new(results))?;
-    let reached = ledger.tip();
-    if reached.height > store.last_index() {
-        // Not a doubt about the state: the log has lost blocks that were promised. Rebuilding would hide it.
-        return Err(Rejection::new(Code::ChainInvalid, "the log has lost committed blocks")
-            .found(format!(
-                "blocks up to height {}, and a world state that has executed {}",
-                store.last_index(),
-                reached.height
-            ))
-            .wanted(format!("blocks up to height {}", reached.height))
-            .next(format!("{REJOIN}: it comes back as a new node and fetches them from the others; without others, restore blocks/ from a copy")));
-    }
-    if reached.height + 1 < store.first_index() {
-        return Err(Rejection::new(Code::Corrupt, "the world state ends before the first block that is kept")
-            .found(format!("a world state of height {}, and blocks from {} on", reached.height, store.first_index())));
-    }
-    if reached.height > 0 && store.term(reached.height) != Some(reached.term) {
-        return Err(Rejection::new(Code::Corrupt, "the world state does not belong to these blocks")
-            .found(format!("height {} of term {}", reached.height, reached.term))
-            .wanted(format!("term {:?}", store.term(reached.height))));
-    }
-    let committed = store.hard_state().commit;
-    let mut next = reached.height + 1;
-    while next <= committed {
-        for entry in store.entries(next..committed + 1, REPLAY_BYTES)? {
-            ledger.apply(&entry)?;
-            next += 1;
-        }
-        if ledger.pending_bytes() > DIRTY_BYTES_MAX {
-            ledger.flush(Some(snapshots))?;
-            tracing::info!(height = next - 1, of = committed, "executing blocks again");
-        }
-    }
-    Ok(ledger)
+/// World state and results, in the data directory.
+struct Directories<'a> {
+    data: &'a Path,
+    network: Hash,
 }
 
-/// The blocks begin above 1: execution begins with the newest snapshot.
-fn fill(kept: &SledStore, results: &ResultStore, store: &BlockStore, snapshots: &Snapshots) -> Result<(), Rejection> {
-    let first = store.first_index();
-    let usable = snapshots.newest().filter(|snapshot| snapshot.manifest().height + 1 >= first);
-    let Some(snapshot) = usable else {
-        return Err(Rejection::new(Code::ChainInvalid, "the world state cannot be rebuilt: older blocks were dropped")
-            .found(format!("blocks from {first} on, and no snapshot of height {} or above", first - 1))
-            .next(format!("{REJOIN}: it comes back as a new node and fetches everything again")));
-    };
-    tracing::info!(height = snapshot.manifest().height, content = %snapshot.content(), "the world state begins with a snapshot");
-    snapshot.fill(kept, results)
+impl Kept for Directories<'_> {
+    fn state(&mut self) -> Result<Box<dyn Store>, Rejection> {
+        Ok(Box::new(SledStore::open(&self.data.join(STATE_DIRECTORY))?))
+    }
+
+    fn results(&mut self, blocks: &Arc<BlockStore>) -> Result<ResultStore, Rejection> {
+        let results = open_directory(&self.data.join(RESULTS_DIRECTORY))?;
+        Ok(ResultStore::open(Arc::new(results), self.network)?.beside(Arc::clone(blocks)))
+    }
+
+    fn set_aside(&mut self) -> Result<(), Rejection> {
+        set_aside(&self.data.join(STATE_DIRECTORY))?;
+        set_aside(&self.data.join(RESULTS_DIRECTORY))
+    }
 }
 
 /// Moves a directory out of the way; what was moved before is deleted.
-fn set_aside(directory: &Path) -> Result<PathBuf, Rejection> {
+fn set_aside(directory: &Path) -> Result<(), Rejection> {
     let aside = directory.with_extension("damaged");
     let moved = match std::fs::remove_dir_all(&aside) {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => Err(error),
@@ -185,5 +122,6 @@ fn set_aside(directory: &Path) -> Result<PathBuf, Rejection> {
         Rejection::new(Code::BadFile, format!("cannot move {} aside: {error}", directory.display()))
             .next("delete it by hand; it is rebuilt from the blocks")
     })?;
-    Ok(aside)
+    tracing::info!(aside = %aside.display(), "what was there is moved aside");
+    Ok(())
 }

@@ -12,12 +12,12 @@
 
 use super::ask::{Answers, Offer, longest_first};
 use super::{ASK_TIME_MAX, CatchUp};
-use crate::join::REJOIN;
 use crate::orderer::Shared;
 use crate::peers::Member;
 use futures::StreamExt;
 use ledger_raft::{PeerMessage, RaftKind};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::REJOIN;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;

@@ -1,25 +1,20 @@
 //! The other side: what this node gives to nodes that catch up.
 
 use super::blocks::to_wire;
-use super::trust::ATTESTED_MAX;
 use crate::orderer::{Seat, Shared};
 use crate::peers::Member;
-use ledger::transaction::Transaction;
+use ledger::governance::{self, AttestationRecord};
 use ledger_api::to_status;
 use ledger_api::v1::{
     self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
 };
-use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::state::StateRead;
-use serde::Deserialize;
+use ledger_replica::trust;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
 
-/// Where attestations stand in the world state.
-const ATTESTATION_KEYS: &[u8] = b"msp\0attestation/";
 /// Bytes of blocks in one message, unless a single one is larger.
 const MESSAGE_BYTES: usize = 1024 * 1024;
 /// Messages read ahead for a node that is slower than this one's disk.
@@ -32,20 +27,6 @@ pub(crate) struct Source {
     shared: Arc<Shared>,
     seat: Arc<Seat>,
     streams: Arc<Semaphore>,
-}
-
-/// An attestation as it stands on the ledger, as far as it matters here.
-#[derive(Deserialize)]
-struct Record {
-    latest: Said,
-    snapshot: Option<Said>,
-}
-
-#[derive(Deserialize)]
-struct Said {
-    height: u64,
-    content: Option<Hash>,
-    transaction: Hash,
 }
 
 impl Source {
@@ -73,9 +54,9 @@ impl Source {
 
     /// The newest height that a node has attested.
     fn attested(&self, node: &Member) -> Option<u64> {
-        let key = [ATTESTATION_KEYS, node.full_name().as_bytes()].concat();
-        let record = self.shared.ledger.state().get(&key).ok()??;
-        serde_json::from_slice(&record).ok().map(|record: Record| record.latest.height)
+        let records = governance::attestations(&**self.shared.ledger.state()).ok()?;
+        let own = |record: &&AttestationRecord| record.organisation == node.organisation && record.node == node.name;
+        records.iter().find(own).map(|record| record.latest.attest.height)
     }
 
     /// Blocks from a height on, until the newest that is committed.
@@ -160,26 +141,12 @@ impl Source {
     /// A fault of the store.
     pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
         let Some(newest) = self.shared.snapshots.newest() else { return Ok(SnapshotResponse::default()) };
-        let (height, content) = (newest.manifest().height, newest.content());
-        let attestations = self.attestations(height, content).map_err(|fault| to_status(&fault))?;
-        Ok(SnapshotResponse { manifest: newest.manifest().to_bytes(), attestations })
-    }
-
-    fn attestations(&self, height: u64, content: Hash) -> Result<Vec<Attested>, Rejection> {
-        let mut attested = Vec::new();
-        for (_, record) in self.shared.ledger.state().range(ATTESTATION_KEYS, None, ATTESTED_MAX)? {
-            let said = serde_json::from_slice(&record).ok().and_then(|record: Record| record.snapshot);
-            let Some(said) = said.filter(|said| said.height == height && said.content == Some(content)) else {
-                continue;
-            };
-            let Some(place) = self.shared.ledger.transaction(&said.transaction)? else { continue };
-            let Some(outcome) = self.shared.blocks.get(place.height)? else { continue };
-            let Some(encoded) = outcome.transactions.get(place.index as usize) else { continue };
-            let creator = Transaction::decode(encoded.clone())?.creator();
-            let Some(certificate) = self.shared.ledger.certificate(&creator)? else { continue };
-            attested.push(Attested { transaction: encoded.clone(), certificate });
-        }
-        Ok(attested)
+        let block = |height| Ok(self.shared.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
+        let attested = trust::attestations(&self.shared.ledger, &newest, block).map_err(|fault| to_status(&fault))?;
+        let attestations = attested.into_iter();
+        let attestations =
+            attestations.map(|trust::Attested { transaction, certificate }| Attested { transaction, certificate });
+        Ok(SnapshotResponse { manifest: newest.manifest().to_bytes(), attestations: attestations.collect() })
     }
 
     /// The pieces of a snapshot, from one on.

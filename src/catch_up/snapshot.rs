@@ -1,31 +1,23 @@
 //! Taking a snapshot from another node, if nobody has the blocks any more that this node lacks.
 //!
 //! The manifest comes first, with the attestations of its content. Nothing is fetched unless an organisation that this
-//! node trusts attests it; nothing is used unless it is attested as [`super::trust`] wants, which is only known when the
+//! node trusts attests it; nothing is used unless it is attested as [`ledger_replica::trust`] wants, which is only known when the
 //! organisations inside of the snapshot are. Chunks that are there after an interruption are not fetched again.
 
 use super::ask::Offer;
 use super::blocks::{in_time, is_own};
-use super::trust::{ATTESTED_MAX, Claim};
 use super::{CatchUp, Caught};
 use bytes::Bytes;
-use ledger::network::FoundingOrganisation;
 use ledger_api::v1::peer_client::PeerClient;
-use ledger_api::v1::{SnapshotChunksRequest, SnapshotRequest};
-use ledger_hash::Hash;
-use ledger_identity::Identity;
-use ledger_identity::msp::{Msp, Msps};
+use ledger_api::v1::{Attested, SnapshotChunksRequest, SnapshotRequest};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::trust::{self, ATTESTED_MAX, Trial};
 use ledger_storage::block_store::Base;
 use ledger_storage::snapshot::{CHUNK_BYTES_MAX, MANIFEST_BYTES_MAX, Manifest, Snapshot, Snapshots};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::mpsc;
 
-/// Where the organisations stand in the world state.
-const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
-/// Organisations that are looked at.
-const ORGANISATIONS_MAX: usize = 1000;
 /// Space for attestations in the answer with a manifest.
 const ATTESTED_BYTES_MAX: usize = ATTESTED_MAX * 16 * 1024;
 /// Chunks on their way from the network to the disk.
@@ -63,34 +55,25 @@ impl CatchUp {
             .max_decoding_message_size(MANIFEST_BYTES_MAX + CHUNK_BYTES_MAX + ATTESTED_BYTES_MAX);
         let answer = in_time(client.snapshot(SnapshotRequest {})).await?.map_err(refused)?.into_inner();
         let manifest = Manifest::from_bytes(&answer.manifest)?;
-        let claim = self.claim(&manifest)?;
-        let (trusted, vouched) = (self.dialer.trust.msps(), self.bootstrap.as_ref().filter(|_| offer.vouched));
-        let revoked = |identity: &Identity| self.shared.ledger.check_revoked(identity).is_err();
-        if vouched.is_none() && claim.attested_by(&answer.attestations, &trusted, &revoked).is_empty() {
-            return Err(Rejection::new(Code::Untrusted, "no organisation that this node trusts attests the snapshot")
-                .found(format!("height {}, {} attestations", claim.height, answer.attestations.len()))
-                .wanted("a node of an organisation that this node knows")
-                .next("wait until the nodes have attested it, which takes some seconds"));
-        }
+        let vouched = self.bootstrap.as_ref().filter(|_| offer.vouched).map(|known| known.ca);
+        let attested = answer
+            .attestations
+            .into_iter()
+            .map(|Attested { transaction, certificate }| trust::Attested { transaction, certificate });
+        let trial = Trial::begin(&self.shared.ledger, &manifest, attested.collect(), vouched)?;
+        let (height, content) = (manifest.height, manifest.content());
         tracing::info!(
-            peer = %offer.member.full_name(), height = claim.height, content = %claim.content, bytes = manifest.bytes(),
+            peer = %offer.member.full_name(), height, content = %content, bytes = manifest.bytes(),
             "fetching a snapshot"
         );
-        self.seat.show_progress(claim.height);
+        self.seat.show_progress(height);
         let (chunks, received) = mpsc::channel(AHEAD_MAX);
         let shared = Arc::clone(&self.shared);
         let (wanted, from) = tokio::sync::oneshot::channel();
-        let (attested, ca) = (answer.attestations, vouched.map(|vouched| vouched.ca));
-        let gathering = tokio::task::spawn_blocking(move || {
-            gather(&shared.snapshots, manifest, wanted, received, |snapshot| {
-                let revoked = |identity: &Identity| shared.ledger.check_revoked(identity).is_err();
-                let declared = declared(snapshot)?;
-                let trusted = with_ca(&trusted, &declared, ca)?;
-                claim.accept(&attested, &trusted, &declared, &revoked)
-            })
-        });
+        let gathering =
+            tokio::task::spawn_blocking(move || gather(&shared.snapshots, manifest, wanted, received, &trial));
         if let Ok(Some(from)) = from.await {
-            let request = SnapshotChunksRequest { height: claim.height, from_chunk: from };
+            let request = SnapshotChunksRequest { height, from_chunk: from };
             let mut stream = in_time(client.snapshot_chunks(request)).await?.map_err(refused)?.into_inner();
             while let Some(chunk) = in_time(stream.message()).await?.map_err(refused)? {
                 // A receiver that is gone says why below.
@@ -103,17 +86,6 @@ impl CatchUp {
         let gathered = gathering.await;
         let snapshot = gathered.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with a snapshot"))??;
         self.use_snapshot(snapshot).await
-    }
-
-    /// What the manifest claims, if it is of use here.
-    fn claim(&self, manifest: &Manifest) -> Result<Claim, Rejection> {
-        let (network, tip) = (self.shared.ledger.network(), self.shared.ledger.tip());
-        if manifest.network != network || manifest.height <= tip.height {
-            return Err(Rejection::new(Code::WrongNetwork, "the snapshot is of no use here")
-                .found(format!("height {} of network {}", manifest.height, manifest.network))
-                .wanted(format!("above height {} of network {network}", tip.height)));
-        }
-        Ok(Claim { network, height: manifest.height, time: manifest.tip.time, content: manifest.content() })
     }
 
     /// Lets the log begin after a snapshot that is believed. The world state follows when the node starts again: what is
@@ -135,7 +107,7 @@ fn gather(
     manifest: Manifest,
     wanted: tokio::sync::oneshot::Sender<Option<u32>>,
     mut chunks: mpsc::Receiver<Bytes>,
-    accept: impl FnOnce(&Snapshot) -> Result<(), Rejection>,
+    trial: &Trial,
 ) -> Result<Arc<Snapshot>, Rejection> {
     if let Some(known) = snapshots.get(manifest.height).filter(|known| known.content() == manifest.content()) {
         // It was believed before, and the node ended before it was used.
@@ -158,35 +130,5 @@ fn gather(
             tracing::info!(chunk = next, of = all, "fetching a snapshot");
         }
     }
-    match installer.complete().and_then(|snapshot| accept(&snapshot)) {
-        Ok(()) => installer.accept(),
-        Err(refused) => {
-            installer.discard()?;
-            Err(refused)
-        }
-    }
-}
-
-/// The organisations of the network, by the snapshot itself.
-fn declared(snapshot: &Snapshot) -> Result<Msps, Rejection> {
-    let mut msps = Msps::new();
-    for (_, value) in snapshot.pairs(ORGANISATION_KEYS, ORGANISATIONS_MAX)? {
-        let read = serde_json::from_slice(&value);
-        let FoundingOrganisation { name, roots, intermediates } = read.map_err(|error| {
-            Rejection::new(Code::Malformed, format!("an organisation in the snapshot cannot be read: {error}"))
-        })?;
-        let msp = Msp::new(&name, &roots, &intermediates).map_err(Rejection::from)?;
-        msps.insert(msp).map_err(Rejection::from)?;
-    }
-    Ok(msps)
-}
-
-/// Whom this node trusts: those it knows, and the organisation behind the CA that its join token names.
-fn with_ca(known: &Msps, declared: &Msps, ca: Option<Hash>) -> Result<Msps, Rejection> {
-    let mut trusted = known.clone();
-    let is_named = |msp: &&Msp| msp.roots().any(|root| Some(Hash::of(&[root])) == ca);
-    if let Some(named) = declared.iter().find(is_named).filter(|named| trusted.get(named.organisation()).is_none()) {
-        trusted.insert(named.clone()).map_err(Rejection::from)?;
-    }
-    Ok(trusted)
+    trial.conclude(installer)
 }

@@ -9,8 +9,6 @@ use std::io::ErrorKind;
 
 /// Stands for the configuration in commands that are told where it is not known; [`advised`] puts it in.
 const FILE_WORD: &str = "--config FILE";
-/// Brings a node back whose certificate is there and whose blocks are not.
-pub(crate) const REJOIN: &str = "ledgerd rejoin --config FILE";
 
 /// The commands that bring a node back whose data directory is lost. `node`: `ORGANISATION/NAME`, or empty.
 pub(crate) fn way_back(config: &Config, node: &str) -> String {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 /// Only a machine has these.
 const MACHINERY: [&str; 7] = ["std::thread", "std::time", "std::fs", "std::net", "tokio", "Instant", "SystemTime"];
 /// Whoever names these drives the engine itself.
-const DRIVING: [&str; 8] = [
+const DRIVING: [&str; 11] = [
     "Engine::",
     "EngineConfig",
     "Output::",
@@ -15,6 +15,9 @@ const DRIVING: [&str; 8] = [
     "Input::ProposeEmpty",
     "next_step(",
     "is_early(",
+    "ORGANISATIONS_MIN",
+    ".fill(",
+    "hard_state().commit",
 ];
 /// Times that the replica decides about.
 const TIMES: [&str; 6] =

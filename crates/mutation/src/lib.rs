@@ -38,6 +38,8 @@ pub enum Mutation {
     ForgetAWaiter,
     /// A node takes its own state for current without asking the leader.
     AnswerAMinorityRead,
+    /// A snapshot is believed that one organisation attests.
+    BelieveOneOrganisation,
 }
 
 /// Is this bug turned on?

@@ -6,6 +6,8 @@
 //! | module | what is there |
 //! |---|---|
 //! | `replica` | [`Replica`]: the engine and its duties; events in, effects out |
+//! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
+//! | [`trust`] | whether a snapshot is believed |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `in_place` | which blocks the thread that orders executes itself |
 //! | [`admission`] | order a transaction, answer it, or hold it until the state is current |
@@ -43,10 +45,12 @@
 pub mod admission;
 mod executor;
 mod in_place;
+pub mod opening;
 mod reads;
 mod replica;
 mod retries;
 mod ticks;
+pub mod trust;
 mod waiters;
 
 pub use executor::{Executor, Observer, in_turns};
@@ -55,3 +59,6 @@ pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIG
 pub use replica::{Effect, Event, FULL_DISK_PAUSE, LEARNER_WRITE_DELAY, Now, Replica, Settings, Work};
 pub use retries::Retries;
 pub use waiters::{Answer, Executed, WAIT_MAX, Waiter, Waiters};
+
+/// How a node comes back that must not go on as it is.
+pub const REJOIN: &str = "ledgerd rejoin --config FILE";

@@ -3,7 +3,7 @@
 mod open;
 mod shelf;
 
-pub use open::{Opened, open, open_blocks};
+pub use open::{Keeping, open_blocks};
 pub use shelf::Shelf;
 
 use crate::clock::Clock;
@@ -18,7 +18,6 @@ use ledger_storage::block_store::BlockStore;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
 use ledger_storage::snapshot::Snapshots;
-use ledger_storage::state::State;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, mpsc};
 
@@ -76,8 +75,6 @@ pub struct Running {
     pub waiting: BTreeMap<Reply, u64>,
     /// The log.
     pub store: Arc<BlockStore>,
-    /// The world state.
-    pub state: Arc<State>,
     /// The world state at some heights.
     pub snapshots: Arc<Snapshots>,
     /// The ledger that the executor applies blocks to.

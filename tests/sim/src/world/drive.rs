@@ -269,7 +269,7 @@ impl World {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         // A full disk keeps it in memory; the blocks have it.
         let kept = running.ledger.flush_up_to(running.store.durable_index(), Some(&running.snapshots));
-        let reached = running.state.stored().map_or(0, |tip| tip.height);
+        let reached = running.ledger.state().stored().map_or(0, |tip| tip.height);
         if let Some(snapshot) = running.snapshots.newest() {
             let (height, content) = (snapshot.manifest().height, snapshot.content());
             self.invariants.state_agreement.snapshot(id, height, content)?;

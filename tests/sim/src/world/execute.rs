@@ -83,7 +83,7 @@ impl World {
 
     /// Everything that a node holds of the world state.
     pub(crate) fn contents(&self, id: u64) -> Vec<(Bytes, Bytes)> {
-        let state = self.nodes.get(&id).and_then(|node| node.up.as_ref()).map(|running| &running.state);
+        let state = self.nodes.get(&id).and_then(|node| node.up.as_ref()).map(|running| running.ledger.state());
         state.map(|state| state.world(None, usize::MAX).unwrap()).unwrap_or_default()
     }
 }

@@ -4,14 +4,17 @@ use super::{Event, Timer, World};
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
-use crate::node::{Client, Opened, Running, open, open_blocks};
-use ledger::Chaincode;
+use crate::node::{Client, Keeping, Running, open_blocks};
+use ledger::{Chaincode, Registry};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
+use ledger_rejection::Rejection;
+use ledger_replica::opening::Opening;
 use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Waiters};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
+use ledger_storage::snapshot::Snapshots;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, mpsc};
 
@@ -41,17 +44,30 @@ impl World {
         node.damaged = None;
         self.invariants.committed.reopened(id, &store)?;
         self.invariants.acknowledged.restarted(id, &store)?;
-        let opened = open(node, &store, (&self.genesis, self.network), &abac);
-        let Opened { state, snapshots, ledger, replay } =
-            opened.map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}")))?;
+        #[cfg(feature = "mutations")]
+        ledger_mutation::set_wall_clock(node.clock.wall(self.now));
+        let snapshots = Snapshots::open(Arc::new(node.snapshots.clone()), self.network);
+        let snapshots = Arc::new(snapshots.map_err(|fault| does_not_start(id, &fault))?);
+        let mut registry = Registry::new();
+        registry.install(abac).unwrap();
+        let mut keeping = Keeping { node, network: self.network, replayed: Vec::new() };
+        let opening = Opening {
+            genesis: &self.genesis,
+            registry: &registry,
+            store: &store,
+            snapshots: &snapshots,
+            diverged: false,
+        };
+        let ledger = opening.open(&mut keeping).map_err(|fault| does_not_start(id, &fault))?;
+        let Keeping { node, replayed, .. } = keeping;
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
         node.clock.start(self.now, ledger.tip().time);
         let ledger = Arc::new(ledger);
         let waiters = Arc::new(Waiters::default());
         let executor = Arc::new(Executor::new(Arc::clone(&ledger), vec![Arc::clone(&waiters) as _]));
-        for entry in &replay {
-            self.executed(id, &executor, entry)?;
+        for (entry, outcome) in &replayed {
+            self.observe(id, &ledger, entry, outcome)?;
         }
         let tip = ledger.tip().height;
         let replica = self.replica(id, seed, &store, &executor, &waiters)?;
@@ -67,7 +83,6 @@ impl World {
             answers: mpsc::channel(),
             waiting: BTreeMap::new(),
             store,
-            state,
             snapshots,
             ledger,
             flushing: false,
@@ -199,4 +214,8 @@ impl World {
         let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
         Some((tip.height, tip.hash, tip.digest))
     }
+}
+
+fn does_not_start(id: u64, fault: &Rejection) -> Violation {
+    Violation::new(UNEXPLAINED, format!("node {id} does not start: {fault}"))
 }

@@ -1,22 +1,26 @@
+//! Which attestations make a snapshot believed.
+
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use super::*;
-use crate::ca::CertificateAuthority;
-use crate::setup::{self, NetworkPlan, PlannedNode, PlannedOrganisation};
-use ledger::transaction::{Body, NONCE_BYTES};
+use bytes::Bytes;
+use ledger::transaction::{Body, NONCE_BYTES, Transaction};
+use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_identity::msp::Msp;
+use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::{Identity, Role};
+use ledger_rejection::Code;
+use ledger_replica::trust::{Attested, Claim};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use ring::rand::SystemRandom;
 use std::collections::BTreeMap;
-use tempfile::TempDir;
 
-const NOW: u64 = 1_800_000_000_000_000;
+const NOW: u64 = 1_900_000_000_000_000;
 const CONTENT: Hash = Hash([7; 32]);
 
-/// Two organisations, and a third one with the same name as the second.
+/// Three organisations.
 struct World {
-    _place: TempDir,
     network: Hash,
-    authorities: BTreeMap<String, CertificateAuthority>,
+    authorities: BTreeMap<&'static str, CertifiedIssuer<'static, KeyPair>>,
     msps: Msps,
 }
 
@@ -25,39 +29,38 @@ struct Node {
     certificate: Bytes,
 }
 
+fn params(name: &str, unit: &str) -> CertificateParams {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = rcgen::DistinguishedName::new();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
+    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
+    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
+    params
+}
+
 impl World {
     fn new() -> Self {
-        let place = TempDir::new().unwrap();
-        let organisation = |name: &str| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 };
-        let data = place.path().join("node1");
-        let plan = NetworkPlan {
-            snapshot_every: 10,
-            label: "fleet".into(),
-            organisations: vec![organisation("Org1"), organisation("Org2"), organisation("Org3")],
-            nodes: vec![PlannedNode {
-                name: "node1".into(),
-                organisation: "Org1".into(),
-                data: data.clone(),
-                address: "node1:7450".into(),
-                voter: true,
-            }],
-        };
-        let founded = setup::found(&plan, NOW).unwrap();
-        let (_, network) = ledger::network::Genesis::from_bytes(&founded.document).unwrap();
-        let authorities = CertificateAuthority::open_all(&data).unwrap();
-        let authorities = authorities.into_iter().map(|ca| (ca.organisation().to_owned(), ca)).collect();
-        let mut msps = Msps::new();
-        for organisation in &founded.genesis.organisations {
-            msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates).unwrap())
-                .unwrap();
+        let (mut authorities, mut msps) = (BTreeMap::new(), Msps::new());
+        for name in ["Org1", "Org2", "Org3"] {
+            let mut root = params(&format!("{name}-ca"), "ca");
+            root.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+            root.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+            let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+            let authority = CertifiedIssuer::self_signed(root, key).unwrap();
+            let root = Bytes::copy_from_slice(authority.der());
+            msps.insert(Msp::new(name, &[root], &[] as &[Bytes]).unwrap()).unwrap();
+            authorities.insert(name, authority);
         }
-        Self { _place: place, network, authorities, msps }
+        Self { network: Hash::of(&[b"fleet"]), authorities, msps }
     }
 
-    fn node(&mut self, organisation: &str, role: Role) -> Node {
-        let ca = self.authorities.get_mut(organisation).unwrap();
-        let issued = ca.issue(&format!("a-{role}"), role, BTreeMap::new(), KeyKind::Ed25519, NOW).unwrap();
-        Node { key: issued.key, certificate: issued.certificate.into() }
+    fn node(&self, organisation: &str, role: Role) -> Node {
+        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+        let params = params(&format!("a-{role}"), &role.to_string());
+        let certificate = params.signed_by(&public, self.authorities.get(organisation).unwrap()).unwrap();
+        Node { key, certificate: Bytes::copy_from_slice(certificate.der()) }
     }
 
     fn claim(&self) -> Claim {
@@ -99,7 +102,7 @@ fn nobody(_: &Identity) -> bool {
 
 #[test]
 fn a_snapshot_needs_nodes_of_two_organisations_one_of_which_is_trusted() {
-    let mut world = World::new();
+    let world = World::new();
     let claim = world.claim();
     let nodes = ["Org1", "Org2", "Org3"].map(|organisation| world.node(organisation, Role::Node));
     let [one, two, three] = nodes.map(|node| world.attest(&node, "attest", &statement(10, CONTENT)));
@@ -122,7 +125,7 @@ fn a_snapshot_needs_nodes_of_two_organisations_one_of_which_is_trusted() {
 
 #[test]
 fn only_what_a_node_signed_about_this_snapshot_counts() {
-    let mut world = World::new();
+    let world = World::new();
     let claim = world.claim();
     let (one, two) = (world.node("Org1", Role::Node), world.node("Org2", Role::Node));
     let member = world.node("Org2", Role::Member);
