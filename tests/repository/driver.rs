@@ -16,8 +16,8 @@ const DRIVING: [&str; 11] = [
     "next_step(",
     "is_early(",
     "ORGANISATIONS_MIN",
-    ".fill(",
-    "hard_state().commit",
+    "snapshot.fill(",
+    "Ledger::open(",
 ];
 /// Times that the replica decides about.
 const TIMES: [&str; 6] =
