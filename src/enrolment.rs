@@ -25,7 +25,7 @@ pub(crate) use authorities::{Authorities, given_up_file, lock};
 pub(crate) use voice::Voice;
 
 use crate::ca::CertificateAuthority;
-use crate::listen::Caller;
+use crate::host::Caller;
 use crate::peers::{Directory, Member};
 use bytes::Bytes;
 use carrying::Offer;

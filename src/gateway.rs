@@ -15,7 +15,7 @@ use crate::blocks::Blocks;
 use crate::clock::{Clock, wall};
 use crate::config::Limits;
 use crate::denials::Denials;
-use crate::listen::Caller;
+use crate::host::Caller;
 use crate::orderer::{Executed, Seat};
 use crate::peers::{Directory, Member, Peers};
 use crate::slice::Turns;

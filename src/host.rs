@@ -1,69 +1,74 @@
-//! A host: what the process gives to the ledger that runs in it. Where it listens, its certificate, the CAs that it carries.
+//! A host: what the process gives to the ledgers that run in it. It listens at one address, and hands each connection to
+//! the ledger that the client means.
 //!
 //! ```text
-//! node      a host and its instance: up, and down in order
-//! serve     the services of an instance on the host's listener
+//! node      a ledger on a host: up, and down in order
+//!   papers  the certificate of a node, and the CAs that it carries
+//! serve     the services of one ledger
+//! ledgers   the ledgers behind the listener
+//! door      TCP connections, and TLS handshakes beside each other
 //! ```
 
+mod door;
+mod ledgers;
 mod node;
+mod papers;
 mod serve;
 
+pub(crate) use door::Caller;
 pub use node::{Node, NodeBuilder};
+pub(crate) use papers::{CERTIFICATE_FILE, KEY_FILE, Papers};
 pub(crate) use serve::{Deliver, Services};
 
-use crate::ca::check_secret;
-use crate::config::Config;
-use crate::enrolment::Authorities;
-use ledger_api::tls::TlsIdentity;
 use ledger_rejection::{Code, Rejection};
+use ledgers::Ledgers;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::sync::Arc;
 use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 
-/// The node's certificate, its CA behind it, in its data directory.
-pub(crate) const CERTIFICATE_FILE: &str = "node.pem";
-/// The node's key, in its data directory.
-pub(crate) const KEY_FILE: &str = "node.key";
-
-/// What a process gives to a ledger.
-pub(crate) struct Host {
-    /// The node's certificate and key, shared with all that show them.
-    pub(crate) identity: TlsIdentity,
-    /// The CAs that the node carries.
-    pub(crate) authorities: Arc<Authorities>,
-    listener: TcpListener,
+/// A listener, and the ledgers behind it. Clones share it; it ends with the last one.
+///
+/// A client names the network that it wants in the first message of TLS. While there is one ledger only, every client
+/// gets that one.
+#[derive(Clone)]
+pub struct Host {
     address: SocketAddr,
+    ledgers: Ledgers,
+    accepting: Arc<JoinSet<()>>,
 }
 
 impl Host {
-    /// Reads the certificate, the key and the CAs of the data directory, and listens. Nothing is accepted before
-    /// [`Host::serve`].
+    /// Listens at this address, `HOST:PORT`. Connections wait until there is a ledger.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if one of the files is missing, damaged, or a key that others may read;
     /// [`Code::BadConfiguration`] if nothing can listen there.
-    pub(crate) async fn open(config: &Config) -> Result<Self, Rejection> {
-        check_secret(
-            &config.data.join(KEY_FILE),
-            "if others may have read it, remove the node and let it join anew with another key",
-        )?;
-        let identity = TlsIdentity::from_pem_files(&config.data.join(CERTIFICATE_FILE), &config.data.join(KEY_FILE))
-            .map_err(|error| Rejection::new(Code::BadFile, error.to_string()).next("restore the file from a copy"))?;
-        let authorities =
-            Arc::new(Authorities::open(&config.data, (config.ca.certificate_days, config.ca.secret_days))?);
-        let listener = listen(&config.listen).await?;
+    pub async fn listen(address: &str) -> Result<Self, Rejection> {
+        let listener = TcpListener::bind(address).await.map_err(|error| {
+            Rejection::new(Code::BadConfiguration, format!("cannot listen on {address}: {error}"))
+                .next("choose another address with the setting listen, or end the process that uses this one")
+        })?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        Ok(Self { identity, authorities, listener, address })
+        let (ledgers, mut accepting) = (Ledgers::default(), JoinSet::new());
+        accepting.spawn(door::accept(listener, ledgers.clone()));
+        Ok(Self { address, ledgers, accepting: Arc::new(accepting) })
     }
 
-    /// Where it listens; the port is the real one where the configuration said 0.
-    pub(crate) fn address(&self) -> SocketAddr {
+    /// Where it listens; the port is the real one where the address said 0.
+    pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Where this machine reaches the node's own gateway.
+    /// Where this machine reaches the host.
     pub(crate) fn own_gateway(&self) -> String {
         reachable(self.address).to_string()
+    }
+
+    /// Ends the use of the host; the last one that leaves closes the listener.
+    async fn leave(self) {
+        if let Some(mut accepting) = Arc::into_inner(self.accepting) {
+            accepting.shutdown().await;
+        }
     }
 }
 
@@ -73,11 +78,4 @@ fn reachable(mut address: SocketAddr) -> SocketAddr {
         address.set_ip(if address.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() });
     }
     address
-}
-
-async fn listen(address: &str) -> Result<TcpListener, Rejection> {
-    TcpListener::bind(address).await.map_err(|error| {
-        Rejection::new(Code::BadConfiguration, format!("cannot listen on {address}: {error}"))
-            .next("choose another address with the setting listen, or end the process that uses this one")
-    })
 }

@@ -20,7 +20,7 @@ use crate::config::{Config, Order};
 use crate::denials::Denials;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{Audience, Current, GatewayService, NodeView, Shares};
-use crate::host::{Deliver, Host, Services};
+use crate::host::{Deliver, Host, Papers, Services};
 use crate::housekeeping::{Bells, Housekeeping};
 use crate::identity::{Joined, own_membership, removed};
 use crate::join::{advised, check_member};
@@ -103,14 +103,14 @@ pub(crate) struct Instance {
 
 impl Standing {
     /// Finds out by the node's certificate and what joining left here.
-    fn find(host: &Host, stores: &Stores, config: &Config) -> Result<Self, Rejection> {
+    fn find(papers: &Papers, stores: &Stores, config: &Config) -> Result<Self, Rejection> {
         let ledger = &stores.ledger;
         let directory = Arc::new(Directory::read(ledger));
-        renewal::revive(&config.data, &host.identity, &host.authorities, &ledger.msps())?;
+        renewal::revive(&config.data, &papers.identity, &papers.authorities, &ledger.msps())?;
         let joined = Joined::load(&config.data)?;
-        let me = own_membership(&host.identity, ledger, &stores.genesis, &directory.members(), joined.as_ref())?;
+        let me = own_membership(&papers.identity, ledger, &stores.genesis, &directory.members(), joined.as_ref())?;
         check_member(config, ledger.network(), &me)?;
-        host.authorities.check_carried(ledger, &me)?;
+        papers.authorities.check_carried(ledger, &me)?;
         Ok(Self { me, directory, joined })
     }
 }
@@ -118,14 +118,14 @@ impl Standing {
 impl Wired {
     /// Makes the parts and tells them of each other.
     fn new(
-        (host, config): (&Host, &Config),
+        (papers, config): (&Papers, &Config),
         (stores, trust): (&Stores, &Arc<dyn TrustSource>),
         standing: &Standing,
         started: Instant,
     ) -> Result<Self, Rejection> {
         let Stores { genesis, ledger, store, snapshots } = stores.clone();
         let (me, directory) = (standing.me.clone(), Arc::clone(&standing.directory));
-        let tls = host.identity.clone();
+        let tls = papers.identity.clone();
         let clock = Clock::starting_at(ledger.tip().time);
         let (failed, ended) = watch::channel(None);
         let (again, told) = (failed.clone(), config.clone());
@@ -134,6 +134,7 @@ impl Wired {
         let space = Arc::new(Space::open(&config.data));
         let dialer = Dialer {
             me: me.id,
+            network: ledger.network(),
             organisation: me.organisation.clone(),
             identity: tls.clone(),
             trust: Arc::clone(trust),
@@ -228,21 +229,22 @@ impl Prepared {
     /// # Errors
     /// If this is no node of the network, or its certificate or CA is not usable.
     pub(crate) fn new(
-        (host, config): (&Host, &Config),
+        (host, papers): (&Host, Papers),
+        config: &Config,
         (stores, document): (Stores, Bytes),
         started: Instant,
     ) -> Result<(Self, Services), Rejection> {
         let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger));
-        let standing = Standing::find(host, &stores, config)?;
-        let wired = Wired::new((host, config), (&stores, &trust), &standing, started)?;
+        let standing = Standing::find(&papers, &stores, config)?;
+        let wired = Wired::new((&papers, config), (&stores, &trust), &standing, started)?;
         let housekeeping =
             Housekeeping::start(Arc::clone(&wired.view), pruner(&stores, config), Arc::clone(&wired.shared.bells))
                 .map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
-        let enrolment = wired.enrolment(host, (&stores, document), &trust);
+        let enrolment = wired.enrolment((host, &papers), (&stores, document), &trust);
         let keeper = Keeper {
             data: config.data.clone(),
-            identity: host.identity.clone(),
+            identity: papers.identity.clone(),
             ledger: Arc::clone(&stores.ledger),
             trust: Arc::clone(&trust),
             enrolment: enrolment.clone(),
@@ -307,19 +309,19 @@ impl Wired {
 
     fn enrolment(
         &self,
-        host: &Host,
+        (host, papers): (&Host, &Papers),
         (stores, document): (&Stores, Bytes),
         trust: &Arc<dyn TrustSource>,
     ) -> EnrolmentService {
-        let voice = Voice::through(&host.own_gateway(), stores.ledger.network(), &host.identity, trust);
+        let voice = Voice::through(&host.own_gateway(), stores.ledger.network(), &papers.identity, trust);
         let standing = Arc::clone(&self.view);
         let surroundings = Surroundings {
             me: self.view.me.clone(),
-            identity: host.identity.clone(),
+            identity: papers.identity.clone(),
             directory: Arc::clone(&self.view.directory),
             cut_off: Box::new(move || standing.is_cut_off()),
         };
-        let (authorities, ledger) = (Arc::clone(&host.authorities), Arc::clone(&stores.ledger));
+        let (authorities, ledger) = (Arc::clone(&papers.authorities), Arc::clone(&stores.ledger));
         EnrolmentService::new(authorities, ledger, surroundings, (stores.genesis.clone(), document), voice, wall)
     }
 }

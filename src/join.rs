@@ -130,7 +130,7 @@ impl Contact {
     async fn find(token: &JoinToken) -> Result<Self, Rejection> {
         let mut refused = Rejection::new(Code::Unreachable, "the token names no node");
         for address in &token.addresses {
-            let enrolment = Enrolment::new(address, token.ca);
+            let enrolment = Enrolment::new(address, token.ca).into_network(token.network);
             match enrolment.genesis(&token.network).await {
                 Ok((genesis, document)) => {
                     check_clock(enrolment.network().await?.clock, address)?;

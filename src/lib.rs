@@ -20,14 +20,14 @@
 //! |---|---|
 //! | `command` | the command line: `run`, `check`, `init`, `join`, `dev`, `demo`, `bridge`, `verify` |
 //! | `config` | the configuration file, every fault at once |
-//! | `host` | what the process gives: listener, certificate, CAs, the server; `Node` is a host and its instance |
+//! | `host` | what the process gives: the listener, and TLS connections for one ledger or several; `Node` is a ledger on it |
 //! | `instance` | one ledger, from its stores to its services, and back down in order |
 //! | `clock` | time that never goes back |
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
 //! | `bridge` | the bridge inside a node |
-//! | `listen`, `peers` | TLS connections of clients and between nodes |
+//! | `peers` | TLS connections between nodes |
 //! | `gateway` | the gRPC API |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
 //! | `identity` | which of the network's nodes this is |
@@ -58,7 +58,6 @@ mod housekeeping;
 mod identity;
 mod instance;
 mod join;
-mod listen;
 mod memory;
 mod orderer;
 mod peers;
@@ -78,5 +77,5 @@ mod waiters;
 mod witness;
 
 pub use command::run;
-pub use host::{Node, NodeBuilder};
+pub use host::{Host, Node, NodeBuilder};
 pub use instance::Ended;

@@ -16,6 +16,7 @@ pub(crate) use service::PeerService;
 
 use bytes::Bytes;
 use ledger_api::tls::{TlsIdentity, TrustSource};
+use ledger_hash::Hash;
 use ledger_raft::PeerMessage;
 use link::Way;
 use std::collections::BTreeMap;
@@ -31,6 +32,8 @@ const WAITING_MAX: usize = 1024;
 pub(crate) struct Dialer {
     /// This node's id.
     pub me: u64,
+    /// The network of the nodes that it calls.
+    pub network: Hash,
     /// Its organisation.
     pub organisation: String,
     /// Its certificate and key.

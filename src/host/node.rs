@@ -1,7 +1,7 @@
 //! A node: a host and its instance, up and down in order.
 
-use super::Host;
 use super::serve::Serving;
+use super::{Host, Papers};
 use crate::bridge::NodeBridge;
 use crate::config::Config;
 use crate::instance::{Ended, Instance, Prepared};
@@ -50,14 +50,23 @@ impl NodeBuilder {
     /// # Errors
     /// What is missing or wrong, in words for the operator.
     pub async fn start(&self, config: &Config) -> Result<Node, Rejection> {
-        Node::start(self.registry()?, config).await.map_err(|reason| advised(reason, config))
+        Node::start(self.registry()?, config, None).await.map_err(|reason| advised(reason, config))
+    }
+
+    /// Starts a node behind the listener of this host, beside the nodes of other networks that are there. The setting
+    /// `listen` does not count.
+    ///
+    /// # Errors
+    /// As [`NodeBuilder::start`]; [`Code::BadConfiguration`] if the host serves this network already.
+    pub async fn start_on(&self, host: &Host, config: &Config) -> Result<Node, Rejection> {
+        Node::start(self.registry()?, config, Some(host)).await.map_err(|reason| advised(reason, config))
     }
 }
 
-/// A running node. Dropping it without [`Node::stop`] is like pulling the plug, which it survives. A process may hold several,
-/// of one network or of many.
+/// A running node. Dropping it without [`Node::stop`] is like pulling the plug, which it survives. A process may hold several:
+/// nodes of one network on hosts of their own, nodes of several networks behind one [`Host`], too.
 pub struct Node {
-    address: SocketAddr,
+    host: Host,
     instance: Instance,
     serving: Serving,
     bridge: Option<NodeBridge>,
@@ -69,14 +78,18 @@ impl Node {
         NodeBuilder::default()
     }
 
-    async fn start(registry: Registry, config: &Config) -> Result<Self, Rejection> {
+    async fn start(registry: Registry, config: &Config, host: Option<&Host>) -> Result<Self, Rejection> {
         let started = Instant::now();
         let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         let stores = Stores::open(config, &genesis, registry)?;
-        let host = Host::open(config).await?;
-        let (address, own_gateway) = (host.address(), host.own_gateway());
-        let (prepared, services) = Prepared::new((&host, config), (stores, genesis.into()), started)?;
-        let serving = host.serve(services, &config.limits)?;
+        let (network, papers) = (stores.ledger.network(), Papers::read(config)?);
+        let identity = papers.identity.clone();
+        let host = match host {
+            Some(host) => host.clone(),
+            None => Host::listen(&config.listen).await?,
+        };
+        let (prepared, services) = Prepared::new((&host, papers), config, (stores, genesis.into()), started)?;
+        let serving = host.serve(network, identity, services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
             Err(reason) => {
@@ -84,15 +97,15 @@ impl Node {
                 return Err(reason);
             }
         };
-        let ledger = &instance.view.ledger;
-        tracing::info!(%address, network = %ledger.network(), height = ledger.tip().height, "ready after {} ms", started.elapsed().as_millis());
-        let bridge = NodeBridge::start(config, own_gateway)?;
-        Ok(Self { address, instance, serving, bridge })
+        let (address, height) = (host.address(), instance.view.ledger.tip().height);
+        tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
+        let bridge = NodeBridge::start(config, host.own_gateway())?;
+        Ok(Self { host, instance, serving, bridge })
     }
 
     /// Where the node listens; the port is the real one where the configuration said 0.
     pub fn address(&self) -> SocketAddr {
-        self.address
+        self.host.address()
     }
 
     /// The ledger, for looking into it in the same process.
@@ -118,6 +131,7 @@ impl Node {
         }
         self.instance.leave().await;
         self.serving.stop().await;
+        self.host.leave().await;
         self.instance.stop().await;
     }
 }

@@ -1,24 +1,24 @@
-//! The services of an instance on the host's listener.
+//! The services of an instance behind the host's listener.
 
 use super::Host;
+use super::ledgers::Place;
 use crate::config::Limits;
 use crate::enrolment::EnrolmentService;
 use crate::gateway::GatewayService;
 use crate::instance::count;
-use crate::listen::accept;
 use crate::peers::PeerService;
 use ledger::block::PAYLOAD_BYTES_MAX;
-use ledger_api::tls::{TrustSource, server_config};
+use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_api::v1::enrolment_server::EnrolmentServer;
 use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
+use ledger_hash::Hash;
 use ledger_raft::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
 use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use tokio_rustls::TlsAcceptor;
 use tonic::transport::Server;
 
 /// Bytes of one stream, and of one connection, that may be on their way: enough for a fast link's delay.
@@ -45,20 +45,28 @@ pub(crate) struct Services {
 
 /// A server that runs.
 pub(super) struct Serving {
+    place: Place,
     server: JoinHandle<()>,
     stop: watch::Sender<bool>,
 }
 
 impl Host {
-    /// Serves these services until it is told to stop.
+    /// Serves this network with these services until it is told to stop. The server shows this certificate.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if certificate and key cannot be used.
-    pub(super) fn serve(self, services: Services, limits: &Limits) -> Result<Serving, Rejection> {
+    /// [`Code::BadFile`] if certificate and key cannot be used; [`Code::BadConfiguration`] if the network is served by
+    /// another node already.
+    pub(super) fn serve(
+        &self,
+        network: Hash,
+        identity: TlsIdentity,
+        services: Services,
+        limits: &Limits,
+    ) -> Result<Serving, Rejection> {
         let Services { gateway, enrolment, peer, trust } = services;
-        let server_tls = server_config(self.identity, Arc::clone(&trust))
+        let server_tls = server_config(identity, Arc::clone(&trust))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
-        let connections = accept(self.listener, TlsAcceptor::from(Arc::new(server_tls)), trust);
+        let (place, connections) = self.ledgers.enter(network, Arc::new(server_tls), trust)?;
         // More than is accepted: what is a little too large gets an answer that says so.
         let message_bytes_max = count(limits.payload_bytes_max).max(PAYLOAD_BYTES_MAX) + MESSAGE_EXTRA_BYTES;
         let (stop, mut stopping) = watch::channel(false);
@@ -79,7 +87,7 @@ impl Host {
                 tracing::error!(%error, "the server ended");
             }
         });
-        Ok(Serving { server, stop })
+        Ok(Serving { place, server, stop })
     }
 }
 
@@ -95,11 +103,13 @@ impl Serving {
     }
 
     /// No new calls; open ones have [`STOP_TIME_MAX`] to end.
-    pub(super) async fn stop(mut self) {
-        self.stop.send_replace(true);
-        if tokio::time::timeout(STOP_TIME_MAX, &mut self.server).await.is_err() {
-            self.server.abort();
-            let _aborted = self.server.await;
+    pub(super) async fn stop(self) {
+        let Self { place, mut server, stop } = self;
+        drop(place);
+        stop.send_replace(true);
+        if tokio::time::timeout(STOP_TIME_MAX, &mut server).await.is_err() {
+            server.abort();
+            let _aborted = server.await;
         }
     }
 }

@@ -3,12 +3,11 @@
 use super::{Dialer, Member};
 use bytes::Bytes;
 use hyper_util::rt::TokioIo;
-use ledger_api::tls::{ServerTrust, TlsError, client_config, client_config_expecting};
+use ledger_api::tls::{ServerTrust, TlsError, client_config, client_config_expecting, server_name};
 use ledger_api::v1::PeerFrame;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_hash::Hash;
 use ledger_raft::PEER_MESSAGE_BYTES_MAX;
-use rustls_pki_types::ServerName;
 use std::error::Error;
 use std::pin::Pin;
 use std::sync::Arc;
@@ -88,17 +87,18 @@ impl Dialer {
     pub(crate) async fn channel(&self, member: &Member) -> Result<Channel, String> {
         let trust = ServerTrust::Network(Arc::clone(&self.trust));
         let config = client_config_expecting(Some(self.identity.clone()), trust, &member.full_name());
-        open(&member.address, config).await
+        open((&member.address, self.network), config).await
     }
 
     /// A connection to some node whose certificate comes from a CA with this fingerprint: for a node whose ledger does
     /// not know the others yet.
     pub(crate) async fn first_contact(&self, address: &str, ca: Hash) -> Result<Channel, String> {
-        open(address, client_config(Some(self.identity.clone()), ServerTrust::Fingerprint(ca.0))).await
+        let config = client_config(Some(self.identity.clone()), ServerTrust::Fingerprint(ca.0));
+        open((address, self.network), config).await
     }
 }
 
-async fn open(address: &str, config: Result<ClientConfig, TlsError>) -> Result<Channel, String> {
+async fn open((address, network): (&str, Hash), config: Result<ClientConfig, TlsError>) -> Result<Channel, String> {
     let tls = TlsConnector::from(Arc::new(config.map_err(|error| error.to_string())?));
     let address = address.to_owned();
     let connect = tower::service_fn(move |_: Uri| {
@@ -106,7 +106,7 @@ async fn open(address: &str, config: Result<ClientConfig, TlsError>) -> Result<C
         async move {
             let socket = TcpStream::connect(&address).await?;
             socket.set_nodelay(true)?;
-            let name = ServerName::try_from("node.ledgerd.invalid").map_err(std::io::Error::other)?;
+            let name = server_name(Some(&network)).map_err(std::io::Error::other)?;
             Ok::<_, std::io::Error>(TokioIo::new(tls.connect(name, socket).await?))
         }
     });

@@ -2,7 +2,7 @@
 
 use super::{Member, Peers};
 use crate::catch_up::Source;
-use crate::listen::Caller;
+use crate::host::Caller;
 use ledger_api::v1::peer_server::Peer;
 use ledger_api::v1::{self, PeerClosed, PeerFrame};
 use ledger_identity::Role;

@@ -1,24 +1,27 @@
-//! Several instances in one process: each has a ledger, stores, certificate and threads of its own.
+//! Several ledgers in one process: each has stores, certificate and threads of its own. They have a listener each, or
+//! share one.
 
 use crate::support::network::{free_address, now};
 use bytes::Bytes;
-use ledger_api::Client;
+use ledger_api::{Client, Context, Enrolment};
+use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
-use ledgerd::Node;
+use ledger_rejection::Code;
 use ledgerd::config::Config;
 use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
+use ledgerd::{Host, Node};
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// A network of one node in this process, and a client of its admin.
-async fn network(root: &Path, label: &str) -> (Node, Client) {
-    let (data, address) = (root.join(label), free_address());
+/// Founds a network of one node that is reached at this address: the node's settings, and its admin.
+fn founded(root: &Path, label: &str, address: &str) -> (Config, Context) {
+    let data = root.join(label);
     let node = PlannedNode {
         name: "node1".into(),
         organisation: "Org1".into(),
         data: data.clone(),
-        address: address.clone(),
+        address: address.into(),
         voter: true,
     };
     let plan = NetworkPlan {
@@ -28,8 +31,13 @@ async fn network(root: &Path, label: &str) -> (Node, Client) {
         snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
     };
     found(&plan, now()).unwrap();
-    let admin = issue(&data, "Org1", ("Admin", Role::Admin), BTreeMap::new(), &address, now()).unwrap();
-    let config = Config { data, listen: address, ..Config::default() };
+    let admin = issue(&data, "Org1", ("Admin", Role::Admin), BTreeMap::new(), address, now()).unwrap();
+    (Config { data, listen: address.into(), ..Config::default() }, admin)
+}
+
+/// A network of one node in this process, and a client of its admin.
+async fn network(root: &Path, label: &str) -> (Node, Client) {
+    let (config, admin) = founded(root, label, &free_address());
     let node = Node::builder().start(&config).await.unwrap();
     (node, Client::connect(&admin).await.unwrap())
 }
@@ -58,4 +66,74 @@ async fn two_ledgers_run_in_one_process_and_neither_notices_the_other() {
     let after = other.invoke("abac", "setup", robot("Leo")).await.unwrap();
     assert!(after.height > there.height, "the second goes on without the first");
     second.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn two_ledgers_behind_one_listener_each_serve_their_own_clients() {
+    let root = tempfile::tempdir().unwrap();
+    let host = Host::listen("127.0.0.1:0").await.unwrap();
+    let address = host.address().to_string();
+    let ((here, admin), (there, other)) =
+        (founded(root.path(), "first", &address), founded(root.path(), "second", &address));
+    let first = Node::builder().start_on(&host, &here).await.unwrap();
+    let second = Node::builder().start_on(&host, &there).await.unwrap();
+
+    let (of_first, of_second) = (Client::connect(&admin).await.unwrap(), Client::connect(&other).await.unwrap());
+    let husky = of_first.invoke("abac", "setup", robot("Husky")).await.unwrap();
+    let leo = of_second.invoke("abac", "setup", robot("Leo")).await.unwrap();
+    assert!(first.ledger().transaction(&husky.id).unwrap().is_some());
+    assert!(second.ledger().transaction(&leo.id).unwrap().is_some());
+    assert!(first.ledger().transaction(&leo.id).unwrap().is_none(), "a block of the other ledger");
+
+    first.stop().await;
+    let after = of_second.invoke("abac", "setup", robot("Turtlebot4")).await.unwrap();
+    assert!(after.height > leo.height, "the second goes on without the first");
+    second.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_listener_of_two_ledgers_refuses_a_client_that_names_neither() {
+    let root = tempfile::tempdir().unwrap();
+    let host = Host::listen("127.0.0.1:0").await.unwrap();
+    let address = host.address().to_string();
+    let ((here, admin), (there, _)) =
+        (founded(root.path(), "first", &address), founded(root.path(), "second", &address));
+    let first = Node::builder().start_on(&host, &here).await.unwrap();
+    let second = Node::builder().start_on(&host, &there).await.unwrap();
+
+    let stranger = Context { network: Hash::of(&[b"third"]), ..admin.clone() };
+    let refused = Client::connect(&stranger).await.err().unwrap();
+    assert_eq!(refused.code, Code::WrongNetwork, "{refused}");
+    assert_eq!(refused.message, format!("the process at {address} does not serve this network"));
+    assert_eq!(refused.wanted, format!("network {}", stranger.network));
+
+    let authority = Hash::of(&[admin.msps.get("Org1").unwrap().roots().next().unwrap()]);
+    let unnamed = Enrolment::new(&address, authority);
+    let refused = unnamed.network().await.unwrap_err();
+    assert_eq!(refused.message, format!("the process at {address} serves several networks, and the call names none"));
+    let told = unnamed.into_network(admin.network).network().await.unwrap();
+    assert_eq!(told.label, "first");
+
+    first.stop().await;
+    second.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_listener_serves_one_node_of_a_network_and_is_closed_with_the_last() {
+    let root = tempfile::tempdir().unwrap();
+    let host = Host::listen("127.0.0.1:0").await.unwrap();
+    let address = host.address().to_string();
+    let (config, _) = founded(root.path(), "first", &address);
+    let node = Node::builder().start_on(&host, &config).await.unwrap();
+    let copy = root.path().join("copy");
+    let copied = std::process::Command::new("cp").arg("-r").args([&config.data, &copy]).status().unwrap();
+    assert!(copied.success());
+
+    let twin = Config { data: copy, ..config.clone() };
+    let refused = Node::builder().start_on(&host, &twin).await.err().unwrap();
+    assert_eq!(refused.message, "one address cannot serve two nodes of a network");
+
+    drop(host);
+    node.stop().await;
+    tokio::net::TcpListener::bind(&address).await.unwrap();
 }

@@ -127,9 +127,12 @@ fn every_decision_has_a_number_of_its_own_three_parts_and_a_line_in_the_index() 
     let index = read(&folder.join("README.md"));
     let decisions: Vec<_> = files(&folder, ".md").into_iter().filter(|path| !path.ends_with("README.md")).collect();
     assert!(!decisions.is_empty(), "docs/decisions is empty");
-    for (path, number) in decisions.iter().zip(1..) {
+    let mut last = 0;
+    for path in &decisions {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
-        assert!(name.starts_with(&format!("{number:04}-")), "{name} should have the number {number:04}");
+        let number = name.split('-').next().and_then(|number| number.parse::<u32>().ok()).unwrap_or_default();
+        assert!(number > last && name.starts_with(&format!("{number:04}-")), "{name} has no number of its own");
+        last = number;
         let text = read(path);
         let title = text.lines().next().unwrap_or_default();
         let title = title.strip_prefix("# ").unwrap_or_else(|| panic!("{name} has no title"));

@@ -5,14 +5,13 @@ mod stream;
 
 pub(crate) use diagnosis::{Expected, explain, explain_clock, other_network, way_back};
 
-use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal};
+use crate::tls::{ServerTrust, TlsError, TlsIdentity, client_config, refusal, server_name};
 use bytes::Bytes;
 use hyper_util::rt::TokioIo;
 use ledger_hash::Hash;
 use ledger_identity::IdentityError;
 use ledger_identity::certificate::Certificate;
 use ledger_rejection::{Code, Rejection};
-use rustls::pki_types::ServerName;
 use rustls::{AlertDescription, ClientConfig};
 use std::error::Error as StdError;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -31,8 +30,6 @@ const KEEP_ALIVE_ANSWER_MAX: Duration = Duration::from_millis(1500);
 /// How much a node may send ahead on one stream and on a connection, in bytes.
 const STREAM_WINDOW_BYTES: u32 = 1024 * 1024;
 const CONNECTION_WINDOW_BYTES: u32 = 4 * 1024 * 1024;
-/// The name that TLS asks for; it is not checked (see [`crate::tls`]).
-const SERVER_NAME: &str = "node.ledgerd.internal";
 
 /// The needs of connections as an identity: the identity, the network, and the accepted nodes. Clones share the
 /// identity, and so see it renewed.
@@ -82,38 +79,40 @@ pub(crate) struct Connection {
 }
 
 impl Connection {
-    /// Connects to a node within `patience`. `certificate` is the one that `tls` shows, or empty.
+    /// Connects to a node of this network within `patience`; a first contact names none. `certificate` is the one that
+    /// `tls` shows, or empty.
     ///
     /// # Errors
     /// [`Code::Unreachable`] with address and reason; the code of the fault if the node's certificate is not accepted;
-    /// [`Code::BadArgument`] if the address is none.
+    /// [`Code::BadArgument`] if the address is none; [`Code::WrongNetwork`] if several networks are served there, and
+    /// this one is not.
     pub(crate) async fn open(
-        address: &str,
+        (address, network): (&str, Option<&Hash>),
         tls: Arc<ClientConfig>,
         certificate: &Bytes,
         patience: Duration,
     ) -> Result<Self, Rejection> {
         let origin = origin(address)?;
-        match timeout(patience, Self::establish(address, origin, tls, certificate)).await {
+        match timeout(patience, Self::establish((address, network), origin, tls, certificate)).await {
             Ok(done) => done,
             Err(_) => Err(unreachable(address, &format!("no answer within {} ms", patience.as_millis()))),
         }
     }
 
     async fn establish(
-        address: &str,
+        (address, network): (&str, Option<&Hash>),
         origin: Uri,
         tls: Arc<ClientConfig>,
         certificate: &Bytes,
     ) -> Result<Self, Rejection> {
         let tcp = TcpStream::connect(address).await.map_err(|error| unreachable(address, &error.to_string()))?;
         tcp.set_nodelay(true).map_err(|error| unreachable(address, &error.to_string()))?;
-        let name = ServerName::try_from(SERVER_NAME)
+        let name = server_name(network)
             .map_err(|error| Rejection::new(Code::Internal, format!("the name for TLS is wrong: {error}")))?;
         let secured = TlsConnector::from(tls)
             .connect(name, tcp)
             .await
-            .map_err(|error| handshake(address, certificate, &error))?;
+            .map_err(|error| handshake((address, network), certificate, &error))?;
         let fault = Arc::new(Mutex::new(None));
         let watched = Watched::new(secured, Arc::clone(&fault));
         // The one stream there is: when it breaks, whoever owns the connection opens another, perhaps elsewhere.
@@ -172,15 +171,31 @@ pub(crate) fn origin(address: &str) -> Result<Uri, Rejection> {
 }
 
 /// The TLS handshake failed.
-fn handshake(address: &str, certificate: &[u8], error: &std::io::Error) -> Rejection {
+fn handshake((address, network): (&str, Option<&Hash>), certificate: &[u8], error: &std::io::Error) -> Rejection {
     if let Some(refused) = refusal(error) {
         let mut rejection = Rejection::from(refused.clone());
         rejection.message = format!("the node at {address} is not accepted: {}", rejection.message);
         return rejection;
     }
     match Fault::of(error) {
+        Fault::Alert(AlertDescription::UnrecognisedName) => not_served(address, network),
         Fault::Alert(alert) => alerted(address, certificate, alert),
         Fault::Broken(reason) => unreachable(address, &format!("no TLS 1.3 connection: {reason}")),
+    }
+}
+
+/// A process at this address serves several networks, and cannot tell which one is meant, or does not serve it.
+fn not_served(address: &str, network: Option<&Hash>) -> Rejection {
+    let refused = |message: &str| Rejection::new(Code::WrongNetwork, format!("the process at {address} {message}"));
+    match network {
+        Some(network) => refused("does not serve this network")
+            .found("a process that serves other networks")
+            .wanted(format!("network {network}"))
+            .next("check the address, or select the context of a network that it serves"),
+        None => refused("serves several networks, and the call names none")
+            .found("TLS alert UnrecognisedName")
+            .wanted("the name of one of its networks")
+            .next("take a join token, which names the network, or ask at a node that serves one network"),
     }
 }
 

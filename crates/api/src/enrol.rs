@@ -30,12 +30,19 @@ pub(crate) const CONNECT_MAX: Duration = Duration::from_secs(3);
 pub struct Enrolment {
     node: String,
     ca_fingerprint: Hash,
+    network: Option<Hash>,
 }
 
 impl Enrolment {
     /// Enrolment at the node at `HOST:PORT`, whose organisation's CA certificate has this SHA-256.
     pub fn new(node: impl Into<String>, ca_fingerprint: Hash) -> Self {
-        Self { node: node.into(), ca_fingerprint }
+        Self { node: node.into(), ca_fingerprint, network: None }
+    }
+
+    /// The same into this network: a process that serves several has to be told which one is meant.
+    #[must_use]
+    pub fn into_network(self, network: Hash) -> Self {
+        Self { network: Some(network), ..self }
     }
 
     /// The node's description of its network. Nothing but the CA is verified.
@@ -126,7 +133,8 @@ impl Enrolment {
     }
 
     async fn knock(&self, door: &str, request: v1::EnrolRequest) -> Result<v1::EnrolResponse, Rejection> {
-        let connection = Connection::open(door, self.tls()?, &Bytes::new(), CONNECT_MAX).await?;
+        let connection =
+            Connection::open((door, self.network.as_ref()), self.tls()?, &Bytes::new(), CONNECT_MAX).await?;
         let answer = EnrolmentClient::new(connection.channel.clone()).enrol(request).await;
         answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))
     }
@@ -188,8 +196,9 @@ impl Enrolment {
     }
 
     async fn connect(&self) -> Result<Connection, Rejection> {
-        match Connection::open(&self.node, self.tls()?, &Bytes::new(), CONNECT_MAX).await {
-            Err(refused) => Err(explain_clock(refused, &self.node, CONNECT_MAX).await),
+        let there = (self.node.as_str(), self.network.as_ref());
+        match Connection::open(there, self.tls()?, &Bytes::new(), CONNECT_MAX).await {
+            Err(refused) => Err(explain_clock(refused, there, CONNECT_MAX).await),
             opened => opened,
         }
     }

@@ -91,7 +91,9 @@ impl Renewal {
 
     async fn ask_one(&self, address: &str, credentials: &Credentials) -> Result<EnrolResponse, Rejection> {
         let own = Bytes::copy_from_slice(self.present.own().certificate());
-        let connection = Connection::open(address, Arc::clone(&credentials.tls), &own, CONNECT_MAX).await?;
+        let connection =
+            Connection::open((address, Some(&credentials.network)), Arc::clone(&credentials.tls), &own, CONNECT_MAX)
+                .await?;
         let mut client = EnrolmentClient::new(connection.channel.clone());
         let answer = client.renew(RenewRequest { request: self.request() }).await;
         answer.map(tonic::Response::into_inner).map_err(|status| connection.refusal(&status))

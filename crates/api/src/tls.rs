@@ -1,7 +1,8 @@
 //! Mutual TLS 1.3 between clients, bridges and nodes.
 //!
 //! The identity in the certificate counts, checked against the network's organisations
-//! ([`ledger_identity::msp::Msps`]); host names are not checked, because robots move between addresses. A server must
+//! ([`ledger_identity::msp::Msps`]); host names are not checked, because robots move between addresses. The name that a
+//! client sends says its network ([`server_name`]). A server must
 //! show a certificate of role node: a user's certificate never passes as a node's. A client may come without a
 //! certificate; it can then only enrol, which the gateway decides.
 //!
@@ -15,11 +16,13 @@
 //! ```
 
 mod identity;
+mod name;
 mod refusal;
 mod server;
 mod trust;
 
 pub use identity::{Own, TlsError, TlsIdentity};
+pub use name::{named_network, server_name};
 pub use refusal::{Refusal, refusal};
 pub use server::server_config;
 pub(crate) use trust::unverified_config;

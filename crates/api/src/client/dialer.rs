@@ -138,7 +138,9 @@ impl Dialer {
 
     async fn try_open(&self, address: &str) -> Result<Opened, Rejection> {
         let certificate = Bytes::copy_from_slice(self.identity.own().certificate());
-        let connection = Connection::open(address, Arc::clone(&self.tls), &certificate, self.patience).await?;
+        let connection =
+            Connection::open((address, Some(&self.network)), Arc::clone(&self.tls), &certificate, self.patience)
+                .await?;
         let late = || unreachable(address, &format!("no answer within {} ms", self.patience.as_millis()));
         let up = Up { number: 0, connection };
         let asked = std::time::Instant::now();

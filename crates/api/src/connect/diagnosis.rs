@@ -40,25 +40,31 @@ pub(crate) async fn explain(refused: Rejection, address: &str, expected: &Expect
     if !doubtful.contains(&refused.code) {
         return refused;
     }
-    let Ok(Ok(told)) = timeout(patience, ask(address, patience)).await else { return refused };
+    let Ok(Ok(told)) = timeout(patience, ask((address, Some(&expected.network)), patience)).await else {
+        return refused;
+    };
     let here = crate::enrol::now();
     other_network(address, expected, &told)
         .unwrap_or_else(|| by_the_clock(refused, address, expected, (here, told.clock)))
 }
 
-/// As [`explain`], at first contact, when nothing is known of the network: only the clock can be it.
-pub(crate) async fn explain_clock(refused: Rejection, address: &str, patience: Duration) -> Rejection {
+/// As [`explain`], at first contact, when nothing but its name is known of the network: only the clock can be it.
+pub(crate) async fn explain_clock(
+    refused: Rejection,
+    (address, network): (&str, Option<&Hash>),
+    patience: Duration,
+) -> Rejection {
     if !matches!(refused.code, Code::CertificateExpired | Code::CertificateNotYetValid) {
         return refused;
     }
-    let Ok(Ok(told)) = timeout(patience, ask(address, patience)).await else { return refused };
+    let Ok(Ok(told)) = timeout(patience, ask((address, network), patience)).await else { return refused };
     let here = crate::enrol::now();
     if here.abs_diff(told.clock) > CLOCK_OFF { clocks_differ(address, here, told.clock) } else { refused }
 }
 
-async fn ask(address: &str, patience: Duration) -> Result<NetworkResponse, Rejection> {
+async fn ask(there: (&str, Option<&Hash>), patience: Duration) -> Result<NetworkResponse, Rejection> {
     let config = unverified_config().map_err(|error| super::unusable(&error))?;
-    let connection = Connection::open(address, Arc::new(config), &Bytes::new(), patience).await?;
+    let connection = Connection::open(there, Arc::new(config), &Bytes::new(), patience).await?;
     let answer = EnrolmentClient::new(connection.channel.clone()).network(NetworkRequest {}).await;
     Ok(answer.map_err(|status| connection.refusal(&status))?.into_inner())
 }

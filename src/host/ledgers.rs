@@ -1,0 +1,92 @@
+//! The ledgers behind one listener: each has its own certificate, its own callers and its own server.
+
+use super::door::Connection;
+use ledger_api::tls::{TrustSource, named_network};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Arc;
+use tokio::sync::{mpsc, watch};
+use tokio_rustls::rustls::ServerConfig;
+use tokio_stream::wrappers::ReceiverStream;
+
+/// Most connections that are established and not yet taken over by the server of their ledger.
+const ESTABLISHED_MAX: usize = 64;
+
+/// Established connections, for the server of one ledger.
+pub(super) type Connections = ReceiverStream<io::Result<Connection>>;
+
+/// A ledger as the listener sees it.
+#[derive(Clone)]
+pub(super) struct Served {
+    /// Its certificate, and the clients that it accepts.
+    pub(super) tls: Arc<ServerConfig>,
+    /// Says who a client is.
+    pub(super) trust: Arc<dyn TrustSource>,
+    /// Takes the connections.
+    pub(super) established: mpsc::Sender<io::Result<Connection>>,
+}
+
+/// The ledgers that are served, by the name of their network.
+#[derive(Clone, Default)]
+pub(super) struct Ledgers {
+    served: watch::Sender<BTreeMap<Hash, Served>>,
+}
+
+/// The place of a ledger behind the listener; it is free again once this is dropped.
+pub(super) struct Place {
+    network: Hash,
+    ledgers: Ledgers,
+}
+
+impl Ledgers {
+    /// Serves this network from now on.
+    ///
+    /// # Errors
+    /// [`Code::BadConfiguration`] if another node of the same network is served here.
+    pub(super) fn enter(
+        &self,
+        network: Hash,
+        tls: Arc<ServerConfig>,
+        trust: Arc<dyn TrustSource>,
+    ) -> Result<(Place, Connections), Rejection> {
+        let (established, connections) = mpsc::channel(ESTABLISHED_MAX);
+        let served = Served { tls, trust, established };
+        let entered = self.served.send_if_modified(|all| {
+            let free = !all.contains_key(&network);
+            if free {
+                all.insert(network, served);
+            }
+            free
+        });
+        if !entered {
+            return Err(Rejection::new(Code::BadConfiguration, "one address cannot serve two nodes of a network")
+                .found(format!("another node of network {network} behind this listener"))
+                .wanted("one node of each network")
+                .next("give this node a listener of its own"));
+        }
+        Ok((Place { network, ledgers: self.clone() }, ReceiverStream::new(connections)))
+    }
+
+    /// The ledger that a client means: the only one, or the one whose network it names.
+    pub(super) fn find(&self, name: Option<&str>) -> Option<Served> {
+        let served = self.served.borrow();
+        if served.len() == 1 {
+            return served.values().next().cloned();
+        }
+        served.get(&name.and_then(named_network)?).cloned()
+    }
+
+    /// Waits until there is a ledger to serve.
+    pub(super) async fn any(&self) {
+        let mut served = self.served.subscribe();
+        let _any = served.wait_for(|served| !served.is_empty()).await;
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        self.ledgers.served.send_modify(|served| drop(served.remove(&self.network)));
+    }
+}
