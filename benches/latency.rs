@@ -3,8 +3,9 @@
 //! - `sweep`: open loop at 1 to 5000 Hz: from the time a command (`set` of one Twist, signed) was due to its verdict at the
 //!   client, and to its event at a subscriber on the other organisation's node. Percentiles as a table, in
 //!   `target/bench/latency.json`, and as the paper's figure in `target/bench/latency.svg`.
-//! - `side_by_side`: one in flight and at 50 Hz, in turns with the floor (TLS, sign, verify, `fdatasync`: nothing else) and
-//!   with etcd of one and of three nodes, so that all meet the same mood of the machine. The targets are ratios of these.
+//! - `side_by_side`: one in flight, at 50 Hz and at 200 Hz, in turns with the floor (TLS, sign, verify, `fdatasync`:
+//!   nothing else) and with etcd of one and of three nodes, so that all meet the same mood of the machine. The targets are
+//!   ratios of these. First alone on the machine, then *contended*: a busy loop on every processor, at normal priority.
 //! - `commit/one_in_flight`: closed loop, by criterion, which tells whether it changed since the last run.
 //!
 //! `cargo bench --bench latency [-- sweep | side_by_side | one_in_flight]`; `LEDGERD_BENCH_SECONDS` sets the length of each
@@ -19,6 +20,7 @@
     reason = "a bench prints its results and ends at the first fault"
 )]
 
+mod busy;
 mod disk;
 mod draw;
 mod etcd;
@@ -28,6 +30,7 @@ mod load;
 mod network;
 mod report;
 
+use busy::Busy;
 use criterion::Criterion;
 use disk::Disk;
 use draw::Curve;
@@ -57,6 +60,8 @@ const SECONDS_DEFAULT: f64 = 4.0;
 const SECONDS_SMOKE: f64 = 0.1;
 /// Turns that each side takes in `side_by_side`.
 const TURNS: u32 = 5;
+/// Frequency of a fast controller.
+const FAST_HZ: f64 = 200.0;
 /// Bytes of a value of etcd: those of its measurements elsewhere.
 const ETCD_VALUE_BYTES: usize = 100;
 
@@ -167,28 +172,38 @@ fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
         .collect();
     let puts: Vec<_> = etcd.iter().map(|etcd| alone.block_on(etcd.client())).collect();
     let turn = duration / TURNS;
-    let mut sides: Vec<Side> = Vec::new();
-    for _ in 0..TURNS {
-        note(&mut sides, "floor", turn, || floor.once());
-        for (name, operator) in
-            ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
-        {
-            note(&mut sides, name, turn, || drop(alone.block_on(operator.command()).unwrap()));
+    let mut compare = |variant: &str| {
+        let mut sides: Vec<Side> = Vec::new();
+        for _ in 0..TURNS {
+            note(&mut sides, "floor", turn, || floor.once());
+            for (name, operator) in
+                ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
+            {
+                note(&mut sides, name, turn, || drop(alone.block_on(operator.command()).unwrap()));
+            }
+            for (name, client) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {
+                note(&mut sides, name, turn, || alone.block_on(client.put()));
+            }
         }
-        for (name, client) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {
-            note(&mut sides, name, turn, || alone.block_on(client.put()));
-        }
-    }
-    report::print_sides(&sides);
-    report::sides(&sides)
+        report::print_sides(variant, &sides);
+        report::sides(&sides)
+    };
+    let quiet = compare("alone on the machine");
+    let _busy = Busy::on_every_processor();
+    serde_json::json!({ "alone": quiet, "contended": compare("contended") })
 }
 
 /// Measures one side for a turn at each rate.
 fn note(sides: &mut Vec<Side>, name: &str, turn: Duration, mut once: impl FnMut()) {
-    let (one_in_flight, at_50_hz) = (closed(turn, &mut once), paced(PAPER_HZ, turn, &mut once));
+    let measured = Side {
+        name: name.to_owned(),
+        one_in_flight: closed(turn, &mut once),
+        at_50_hz: paced(PAPER_HZ, turn, &mut once),
+        at_200_hz: paced(FAST_HZ, turn, &mut once),
+    };
     match sides.iter_mut().find(|side| side.name == name) {
-        Some(side) => side.add(&one_in_flight, &at_50_hz),
-        None => sides.push(Side { name: name.to_owned(), one_in_flight, at_50_hz }),
+        Some(side) => side.add(&measured),
+        None => sides.push(measured),
     }
 }
 

@@ -71,37 +71,49 @@ pub(crate) struct Side {
     pub(crate) one_in_flight: Histogram<u64>,
     /// At 50 Hz, from when a call was due.
     pub(crate) at_50_hz: Histogram<u64>,
+    /// At 200 Hz, likewise.
+    pub(crate) at_200_hz: Histogram<u64>,
 }
 
 impl Side {
     /// Adds another turn.
-    pub(crate) fn add(&mut self, one_in_flight: &Histogram<u64>, at_50_hz: &Histogram<u64>) {
-        self.one_in_flight.add(one_in_flight).unwrap();
-        self.at_50_hz.add(at_50_hz).unwrap();
+    pub(crate) fn add(&mut self, turn: &Self) {
+        self.one_in_flight.add(&turn.one_in_flight).unwrap();
+        self.at_50_hz.add(&turn.at_50_hz).unwrap();
+        self.at_200_hz.add(&turn.at_200_hz).unwrap();
     }
 }
 
 /// Prints the sides, each also as a multiple of the first.
-pub(crate) fn print_sides(sides: &[Side]) {
+pub(crate) fn print_sides(variant: &str, sides: &[Side]) {
     let Some(first) = sides.first() else { return };
-    println!("\nside by side, ms (and as a multiple of: {})", first.name);
-    println!("                                     one in flight p50              50 Hz p50              50 Hz p99");
+    println!("\nside by side, {variant}, ms (and as a multiple of: {})", first.name);
+    let columns = ["one in flight p50", "50 Hz p50", "50 Hz p99", "200 Hz p50", "200 Hz p99"];
+    println!("{:35} {}", "", columns.map(|column| format!("{column:>20}")).join(" "));
     for side in sides {
         let figure =
             |of: &dyn Fn(&Side) -> u64| format!("{:.3} ({:5.2} x)", ms(of(side)), of(side) as f64 / of(first) as f64);
-        println!(
-            "{:35} {:>20} {:>22} {:>22}",
-            side.name,
+        let figures = [
             figure(&|side| side.one_in_flight.value_at_quantile(0.5)),
             figure(&|side| side.at_50_hz.value_at_quantile(0.5)),
             figure(&|side| side.at_50_hz.value_at_quantile(0.99)),
-        );
+            figure(&|side| side.at_200_hz.value_at_quantile(0.5)),
+            figure(&|side| side.at_200_hz.value_at_quantile(0.99)),
+        ];
+        println!("{:35} {}", side.name, figures.map(|figure| format!("{figure:>20}")).join(" "));
     }
 }
 
 /// The sides for [`write`].
 pub(crate) fn sides(sides: &[Side]) -> Value {
-    let side = |Side { name, one_in_flight, at_50_hz }: &Side| json!({ "name": name, "one_in_flight_ms": percentiles(one_in_flight), "at_50_hz_ms": percentiles(at_50_hz) });
+    let side = |side: &Side| {
+        json!({
+            "name": side.name,
+            "one_in_flight_ms": percentiles(&side.one_in_flight),
+            "at_50_hz_ms": percentiles(&side.at_50_hz),
+            "at_200_hz_ms": percentiles(&side.at_200_hz),
+        })
+    };
     sides.iter().map(side).collect()
 }
 
