@@ -122,6 +122,6 @@ fn set_aside(directory: &Path) -> Result<(), Rejection> {
         Rejection::new(Code::BadFile, format!("cannot move {} aside: {error}", directory.display()))
             .next("delete it by hand; it is rebuilt from the blocks")
     })?;
-    tracing::info!(aside = %aside.display(), "what was there is moved aside");
+    tracing::info!(aside = %aside.display(), "the earlier directory is moved aside");
     Ok(())
 }

@@ -182,7 +182,7 @@ impl NodeView {
         })?;
         let place = self.ledger.transaction(&id)?.ok_or_else(|| {
             Rejection::new(Code::NotFound, format!("this node has executed no transaction {id}"))
-                .next("if it was submitted just now, ask again; what is refused before ordering has no record")
+                .next("if it was submitted just now, ask again; a call that is refused before ordering has no record")
         })?;
         let outcome = self.blocks.get(place.height)?.ok_or_else(|| self.no_block(place.height))?;
         Ok(self.record(caller, &outcome, place.index as usize))

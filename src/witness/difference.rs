@@ -44,7 +44,7 @@ async fn search(ledger: &Ledger, dialer: &Dialer, member: &Member, noticed: u64)
         }
     }
     let name = member.full_name();
-    let what = format!("what {name} computed: height {differing} is the first that differs");
+    let what = format!("the results of {name}: height {differing} is the first that differs");
     Ok(match first_key(ledger, &mut peer, differing).await? {
         Some(key) => format!("{what}, in key {key}"),
         None => format!("{what}, in verdicts or in a key that is not known any more"),

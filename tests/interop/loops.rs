@@ -96,7 +96,7 @@ async fn two_bridges_in_one_domain(mode: &str) {
     world.line("Salma", &["ROS domain 0 (from the default)", "ready"]).await;
     world.line("Salma", &["WARN", "another bridge publishes on /cmd_vel what came from the ledger", "circle"]).await;
     world.line("Rover", &["WARN", "another bridge takes /cmd_vel to Rover/cmd_vel", "circle"]).await;
-    world.line("Rover", &["WARN", "a publisher beside this bridge on /cmd_vel", "goes around the ledger"]).await;
+    world.line("Rover", &["WARN", "a publisher beside this bridge on /cmd_vel", "go around the ledger"]).await;
     acquire(&world, mode).await;
     writer.write(&twist(1)).unwrap();
     assert_eq!(next(&world, &mut reader).await.sample, twist(1));

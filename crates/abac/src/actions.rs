@@ -1,4 +1,4 @@
-//! What can be done: one file for each function of the chaincode, or for few that belong together.
+//! The actions: one file for each function of the chaincode, or for few that belong together.
 //!
 //! An action reads its arguments, asks the policies who may and the rules who wins, and changes the records.
 

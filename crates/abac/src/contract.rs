@@ -121,7 +121,7 @@ impl Chaincode for AccessControl {
         function != "set"
     }
 
-    /// Whoever releases must hold something, and acquiring is refused meanwhile.
+    /// A caller of release must hold something, and acquiring is refused meanwhile.
     fn ends(&self, function: &str) -> bool {
         matches!(function, "release" | "remove")
     }

@@ -1,10 +1,10 @@
 //! Access control for ROS 2 services, as a chaincode: who may use a robot, and who wins when several may.
 //!
 //! This is the contract of the paper ("setup, acquire, release, authorize, set") as a deterministic
-//! [`Chaincode`](ledger::Chaincode): no IO, no clock, no randomness; everything it knows is in the call's context.
-//! Two questions are kept apart. *May this identity do this?* is answered by Cedar policies that the robot's owner
-//! keeps on the ledger (`policy`). *Who wins when several may?* is answered by the rule of the service's mode
-//! (`rules`). The answer to both is a [`Grant`]: a lease with an epoch that fences off every earlier holder.
+//! [`Chaincode`](ledger::Chaincode): no IO, no clock, no randomness; everything it knows is in the call's context. Two
+//! questions are kept apart. *May this identity do this?* is answered by Cedar policies that the robot's owner keeps on
+//! the ledger (`policy`). The rule of the service's mode (`rules`) answers *which of several callers that may gets the
+//! service?* The answer to both is a [`Grant`]: a lease with an epoch that fences off every earlier holder.
 //!
 //! It is not the gate: the robot's bridge checks signature, epoch, sequence and age of every message for itself.
 //!

@@ -1,9 +1,9 @@
-//! Who may: what a Cedar policy may look like, and what a set of them decides.
+//! Permission: the form of a Cedar policy, and the decision of a set of them.
 //!
-//! Policies are hostile input. Their size and nesting are limited before anything parses them, they are validated
-//! strictly against the schema, and all of Cedar's recursion, parsing, validating, evaluating and dropping, runs on
-//! one thread with a stack of fixed size: on a small stack deep recursion aborts the process, and because Cedar
-//! looks at the stack that is left, stacks of different sizes would decide differently on different nodes.
+//! Policies are hostile input. Their size and nesting are limited before anything parses them, and they are validated
+//! strictly against the schema. All of Cedar's recursion (parsing, validating, evaluating and dropping) runs on one
+//! thread with a stack of fixed size. On a small stack, deep recursion aborts the process. Cedar looks at the stack
+//! that is left, so stacks of different sizes would decide differently on different nodes.
 
 pub(crate) mod decider;
 pub(crate) mod defaults;
@@ -33,9 +33,9 @@ pub const POLICY_BYTES_MAX: usize = 8 * 1024;
 const NESTING_MAX: usize = 32;
 /// Most operators of one policy that can be chained: `a && b && …` nests inside Cedar although it does not look it.
 const CHAIN_MAX: usize = 1024;
-/// Stack of the thread that runs Cedar, in bytes. Only what is used of it takes memory. A level of nesting takes up
-/// to 16 KiB in a debug build, so the limits above stay far from its end: where Cedar gives up for want of stack
-/// would depend on the build and the processor.
+/// Stack of the thread that runs Cedar, in bytes. Only what is used of it takes memory. A level of nesting takes up to
+/// 16 KiB in a debug build, so the limits above stay far from its end. The point at which Cedar gives up for want of
+/// stack would depend on the build and the processor.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 const _: () = assert!((CHAIN_MAX + 2 * NESTING_MAX) * 16 * 1024 * 2 < STACK_BYTES);
 /// Most parsed policy sets that are kept, and most bytes of their texts; when they are more, all are parsed anew.
@@ -64,7 +64,7 @@ pub(crate) struct Question {
     pub(crate) time_ms: i64,
 }
 
-/// Who asks.
+/// The caller.
 pub(crate) struct User {
     pub(crate) organisation: String,
     pub(crate) name: String,
@@ -72,7 +72,7 @@ pub(crate) struct User {
     pub(crate) attributes: BTreeMap<String, String>,
 }
 
-/// What they ask for.
+/// The object of the request.
 pub(crate) struct Resource {
     pub(crate) id: String,
     pub(crate) robot: String,
@@ -82,7 +82,7 @@ pub(crate) struct Resource {
     pub(crate) trusted: Vec<String>,
 }
 
-/// What a set of policies decides.
+/// The decision of a set of policies.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
     /// A policy permits it and none forbids it.
@@ -164,7 +164,7 @@ impl Engine {
     /// the set is not known: reading many takes longer than the decision.
     ///
     /// # Errors
-    /// What `texts` says.
+    /// The content of `texts`.
     pub(crate) fn decide(
         &self,
         question: Question,
@@ -195,7 +195,7 @@ fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
         .next("see the default policy: ledgerctl query abac policies")
 }
 
-/// What can be checked before anything parses the text: its length and how deep it can nest.
+/// The checks before anything parses the text: its length and how deep it can nest.
 fn check_limits(text: &str) -> Result<(), Rejection> {
     if text.len() > POLICY_BYTES_MAX {
         return Err(invalid(
@@ -216,8 +216,9 @@ fn check_limits(text: &str) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// How deep a text can nest: the deepest nesting of brackets or, if more, the largest number of `if`s in one policy;
-/// and the largest number of operators in one policy that can be chained. Strings and comments do not count.
+/// How deep a text can nest: the deepest nesting of brackets or, if more, the largest number of `if`s in one policy.
+/// The second number is the largest count of operators in one policy that can be chained. Strings and comments do not
+/// count.
 fn nesting(text: &str) -> (usize, usize) {
     let (mut depth, mut ifs, mut operators) = (0_usize, 0_usize, 0_usize);
     let (mut deepest, mut longest) = (0, 0);

@@ -1,4 +1,4 @@
-//! What the state holds: robots and their services, grants with the keys that find them, the last message of a
+//! The content of the state: robots and their services, grants with the keys that find them, the last message of a
 //! service. The lowest layer: it knows no rule, no policy and no call.
 
 pub(crate) mod grant;

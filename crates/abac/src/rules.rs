@@ -1,8 +1,9 @@
-//! Who wins when several may: the rule behind a service's mode. One file for each rule, and one table of them.
+//! Conflict: the rule behind a service's mode says which of several callers that may gets the service. One file for
+//! each rule, and one table of them.
 //!
 //! Nothing above this layer knows the name of a rule. A caller asks what the rule [decides](Rule::decide), or what
 //! [follows](Rule::capabilities) from it for publishers, gates and clients. A new rule is a file here and a row of
-//! [`TABLE`]; what it asks for that no rule asked for before becomes a capability or a part of [`Decision`].
+//! [`TABLE`]; a demand of it that no rule made before becomes a capability or a part of [`Decision`].
 
 mod exclusive;
 mod open;
@@ -15,15 +16,15 @@ use ledger_rejection::{Code, Rejection};
 /// Decides between one who may have a service and those who have it. A rule is pure: the same contender and holders
 /// give the same decision on every node.
 pub(crate) trait Rule: Sync {
-    /// What follows from the rule for those who publish, for gates and for clients.
+    /// The consequences of the rule for publishers, for gates and for clients.
     fn capabilities(&self) -> Capabilities;
 
-    /// What happens to a contender that policies permit and that holds nothing of this service yet. `holders` are
+    /// The treatment of a contender that policies permit and that holds nothing of this service yet. `holders` are
     /// those who hold it now, oldest grant first.
     fn decide<'g>(&self, contender: &Principal, holders: &[&'g Grant]) -> Decision<'g>;
 }
 
-/// What a [`Rule`] decides about a contender.
+/// The decision of a [`Rule`] about a contender.
 #[derive(Debug, PartialEq, Eq)]
 pub(crate) enum Decision<'g> {
     /// The contender gets a grant. The grants in `ends` end first, in the same block.

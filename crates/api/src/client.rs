@@ -104,7 +104,7 @@ impl Client {
     /// them while the client lives, and kept in the context if that was loaded from a disk that can be written.
     ///
     /// # Errors
-    /// [`Code::Unreachable`] if no node answers; what a node says if it refuses the identity, or we its certificate;
+    /// [`Code::Unreachable`] if no node answers; the refusal of a node that does not accept the identity, or ours of its certificate;
     /// [`Code::WrongNetwork`].
     pub async fn connect(context: &Context) -> Result<Self, Rejection> {
         let trusted = context.trusted();
@@ -189,10 +189,10 @@ impl Client {
 
     /// Submits a transaction and waits for its verdict. Waits also while too much is in flight.
     ///
-    /// A lost connection, a timeout and "not now" are answered by sending the same bytes again, through another node if
-    /// there is one: the id makes sure that it is executed once. A final answer is not repeated. A refusal is the
-    /// chain's verdict, or a promise that the transaction never becomes part of the chain; while neither is known, a
-    /// retry is told to ask again, and in the end that the outcome is unknown.
+    /// After a lost connection, a timeout or "not now", the client sends the same bytes again, through another node if
+    /// there is one. The id makes sure that they are executed once. A final answer is not repeated. A refusal is the
+    /// chain's verdict, or a promise that the transaction never becomes part of the chain. While neither is known, a
+    /// retry is told to ask again. In the end it is told that the outcome is unknown.
     ///
     /// # Errors
     /// As [`Client::invoke`].

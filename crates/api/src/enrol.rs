@@ -84,9 +84,9 @@ impl Enrolment {
         accepted(answer.map_err(|status| connection.refusal(&status))?.into_inner().verdict.as_ref())
     }
 
-    /// Makes a key here, has it certified, and checks what came back: the certificate must be of our key and of the
-    /// organisation with the pinned CA, or of another one whose CA the same node carries; then it is the pinned
-    /// organisation's node that vouches for the other's root. The context is named after the identity; store it with
+    /// Makes a key here, has it certified, and checks the answer. The certificate must be of our key and of the
+    /// organisation with the pinned CA, or of another one whose CA the same node carries. Then the pinned
+    /// organisation's node vouches for the other's root. The context is named after the identity; store it with
     /// [`Context::save`].
     ///
     /// # Errors

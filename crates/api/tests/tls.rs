@@ -1,4 +1,4 @@
-//! Who may connect to whom: handshakes over an in-memory connection.
+//! Handshakes over an in-memory connection: which sides accept each other.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use ledger_api::tls::{
@@ -118,7 +118,7 @@ impl TrustSource for Network {
     }
 }
 
-/// What both sides see of a connection over which one byte goes each way.
+/// The view of both sides of a connection over which one byte goes each way.
 struct Outcome {
     client: io::Result<()>,
     server: io::Result<Option<Identity>>,

@@ -1,4 +1,4 @@
-//! What `ledgerctl` says and with which exit code, for everything that needs no node.
+//! The output and exit code of `ledgerctl`, for everything that needs no node.
 
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
@@ -18,7 +18,7 @@ struct Machine {
     home: TempDir,
 }
 
-/// What one run said.
+/// The output of one run.
 #[derive(Debug)]
 struct Transcript {
     stdout: String,

@@ -1,5 +1,5 @@
-//! What follows from a service's rule for everybody who publishes, checks messages or shows the service. Programs read
-//! this, and never the name of the mode: so they serve modes that came after them.
+//! The consequences of a service's rule for everybody who publishes, checks messages or shows the service. Programs
+//! read this, and never the name of the mode: so they serve modes that came after them.
 
 use crate::service::Mode;
 use crate::word::{Word, words};
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 
 words! {
-    /// What entitles somebody to publish.
+    /// The entitlement to publish.
     pub enum Publishing {
         /// A grant of one's own.
         Grant = "grant",
@@ -33,10 +33,10 @@ words! {
     }
 }
 
-/// What follows from a service's rule. Every field is needed to drive a robot safely.
+/// The consequences of a service's rule. Every field is needed to drive a robot safely.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capabilities {
-    /// What entitles somebody to publish.
+    /// The entitlement to publish.
     pub publishing: Publishing,
     /// Which epochs are good.
     pub fencing: Fencing,
@@ -50,7 +50,7 @@ pub struct Capabilities {
 #[serde(transparent)]
 pub struct ToldCapabilities(BTreeMap<String, String>);
 
-/// What a program does not know of a service's rule: it can show the service, and must not drive it.
+/// The part of a service's rule that a program does not know: it can show the service, and must not drive it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct UnknownRule(String);
 
@@ -72,7 +72,7 @@ impl Capabilities {
 }
 
 impl ToldCapabilities {
-    /// What they mean.
+    /// Their meaning.
     ///
     /// # Errors
     /// The first that this program does not know, or that is missing.

@@ -3,7 +3,7 @@
 //! Data only: what a field means stands here, what follows from it is decided in `crates/abac`. So a client such as
 //! `ledgerctl` reads the answers without linking the engine of the policies.
 //!
-//! What is asked for must be known. What is told may come from a newer node: its words are kept as [`Told`], so that they
+//! A request must use known words. An answer may come from a newer node. Its words are kept as [`Told`], so that they
 //! can be shown, and a program that acts on them sees that it does not know them.
 //!
 //! ```

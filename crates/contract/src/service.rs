@@ -88,17 +88,18 @@ pub struct ServiceState {
     pub epoch: u64,
     /// When the grant of `holder` expires (block time, microseconds); 0 if there is none.
     pub expires: u64,
-    /// What follows from its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node does in
-    /// the answer of a transaction, which stays as it always was.
+    /// The consequences of its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node
+    /// does in the answer of a transaction, which stays as it always was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub capabilities: Option<ToldCapabilities>,
 }
 
 impl ServiceState {
-    /// What follows from the service's rule, as the node tells it, or as its mode says if the node is older than that.
+    /// The consequences of the service's rule, as the node tells them, or as its mode says if the node is older than
+    /// that.
     ///
     /// # Errors
-    /// What this program does not know of the rule: it can show the service, and must not drive it.
+    /// The part of the rule that this program does not know: it can show the service, and must not drive it.
     pub fn capabilities(&self) -> Result<Capabilities, UnknownRule> {
         match &self.capabilities {
             Some(told) => told.read(),

@@ -222,12 +222,12 @@ fn name_text(name: &X509Name<'_>) -> String {
     name.to_string().chars().take(256).collect()
 }
 
-/// X.509 seconds as an unsigned count; what lies before 1970 is 1970.
+/// X.509 seconds as an unsigned count; a time before 1970 is 1970.
 fn seconds(time: ASN1Time) -> u64 {
     u64::try_from(time.timestamp()).unwrap_or(0)
 }
 
-/// The serial number, if it is an INTEGER in its shortest form and not negative: then its bytes are unique for the
+/// The serial number, if it is an INTEGER in its shortest form and not negative. Then its bytes are unique for the
 /// number, and a revocation cannot be evaded by writing it differently.
 fn serial(bytes: &[u8]) -> Result<Vec<u8>, IdentityError> {
     at_most("bytes of serial number", bytes.len(), SERIAL_BYTES_MAX)?;

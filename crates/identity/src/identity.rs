@@ -1,7 +1,7 @@
 //! Identities: the content of an organisation's certificate, after it was verified.
 //!
 //! An [`Identity`] is only made by [`crate::msp::Msps::verify`]. Its organisation is the one whose root verified
-//! the certificate; what the subject claims in its `O` is never read.
+//! the certificate; the subject's claim in its `O` is never read.
 
 mod error;
 
@@ -131,9 +131,9 @@ pub fn check_name(name: &str) -> Result<(), IdentityError> {
 pub const NEW_NAME_BYTES_MAX: usize = 64;
 
 /// Checks a name that is to be registered. More certificates have names that [`check_name`] accepts, those of other CAs
-/// among them; but who enrols keeps certificate and key in a directory of this name, so it has to be one that every
-/// shell and file system takes: 1 to [`NEW_NAME_BYTES_MAX`] bytes of letters, digits, `-`, `_` and `.`, and none of `-`
-/// and `.` in front.
+/// among them. But an enrolled machine keeps certificate and key in a directory of this name, so every shell and file
+/// system has to take it. It has 1 to [`NEW_NAME_BYTES_MAX`] bytes of letters, digits, `-`, `_` and `.`, and none of
+/// `-` and `.` in front.
 ///
 /// # Errors
 /// [`Code::BadArgument`] with what is wrong.

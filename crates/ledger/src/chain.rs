@@ -367,8 +367,8 @@ impl Ledger {
         &self.results
     }
 
-    /// The writes of the block at a height to the world state, in order of keys; none if that is not kept any more: it
-    /// is for some [4096](crate::writes::WRITES_BLOCKS_MAX) blocks, and not over a restart.
+    /// The writes of the block at a height to the world state, in order of keys; none if they are not kept any more.
+    /// They are kept for some [4096](crate::writes::WRITES_BLOCKS_MAX) blocks, and not over a restart.
     pub fn writes(&self, height: u64) -> Option<Vec<Write>> {
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).get(height)
     }

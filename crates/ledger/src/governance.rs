@@ -35,13 +35,12 @@
 //!
 //! Events: `joined`, `moved`, `role_changed` and `speaks` with the [`NodeRecord`] and the node as subject; `proposed`,
 //! `approved`, `withdrawn` and `executed` with the [`Proposal`] and its id; `invited` with the [`Invitation`] and
-//! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its name;
-//! `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial number;
-//! `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with organisation,
-//! name, role and who did it, and `certified` with the [`IssuedCertificate`], all with `ORGANISATION/NAME`;
-//! `ca_carried` and
-//! `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with the
-//! [`crate::Activation`] and the number.
+//! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
+//! name; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
+//! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
+//! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
+//! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
+//! the [`crate::Activation`] and the number.
 
 mod attestations;
 mod caller;

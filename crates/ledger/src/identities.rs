@@ -24,7 +24,7 @@ const TOGETHER_MIN: usize = 2;
 
 /// The network's organisations and the identities verified against them.
 ///
-/// A remembered identity changes no answer: a certificate is verified against the same organisations either way, and
+/// A remembered identity changes no answer. A certificate is verified against the same organisations either way, and
 /// one that has run out of a remembered path is verified again before it is refused.
 pub(crate) struct Identities {
     trusted: RwLock<Trusted>,

@@ -26,8 +26,8 @@ pub enum Change {
     Remove(u64),
 }
 
-/// The data of a `ConfChangeV2` entry. A single change applies at once; several go through a joint configuration,
-/// where old and new majority are both needed, which the leader leaves by itself with an entry of empty data.
+/// The data of a `ConfChangeV2` entry. A single change applies at once. Several go through a joint configuration, where
+/// old and new majority are both needed; the leader leaves it by itself with an entry of empty data.
 ///
 /// ```text
 /// message MembershipChange { uint32 transition = 1; repeated Single changes = 2; bytes context = 3; }

@@ -28,8 +28,8 @@ pub struct Genesis {
     pub organisations: Vec<FoundingOrganisation>,
     /// The founding nodes.
     pub nodes: Vec<FoundingNode>,
-    /// Every node makes a snapshot of the world state at heights that this number divides; where so many blocks take less
-    /// than 120 s of block time, or than 12 ms for each of them, only once in that time.
+    /// Every node makes a snapshot of the world state at heights that this number divides. If so many blocks take less
+    /// than 120 s of block time, or than 12 ms for each, it makes one in that time.
     pub snapshot_every: u64,
 }
 

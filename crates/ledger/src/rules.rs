@@ -51,7 +51,7 @@ impl Rules {
         if self.0 >= 3 { 512 * 1024 } else { usize::MAX }
     }
 
-    /// What this release speaks, in words.
+    /// The rules that this release speaks, in words.
     pub fn spoken() -> String {
         match (Self::FIRST.0, Self::NEWEST.0) {
             (first, newest) if first == newest => format!("rules {first}"),
@@ -94,7 +94,7 @@ impl Schedule {
         reached.map_or(self.founded, |activation| activation.number)
     }
 
-    /// What is to be activated after that height.
+    /// The rules to be activated after that height.
     pub(crate) fn after(&self, height: u64) -> Option<Activation> {
         self.activations.iter().find(|activation| activation.height > height).copied()
     }

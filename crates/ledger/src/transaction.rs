@@ -1,8 +1,8 @@
 //! Transactions: signed requests to call a chaincode function.
 //!
 //! The message formats are those of `crates/api/proto/ledgerd/v1/transaction.proto`. A transaction travels and is
-//! stored as the exact bytes that its creator sent; its id is the SHA-256 of its body, so a rewritten signature
-//! (ECDSA allows many) is still the same transaction.
+//! stored as the exact bytes that its creator sent. Its id is the SHA-256 of its body, so a rewritten signature (ECDSA
+//! allows many) is still the same transaction.
 
 use crate::block::PAYLOAD_BYTES_MAX;
 use bytes::Bytes;

@@ -67,9 +67,9 @@ pub struct Report {
 /// is added).
 ///
 /// # Errors
-/// [`Code::ChainInvalid`] or [`Code::Corrupt`] naming file and byte of the first thing that is wrong, or height and
-/// nodes of attestations that contradict the blocks; [`Code::BadFile`] if the directory is none or is in use, or if its
-/// blocks begin above 1 and there is no snapshot to begin from.
+/// [`Code::ChainInvalid`] or [`Code::Corrupt`] naming file and byte of the first fault, or height and nodes of
+/// attestations that contradict the blocks; [`Code::BadFile`] if the directory is none or is in use, or if its blocks
+/// begin above 1 and there is no snapshot to begin from.
 pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report, Rejection> {
     let genesis_path = directory.join(GENESIS_FILE);
     let genesis = std::fs::read(&genesis_path).map_err(|error| {

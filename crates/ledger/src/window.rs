@@ -53,8 +53,8 @@ impl Window {
     }
 }
 
-/// Half of the id is enough: two transactions that agree in it cost 2^64 attempts, and then it is their creator's second
-/// one that counts as a duplicate, on every node alike.
+/// Half of the id is enough: two transactions that agree in it cost 2^64 attempts. Then their creator's second one
+/// counts as a duplicate, on every node alike.
 fn short(Hash(id): &Hash) -> u128 {
     id.iter().take(SHORT_ID_BYTES).fold(0, |number, byte| number << 8 | u128::from(*byte))
 }

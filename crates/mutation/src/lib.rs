@@ -34,7 +34,7 @@ pub enum Mutation {
     RefuseARetry,
     /// A client is answered with the verdict on a copy that somebody else forged.
     AnswerWithAForgedCopy,
-    /// Who waits while another node begins to lead is forgotten.
+    /// A client that waits while another node begins to lead is forgotten.
     ForgetAWaiter,
     /// A node takes its own state for current without asking the leader.
     AnswerAMinorityRead,

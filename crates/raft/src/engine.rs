@@ -27,12 +27,12 @@ use raft::{RawNode, StateRole};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// Entries committed but not executed beyond which a node does not stand for election: it could not order before it
-/// has caught up, and counting changes of members among them would cost it the election timeout.
+/// The number of entries, committed but not executed, beyond which a node does not stand for election. It could not
+/// order before it has caught up, and counting changes of members among them would cost it the election timeout.
 const CAMPAIGN_LAG_MAX: u64 = 10_000;
-/// Entries looked at, from the end of the log, for the newest block time. Blocks without a time are the empty ones
-/// that open a term; more of them in a row than this loses only the guarantee that a new leader's *proposed* time
-/// is not older, which the executor makes good.
+/// Entries looked at, from the end of the log, for the newest block time. Blocks without a time are the empty ones that
+/// open a term. More of them in a row than this loses only the guarantee that a new leader's *proposed* time is not
+/// older. The executor makes good for that.
 const TIME_SCAN_ENTRIES_MAX: u64 = 64;
 /// Bytes of entries that wait for the own disk beyond which a follower takes no more; the leader sends them again.
 /// With the longest message on top it stays below what the block store stages.
@@ -287,8 +287,8 @@ impl Engine {
         }
     }
 
-    /// Standing for election needs a vote of one's own (the crate forgets to ask when told to), a log that is on the
-    /// own disk, and a state machine that is not far behind.
+    /// Standing for election needs three things. They are an own vote (the crate forgets to ask when told to), a
+    /// log that is on the own disk, and a state machine that is not far behind.
     fn may_campaign(&self) -> bool {
         let raft = &self.raw.raft;
         let log = &raft.raft_log;
@@ -300,7 +300,7 @@ impl Engine {
     }
 
     /// The leader, as far as this node knows. The crate lets a learner believe in a leader for ever, as it never stands
-    /// for election itself; here a leader that was not heard of for the longest election timeout is unknown.
+    /// for election itself. Here a leader that was not heard of for the longest election timeout is unknown.
     fn leader(&self) -> Option<u64> {
         let raft = &self.raw.raft;
         let silent = !self.is_leader() && raft.election_elapsed > 2 * self.config.election_tick;

@@ -49,9 +49,10 @@ pub enum Input {
         /// depends on how long it takes.
         at: u64,
     },
-    /// A linearizable read wants to know how far this node must be. Answered by [`Output::ReadReady`] or
-    /// [`Output::Refused`], or, when a message is lost, the leader changes meanwhile, or is so new that it has
-    /// committed nothing (it drops what others ask), not at all: ask again after a timeout, with another context.
+    /// A linearizable read wants to know how far this node must be. The answer is [`Output::ReadReady`] or
+    /// [`Output::Refused`]. There is none when a message is lost, when the leader changes meanwhile, or when it is so
+    /// new that it has committed nothing and drops questions of others. Then ask again after a timeout, with another
+    /// context.
     ReadIndex {
         /// Comes back with the answer; must not repeat while the engine lives.
         context: u64,

@@ -15,10 +15,10 @@
 //! - call [`Engine::step`] with [`Input::Tick`] at a steady pace, and once at the start;
 //! - on [`Output::Flush`], call `flush` of the block store on the disk thread and answer [`Input::Persisted`]; several
 //!   flushes may be served by one, answered with the largest number;
-//! - on [`Output::Commit`], execute the blocks in order and answer [`Input::Applied`]; store nothing durably of what was
-//!   executed above `BlockStore::durable_index`: a learner hands out what its own disk does not have yet;
-//! - on [`Output::Behind`], end this engine, fetch the blocks (or a snapshot and the blocks after it) from peers into the
-//!   block store and the state machine, and start a new engine from there;
+//! - on [`Output::Commit`], execute the blocks in order and answer [`Input::Applied`]. Store nothing durably of what
+//!   was executed above `BlockStore::durable_index`: a learner hands out what its own disk does not have yet;
+//! - on [`Output::Behind`], end this engine and fetch the blocks (or a snapshot and the blocks after it) from peers
+//!   into the block store and the state machine. Start a new engine from there;
 //! - drop old blocks (`BlockStore::prune`) only up to the last [`Input::Applied`] that is stored durably;
 //! - send [`Output::Send`] over a connection whose peer is authenticated; hand in what comes with that peer's id.
 //!   Messages may be lost, repeated and reordered.

@@ -104,7 +104,7 @@ impl Storage for Log {
         }
     }
 
-    /// An entry that was cut off has term 0, as the crate has it (`RaftLog::term`): it asks in two steps, between which
+    /// An entry that was cut off has term 0, as the crate has it (`RaftLog::term`). It asks in two steps, between which
     /// old segments may be dropped, and fails on `Compacted` in the second (`handle_append_entries`).
     fn term(&self, index: u64) -> Result<u64> {
         match self.store.term(index) {

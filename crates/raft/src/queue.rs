@@ -84,7 +84,7 @@ impl Queues {
     }
 
     /// The content of the next block: control first, then data until it costs `data_cost_max`, together up to about
-    /// `bytes_target`; at least one transaction, unless only data waits and may cost nothing.
+    /// `bytes_target`. It has at least one transaction, unless only data waits and may cost nothing.
     pub(crate) fn cut(&self, bytes_target: usize, data_cost_max: usize) -> Cut {
         let control = self.control.cut(0, 0, bytes_target, usize::MAX);
         let mut cut = Cut { control: control.transactions, data: 0, cost: control.cost };

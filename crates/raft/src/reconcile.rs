@@ -29,12 +29,12 @@ pub struct Desired {
 /// In this order, one step at a time:
 /// 1. nodes that are missing come in as learners, which costs nobody's vote anything;
 /// 2. learners that shall vote and have caught up are promoted, and voters that shall not vote lose their vote in the
-///    same joint change, so that replacing one needs no larger majority in between; losing a vote waits for a
-///    replacement that is on its way;
+///    same joint change. So replacing one needs no larger majority in between; losing a vote waits for a replacement
+///    that is on its way;
 /// 3. a leader that shall lose its own vote hands over to the desired voter that has caught up most, which goes on;
 /// 4. nodes that shall be no members go.
 ///
-/// A change is made only if a majority of the voters after it answers and is near the end of the log: a network is
+/// A change is made only if a majority of the voters after it answers and is near the end of the log. A network is
 /// never led into a membership that cannot order. So there is always a voter left, too.
 pub fn next_step(desired: &Desired, status: &Status) -> Option<Input> {
     if !status.may_propose || status.changing || status.transferring_to.is_some() || desired.voters.is_empty() {

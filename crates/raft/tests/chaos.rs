@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 
 const SEEDS: u64 = 60;
 
-/// What the storms did, over all seeds: a kind that never happened was not tested.
+/// The events of the storms, over all seeds: a kind that never happened was not tested.
 #[derive(Debug, Default)]
 struct Coverage {
     crashes: u64,

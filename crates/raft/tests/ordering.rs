@@ -1,4 +1,4 @@
-//! What ordering promises, on small clusters without random faults.
+//! The promises of ordering, on small clusters without random faults.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, reason = "tests")]
 
 mod cluster;

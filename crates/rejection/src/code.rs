@@ -1,8 +1,8 @@
 //! Stable codes for everything the system may answer.
 //!
-//! A code never changes its meaning and is never reused. The number is what is stored in blocks' results
-//! and covered by the state digest; the name is what people grep for; the class decides how a client
-//! reacts (and the exit code of `ledgerctl`). Each code has a paragraph in `docs/errors.md`.
+//! A code never changes its meaning and is never reused. The number is stored in blocks' results and covered by the
+//! state digest. The name is for people and their searches. The class decides how a client reacts (and the exit code of
+//! `ledgerctl`). Each code has a paragraph in `docs/errors.md`.
 
 use std::fmt;
 

@@ -1,4 +1,4 @@
-//! What a node does with a transaction that somebody submits: order it, answer it, or hold it until the state is current.
+//! The treatment of a submitted transaction: a node orders it, answers it, or holds it until the state is current.
 //!
 //! [`Refusal::step`] says what may be said about one transaction. Here is what a node makes of it.
 
@@ -10,7 +10,7 @@ use ledger::{Admission, Ground, Ledger, Refusal, Step, TransactionRecord};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
-/// What the node looks at besides the transaction.
+/// The node's circumstances, besides the transaction.
 pub struct Admitting<'a, W> {
     /// The ledger.
     pub ledger: &'a Ledger,
@@ -26,7 +26,7 @@ pub struct Admitting<'a, W> {
     pub first_attempt: bool,
 }
 
-/// What is to be done with a transaction.
+/// The decision about a transaction.
 #[derive(Debug, PartialEq)]
 pub enum Decision {
     /// Give it to the engine; its client waits for the verdict.
@@ -42,9 +42,9 @@ pub enum Decision {
     Hold(Transaction, Box<Refusal>),
     /// Answer with the reason, and count the refusal.
     Refuse {
-        /// What the node found.
+        /// The finding of the node.
         refusal: Box<Refusal>,
-        /// What the client is told.
+        /// The answer to the client.
         reason: Rejection,
     },
 }
@@ -88,7 +88,7 @@ impl<W: Waiter> Admitting<'_, W> {
         }
     }
 
-    /// What is done with a transaction that the state refuses.
+    /// The decision about a transaction that the state refuses.
     fn conclude(&self, transaction: Transaction, refusal: Box<Refusal>, reached: Option<&Known>) -> Decision {
         match refusal.step(self.first_attempt, reached) {
             Step::Reach => Decision::Hold(transaction, refusal),

@@ -1,5 +1,5 @@
-//! What the thread that orders may execute itself: a little, if nothing else is to be done, as waking the other thread takes
-//! longer.
+//! The work that the thread that orders may execute itself: a little, if nothing else is to be done, as waking the
+//! other thread takes longer.
 
 use ledger_storage::entry::Entry;
 
@@ -10,7 +10,7 @@ const TIME_MAX: u64 = 1_000;
 /// Times that nothing is executed in place after it took longer.
 const HANDED_OVER_AFTERWARDS: u32 = 1000;
 
-/// What else is going on when blocks are to be executed.
+/// The other work when blocks are to be executed.
 #[derive(Clone, Copy, Debug)]
 pub struct Circumstances {
     /// Inputs wait: they are to be ordered while the other thread executes.
@@ -19,7 +19,7 @@ pub struct Circumstances {
     pub other_is_idle: bool,
 }
 
-/// What the thread that orders may execute itself.
+/// The limit of the work that the thread that orders executes itself.
 #[derive(Default)]
 pub(crate) struct InPlace {
     /// Times that it may not, since it took too long.

@@ -1,4 +1,4 @@
-//! What a node decides between a socket and the engine, as state machines.
+//! The decisions of a node between a socket and the engine, as state machines.
 //!
 //! Nothing here has a thread, a socket, a file or a clock of its own. A node's threads tell a [`Replica`] what happened
 //! and when, and do what it says. The simulation (`tests/sim`) drives the same code in virtual time.

@@ -44,7 +44,7 @@ pub trait Kept {
     }
 }
 
-/// What a node begins with besides.
+/// The other parts that a node begins with.
 pub struct Opening<'a> {
     /// The genesis document.
     pub genesis: &'a [u8],

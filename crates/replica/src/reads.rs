@@ -1,9 +1,9 @@
 //! Is this node's state as new as what was committed when somebody asked? Only then may it refuse because of its state, or
 //! answer from it.
 //!
-//! The leader knows, and a majority must confirm that it leads (Raft §6.4). One question serves everybody who waits when it
-//! is asked. Whoever comes while it is under way waits for the next one, as an answer may be older than they are. So a flood
-//! of refusals costs the leader one question at a time.
+//! The leader knows, and a majority must confirm that it leads (Raft §6.4). One question serves everybody who waits
+//! when it is asked. A read that comes while it is under way waits for the next one, as an answer may be older than the
+//! read. So a flood of refusals costs the leader one question at a time.
 //!
 //! A question or its answer may be lost when the leader changes. Then it is asked again, within a bounded time. Once the
 //! height is known, this node must execute up to it.
@@ -34,7 +34,7 @@ pub trait Asker {
     fn is_gone(&self) -> bool;
 }
 
-/// What is to be done about reads.
+/// The next steps for reads.
 #[derive(Debug, PartialEq)]
 pub enum ReadEffect<A> {
     /// Hand [`ledger_raft::Input::ReadIndex`] with this context to the engine; its answer, or why it cannot be asked, goes
@@ -45,9 +45,9 @@ pub enum ReadEffect<A> {
     },
     /// Tell this asker.
     Tell {
-        /// Who asked.
+        /// The caller.
         asker: A,
-        /// What is known now.
+        /// The knowledge by now.
         known: Known,
     },
 }
@@ -228,7 +228,7 @@ fn unconfirmed() -> Rejection {
 mod tests {
     use super::*;
 
-    /// A client by its number; whoever has the number 0 has gone away.
+    /// A client by its number; the one with the number 0 has gone away.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct Client(u32);
 
@@ -240,7 +240,7 @@ mod tests {
 
     type Effect = ReadEffect<Client>;
 
-    /// What is done when something happens.
+    /// The steps after an event.
     fn does(happens: impl FnOnce(&mut Vec<Effect>)) -> Vec<Effect> {
         let mut out = Vec::new();
         happens(&mut out);

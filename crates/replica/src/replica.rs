@@ -24,8 +24,8 @@ pub const LEARNER_WRITE_DELAY: u64 = 2_000;
 /// The two clocks of a node, microseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Now {
-    /// What the node takes for the time, since the UNIX epoch. It is never behind the block time that the node has seen,
-    /// and may jump ahead.
+    /// The node's view of the time, since the UNIX epoch. It is never behind the block time that the node has seen, and
+    /// may jump ahead.
     pub clock: u64,
     /// Time since the node started. It grows steadily.
     pub elapsed: u64,
@@ -46,7 +46,7 @@ pub struct Settings {
     pub data_wait: u64,
 }
 
-/// What happened.
+/// An event.
 #[derive(Debug)]
 pub enum Event {
     /// Something for the engine: a message, a transaction, a question.
@@ -76,7 +76,7 @@ pub enum Event {
     Wanted(Desired),
 }
 
-/// What the node must do. In the order given.
+/// An effect: the node must do it. In the order given.
 #[derive(Debug)]
 pub enum Effect {
     /// Send this message, or tell [`Event::Unsent`]. Losing it is allowed.
@@ -88,7 +88,7 @@ pub enum Effect {
     },
     /// How ordering stands now.
     Status(Box<Status>),
-    /// Who leads has changed.
+    /// The leader has changed.
     Role(RoleChange),
     /// The members have changed.
     Members {
@@ -110,7 +110,7 @@ pub enum Effect {
     Denied(Box<Refusal>),
     /// A transfer of leadership or a change of members was refused.
     Refused {
-        /// What was asked.
+        /// The question.
         input: Box<Input>,
         /// Why.
         reason: Rejection,
@@ -234,7 +234,7 @@ impl<W: Waiter> Replica<W> {
         self.flush.is_some()
     }
 
-    /// What is to be executed, and by whom. To be asked when the log was written.
+    /// The blocks to be executed, and the thread that does it. To be asked when the log was written.
     pub fn work(&mut self, circumstances: Circumstances) -> Option<Work> {
         let entries = std::mem::take(&mut self.committed);
         let (first, last) = (entries.first()?.index, entries.last()?.index);

@@ -1,5 +1,6 @@
-//! Repetitions that this node's state refuses, and that are ordered though, as only the chain can tell what became of the
-//! first copy. Whoever has no rights could have everything ordered in this way, so there are few of them for each identity.
+//! Repetitions that this node's state refuses, and that are ordered though, as only the chain can tell what became of
+//! the first copy. A caller without rights could have everything ordered in this way, so there are few of them for each
+//! identity.
 
 use std::collections::HashMap;
 use std::sync::{Mutex, PoisonError};
@@ -13,7 +14,7 @@ const IDENTITIES_MAX: usize = 1024;
 /// Microseconds.
 const SECOND: u64 = 1_000_000;
 
-/// What identities have used of the current second.
+/// The number of them that identities have used of the current second.
 #[derive(Default)]
 pub struct Retries {
     used: Mutex<HashMap<String, Used>>,

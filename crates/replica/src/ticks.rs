@@ -1,7 +1,7 @@
 //! When a replica wants to be woken although nothing comes in.
 //!
-//! An engine counts its timeouts in ticks. One that is the only member of its network has no timeouts: then it
-//! wakes for what comes in and for deadlines of chaincodes, and else only to look at the clock, which may have been set.
+//! An engine counts its timeouts in ticks. One that is the only member of its network has no timeouts. Then it wakes
+//! for what comes in and for deadlines of chaincodes, and else only to look at the clock, which may have been set.
 
 /// Longest wait without a tick, microseconds.
 const TICKLESS_MAX: u64 = 1_000_000;

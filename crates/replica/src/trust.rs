@@ -1,9 +1,10 @@
 //! Whether a snapshot is believed: who attests it.
 //!
 //! A snapshot is believed if nodes of two organisations that belong to the network by the snapshot itself attest its
-//! content (of one, if there is only one), and if this node trusts one of the attesting organisations already: one that
-//! stands on its own ledger, or in its genesis. So a newcomer is deceived only if two organisations lie together, one of
-//! which it knows. An attestation is a transaction that the node signed, so whoever hands it over cannot change it.
+//! content (of one, if there is only one). This node must also trust one of the attesting organisations already: one
+//! that stands on its own ledger, or in its genesis. So a newcomer is deceived only if two organisations lie together,
+//! one of which it knows. An attestation is a transaction that the node signed, so whoever hands it over cannot change
+//! it.
 
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
@@ -38,7 +39,7 @@ pub struct Attested {
     pub certificate: Bytes,
 }
 
-/// What is to be attested.
+/// The content that is to be attested.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Claim {
     /// Name of the network.
@@ -47,7 +48,7 @@ pub struct Claim {
     pub height: u64,
     /// Block time there, microseconds since the UNIX epoch.
     pub time: u64,
-    /// What the manifest's hash is.
+    /// The hash of the manifest.
     pub content: Hash,
 }
 
@@ -218,7 +219,7 @@ fn declared(snapshot: &Snapshot) -> Result<Msps, Rejection> {
     Ok(msps)
 }
 
-/// Whom this node trusts: those it knows, and the organisation behind the CA that its join token names.
+/// The organisations that this node trusts: those it knows, and the one behind the CA that its join token names.
 fn with_ca(known: &Msps, declared: &Msps, ca: Option<Hash>) -> Result<Msps, Rejection> {
     let mut trusted = known.clone();
     let is_named = |msp: &&Msp| msp.roots().any(|root| Some(Hash::of(&[root])) == ca);
@@ -228,8 +229,8 @@ fn with_ca(known: &Msps, declared: &Msps, ca: Option<Hash>) -> Result<Msps, Reje
     Ok(trusted)
 }
 
-/// What a node gives to others with the manifest of its snapshot: the transactions on its ledger that attest it.
-/// `block` reads the transactions of a block, if it is still kept.
+/// The transactions on the ledger that attest a snapshot; a node gives them to others with its manifest. `block` reads
+/// the transactions of a block, if it is still kept.
 ///
 /// # Errors
 /// A fault of the store.

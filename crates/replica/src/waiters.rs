@@ -28,7 +28,7 @@ pub trait Waiter {
     fn is_gone(&self) -> bool;
 }
 
-/// What a client is told about its transaction.
+/// The answer to a client about its transaction.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer<'a> {
     /// It was executed.
@@ -69,7 +69,7 @@ impl<'a> Executed<'a> {
     }
 }
 
-/// Who waits for which transaction. All times are in microseconds of one clock that does not go back.
+/// The clients that wait, by their transactions. All times are in microseconds of one clock that does not go back.
 pub struct Waiters<W> {
     table: Mutex<Table<W>>,
 }
@@ -139,9 +139,9 @@ impl<W: Waiter> Waiters<W> {
 
     /// Answers everybody who waits for a transaction of this block.
     ///
-    /// Only a verdict that took the id is the transaction's own (see [`TransactionResult::not_after`]). Another one may be
-    /// of a copy: of one that was executed before, whose verdict stands; of one that somebody else forged, which says
-    /// nothing; or of one that was ordered too early, while another copy may still be executed.
+    /// Only a verdict that took the id is the transaction's own (see [`TransactionResult::not_after`]). Another one may
+    /// be of a copy. The copy was executed before, and its verdict stands; or somebody else forged it, which says
+    /// nothing; or it was ordered too early, while another copy may still be executed.
     pub fn resolve(&self, outcome: &Outcome, ledger: &Ledger) {
         let (transactions, results) = (outcome.transactions.len(), outcome.results.len());
         assert!(

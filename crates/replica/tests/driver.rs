@@ -53,7 +53,7 @@ impl Chaincode for Notes {
     }
 }
 
-/// What a client heard: the code, and the height of the block.
+/// The client's answer: the code, and the height of the block.
 type Heard = (u32, Code, u64);
 
 struct Client(u32, mpsc::Sender<Heard>);
@@ -158,7 +158,7 @@ impl Node {
         effects
     }
 
-    /// What is due now is done, but for the write and the execution.
+    /// The work that is due now is done, but for the write and the execution.
     fn turn(&mut self) {
         self.step(Event::Time { full: false });
     }

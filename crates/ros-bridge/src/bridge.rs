@@ -91,13 +91,13 @@ pub async fn run(config: &Path, stop: impl Future<Output = ()>) -> Result<(), Re
 impl Bridge {
     /// Joins the local graph and starts all routes, or none. Must be called inside a tokio runtime.
     ///
-    /// The client decides through which nodes the bridge works; network and organisations come from the context that
+    /// The client decides through which nodes the bridge works. Network and organisations come from the context that
     /// the configuration names, which was stored at enrolment and needs no trust in a node.
     ///
     /// # Errors
     /// [`Code::NoContext`]; [`Code::BadConfiguration`] if two routes close a circle, or `ROS_DOMAIN_ID` names no
     /// domain; [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has another type
-    /// than its service; [`Code::MiddlewareFailed`]; what the ledger says if it does not answer.
+    /// than its service; [`Code::MiddlewareFailed`]; the ledger's refusal if it does not answer.
     pub async fn start(config: Config, client: Client) -> Result<Self, Rejection> {
         let context = context_of(&config)?;
         Self::start_with(config, Arc::new(client), &context).await

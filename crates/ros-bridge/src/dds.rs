@@ -3,10 +3,10 @@
 //! # What was found out about RustDDS
 //! - **Interfaces.** It uses every interface that has an IPv4 address, `lo` included, and joins the
 //!   discovery group on those that can do multicast. IPv6 is not used.
-//! - **Without multicast** (a network namespace with only `lo`, many containers) it still announces
-//!   itself to the first 12 participants of the domain on `127.0.0.1` (UDP port
-//!   7410 + 250 · domain + 2 · index). A CycloneDDS peer is found if it listens there: interface `lo`, multicast off,
-//!   peer `127.0.0.1`, participant index `auto`. There is nothing to set on our side.
+//! - **Without multicast** (a network namespace with only `lo`, many containers) it still announces itself to the first
+//!   12 participants of the domain. It does so on `127.0.0.1`, UDP port 7410 + 250 · domain + 2 · index. A CycloneDDS
+//!   peer is found if it listens there: interface `lo`, multicast off, peer `127.0.0.1`, participant index `auto`.
+//!   There is nothing to set on our side.
 //! - **Options of the encapsulation header** are dropped on reading and zero on writing. Plain CDR
 //!   has none; CycloneDDS puts the count of padding bytes there, which no reader of plain CDR needs.
 //! - **A DDS writer has one encoding.** [`Writer`] opens a second one when the first sample of
@@ -16,9 +16,9 @@
 //!   message is the memory of a topic. The bytes that wait for us are limited by [`crate::queue`].
 //! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, RustDDS 50 s). A
 //!   reliable writer keeps what it has not acknowledged, up to [`WRITER_BYTES_MAX`], and then refuses.
-//! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) loses its DDS: the thread that waits
-//!   for the sockets is interrupted, takes that for a failure and ends, without a word. So readers and writers look
-//!   every second whether it is still there, and say so if not: [`Matched::ended`].
+//! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) loses its DDS. The thread that
+//!   waits for the sockets is interrupted, takes that for a failure and ends, without a word. So readers and writers
+//!   look every second whether it is still there, and say so if not: [`Matched::ended`].
 //! - **Large messages to Fast DDS** (above about 200 kB) need a larger receive buffer on its side.
 //!
 //! Creating a participant takes tens of milliseconds and two threads; reading and writing never

@@ -1,14 +1,14 @@
 //! The gate of a robot: what a node delivers is checked again, by rules that need no trust in that node.
 //!
-//! A node that lies can hold messages back. It cannot make one up (the user's signature, and the network's
-//! authorities vouch for it), bring one again or out of order (sequence numbers), or bring one late: block time comes
-//! from the node, but `not_after` is signed, and bridges sign for two seconds.
+//! A node that lies can hold messages back. It cannot make one up: the user's signature, and the network's authorities
+//! vouch for it. It cannot bring one again or out of order, because of sequence numbers. It cannot bring one late:
+//! block time comes from the node, but `not_after` is signed, and bridges sign for two seconds.
 //!
-//! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the
-//! network that was not revoked; under a grant of its signer and in the newest epoch, where the
-//! service's rule asks for them; with a
-//! sequence number above the last; not older than allowed; and from after the start of the gate and its last stop.
-//! Holders are learnt from grants that the holder signed for, except those that stood when the gate was opened.
+//! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the network
+//! that was not revoked. Where the service's rule asks for them, it comes under a grant of its signer and in the newest
+//! epoch. Its sequence number is above the last; it is not older than allowed; and it is from after the start of the
+//! gate and its last stop. Holders are learnt from grants that the holder signed for, except those that stood when the
+//! gate was opened.
 //!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!
@@ -316,8 +316,9 @@ impl Gate {
         self.driver.is_some()
     }
 
-    /// When the robot must stop unless its driver gives a sign of life, by the steady clock (microseconds): its lease
-    /// has run out then, also if the ledger, cut off from its leader, does not come to say so.
+    /// The time at which the robot must stop unless its driver gives a sign of life, by the steady clock
+    /// (microseconds). Its lease has run out then, also if the ledger, cut off from its leader, does not come to say
+    /// so.
     pub fn deadline(&self) -> Option<u64> {
         self.driver.as_ref().map(|driver| driver.until)
     }

@@ -4,8 +4,8 @@
 //! from shared memory, and puts such bytes back on the other side. It never decodes a message, so
 //! any message type works by its name alone.
 //!
-//! It is not: a DDS implementation (that is `rustdds`), a typed ROS 2 client, or a place where
-//! rights are decided (that is the ledger, and on the robot's side the gate).
+//! It is no DDS implementation (that is `rustdds`) and no typed ROS 2 client. It decides no rights: the ledger does,
+//! and on the robot's side the gate.
 //!
 //! # Map
 //! | module | what is in it |

@@ -100,7 +100,7 @@ impl Queue {
         self.dropped.load(Ordering::Relaxed)
     }
 
-    /// Nothing will come any more; what waits can still be taken.
+    /// Nothing will come any more; samples that wait can still be taken.
     pub(crate) fn close(&self) {
         self.closed.store(true, Ordering::Release);
         self.arrived.notify_one();

@@ -1,8 +1,8 @@
 //! The reports of a bridge about itself while it runs: on the log, as text or as JSON.
 //!
-//! One line when it is ready, and one for each route; when publishers and subscribers on its topics come and leave;
-//! when the node is lost, and when one answers again; why a route is silent, and when it carries messages again; and,
-//! as long as something is refused, the counters. All of it is limited in rate.
+//! One line says that it is ready, and one tells each route. Further lines tell publishers and subscribers on its
+//! topics that come and leave, and a node that is lost or answers again. They tell why a route is silent, and that it
+//! carries messages again. As long as something is refused, they show the counters. All of it is limited in rate.
 
 mod neighbourhood;
 mod silent;

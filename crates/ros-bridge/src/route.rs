@@ -1,4 +1,4 @@
-//! Routes: one topic of one service. Each is a task of its own; what it decides is in parts without IO. The kinds are
+//! Routes: one topic of one service. Each is a task of its own; its decisions are in parts without IO. The kinds are
 //! one table, [`kind::KINDS`], and each kind is a file.
 
 mod from_ledger;

@@ -29,7 +29,7 @@ pub struct Service {
     pub topic: String,
     /// The ROS 2 type.
     pub type_name: String,
-    /// What follows from its rule.
+    /// The consequences of its rule.
     pub capabilities: Capabilities,
     /// Which way messages go.
     pub direction: Direction,

@@ -1,8 +1,8 @@
 //! ROS 2 messages by their definitions: bytes as DDS carries them to values that people read, and back.
 //!
 //! A [`Library`] holds definitions in the text format of `.msg` files; those of the common types are built in. A
-//! [`Message`] is one of them with everything that it contains, and reads and writes CDR: version 1, both byte orders,
-//! with the encapsulation header of four bytes in front, which is what every ROS 2 middleware sends. People write
+//! [`Message`] is one of them with everything that it contains, and reads and writes CDR. That is version 1, both byte
+//! orders, with the encapsulation header of four bytes in front, as every ROS 2 middleware sends it. People write
 //! messages as YAML, as after `ros2 topic pub`; JSON is YAML, too.
 //!
 //! ```

@@ -1,8 +1,8 @@
 //! Writing a node's old blocks out, so that the node may drop them and they can still be verified, alone.
 //!
-//! An archive has the layout of a data directory: `genesis.json`, `blocks/` with finished segments, and, if they do not
-//! begin at block 1, `snapshots/` with the snapshot from which they are executed. So whatever reads the one reads the
-//! other. If one asks for all that is committed, the newest segment is copied up to its last committed block, and ends
+//! An archive has the layout of a data directory: `genesis.json` and `blocks/` with finished segments. If they do not
+//! begin at block 1, `snapshots/` has the snapshot from which they are executed. So whatever reads the one reads the
+//! other. If one asks for all that is committed, the newest segment is copied up to its last committed block. It ends
 //! there with a hard state that says so; the next run replaces that copy.
 
 mod committed;
@@ -60,7 +60,7 @@ pub struct Report {
 ///
 /// # Errors
 /// [`Code::BadFile`] if one of the directories cannot be used, or if the archive could not be verified with what would
-/// be added (of another network or node, or blocks in between were dropped); [`Code::Corrupt`] naming file and byte if
+/// be added (of another network or node, or a gap); [`Code::Corrupt`] naming file and byte if
 /// a segment is damaged; [`Code::ChainInvalid`] if the node has other blocks than the archive; [`Code::DiskFull`].
 pub fn archive(data: &Path, to: &Path, extent: Extent, network_of: NetworkOf<'_>) -> Result<Report, Rejection> {
     let genesis_path = data.join(GENESIS_FILE);

@@ -1,6 +1,6 @@
 //! The log that is also the block store: entries and hard state, on disk with one `fdatasync` a flush.
 //!
-//! Life of an entry: [`BlockStore::append`] stages it in memory, where it can be read at once; [`BlockStore::flush`]
+//! Life of an entry: [`BlockStore::append`] stages it in memory, where it can be read at once. [`BlockStore::flush`]
 //! makes it durable; then it may leave the memory and is read from its segment. A background thread calls
 //! [`BlockStore::prepare`] now and then, so that flushes write into space that is already there.
 //!
@@ -10,8 +10,8 @@
 //!
 //! When the disk fails: any failed write or sync poisons the store, and every later `append`, `flush` and `prepare`
 //! returns that first error; entries can still be read. The node ends, and the next start decides by what is on disk.
-//! Only a full disk is different: the write is undone (zeroed, the file shortened to what it was, or the new file
-//! removed), what was staged stays staged, and a later `flush` may succeed. If undoing fails, or if it is the sync that
+//! Only a full disk is different. The write is undone (zeroed, the file shortened to what it was, or the new file
+//! removed), and staged entries stay staged. A later `flush` may succeed. If undoing fails, or if it is the sync that
 //! reports the lack of space, the store is poisoned.
 
 mod ahead;
@@ -173,8 +173,8 @@ impl BlockStore {
     /// Stages entries and hard state: readable at once, on disk after the next [`flush`](Self::flush).
     ///
     /// `entries` are gapless and start at the end of the log or before; then they supersede what is there. On an error
-    /// nothing is staged. Superseding a committed entry, a falling term, or a hard state that commits what is not in
-    /// the log means that the orderer is broken: [`StoreError::Violation`], and the store is poisoned.
+    /// nothing is staged. The orderer is broken if it supersedes a committed entry, lets a term fall, or commits what
+    /// is not in the log. Then the answer is [`StoreError::Violation`], and the store is poisoned.
     pub fn append(&self, entries: &[Entry], hard_state: Option<&HardState>) -> Result<(), StoreError> {
         let mut state = self.state();
         state.writable()?;

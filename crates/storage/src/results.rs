@@ -2,12 +2,12 @@
 //!
 //! They follow from the blocks, as the world state does: whatever is wrong with them is dropped from there on and
 //! executed again. Results that were not flushed yet are in memory. [`ResultStore::flush`] makes results durable before
-//! the world state's savepoint moves past them, so after a crash they reach at least as far; what lies beyond is cut
+//! the world state's savepoint moves past them, so after a crash they reach at least as far; records beyond it are cut
 //! off. The thread that executes blocks takes a lock that is held for moments only, never the one of the files, where
 //! the writer may need long.
 //!
-//! A node that has the blocks keeps only what they do not tell: a call's arguments are in its block, and what it
-//! answers and emits often says the same again. The chaincode can foretell that part, and it is not kept.
+//! A node that has the blocks keeps only what they do not tell. A call's arguments are in its block, and its answer and
+//! events often say the same again. The chaincode can foretell that part, and it is not kept.
 //!
 //! A file holds some 4 MiB and is named by its first height. While it is written, its index of ids is in memory; when
 //! it is finished, a sorted table at its end. Old files are dropped as a whole.

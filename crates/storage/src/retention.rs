@@ -1,7 +1,7 @@
 //! How long a node keeps blocks.
 //!
-//! Blocks are dropped in whole segments, the oldest first, and only those that a snapshot of this node makes needless:
-//! what is left can be executed from that snapshot, by this node after a restart, by one that joins, and by an auditor.
+//! Blocks are dropped in whole segments, the oldest first, and only those that a snapshot of this node makes needless.
+//! The rest can be executed from that snapshot, by this node after a restart, by one that joins, and by an auditor.
 
 use crate::block_store::Finished;
 use ledger_rejection::{Code, Rejection};

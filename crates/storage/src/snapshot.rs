@@ -13,11 +13,10 @@
 //! | | the [manifest](Manifest) |
 //! | 16 | bytes of the manifest `u32` BE, CRC-32C of the manifest `u32` BE, `LEDGREND` |
 //!
-//! The chunks are one stream of items cut every MiB: the pairs of the world state in order of keys, `1`, length of the
-//! key `u32` BE, of the value `u32` BE, both; then the results of the blocks of the last 120 s of block time, `2`,
-//! height
-//! `u64` BE, length `u32` BE, the result without events and without the words of refusals, which may differ between
-//! versions of the program.
+//! The chunks are one stream of items cut every MiB. First are the pairs of the world state in order of keys: `1`,
+//! length of the key `u32` BE, of the value `u32` BE, both. Then come the results of the blocks of the last 120 s of
+//! block time: `2`, height `u64` BE, length `u32` BE, and the result. It is without events and without the words of
+//! refusals, which may differ between versions of the program.
 
 mod build;
 mod file;

@@ -1,12 +1,12 @@
 //! The world state: the keys and values that executing all blocks leaves.
 //!
 //! Blocks are the truth; everything here can be computed from them again. So a block is committed in memory and written
-//! to the store later, many blocks in one batch together with the [`Tip`] that they lead to: a hot key that changes a
+//! to the store later, many blocks in one batch together with the [`Tip`] that they lead to. A hot key that changes a
 //! hundred times a second is written once. After a crash the blocks behind the stored tip are executed again; on any
 //! doubt about the store it is thrown away and everything is. Answers of the store are remembered for a while, as long
 //! as they are true: some keys, such as a robot's, are read by every block and hardly ever written.
 //!
-//! At heights where a snapshot is due the writes are cut into layers, which are stored one after the other: when the
+//! At heights where a snapshot is due the writes are cut into layers, which are stored one after the other. When the
 //! last layer before the cut is stored, the store holds exactly the state at that height, while blocks go on above it.
 
 mod cache;

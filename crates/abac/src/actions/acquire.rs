@@ -16,7 +16,7 @@ use ledger_contract::{Grant, Reason};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
-/// What stands between a contender and a grant.
+/// The position of a contender that has no grant.
 pub(crate) enum Room {
     /// The contender has a grant already.
     Own(Box<Holding>),
@@ -51,7 +51,7 @@ pub(crate) fn acquire(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
 /// Algorithm 1 of the paper: may this principal have a grant now, by the policies and beside those who hold one?
 ///
 /// # Errors
-/// What the policies say, [`Code::Held`], or [`Code::LimitExceeded`].
+/// The answer of the policies, [`Code::Held`], or [`Code::LimitExceeded`].
 pub(crate) fn may_acquire(
     ctx: &Context<'_>,
     decider: &Decider,

@@ -1,8 +1,8 @@
 //! How grants end: expiry, revocation, a change of policy or of the robot, and whatever the other actions end.
 //!
-//! A right that ends at a height has no effect after it. But a block may tell of a bounded number of events, so when
-//! very many grants end at once, those beyond the bound are marked as ended (which no check overlooks) and made due
-//! at once; the following blocks sweep them up and tell why they ended.
+//! A right that ends at a height has no effect after it. But a block may tell of a bounded number of events. When very
+//! many grants end at once, those beyond the bound are marked as ended, which no check overlooks. They are due at once;
+//! the following blocks sweep them up and tell why they ended.
 
 use super::robots;
 use crate::policy::decider::{self, Decider};

@@ -1,4 +1,4 @@
-//! Who may see events.
+//! The right to see events.
 
 use super::publish::MESSAGE;
 use crate::arguments::shown;
@@ -9,8 +9,8 @@ use ledger::Context;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 
-/// May the submitter see this event? Messages need the right to subscribe; what else happens, every member of the
-/// network may know.
+/// May the submitter see this event? Messages need the right to subscribe. Every member of the network may see
+/// all other events.
 pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> Result<(), Rejection> {
     let submitter = ctx.submitter()?;
     if event.name != MESSAGE {
@@ -21,7 +21,7 @@ pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> R
     decider.decide(ctx, &principal, &target, Action::Subscribe)
 }
 
-/// May the submitter follow these events? Who asks for the messages of services needs the right to subscribe to each.
+/// May the submitter follow these events? A reader of messages of services needs the right to subscribe to each.
 ///
 /// A service that does not exist is refused, unless the events of its robot are asked for as well: they tell when it comes.
 pub(crate) fn may_follow(

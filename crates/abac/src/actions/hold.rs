@@ -1,4 +1,4 @@
-//! Who holds what: `grants`, and the caller's own grant.
+//! The holders of services: `grants`, and the caller's own grant.
 
 use super::publish;
 use crate::arguments::Arguments;
@@ -56,7 +56,7 @@ fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
         })
 }
 
-/// Who holds a service, told to one who does not.
+/// The refusal that names the holders of a service to somebody who is none.
 pub(crate) fn holders_of(who: &str, holders: &[Holding]) -> String {
     match holders {
         [] => "held by nobody".to_owned(),

@@ -60,7 +60,8 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     store::json(&Published { epoch, next_seq: last_seq + 1 })
 }
 
-/// What a `set` that succeeds answers and emits, if it names the service in full. For good: nodes keep results without it.
+/// The answer and the event of a `set` that succeeds, if it names the service in full. For good: nodes keep results
+/// without it.
 pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
     let args = Arguments::new(USAGE, args, 4, 3 + MESSAGES_PER_CALL_MAX).ok()?;
     let (epoch, first_seq) = (args.number(1, "EPOCH").ok()?, args.number(2, "FIRST_SEQ").ok()?);

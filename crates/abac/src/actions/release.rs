@@ -35,7 +35,7 @@ pub(crate) fn release(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     let mut taken = holders.clone();
     taken.retain(|holding| whose.is_none_or(|holder| holder == holding.grant.holder));
     if let (Some(holder), true) = (whose, taken.is_empty()) {
-        return Err(nothing_to_release(&shown(holder), &target, &holders).wanted("one who holds it"));
+        return Err(nothing_to_release(&shown(holder), &target, &holders).wanted("a holder of the service"));
     }
     store::json(&end::end_all(ctx, taken.into_iter().map(|holding| (holding, Reason::Taken)).collect())?)
 }

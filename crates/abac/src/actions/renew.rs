@@ -40,8 +40,8 @@ pub(crate) fn renewed(
     Ok(told)
 }
 
-/// Renews a grant because it is used; writes only when more than a quarter of the lease is used up, and only if
-/// policies that look at the time still permit it (all others ended the grant when they changed).
+/// Renews a grant because it is used. It writes only when more than a quarter of the lease is used up. It asks only
+/// policies that look at the time; all others ended the grant when they changed.
 pub(crate) fn used(
     ctx: &mut Context<'_>,
     decider: &Decider,

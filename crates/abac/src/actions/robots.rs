@@ -15,7 +15,7 @@ use ledger_rejection::{Code, Rejection};
 /// Most robots of one `setup`.
 pub(crate) const ROBOTS_PER_SETUP_MAX: usize = 64;
 
-/// `setup ROBOT_JSON...`: registers robots; by an admin of their owner. What exists is refused: see `settings`.
+/// `setup ROBOT_JSON...`: registers robots; by an admin of their owner. A robot that exists is refused: see `settings`.
 pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("setup ROBOT_JSON...", args, 1, ROBOTS_PER_SETUP_MAX)?;
     let admin = admin(ctx, "register robots")?;

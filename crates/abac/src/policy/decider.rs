@@ -1,4 +1,4 @@
-//! Who may: asks the owner's policies and remembers the answers.
+//! Permission: asks the owner's policies and remembers the answers.
 
 use super::defaults::Defaults;
 use super::{Answer, Engine, Question, Resource, User, Verdict, refusal, texts};
@@ -14,7 +14,7 @@ use std::sync::{Mutex, PoisonError};
 /// Most decisions that are remembered; when they are more, all are forgotten.
 const DECISIONS_MAX: usize = 16 * 1024;
 
-/// What somebody wants to do with a service; each is an action of the schema.
+/// A use of a service; each is an action of the schema.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Action {
     Acquire,
@@ -34,11 +34,11 @@ struct Key {
     action: Action,
 }
 
-/// Asks policies. What it remembers saves time and never changes an answer.
+/// Asks policies. The memory saves time and never changes an answer.
 pub(crate) struct Decider {
     engine: Engine,
     decisions: Mutex<BTreeMap<Key, Verdict>>,
-    /// What the questions are about, parsed before.
+    /// The objects of the questions, parsed before.
     pub(crate) records: Records,
 }
 

@@ -1,7 +1,8 @@
-//! What the rules say where an organisation has said nothing: the default policy, and the schema of all policies.
+//! The defaults of the rules where an organisation has said nothing: the default policy, and the schema of all
+//! policies.
 //!
-//! Both texts belong to a rules number. A change of one is a file of its own and a line of its own in [`TABLE`], from the
-//! number on that brings it; the texts of released numbers stay, because their blocks are executed again.
+//! Both texts belong to a rules number. A change of one is a file of its own and a line of its own in [`TABLE`], from
+//! the number on that brings it. The texts of released numbers stay, because their blocks are executed again.
 
 use ledger::Rules;
 use ledger_hash::Hash;

@@ -1,8 +1,8 @@
 //! Policies by the entities that they can apply to, so that a decision looks at few of many.
 //!
-//! A policy whose scope names a resource (`resource == Service::"…"`, `resource in Robot::"…"`) is false for every
-//! other one before its conditions are looked at, so leaving it out changes neither decision, nor reasons, nor faults.
-//! The same goes for one that names a principal.
+//! A policy may name a resource in its scope: `resource == Service::"…"`, `resource in Robot::"…"`. For every other
+//! resource it is false before its conditions are looked at. So leaving it out changes neither decision, nor reasons,
+//! nor faults. The same goes for one that names a principal.
 
 use cedar_policy::{EntityUid, Policy, PolicySet, PrincipalConstraint, ResourceConstraint};
 use std::collections::HashMap;

@@ -185,10 +185,10 @@ mod tests {
         Holding { grant, principal, ending: None }
     }
 
-    /// What a fault of the program would do, and its name.
+    /// A change that only a fault of the program would make, and its name.
     type Break = (&'static str, fn(&mut Context<'_>));
 
-    /// What becomes of a block that does this.
+    /// The end of a block that does this.
     fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection> {
         let registry = Registry::new();
         let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);

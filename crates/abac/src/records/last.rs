@@ -1,7 +1,7 @@
 //! The last message of a service: where it is, and which sequence number may follow it.
 //!
-//! What the service's rule says about sequences decides which key it has. Holders that publish side by side must not
-//! share one: each would make the ledger forget the other's number, and a message could come again.
+//! The service's rule about sequences decides which key it has. Holders that publish side by side must not share one:
+//! each would make the ledger forget the other's number, and a message could come again.
 
 use super::store;
 use ledger::Context;
@@ -18,7 +18,7 @@ pub(crate) struct Last {
     pub(crate) seq: u64,
     /// The block it is in.
     pub(crate) height: u64,
-    /// Who published it.
+    /// The publisher.
     pub(crate) publisher: String,
     /// How many messages its transaction holds; their sequence numbers end with `seq`.
     pub(crate) count: u64,

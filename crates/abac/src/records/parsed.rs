@@ -1,4 +1,4 @@
-//! What values of the state say, remembered, so that a value which has not changed is not parsed again.
+//! The meaning of values of the state, remembered, so that a value which has not changed is not parsed again.
 //!
 //! The state is asked every time, and a record counts only for exactly the bytes that it was parsed from. So what is
 //! remembered saves time and never changes an answer, in simulated calls and in executed ones.
@@ -31,7 +31,7 @@ impl<T> Parsed<T> {
     /// The value of a key now, parsed now or before; none if the state has none.
     ///
     /// # Errors
-    /// What `parse`, which gets key and value, says.
+    /// The result of `parse`, which gets key and value.
     pub(crate) fn read(
         &self,
         ctx: &Context<'_>,

@@ -1,11 +1,11 @@
-//! Who asks, as the records keep it.
+//! The caller, as the records keep it.
 
 use ledger_hash::Hash;
 use ledger_identity::{Identity, Role};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
-/// What decides about an identity. Kept with a grant, so that the grant can be judged again when policies change.
+/// The part of an identity that decides. Kept with a grant, so that the grant can be judged again when policies change.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Principal {
     pub(crate) organisation: String,
@@ -23,7 +23,7 @@ pub(crate) struct Principal {
 }
 
 impl Principal {
-    /// What decides about that identity.
+    /// The part of that identity that decides.
     pub(crate) fn of(identity: &Identity) -> Self {
         Self {
             organisation: identity.organisation.clone(),

@@ -4,7 +4,7 @@ use super::{Decision, Rule};
 use crate::records::principal::Principal;
 use ledger_contract::{Capabilities, Fencing, Grant, Publishing, Sequence};
 
-/// Whoever holds the service keeps it from the others.
+/// The holder of the service keeps it from the others.
 pub(super) struct Exclusive;
 
 impl Rule for Exclusive {

@@ -1,4 +1,4 @@
-//! What is written and told: bytes that every version of the program must make alike.
+//! Bytes that are written and told: every version of the program must make them alike.
 
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, bytes, farhad, identity, owner, robot, salma};
 use ledger_abac::DEFAULT_POLICY;

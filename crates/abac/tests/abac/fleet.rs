@@ -51,7 +51,7 @@ pub(crate) struct Fleet {
     pub(crate) transaction: Hash,
     /// Everything that was ever emitted.
     pub(crate) events: Vec<Event>,
-    /// What each block wrote.
+    /// The writes of each block.
     pub(crate) writes: Vec<WriteSet>,
 }
 

@@ -1,4 +1,4 @@
-//! Who may follow what: decided when somebody subscribes, before there is an event.
+//! Following: a subscription is allowed or refused when somebody subscribes, before there is an event.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, camera, farhad, owner, robot, salma};
 use ledger_rejection::Code;

@@ -220,7 +220,10 @@ fn who_has_nothing_to_release_is_not_told_to_acquire() {
     let refusal = fleet.refused(&salma(), Code::NotHolder, "release", &[TURTLEBOT]);
     assert_eq!(refusal.next, "only the holder, or an admin of Org2, can release it");
     let refusal = fleet.refused(&owner(), Code::NotHolder, "release", &[TURTLEBOT, "Org1/Salma"]);
-    assert!(refusal.found.starts_with("held by Org1/Farhad") && refusal.wanted == "one who holds it", "{refusal}");
+    assert!(
+        refusal.found.starts_with("held by Org1/Farhad") && refusal.wanted == "a holder of the service",
+        "{refusal}"
+    );
     let refusal = fleet.refused(&salma(), Code::NotHolder, "renew", &[TURTLEBOT]);
     assert_eq!(refusal.next, "once it is free: ledgerctl acquire Turtlebot4/cmd_vel");
 }

@@ -1,4 +1,4 @@
-//! What holds after any sequence of calls.
+//! The properties that hold after any sequence of calls.
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, admin1, bytes, farhad, identity, owner, robot, salma};
 use bytes::Bytes;

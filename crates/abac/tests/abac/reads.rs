@@ -1,4 +1,4 @@
-//! What publishing reads of the state: it must not grow with robots, users and policies.
+//! The reads of publishing: they must not grow with robots, users and policies.
 
 use crate::fleet::{Fleet, TURTLEBOT, TWIST, bytes, owner, robot, salma};
 use bytes::Bytes;
@@ -33,7 +33,7 @@ impl StateRead for Noting {
     }
 }
 
-/// What is asked of the state when Salma publishes, and when only that she may is decided.
+/// The reads of the state when Salma publishes, and those of the decision that she may.
 fn reads(fleet: &Fleet, epoch: u64) -> [Vec<String>; 2] {
     let salma = salma();
     let noting = || Arc::new(Noting { state: Arc::clone(&fleet.state), ..Noting::default() });

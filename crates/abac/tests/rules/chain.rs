@@ -14,8 +14,8 @@ use std::sync::Arc;
 /// The first bytes of the file.
 const MAGIC: &[u8] = b"ledgerd chain of one rules number\n";
 
-/// What the file holds: `MAGIC`, the genesis, then each block as index, term, kind, data, hash, digest, events. Numbers
-/// are `u64` BE; genesis and data are preceded by their length.
+/// The content of the file: `MAGIC`, the genesis, then each block as index, term, kind, data, hash, digest, events.
+/// Numbers are `u64` BE; genesis and data are preceded by their length.
 pub(crate) struct Chain {
     pub(crate) genesis: Bytes,
     pub(crate) blocks: Vec<Block>,
@@ -92,7 +92,7 @@ fn part(bytes: &mut Vec<u8>, part: &[u8]) {
     bytes.extend(part);
 }
 
-/// What is not read yet.
+/// The bytes that are not read yet.
 struct Rest<'a>(&'a [u8]);
 
 impl<'a> Rest<'a> {

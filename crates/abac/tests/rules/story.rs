@@ -1,4 +1,4 @@
-//! What the stored chains tell: calls of every chaincode, allowed and refused, and blocks that are none.
+//! The story of the stored chains: calls of every chaincode, allowed and refused, and blocks that are none.
 
 use crate::chain::Chain;
 use crate::teller::{SECOND, Teller, Who};
@@ -121,7 +121,7 @@ fn changed_robots(teller: &mut Teller) {
     teller.call(OWNER, Ok, "abac", "remove", &["Husky"]);
 }
 
-/// What nobody should send, and blocks that are none.
+/// Calls that nobody should send, and blocks that are none.
 fn forged(teller: &mut Teller) {
     let good = teller.signed(SALMA, "abac", "robots", &[]);
     let other_network = {

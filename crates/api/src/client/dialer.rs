@@ -1,6 +1,6 @@
 //! Finding a node that serves: the best first, the next ones soon after it, never all of their patience in a row.
 //!
-//! A node that was killed refuses at once, one that was stopped or cut off says nothing: so nobody is waited for longer
+//! A node that was killed refuses at once; one that was stopped or cut off says nothing. So nobody is waited for longer
 //! than [`STAGGER`] before the next one is asked too. A node that answers but cannot have anything ordered is taken
 //! only if no other one can.
 

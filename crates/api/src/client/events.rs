@@ -30,8 +30,8 @@ pub struct Subscription {
     pub subjects: Vec<String>,
     /// Only events of these names, such as `message`; empty = all.
     pub names: Vec<String>,
-    /// The node sends a delivery without events when it sent nothing else for this long, in milliseconds; a silence
-    /// of three times as long makes the stream resume through another connection. 0 = never.
+    /// The node sends a delivery without events when it sent nothing else for this long, in milliseconds. A silence of
+    /// three times as long makes the stream resume through another connection. 0 = never.
     pub heartbeat: u32,
 }
 

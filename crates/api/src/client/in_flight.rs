@@ -1,7 +1,7 @@
 //! Transactions that were given to the client and have no verdict yet.
 //!
-//! Everything is under one lock that is held for a few instructions: so no transaction falls between a connection
-//! that breaks and the next one, which sends all of them again in their order.
+//! Everything is under one lock that is held for a few instructions. So no transaction falls between a connection that
+//! breaks and the next one, which sends all of them again in their order.
 
 use super::Committed;
 use super::dialer::is_final;

@@ -205,7 +205,7 @@ impl Session {
         })
     }
 
-    /// Puts a new connection into use; what waits goes out over it.
+    /// Puts a new connection into use; calls that wait go out over it.
     fn install(&self, number: u64, opened: Opened) -> Streaming<SubmitResponse> {
         let Opened { connection, requests, answers, told, at } = opened;
         self.clock.learn(told.clock, at);

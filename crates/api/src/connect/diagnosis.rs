@@ -1,7 +1,7 @@
 //! Why a node and this machine do not accept each other, where the certificates alone tell it badly.
 //!
-//! A network that was made anew has another CA under the same name; a clock that is wrong makes good certificates look
-//! expired; a certificate that has expired is refused by an alert that says "unknown". In these cases the node is
+//! A network that was made anew has another CA under the same name. A clock that is wrong makes good certificates look
+//! expired. A certificate that has expired is refused by an alert that says "unknown". In these cases the node is
 //! asked, without showing or believing anything, what it says of its network and its clock. That only chooses the
 //! words: refused it stays.
 

@@ -101,9 +101,9 @@ impl Context {
         self.memory.organisations.as_ref()
     }
 
-    /// The addresses at which a node may answer, in the order to try them: the one that served last, the one that was
-    /// given at enrolment, those of the own organisation, the others; at last what the network does not tell (any
-    /// more).
+    /// The addresses at which a node may answer, in the order to try them. The one that served last is first, then the
+    /// one that was given at enrolment, those of the own organisation, and the others. At last come those that the
+    /// network does not tell (any more).
     pub fn addresses(&self) -> Vec<String> {
         let known = &self.memory.known;
         let told = |address: &&String| known.nodes.iter().any(|node| node.address == **address);

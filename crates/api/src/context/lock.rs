@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 /// The file that is locked, beside the directory of the contexts.
 const FILE: &str = ".lock";
-/// How long a reader waits for a writer. A change takes a few writes to the disk; whoever takes longer was stopped, and
+/// How long a reader waits for a writer. A change takes a few writes to the disk; a writer that takes longer was stopped, and
 /// a context is then read as it is.
 const READER_WAITS_MAX: Duration = Duration::from_secs(1);
 /// How long a writer waits for others.

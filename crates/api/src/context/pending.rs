@@ -1,5 +1,5 @@
-//! An enrolment that was begun: its key lies on the disk before the one-time secret is sent, so that whatever happens
-//! afterwards, a second try with the same key receives the same certificate.
+//! An enrolment that was begun: its key lies on the disk before the one-time secret is sent. A second try with the same
+//! key then receives the same certificate, whatever happens afterwards.
 //!
 //! ```text
 //! <home>/contexts/.<CONTEXT>.enrolling-<8 digits of the CA's fingerprint>/key.pem         PKCS#8, readable by its

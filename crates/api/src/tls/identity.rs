@@ -117,8 +117,8 @@ impl TlsIdentity {
         Ok(Self { current: Arc::new(RwLock::new(Arc::new(Own { chain, key, creator, certified }))) })
     }
 
-    /// Reads chain and key from PEM texts. Of several keys the one of the certificate is taken: while a renewal
-    /// replaces two files one after the other, the old key and the new one stand together in one of them.
+    /// Reads chain and key from PEM texts. Of several keys the one of the certificate is taken. A renewal replaces two
+    /// files one after the other; meanwhile the old key and the new one stand together in one of them.
     ///
     /// # Errors
     /// As [`TlsIdentity::new`].

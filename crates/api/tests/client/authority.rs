@@ -66,7 +66,7 @@ impl Authority {
         TlsIdentity::new(vec![own, self.0.der().clone()], key.into()).unwrap()
     }
 
-    /// What the CA answers to a signing request: a certificate of its public key.
+    /// The CA's answer to a signing request: a certificate of its public key.
     pub(crate) fn certify(&self, name: &str, request: &[u8]) -> Bytes {
         let request = CertificateSigningRequestDer::from(request.to_vec());
         let request = CertificateSigningRequestParams::from_der(&request).unwrap();

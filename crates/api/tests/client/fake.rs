@@ -26,7 +26,7 @@ use tokio_stream::wrappers::{ReceiverStream, UnboundedReceiverStream};
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 
-/// What the node does with a transaction.
+/// The node's treatment of a transaction.
 #[derive(Clone)]
 pub(crate) enum Reaction {
     /// Executes it (once) and says so.
@@ -43,7 +43,7 @@ type Script = dyn Fn(&Transaction, usize) -> Reaction + Send + Sync;
 type Answers = Pin<Box<dyn Stream<Item = Result<v1::SubmitResponse, Status>> + Send>>;
 type Deliveries = Pin<Box<dyn Stream<Item = Result<v1::Delivery, Status>> + Send>>;
 
-/// What several nodes of one network share: the chain.
+/// The part that several nodes of one network share: the chain.
 #[derive(Default)]
 pub(crate) struct Chain {
     /// Id -> height of the executed transactions.
@@ -72,7 +72,7 @@ pub(crate) struct Node {
     pub(crate) subscriptions: Mutex<Vec<v1::SubscribeRequest>>,
     /// Height of the newest block with an event.
     pub(crate) height: watch::Sender<u64>,
-    /// What queries say before they answer.
+    /// The number of queries that fail before one is answered.
     pub(crate) not_now: Mutex<Vec<Rejection>>,
     /// Microseconds that this node's clock is ahead.
     pub(crate) ahead: AtomicU64,

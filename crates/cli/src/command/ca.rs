@@ -69,8 +69,8 @@ pub(crate) async fn carriers(session: &Session) -> Result<Vec<CarrierRecord>, Re
     answer::parse(&session.ask(MSP, "carriers", vec![]).await?, "the nodes that carry a CA")
 }
 
-/// Where somebody of an organisation enrols: the address of a node that carries its CA, the one that we are connected to
-/// if it does, and the fingerprint of the CA behind that node.
+/// The place where somebody of an organisation enrols, and the fingerprint of the CA behind that node. It is the
+/// address of a node that carries its CA: the one that we are connected to, if it does.
 pub(crate) async fn door(session: &Session, organisation: &str) -> Result<(String, Hash), Rejection> {
     let status = session.client.status().await?;
     let nodes = nodes(session).await?.nodes;

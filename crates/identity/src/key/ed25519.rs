@@ -2,7 +2,7 @@
 //! each costs alone, with the same answer.
 //!
 //! RFC 8032 leaves open which of two equations a verifier checks. The stricter one, which ring has, cannot be checked
-//! for many signatures at once: somebody could make signatures whose verdict depends on what else a node checks with
+//! for many signatures at once. Somebody could make signatures whose verdict depends on what else a node checks with
 //! them, and nodes would disagree. The rules of ZIP 215 leave nothing open. An ordinary signature of a key verifies
 //! under either.
 

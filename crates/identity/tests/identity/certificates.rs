@@ -1,4 +1,4 @@
-//! What is read from a certificate.
+//! The fields that are read from a certificate.
 
 use crate::authority::{Ca, NONE, NOW, attributes, network, params, with_attributes};
 use ledger_identity::certificate::{ATTRIBUTES_MAX, CERTIFICATE_BYTES_MAX, encode_attributes};

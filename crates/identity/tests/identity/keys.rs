@@ -115,8 +115,8 @@ fn an_ed25519_signature_of_another_length_is_refused() {
     }
 }
 
-/// A key, a message and a signature on which verifiers of Ed25519 disagree: a point of order 8 is added to R. Whoever has
-/// the key can make such signatures; RFC 8032 allows to accept and to refuse them, ZIP 215 accepts them.
+/// A key, a message and a signature on which verifiers of Ed25519 disagree: a point of order 8 is added to R. An owner
+/// of the key can make such signatures; RFC 8032 allows to accept and to refuse them, ZIP 215 accepts them.
 fn disputed() -> (PublicKey, &'static [u8], Vec<u8>) {
     let key = hex::decode("ea4a6c63e29c520abef5507b132ec5f9954776aebebe7b92421eea691446d22c").unwrap();
     let signature = "c57077b154392b0b71e903bd8831bf29222550dad8280c56d2b0cc32ee16ee1f\

@@ -1,4 +1,4 @@
-//! Whom a network believes.
+//! The identities that a network believes.
 
 use crate::authority::{Ca, NONE, NOW, YEAR, ca_params, network, params};
 use ledger_identity::IdentityError;

@@ -10,7 +10,7 @@ use std::sync::PoisonError;
 
 /// Block time between two snapshots for each block that a network wants between them, in microseconds, at least; but no
 /// more than the time whose results a snapshot holds. Under load those are millions, and a snapshot every few seconds
-/// would be more work than executing blocks: so each result is written into one or two snapshots, however many there
+/// would be more work than executing blocks. So each result is written into one or two snapshots, however many there
 /// are.
 const SNAPSHOT_TIME_PER_BLOCK: u64 = 12_000;
 

@@ -48,7 +48,7 @@ impl Environment<'_> {
         Err(Rejection::new(Code::LimitExceeded, "the answer is too long for a transaction")
             .found(format!("{} bytes", answer.len()))
             .wanted(format!("at most {max} bytes"))
-            .next("ask with a query: what only reads needs no transaction"))
+            .next("ask with a query: a call that only reads needs no transaction"))
     }
 }
 
@@ -146,7 +146,7 @@ impl<'a> Context<'a> {
         self.environment.network
     }
 
-    /// The rules by which the block is executed. What differs between two of them asks here, and nowhere else.
+    /// The rules by which the block is executed. Code that differs between two of them asks here, and nowhere else.
     pub fn rules(&self) -> Rules {
         self.environment.rules
     }

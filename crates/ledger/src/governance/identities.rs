@@ -1,11 +1,10 @@
 //! The registered identities of the organisations: who may receive a certificate, and which ones were issued.
 //!
-//! The registry stands on the ledger and not at a CA, so that names are registered, listed and revoked through any
-//! node, and every node that carries the CA's key issues by the same registry. Of a one-time secret only its hash is
-//! here.
+//! The registry stands on the ledger and not at a CA. So names are registered, listed and revoked through any node, and
+//! every node that carries the CA's key issues by the same registry. Of a one-time secret only its hash is here.
 //!
 //! A registration is *open* until its secret was used, has expired or is cancelled. The first key that comes with the
-//! secret takes it; who comes again with the same key soon after receives the same certificate, because an answer can
+//! secret takes it. A caller that comes again with the same key soon after receives the same certificate, because an answer can
 //! be lost. Nobody receives one for a secret whose certificate was revoked or has signed something.
 
 mod certificates;

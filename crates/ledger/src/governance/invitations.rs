@@ -1,8 +1,8 @@
 //! How an organisation comes in: the others approve an invitation, the newcomer answers it with a signature.
 //!
 //! Nobody of the network signs for the newcomer, who has no certificate that counts yet. So the invitation names a
-//! public key, its private half travels in the token, and the newcomer signs all that it brings with it: whoever
-//! carries the request can lose it but not change it.
+//! public key, its private half travels in the token, and the newcomer signs all that it brings with it. A carrier of
+//! the request can lose it but not change it.
 
 use super::caller::{admin, check_address, check_name, node, object};
 use super::organisations;

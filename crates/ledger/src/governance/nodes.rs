@@ -1,7 +1,7 @@
 //! The nodes of the network: who shall vote and who shall follow.
 //!
-//! These records say what is wanted. The leader compares them with the members in fact and orders the changes that
-//! lead there one by one, so that a change of members is signed, on the ledger, and survives a change of the leader.
+//! These records say what is wanted. The leader compares them with the members in fact and orders the changes that lead
+//! there one by one. So a change of members is signed, on the ledger, and survives a change of the leader.
 
 use super::caller::{admin, check_address, node, object};
 use super::proposals::{Action, Decision, decide};

@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 /// Longest name of a release, in bytes.
 const RELEASE_BYTES_MAX: usize = 64;
 
-/// What a node speaks; argument of `speak`.
+/// The rules that a node speaks; argument of `speak`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Speaks {
@@ -43,9 +43,9 @@ pub struct ActivateRules {
 pub struct RulesOverview {
     /// The rules by which the next block is executed.
     pub active: u32,
-    /// What is decided for a later block.
+    /// The activation that is decided for a later block.
     pub pending: Option<Activation>,
-    /// What was activated since the network was founded, and is decided, in order of heights.
+    /// The activations since the network was founded, and the one that is decided, in order of heights.
     pub activations: Vec<Activation>,
     /// The nodes in order of ids, without those that were removed.
     pub nodes: Vec<SpokenBy>,
@@ -58,7 +58,7 @@ pub struct SpokenBy {
     pub id: u64,
     /// Its organisation and name.
     pub node: String,
-    /// What it shall be.
+    /// The number that it shall be.
     pub role: NodeRole,
     /// Number of the newest rules that it speaks: those in force, if it has said nothing.
     pub newest: u32,
@@ -111,7 +111,7 @@ pub(super) fn activate(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes,
     json(&decide(ctx, caller, Action::ActivateRules { number, height })?)
 }
 
-/// What was approved.
+/// The activation that was approved.
 pub(super) fn execute(ctx: &mut Context<'_>, number: u32, height: Option<u64>) -> Result<(), Rejection> {
     check(ctx, number)?;
     let mut activations = activations(ctx)?;
@@ -166,7 +166,7 @@ fn check(ctx: &Context<'_>, number: u32) -> Result<(), Rejection> {
         .next("install a newer release of ledgerd there, and start it: ledgerctl network rules shows what it speaks"))
 }
 
-/// What is decided and not in force yet. A query asks with the rules of the next block.
+/// The activation that is decided and not in force yet. A query asks with the rules of the next block.
 fn pending(ctx: &Context<'_>) -> Result<Option<Activation>, Rejection> {
     let active = ctx.rules().number();
     Ok(activations(ctx)?.into_iter().find(|activation| activation.number > active))

@@ -1,4 +1,4 @@
-//! What a node may say about a transaction that it would refuse.
+//! The answers that a node may give about a transaction that it would refuse.
 
 use crate::world::{NOW, SECOND, User, World, block, codes};
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};

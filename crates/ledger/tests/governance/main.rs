@@ -1,4 +1,4 @@
-//! Who belongs to the network, and who decides that: each test fails if its rule is taken away.
+//! Members of the network, and the decisions about them: each test fails if its rule is taken away.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 #[path = "../authority/mod.rs"]

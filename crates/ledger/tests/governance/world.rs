@@ -174,12 +174,12 @@ impl Network {
         self.roles().into_iter().find(|(other, ..)| *other == id).unwrap().2
     }
 
-    /// What a node says that holds the key of a CA, by its index.
+    /// The record of a node that holds the key of a CA, by its index.
     pub(crate) fn carry(&self, ca: usize, organisation: &str, node: &str) -> CarryCa {
         CarryCa::prove(&self.ledger.network(), organisation, node, &self.cas[ca].key())
     }
 
-    /// What a node knows of somebody who received a certificate before there was a ledger.
+    /// A node's knowledge of somebody who received a certificate before there was a ledger.
     pub(crate) fn known(&self, user: &User, name: &str, role: Role) -> KnownIdentity {
         let identity = self.ledger.msps().verify(&user.certificate, &[], self.time).unwrap();
         let issued = IssuedCertificate {
@@ -196,7 +196,7 @@ impl Network {
         KnownIdentity { name: name.into(), role, attributes, secret: None, certificates: vec![issued] }
     }
 
-    /// What the other chaincode was told.
+    /// The call that the other chaincode received.
     pub(crate) fn told(&self) -> String {
         let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
         let (answer, _) = self.ledger.query(&caller, self.time, "listener", "removed", &[]).unwrap();

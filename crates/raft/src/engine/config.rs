@@ -33,8 +33,8 @@ pub struct EngineConfig {
     /// Longest time that data waits for its block, microseconds: what waited longer is refused, so that the latency of the
     /// rest stays bounded. Control waits as long as it takes.
     pub data_wait_us: u64,
-    /// Committed data of a leader that may wait for its execution, in bytes (each transaction counting some hundred more,
-    /// for what its execution costs beside them), at most: it is less while execution takes long, as control waits behind
+    /// Most committed data of a leader that may wait for its execution, in bytes. Each transaction counts some hundred
+    /// more, for what its execution costs beside them. It is less while execution takes long, as control waits behind
     /// it. A block takes at most half of it. Two keep disk and executor busy; more would only wait.
     pub ahead_bytes: usize,
     /// Randomness: election timeouts and the names of reads. Different on every node and at every start.

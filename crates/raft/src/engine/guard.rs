@@ -14,8 +14,9 @@ impl Engine {
     /// The message for the crate, or why it is ignored.
     ///
     /// A read of another node gets a name that the crate sees once. It would count acknowledgements by name alone
-    /// (`ReadOnly::recv_ack`): when the network repeats the question of an answered read, late acknowledgements of the
-    /// first one would confirm a leader that is deposed since, and with it every read that waits (etcd #20418).
+    /// (`ReadOnly::recv_ack`). When the network repeats the question of an answered read, late acknowledgements of the
+    /// first one would confirm a leader that is deposed since. Every read that waits would be confirmed with it (etcd
+    /// #20418).
     pub(super) fn admit(&mut self, from: u64, message: RaftMessage) -> Result<Message, &'static str> {
         let mut message = message.into_raft(from, self.config.id).ok_or("it is of an unknown kind")?;
         if from == raft::INVALID_ID || from == self.config.id {

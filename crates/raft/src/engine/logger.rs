@@ -1,4 +1,4 @@
-//! The `raft` crate logs through `slog`; what matters goes to `tracing`.
+//! The `raft` crate logs through `slog`; the lines that matter go to `tracing`.
 
 use slog::{Drain, Level, Logger, Never, OwnedKVList, Record, o};
 

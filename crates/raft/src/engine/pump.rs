@@ -2,8 +2,8 @@
 //!
 //! Order matters here. A leader's messages go out before its own disk has the entries (the majority may be others).
 //! Everybody else's messages promise something (a vote, an acknowledgement), so they wait until what they promise is on
-//! the disk: [`PendingReady`]. Learners have no part in that: a leader sends them what is committed, and they hand it
-//! out before their own disk has it, as a majority of the voters has.
+//! the disk: [`PendingReady`]. Learners have no part in that. A leader sends them committed entries, and they hand them
+//! out before their own disk has them, as a majority of the voters has.
 
 use super::{Engine, OwnBlock, PendingReady, READ_BYTES};
 use crate::interface::{Output, Role, RoleChange};

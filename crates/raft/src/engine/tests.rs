@@ -1,4 +1,4 @@
-//! What can only be seen from inside: progress of peers, and what the crate would have done.
+//! The inside of the engine: progress of peers, and the decisions that the crate would have made.
 
 mod learners;
 
@@ -389,7 +389,7 @@ fn heartbeat_contexts(out: &[Output]) -> Vec<bytes::Bytes> {
         .collect()
 }
 
-/// etcd #20418. The leader is deposed without knowing; what is on its way to it is old.
+/// etcd #20418. The leader is deposed without knowing; messages on their way to it are old.
 #[test]
 fn a_repeated_question_and_late_answers_confirm_no_read() {
     let mut engine = leader(3);

@@ -2,8 +2,8 @@
 //!
 //! Start-time fair queueing (Goyal, Vin, Cheng 1996). Everything gets a tag when it comes: where its creator's previous
 //! transaction ends in virtual time, but not before what is taken now. Tags give the order. So the transactions of one
-//! creator stay in their order, those who send little pass those who send much, and when the queue is full the last in
-//! order goes: it belongs to whoever has most waiting.
+//! creator stay in their order, and those who send little pass those who send much. When the queue is full, the last in
+//! order goes: it belongs to the creator with most waiting.
 
 use super::{QueueStatus, Waiting};
 use bytes::Bytes;
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 /// The cost of executing a transaction beside its bytes, in bytes that cost about as much.
 const TRANSACTION_COST_BYTES: usize = 256;
-/// So many transactions may wait however long they do: after a stall of the disk or an election they are soon done,
+/// So many transactions may wait however long they do. After a stall of the disk or an election they are soon done,
 /// while a longer queue of old ones delays what is new.
 pub(super) const LATE_TRANSACTIONS_MAX: usize = 128;
 

@@ -162,7 +162,7 @@ fn the_successor_is_the_voter_that_answers_and_lacks_least() {
     assert_eq!(successor(&status), None, "a learner cannot lead");
 }
 
-/// Whatever is desired, following the steps leads there, through voters that can order at every moment.
+/// The steps lead to any desired membership, through voters that can order at every moment.
 #[test]
 fn the_steps_end_at_what_is_desired() {
     for bits in 0..3_u32.pow(5) {

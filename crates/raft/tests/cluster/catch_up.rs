@@ -1,4 +1,5 @@
-//! What nodes do beside ordering: drop old blocks, lose their disks, fetch from others what replication does not bring.
+//! The work of nodes beside ordering: they drop old blocks, lose their disks, and fetch from others what replication
+//! does not bring.
 
 use super::Cluster;
 use ledger_storage::block_store::Base;
@@ -6,7 +7,7 @@ use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::HardState;
 use std::sync::Arc;
 
-/// What happened.
+/// The outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Nodes were told that they are behind.

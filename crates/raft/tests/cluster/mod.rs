@@ -37,7 +37,7 @@ impl Random {
     }
 }
 
-/// What the network does to a message. Percent, and units of time.
+/// The fate of a message in the network. Percent, and units of time.
 #[derive(Clone, Copy)]
 pub struct Faults {
     pub lose: u64,
@@ -69,7 +69,7 @@ pub struct Node {
     pub refused: Vec<(Input, ledger_rejection::Rejection)>,
     pub reads: Vec<(u64, u64)>,
     pub members: Membership,
-    /// What is to happen when a process that is stopped goes on; none while it runs.
+    /// The event that is due when a process that is stopped goes on; none while it runs.
     held: Option<Vec<Event>>,
     /// Why the engine has stopped for good.
     pub failed: Option<ledger_rejection::Rejection>,
@@ -86,10 +86,10 @@ pub struct Cluster {
     pub chosen: Vec<Entry>,
     /// Leader of each term: there is never a second.
     pub leaders: BTreeMap<u64, u64>,
-    /// What happened, as text; equal for equal seeds.
+    /// The course of the run as text; equal for equal seeds.
     pub trace: u64,
     pub commits_per_step_max: usize,
-    /// What the ledger wants the members to be; a leader sees to it with every tick.
+    /// The members that the ledger wants; a leader sees to it with every tick.
     pub desired: Option<Desired>,
     /// How often nodes were told that they are behind, and what they did.
     pub behind: catch_up::Counts,
@@ -214,7 +214,7 @@ impl Cluster {
         }
     }
 
-    /// What the leader's driver does with every tick.
+    /// The work of the leader's driver with every tick.
     fn reconcile(&mut self, id: u64) {
         let Some((engine, _)) = &self.nodes[&id].up else { return };
         if let Some(step) = self.desired.as_ref().and_then(|desired| next_step(desired, &engine.status())) {

@@ -1,4 +1,4 @@
-//! What a replica does at its own time.
+//! The duties of a replica at its own time.
 
 use super::{Effect, FULL_DISK_PAUSE, Now, Replica};
 use crate::waiters::Waiter;
@@ -48,8 +48,8 @@ impl<W: Waiter> Replica<W> {
         }
     }
 
-    /// What was given to a leader that is gone may be lost with it: everything that still waits goes to the next one.
-    /// The id makes sure that it is executed once.
+    /// A transaction that was given to a leader that is gone may be lost with it: everything that still waits goes to
+    /// the next one. The id makes sure that it is executed once.
     fn submit_again(&mut self, now: Now, out: &mut Vec<Effect>) {
         if std::mem::take(&mut self.submit_again) {
             for (lane, transaction) in self.waiters.all() {

@@ -1,4 +1,4 @@
-//! What the engine wants, as what the node must do.
+//! The engine's wishes, as effects for the node.
 
 use super::{Effect, LEARNER_WRITE_DELAY, Now, Replica};
 use crate::waiters::Waiter;

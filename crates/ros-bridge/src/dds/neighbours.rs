@@ -93,8 +93,8 @@ impl Participant {
         readers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
     }
 
-    /// Tells, as long as it runs, of publishers and subscribers that come and leave, those first that are there
-    /// already: all that are marked, and those on the DDS topics of `topics`. One caller at a time: the news of a
+    /// Tells, as long as it runs, of publishers and subscribers that come and leave. Those that are there already come
+    /// first: all that are marked, and those on the DDS topics of `topics`. One caller at a time: the news of a
     /// participant are given out once.
     pub async fn follow(&self, topics: &BTreeSet<String>, mut tell: impl FnMut(Change)) {
         let listener = self.dds.status_listener();

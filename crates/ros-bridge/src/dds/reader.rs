@@ -162,7 +162,7 @@ impl Pump {
         self.queue.push(Incoming { sample, source, sequence, received });
     }
 
-    /// The mark of a writer. Discovery knew it before its first sample was let in; what is not found there has left.
+    /// The mark of a writer. Discovery knew it before its first sample was let in; a writer that is not found there has left.
     fn mark_of(&mut self, writer: [u8; 16], door: &Door) -> Option<Mark> {
         if let Some(known) = self.marks.get(&writer) {
             return *known;

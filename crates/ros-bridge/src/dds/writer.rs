@@ -26,8 +26,8 @@ use crate::{
 /// Most bytes written that reliable readers have not acknowledged. Beyond it a write is refused.
 pub const WRITER_BYTES_MAX: usize = 16 * 1024 * 1024;
 
-/// A sample up to this size is copied: DDS keeps many samples for readers that lag, and each would keep the whole buffer
-/// in memory in which it came, with everything else that came in it.
+/// A sample up to this size is copied. DDS keeps many samples for readers that lag. Each would keep the whole buffer in
+/// memory in which it came, with everything else that came in it.
 const COPIED_BYTES_MAX: usize = 4 * 1024;
 
 /// Offers one topic; leaves it when dropped. Writing never blocks.

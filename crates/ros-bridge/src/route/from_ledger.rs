@@ -120,7 +120,7 @@ fn beside(Beside { service, topic, is_same_service, is_command }: &Beside<'_>) -
         let what = "each message arrives twice; stop one of both";
         return Some(format!("another bridge delivers {service} on {topic} too: {what}"));
     }
-    is_command.then(|| format!("a publisher beside this bridge on {topic}: what it sends goes around the ledger"))
+    is_command.then(|| format!("a publisher beside this bridge on {topic}: its messages go around the ledger"))
 }
 
 /// A route from a service to a local topic.
@@ -238,8 +238,8 @@ impl FromLedger {
         tokio::time::sleep(LINGER).await;
     }
 
-    /// When the robot must stop, and why, unless the ledger gives a sign of life or of the lease before: the earlier of
-    /// the end of its driver's lease and of the ledger's silence. None while nobody moves it.
+    /// The time at which the robot must stop, and why, unless the ledger gives a sign of life or of the lease before.
+    /// It is the earlier of the end of its driver's lease and of the ledger's silence. None while nobody moves it.
     fn stop_at(&self) -> Option<(Instant, &'static str)> {
         let lease = self.clocks.instant(self.gate.deadline()?);
         let stale = self.heard + self.settings.stale_after;

@@ -28,9 +28,8 @@ struct Spot {
     previous: u32,
 }
 
-/// Reads the newest segment up to the last block that is committed: because a hard state says so that is on the disk,
-/// as a later record proves, or because its height is `known` to be. Entries that are not proven may be replaced after
-/// a crash.
+/// Reads the newest segment up to the last block that is committed. A hard state says so that is on the disk, as a
+/// later record proves, or its height is `known` to be. Entries that are not proven may be replaced after a crash.
 pub(super) fn committed(disk: &dyn Disk, segment: &ScannedSegment, known: u64) -> Result<Committed, StoreError> {
     let mut before = None;
     for _ in 0..ATTEMPTS_MAX {

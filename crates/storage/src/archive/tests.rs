@@ -1,4 +1,4 @@
-//! What is archived is whole and of one piece, whatever happens meanwhile.
+//! An archive is whole and of one piece, whatever happens meanwhile.
 
 mod committed;
 
@@ -43,7 +43,7 @@ fn segments(disk: &SimDisk) -> Vec<String> {
     disk.list().unwrap().into_iter().filter(|name| parse_name(name).is_some()).collect()
 }
 
-/// What opens as a store and holds the same as the node.
+/// The content of a directory that opens as a store and holds the same as the node.
 fn check(archive: &SimDisk, node: &BlockStore, copied: &Copied) {
     let archived = store(&archive.copy(1));
     assert_eq!((archived.first_index(), archived.last_index() + 1), (copied.first_height, copied.next_height));

@@ -10,7 +10,7 @@ use crate::segment::{Found, Scan, ScannedSegment, read_header};
 
 impl BlockStore {
     /// Reads every record of the finished segments, the oldest first, and checks all that verification checks without
-    /// executing. Goes on beside everything else; what is dropped meanwhile is left out.
+    /// executing. Goes on beside everything else; blocks that are dropped meanwhile are left out.
     ///
     /// `go_on` is called with the bytes of each record, so that the caller can take its time; false ends the check.
     ///

@@ -1,7 +1,7 @@
 //! Which segment is the oldest one, as the store has decided it: so that one that somebody has deleted is missed.
 //!
 //! File `oldest` beside the segments: two slots, one at byte 0 and one at byte 4096. The valid one with the higher
-//! sequence counts; the other one is written next, in place, so that no space is needed on a full disk and a write that
+//! sequence counts. The other one is written next, in place, so that no space is needed on a full disk and a write that
 //! is cut off harms nothing. Little-endian:
 //!
 //! | bytes | field |

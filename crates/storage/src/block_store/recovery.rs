@@ -23,7 +23,7 @@ pub struct Recovery {
     pub first_index: u64,
     /// The newest entry; one below `first_index` if there is none.
     pub last_index: u64,
-    /// The newest hard state; what is older than the log counts as committed.
+    /// The newest hard state; entries that are older than the log count as committed.
     pub hard_state: HardState,
     /// The torn tail that was zeroed. The caller should compare `last_index` with what it knows to be committed.
     pub torn: Option<TornTail>,
@@ -68,7 +68,7 @@ struct Reading {
 }
 
 /// Reads the newest segment whole. Those before it were durable as a whole when it was begun, and it, or the one after
-/// each of them, says what they hold: their records are read, and checked, when somebody wants them
+/// each of them, says what they hold. Their records are read, and checked, when somebody wants them
 /// ([`BlockStore::entries`](super::BlockStore::entries),
 /// [`BlockStore::check_finished`](super::BlockStore::check_finished)).
 pub(super) fn recover(disk: &dyn Disk, network: &[u8; 32], cache_bytes: usize) -> Result<Recovered, StoreError> {

@@ -55,8 +55,8 @@ impl RealDisk {
         Ok(Self { path, writable: false, _lock: lock })
     }
 
-    /// Opens an existing directory for reading only, beside a node that may be writing to it: of a file that still changes
-    /// only what is known to be on the disk can be used, and any file may be removed meanwhile.
+    /// Opens an existing directory for reading only, beside a node that may be writing to it. Of a file that still
+    /// changes, only the part that is known to be on the disk can be used. Any file may be removed meanwhile.
     pub fn open_beside_writer(path: impl Into<PathBuf>) -> io::Result<Self> {
         let path = path.into();
         if !fs::metadata(&path)?.is_dir() {

@@ -21,8 +21,8 @@ pub(super) const RECORD_HEAD_BYTES: u64 = 8;
 pub(super) const RECORD_BYTES_MIN: u64 = RECORD_HEAD_BYTES + 66;
 
 /// Bytes of the end of a finished file: `LEDGREND`, then, LE, first height `u64`, blocks `u64`, end of the records
-/// `u64`, pages of the index `u32`, marks `u32`, times of the first and of the last block `u64`, CRC-32C of the marks
-/// and of these. Before it are the marks, `u32` each, and before them the pages.
+/// `u64`, pages of the index `u32`, marks `u32`. Times of the first and of the last block `u64`, and CRC-32C of the
+/// marks and of these, follow. Before it are the marks, `u32` each, and before them the pages.
 const TAIL_BYTES: usize = 60;
 const TAIL_MAGIC: &[u8; 8] = b"LEDGREND";
 

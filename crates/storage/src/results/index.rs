@@ -46,8 +46,8 @@ pub(super) fn beginning(Hash(id): &Hash) -> u64 {
     id.iter().take(8).fold(0, |number, byte| number << 8 | u64::from(*byte))
 }
 
-/// The pages of a table: of items in order, at most 340 each 12 bytes (id `u64`; block and position, `u32`: the position in
-/// the lower 12 bits; all LE), then their number `u32`, zeros, and CRC-32C of all before it.
+/// The pages of a table: of items in order, at most 340 each 12 bytes, then their number `u32`, zeros, and CRC-32C of
+/// all before it. An item is the id `u64`, then block and position, `u32`: the position in the lower 12 bits; all LE.
 pub(super) fn pages(items: &BTreeSet<Item>) -> Vec<u8> {
     let mut bytes = Vec::with_capacity(items.len().div_ceil(PAGE_ITEMS) * PAGE_BYTES);
     let mut items = items.iter().peekable();

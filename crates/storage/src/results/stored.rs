@@ -19,8 +19,8 @@ const OTHERWISE: u8 = 0;
 
 /// A result that is kept whole, or short: beside its block.
 ///
-/// Short, it has no term; ids are cut to [`SHORT_ID_BYTES`]; `not_after` counts from the block's time; and a
-/// transaction that came out as its call foretells has neither response nor events.
+/// Short, it has no term; ids are cut to [`SHORT_ID_BYTES`]; `not_after` counts from the block's time. A transaction
+/// that came out as its call foretells has neither response nor events.
 #[derive(Clone, Debug, PartialEq)]
 pub struct StoredResult {
     result: BlockResult,

@@ -403,7 +403,7 @@ fn find_proof(
     Ok(None)
 }
 
-/// Offsets of real segments fit; what does not becomes an offset at which nothing parses.
+/// Offsets of real segments fit; one that does not fit becomes an offset at which nothing parses.
 fn narrow(offset: u64) -> u32 {
     u32::try_from(offset).unwrap_or(u32::MAX)
 }

@@ -28,8 +28,8 @@ pub struct Contents {
 
 /// The word of a segment about the one before it.
 ///
-/// Payload: header CRC of the segment before `u32`; its last index `u64`; how many runs and how many marks, `u32` each;
-/// then the runs (first index, term; `u64` each) and the marks (index `u64`, offset `u32`).
+/// Payload: header CRC of the segment before `u32`; its last index `u64`; how many runs and how many marks, `u32` each.
+/// Then come the runs (first index, term; `u64` each) and the marks (index `u64`, offset `u32`).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Seal {
     /// CRC of the header of the segment that is meant: another file under its name is noticed.

@@ -27,8 +27,8 @@ pub struct Chunk {
 }
 
 /// The content of a snapshot. There is one encoding: `"ledgerd snapshot v1␀"`, network (32), height, term, block time
-/// (`u64` each), block hash (32), state digest (32), number of chunks `u32`, and for each its SHA-256 and its length
-/// `u32`; BE.
+/// (`u64` each), block hash (32), state digest (32), number of chunks `u32`. For each chunk follow its SHA-256 and its
+/// length `u32`; BE.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Manifest {
     /// Name of the network.

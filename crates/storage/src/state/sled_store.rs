@@ -24,12 +24,12 @@ const LOCK_ATTEMPTS_MAX: u32 = 100;
 const LOCKED: &str = "could not acquire lock";
 const LOCK_PAUSE: Duration = Duration::from_millis(10);
 
-/// The store on disk. sled 0.34 is called beta by its authors: whatever it reports or panics about means that the
+/// The store on disk. sled 0.34 is called beta by its authors. Any error or panic of it means that the
 /// directory is to be deleted and rebuilt from blocks, never that data is lost.
 pub struct SledStore {
     directory: PathBuf,
-    /// After a failed write sled answers every call with that failure, so it is opened anew: what it holds then is the
-    /// last batch that was written whole, and [`super::State`] still has what came later. None if even that failed.
+    /// After a failed write sled answers every call with that failure, so it is opened anew. It then holds the last
+    /// batch that was written whole, and [`super::State`] still has what came later. None if even that failed.
     tree: RwLock<Option<sled::Db>>,
 }
 

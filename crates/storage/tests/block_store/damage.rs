@@ -34,8 +34,8 @@ fn records(disk: &SimDisk) -> Vec<(String, u64, u64, LogPosition)> {
         .collect()
 }
 
-/// What is damaged in a finished segment is not always refused when the store is opened; then it is found by whoever reads
-/// it, who never gets anything wrong, and by the check.
+/// Damage in a finished segment is not always refused when the store is opened. Then a reader finds it, who never gets
+/// anything wrong, and the check finds it.
 fn found_in_use(disk: &SimDisk, expected: &[Entry], context: &str) -> StoreError {
     let (store, _) = match open_with(disk, 500) {
         Err(error) => return error,

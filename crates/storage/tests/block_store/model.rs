@@ -49,10 +49,10 @@ fn step() -> impl Strategy<Value = Step> {
     ]
 }
 
-/// What the store has to hold.
+/// The content that the store has to hold.
 #[derive(Default)]
 struct Model {
-    /// What the log follows.
+    /// The entry that the log follows.
     base: Base,
     /// The log as appended.
     log: Vec<Entry>,

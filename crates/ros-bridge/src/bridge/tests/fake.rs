@@ -22,7 +22,7 @@ use tokio_stream::wrappers::UnboundedReceiverStream;
 
 use crate::gateway::{Deliveries, Gateway, Verdict};
 
-/// What becomes of a sample.
+/// The fate of a sample.
 #[derive(Clone)]
 pub(super) enum Fate {
     Committed,
