@@ -26,6 +26,24 @@ async fn rules(ctl: &Ctl, what: &str, holds: impl Fn(&Value) -> bool) -> Value {
     .await
 }
 
+/// Rules 3: any call that needs approval is proposed, by a quorum that is data.
+fn proposals(boss: &Ctl, owner: &Ctl) {
+    let text = boss.run(&["network", "quorums"]).ok().stdout;
+    assert!(text.contains("set_node_role        organisations = majority  default"), "{text}");
+    let set = ["network", "quorums", "--set", "msp", "set_node_role", "admins of Org2 = 1"];
+    assert!(boss.run(&set).ok().stdout.starts_with("proposed: call msp set_quorum {"));
+    assert_eq!(owner.run(&set).ok().stdout, "msp set_node_role now needs admins of Org2 = 1\n");
+    let node = serde_json::json!({ "organisation": "Org2", "name": "org2-node", "role": "voter" }).to_string();
+    let shown = boss.run(&["network", "propose", "msp", "set_node_role", &node]).ok().stdout;
+    assert!(shown.contains("  needs        admins of Org2 = 1\n"), "{shown}");
+    let waiting = boss.run(&["network", "proposals", "-o", "json"]).ok().json();
+    assert_eq!((&waiting[0]["missing"], &waiting[0]["pending"][0]), (&1.into(), &"Org2".into()), "{waiting}");
+    boss.run(&["network", "withdraw", waiting[0]["proposal"]["id"].as_str().unwrap()]).ok();
+    boss.run(&["network", "quorums", "--set", "msp", "approve", "admins = 1"])
+        .refused(3, &["LGR-1011", "set_node_role"]);
+    boss.run(&["network", "propose", "abac", "robots"]).refused(3, &["LGR-1011", "another chaincode"]);
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn organisations_activate_the_rules_that_nodes_speak_and_old_blocks_keep_theirs() {
     let fleet = Fleet::found(2);
@@ -50,6 +68,8 @@ async fn organisations_activate_the_rules_that_nodes_speak_and_old_blocks_keep_t
     let shown = rules(&boss, "they are in force", |shown| shown["active"] == newest).await;
     assert_eq!(shown["activations"][0]["number"], newest, "{shown}");
     boss.run(&activate).refused(3, &["LGR-1011", "rules are never taken back"]);
+
+    proposals(&boss, &owner);
 
     // Every block is executed again by the rules that it had.
     nodes.iter_mut().for_each(|node| node.interrupt());

@@ -3,9 +3,12 @@
 //! A chaincode is a Rust type that implements [`Chaincode`]. It is compiled into the node and called through a
 //! [`Context`], which is all it may know: no clock, no randomness, no IO, so that every node computes the same.
 
+mod approval;
 mod context;
 mod registry;
 
+pub(crate) use approval::quorum_of;
+pub use approval::{ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, NotAQuorum, Quorum};
 pub use context::{Context, Environment};
 pub use registry::Registry;
 
@@ -45,6 +48,13 @@ pub trait Chaincode: Send + Sync {
     /// release and revoke. Somebody must not be able to call it often: what these calls have is a small reserve.
     fn ends(&self, _function: &str) -> bool {
         false
+    }
+
+    /// The functions whose calls need approval, each with the quorum that it needs unless the network decides otherwise.
+    /// Such a call is proposed (`msp propose`) and executed once its quorum agrees; then [`Context::approved_by`] names
+    /// who did, and there is no submitter. Called directly, these functions are refused before [`Chaincode::invoke`].
+    fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {
+        &[]
     }
 
     /// Called at the start of every block, before its transactions, with the block's time: the place for what

@@ -19,6 +19,9 @@
 //! | `rules` | | [`RulesOverview`] |
 //! | `speak {newest, release}` | a node, for itself | [`NodeRecord`] |
 //! | `activate_rules {number, height?}` | an admin, with approval | [`Decision`] |
+//! | `quorums` | | array of [`FunctionQuorum`] |
+//! | `set_quorum {chaincode, function, quorum?}` ([`SetQuorum`]) | an admin, with approval | [`Decision`] |
+//! | `propose {chaincode, function, args}` ([`crate::Call`]) | an admin | [`Decision`] |
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
 //! | `revoke ISSUER SERIAL [REASON]` | an admin of the issuing organisation | [`RevocationRecord`] |
@@ -34,7 +37,8 @@
 //! | `uncarry_ca {organisation, node?}` | a node for itself, or an admin of the organisation | nothing |
 //!
 //! Events: `joined`, `moved`, `role_changed` and `speaks` with the [`NodeRecord`] and the node as subject; `proposed`,
-//! `approved`, `withdrawn` and `executed` with the [`Proposal`] and its id; `invited` with the [`Invitation`] and
+//! `approved`, `withdrawn`, `executed` and `failed` with the [`Proposal`] and its id; `quorum_changed` with the
+//! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
 //! name; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
 //! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
@@ -42,6 +46,7 @@
 //! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
 //! the [`crate::Activation`] and the number.
 
+mod action;
 mod attestations;
 mod caller;
 mod carriers;
@@ -50,11 +55,13 @@ mod invitations;
 mod nodes;
 mod organisations;
 mod proposals;
+mod quorums;
 mod read;
 mod revocations;
 mod rules;
 mod store;
 
+pub use action::Action;
 pub use attestations::{Attest, Attestation, AttestationRecord};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
@@ -68,7 +75,10 @@ pub use invitations::{
 };
 pub use nodes::{JoinNode, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, SetNodeRole, desired};
 pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
-pub use proposals::{Action, Decision, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal};
+pub use proposals::{
+    Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,
+};
+pub use quorums::{FunctionQuorum, SetQuorum};
 pub use read::{attestations, invitation, members, nodes, organisations};
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
@@ -76,7 +86,7 @@ pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 pub(crate) use read::{activations, members_record};
 pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
 
-use crate::chaincode::{Chaincode, Context};
+use crate::chaincode::{Chaincode, Context, Quorum};
 use crate::members::Membership;
 use crate::network::Genesis;
 use bytes::Bytes;
@@ -87,8 +97,24 @@ use store::{full, json};
 /// Name of the chaincode.
 pub const NAME: &str = "msp";
 
+const ACTIVATE_RULES: &str = "activate_rules";
+const INVITE_ORGANISATION: &str = "invite_organisation";
+const REMOVE_ORGANISATION: &str = "remove_organisation";
+const SET_NODE_ROLE: &str = "set_node_role";
+const SET_QUORUM: &str = "set_quorum";
+
+/// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
+/// quorum it sets.
+static NEEDS_APPROVAL: [(&str, Quorum); 5] = [
+    (ACTIVATE_RULES, Quorum::Majority),
+    (INVITE_ORGANISATION, Quorum::Majority),
+    (REMOVE_ORGANISATION, Quorum::Majority),
+    (SET_NODE_ROLE, Quorum::Majority),
+    (SET_QUORUM, Quorum::Majority),
+];
+
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 29] = [
+const FUNCTIONS: [(&str, &str); 32] = [
     ("activate_rules", "RULES_JSON"),
     ("approve", "ID"),
     ("attest", "ATTEST_JSON"),
@@ -106,6 +132,8 @@ const FUNCTIONS: [(&str, &str); 29] = [
     ("organisation", "NAME"),
     ("organisations", "none"),
     ("proposals", "none"),
+    ("propose", "CALL_JSON"),
+    ("quorums", "none"),
     ("record_certificate", "CERTIFICATE_JSON"),
     ("register", "REGISTER_JSON"),
     ("remove_organisation", "NAME_JSON"),
@@ -114,20 +142,25 @@ const FUNCTIONS: [(&str, &str); 29] = [
     ("revoke_identity", "REVOKE_JSON"),
     ("rules", "none"),
     ("set_node_role", "ROLE_JSON"),
+    ("set_quorum", "QUORUM_JSON"),
     ("speak", "SPEAKS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
     ("withdraw", "ID"),
 ];
 
+/// Functions that older rules do not have.
+const SINCE_RULES_3: [&str; 3] = ["propose", "quorums", SET_QUORUM];
+
 /// The names of its events.
-const EVENTS: [&str; 21] = [
+const EVENTS: [&str; 23] = [
     "approved",
     "attested",
     "ca_carried",
     "ca_dropped",
     "certified",
     "executed",
+    "failed",
     "invitation_cancelled",
     "invited",
     "joined",
@@ -136,6 +169,7 @@ const EVENTS: [&str; 21] = [
     "organisation_removed",
     "organisation_updated",
     "proposed",
+    "quorum_changed",
     "registered",
     "registration_cancelled",
     "revoked",
@@ -167,7 +201,14 @@ impl Chaincode for Governance {
         matches!(function, "revoke" | "set_node_role" | "remove_organisation" | "approve")
     }
 
+    fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {
+        &NEEDS_APPROVAL
+    }
+
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+        if !ctx.rules().proposes_calls() && SINCE_RULES_3.contains(&function) {
+            return Err(unknown_function(function));
+        }
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),
             ("attestations", []) => attestations::list(ctx),
@@ -183,17 +224,20 @@ impl Chaincode for Governance {
             ("cancel_invitation", [cancel]) => invitations::cancel(ctx, cancel),
             ("nodes", []) => nodes::list(ctx),
             ("join_node", [join]) => nodes::join(ctx, join),
-            ("set_node_role", [role]) => nodes::set_role(ctx, role),
+            (SET_NODE_ROLE, [role]) => nodes::set_role(ctx, role),
             ("organisations", []) => json(&organisations::names(ctx)?),
             ("organisation", [name]) => organisations::show(ctx, name),
-            ("invite_organisation", [invite]) => invitations::invite(ctx, invite),
+            (INVITE_ORGANISATION, [invite]) => invitations::invite(ctx, invite),
             ("join_organisation", [join]) => invitations::join(ctx, join),
             ("update_organisation", [update]) => organisations::update(ctx, update),
-            ("remove_organisation", [remove]) => organisations::remove(ctx, remove),
+            (REMOVE_ORGANISATION, [remove]) => organisations::remove(ctx, remove),
             ("rules", []) => rules::show(ctx),
             ("speak", [speaks]) => rules::speak(ctx, speaks),
-            ("activate_rules", [activate]) => rules::activate(ctx, activate),
+            (ACTIVATE_RULES, [activate]) => rules::activate(ctx, activate),
             ("proposals", []) => proposals::list(ctx),
+            ("quorums", []) => quorums::list(ctx),
+            (SET_QUORUM, [quorum]) => quorums::set(ctx, quorum),
+            ("propose", [call]) => proposals::propose(ctx, call),
             ("approve", [id]) => proposals::approve(ctx, id),
             ("withdraw", [id]) => proposals::withdraw(ctx, id),
             ("revocations", []) => revocations::list(ctx),
@@ -211,8 +255,12 @@ fn unknown_call(function: &str, found: usize) -> Rejection {
                 .found(format!("{found} arguments"))
                 .wanted(*wanted)
         }
-        None => Rejection::unknown_function(NAME, function, &FUNCTIONS.map(|(name, _)| name)),
+        None => unknown_function(function),
     }
+}
+
+fn unknown_function(function: &str) -> Rejection {
+    Rejection::unknown_function(NAME, function, &FUNCTIONS.map(|(name, _)| name))
 }
 
 /// The writes of the genesis block.

@@ -59,5 +59,8 @@ mod window;
 pub mod writes;
 
 pub use chain::{Admission, Ground, Ledger, Outcome, Refusal, Seal, Step, TransactionRecord};
-pub use chaincode::{Chaincode, Context, Environment, Foretold, Registry, Revocation};
+pub use chaincode::{
+    ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, Chaincode, Context, Environment, Foretold, NotAQuorum, Quorum,
+    Registry, Revocation,
+};
 pub use rules::{Activation, Rules};

@@ -133,15 +133,16 @@ impl Genesis {
     }
 }
 
-mod hex_list {
+/// Lists of bytes as hexadecimal text.
+pub(crate) mod hex_list {
     use bytes::Bytes;
     use serde::{Deserialize, Deserializer, Serializer};
 
-    pub(super) fn serialize<S: Serializer>(list: &[Bytes], serializer: S) -> Result<S::Ok, S::Error> {
+    pub(crate) fn serialize<S: Serializer>(list: &[Bytes], serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(list.iter().map(hex::encode))
     }
 
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Bytes>, D::Error> {
+    pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Bytes>, D::Error> {
         Vec::<String>::deserialize(deserializer)?
             .iter()
             .map(|text| hex::decode(text).map(Bytes::from).map_err(serde::de::Error::custom))

@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | a transaction answers with at most 512 KiB |
+//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data |
 //!
 //! ```
 //! use ledger::Rules;
@@ -49,6 +49,12 @@ impl Rules {
     /// Most bytes that a transaction may answer with. Every node stores the answer for as long as the block.
     pub(crate) const fn answer_bytes_max(self) -> usize {
         if self.0 >= 3 { 512 * 1024 } else { usize::MAX }
+    }
+
+    /// Is a proposal any call that needs approval, by a quorum that stands on the ledger? Before, it is one of four
+    /// actions, and more than half of the organisations must agree.
+    pub(crate) const fn proposes_calls(self) -> bool {
+        self.0 >= 3
     }
 
     /// The rules that this release speaks, in words.

@@ -167,6 +167,8 @@ codes! {
     UnknownMode = 3016 "UNKNOWN_MODE" Invalid;
     /// A voter does not speak the rules of execution that are to be activated.
     RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid;
+    /// The function is executed only once enough have agreed to a proposal of this call.
+    NeedsApproval = 3018 "NEEDS_APPROVAL" Denied;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

@@ -37,7 +37,7 @@ pub(crate) fn tell(rules: u32) -> Chain {
     changed_robots(&mut teller);
     forged(&mut teller);
     (Rules::FIRST.number() + 1..=rules).for_each(|number| activation(&mut teller, number));
-    nodes(&mut teller);
+    nodes(&mut teller, rules);
     identities(&mut teller);
     organisations(&mut teller);
     teller.finish()
@@ -189,7 +189,7 @@ fn activation(teller: &mut Teller, number: u32) {
     assert_eq!(teller.call(OWNER, Ok, "msp", "rules", &[])["active"], number);
 }
 
-fn nodes(teller: &mut Teller) {
+fn nodes(teller: &mut Teller, rules: u32) {
     teller.call(NODE1, Ok, "msp", "nodes", &[]);
     teller.call(NODE1, Ok, "msp", "join_node", &[r#"{"address":"10.0.0.1:7450"}"#]);
     teller.call(NODE3, Ok, "msp", "join_node", &[r#"{"address":"10.0.0.3:7450","name":"node3"}"#]);
@@ -209,9 +209,32 @@ fn nodes(teller: &mut Teller) {
     teller.call(BOSS, Code::NotFound, "msp", "approve", &[&id]);
     let change = MembershipChange::new([Change::AddVoter(2)]).to_bytes();
     teller.entry(EntryKind::ConfChangeV2, change);
+    let promote = r#"{"organisation":"Org2","name":"node3","role":"voter"}"#;
+    let late = (rules >= 3).then(|| teller.call(BOSS, Ok, "msp", "set_node_role", &[promote]));
     let removed = r#"{"organisation":"Org2","name":"node3","role":"removed"}"#;
     assert_eq!(teller.call(OWNER, Ok, "msp", "set_node_role", &[removed])["executed"], true);
+    if let Some(late) = late {
+        let decision = teller.call(OWNER, Ok, "msp", "approve", &[late["proposal"]["id"].as_str().unwrap()]);
+        assert_eq!(decision["proposal"]["failed"]["code"], Code::NotAMember.number());
+        quorums(teller);
+    }
     teller.call(NODE1, Ok, "msp", "nodes", &[]);
+}
+
+/// Since rules 3.
+fn quorums(teller: &mut Teller) {
+    teller.call(SALMA, Ok, "msp", "quorums", &[]);
+    let call = |function: &str, argument: &str| {
+        json!({ "chaincode": "msp", "function": function, "args": [hex::encode(argument)] }).to_string()
+    };
+    teller.call(BOSS, Code::BadArgument, "msp", "propose", &[&call("approve", "00000000")]);
+    let set = |quorum| json!({ "chaincode": "msp", "function": "set_node_role", "quorum": quorum }).to_string();
+    let admins = call("set_quorum", &set("admins of Org1 = 1"));
+    assert_eq!(teller.call(OWNER, Ok, "msp", "propose", &[&admins])["missing"], 1);
+    assert_eq!(teller.call(BOSS, Ok, "msp", "propose", &[&admins])["executed"], true);
+    // Now an admin of Org1 decides alone.
+    let all = teller.call(BOSS, Ok, "msp", "set_quorum", &[&set("organisations = all")]);
+    assert_eq!(all["executed"], true);
 }
 
 fn identities(teller: &mut Teller) {

@@ -41,8 +41,9 @@ pub(crate) struct Query {
     call: Call,
 }
 
+/// A call as it stands on a command line.
 #[derive(Debug, clap::Args)]
-struct Call {
+pub(crate) struct Call {
     /// Name of the chaincode; `ledgerctl status` lists those installed
     chaincode: String,
     /// Name of the function
@@ -53,7 +54,8 @@ struct Call {
 }
 
 impl Call {
-    fn read(self) -> Result<(String, String, Vec<Bytes>), Rejection> {
+    /// Chaincode, function and arguments.
+    pub(crate) fn read(self) -> Result<(String, String, Vec<Bytes>), Rejection> {
         let args = self.args.iter().map(|text| bytes::argument(text)).collect::<Result<_, _>>()?;
         Ok((self.chaincode, self.function, args))
     }

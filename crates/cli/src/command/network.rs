@@ -6,6 +6,7 @@ mod invite;
 mod nodes;
 mod organisations;
 mod proposals;
+mod quorums;
 mod rules;
 mod status;
 
@@ -36,6 +37,8 @@ pub(crate) enum Network {
     RemoveOrganisation(change::RemoveOrganisation),
     Transfer(change::Transfer),
     Proposals(proposals::List),
+    Propose(proposals::Propose),
+    Quorums(quorums::Quorums),
     Rules(rules::Rules),
     Approve(proposals::Approve),
     Withdraw(proposals::Withdraw),
@@ -55,6 +58,8 @@ impl Network {
             Self::RemoveOrganisation(command) => command.run(session, output).await,
             Self::Transfer(command) => command.run(session, output).await,
             Self::Rules(command) => command.run(session, output).await,
+            Self::Propose(command) => command.run(session, output).await,
+            Self::Quorums(command) => command.run(session, output).await,
             Self::Proposals(_) => proposals::run(session, output).await,
             Self::Approve(command) => command.run(session, output).await,
             Self::Withdraw(command) => command.run(session, output).await,

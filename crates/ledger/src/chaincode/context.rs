@@ -1,6 +1,7 @@
 //! The world as a running chaincode sees it.
 
-use super::{Chaincode, Registry, Revocation};
+use super::approval::{check_ordinary, quorum_of};
+use super::{ApprovedBy, Call, Chaincode, Registry, Revocation};
 use crate::rules::Rules;
 use bytes::{BufMut, Bytes, BytesMut};
 use ledger_hash::Hash;
@@ -57,6 +58,8 @@ pub struct Context<'a> {
     environment: Environment<'a>,
     chaincode: &'static str,
     depth: usize,
+    /// The approvals of this call; none if it is an ordinary one.
+    approved: Option<&'a ApprovedBy>,
     overlay: &'a mut Overlay,
     events: &'a mut Vec<Event>,
     limit_exceeded: Option<Rejection>,
@@ -70,7 +73,7 @@ impl<'a> Context<'a> {
         overlay: &'a mut Overlay,
         events: &'a mut Vec<Event>,
     ) -> Self {
-        Self { environment, chaincode, depth: 0, overlay, events, limit_exceeded: None }
+        Self { environment, chaincode, depth: 0, approved: None, overlay, events, limit_exceeded: None }
     }
 
     /// The value of one of this chaincode's keys.
@@ -131,6 +134,12 @@ impl<'a> Context<'a> {
             .ok_or_else(|| Rejection::new(Code::CertificateRequired, "this call needs a signer, but it is not signed"))
     }
 
+    /// The approvals of this call, if it was proposed and its quorum agreed (see
+    /// [`super::Chaincode::needs_approval`]). Ordinary calls have none, nor has what an approved call calls.
+    pub fn approved_by(&self) -> Option<&'a ApprovedBy> {
+        self.approved
+    }
+
     /// Block time, microseconds since the UNIX epoch. The only clock there is.
     pub fn block_time(&self) -> u64 {
         self.environment.time
@@ -180,14 +189,53 @@ impl<'a> Context<'a> {
     /// # Errors
     /// The callee's rejection, [`Code::UnknownChaincode`], [`Code::LimitExceeded`] if nested too deep.
     pub fn call(&mut self, chaincode: &str, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
-        if self.depth + 1 >= CALL_DEPTH_MAX {
-            return Err(Rejection::new(Code::LimitExceeded, "chaincodes call each other too deeply")
-                .found(format!("depth {}", self.depth + 1))
-                .wanted(format!("at most {}", CALL_DEPTH_MAX - 1)));
-        }
-        let (environment, depth) = (self.environment, self.depth + 1);
+        let depth = self.deeper()?;
+        let environment = self.environment;
         let callee = environment.registry.find(chaincode)?;
-        run(environment, callee.name(), depth, self.overlay, self.events, |ctx| callee.invoke(ctx, function, args))
+        check_ordinary(callee, function)?;
+        run((environment, None), callee.name(), depth, self.overlay, self.events, |ctx| {
+            callee.invoke(ctx, function, args)
+        })
+    }
+
+    /// Executes a call that was approved. It acts for those who agreed, so it has no submitter. If it is rejected,
+    /// everything it wrote is undone.
+    ///
+    /// # Errors
+    /// As [`Context::call`]; [`Code::BadArgument`] if the function takes no approval.
+    pub(crate) fn call_approved(&mut self, approved: &ApprovedBy, call: &Call) -> Result<Bytes, Rejection> {
+        let depth = self.deeper()?;
+        let environment = Environment { submitter: None, ..self.environment };
+        let callee = environment.registry.find(&call.chaincode)?;
+        quorum_of(callee, &call.function)?;
+        run((environment, Some(approved)), callee.name(), depth, self.overlay, self.events, |ctx| {
+            callee.invoke(ctx, &call.function, &call.args)
+        })
+    }
+
+    /// The outcome that [`Context::call_approved`] would have now; nothing of it is kept.
+    pub(crate) fn rehearse_approved(&mut self, approved: &ApprovedBy, call: &Call) -> Result<Bytes, Rejection> {
+        let emitted = self.events.len();
+        self.overlay.begin();
+        let outcome = self.call_approved(approved, call);
+        self.overlay.rollback();
+        self.events.truncate(emitted);
+        outcome
+    }
+
+    /// The installed chaincodes.
+    pub(crate) fn registry(&self) -> &'a Registry {
+        self.environment.registry
+    }
+
+    /// The depth of a call that this one makes.
+    fn deeper(&self) -> Result<usize, Rejection> {
+        if self.depth + 1 < CALL_DEPTH_MAX {
+            return Ok(self.depth + 1);
+        }
+        Err(Rejection::new(Code::LimitExceeded, "chaincodes call each other too deeply")
+            .found(format!("depth {}", self.depth + 1))
+            .wanted(format!("at most {}", CALL_DEPTH_MAX - 1)))
     }
 
     /// Tells every installed chaincode that an identity was revoked (see [`super::Chaincode::identity_revoked`]).
@@ -204,7 +252,7 @@ impl<'a> Context<'a> {
     fn tell(&mut self, hook: impl Fn(&dyn Chaincode, &mut Context<'_>)) -> Result<(), Rejection> {
         let (environment, depth) = (self.environment, self.depth + 1);
         for chaincode in environment.registry.iter() {
-            run(environment, chaincode.name(), depth, self.overlay, self.events, |ctx| {
+            run((environment, None), chaincode.name(), depth, self.overlay, self.events, |ctx| {
                 hook(chaincode, ctx);
                 Ok(Bytes::new())
             })?;
@@ -232,7 +280,7 @@ impl<'a> Context<'a> {
 
 /// Runs one call in a layer of its own: kept if it succeeds, undone if it is rejected, panics or exceeded a limit.
 pub(super) fn run(
-    environment: Environment<'_>,
+    (environment, approved): (Environment<'_>, Option<&ApprovedBy>),
     chaincode: &'static str,
     depth: usize,
     overlay: &mut Overlay,
@@ -242,7 +290,7 @@ pub(super) fn run(
     let (layers, emitted) = (overlay.depth(), events.len());
     overlay.begin();
     let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let mut ctx = Context { environment, chaincode, depth, overlay, events, limit_exceeded: None };
+        let mut ctx = Context { environment, chaincode, depth, approved, overlay, events, limit_exceeded: None };
         let response = body(&mut ctx)?;
         ctx.limit_exceeded.map_or(Ok(response), Err)
     }))

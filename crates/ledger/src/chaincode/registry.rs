@@ -1,5 +1,6 @@
 //! The chaincodes that a node has installed.
 
+use super::approval::check_ordinary;
 use super::context::{Context, Environment, run};
 use super::{Chaincode, Foretold};
 use bytes::Bytes;
@@ -96,7 +97,7 @@ impl Registry {
     /// Executes one call: its writes are in the overlay and its events in `events` only if it succeeds.
     ///
     /// # Errors
-    /// The rejection of the chaincode, or [`Code::UnknownChaincode`].
+    /// The rejection of the chaincode, [`Code::UnknownChaincode`], or [`Code::NeedsApproval`].
     pub fn invoke(
         environment: Environment<'_>,
         overlay: &mut Overlay,
@@ -106,7 +107,8 @@ impl Registry {
         args: &[Bytes],
     ) -> Result<Bytes, Rejection> {
         let callee = environment.registry.find(chaincode)?;
-        run(environment, callee.name(), 0, overlay, events, |ctx| {
+        check_ordinary(callee, function)?;
+        run((environment, None), callee.name(), 0, overlay, events, |ctx| {
             let answer = callee.invoke(ctx, function, args)?;
             environment.check_answer(&answer)?;
             Ok(answer)
@@ -127,7 +129,7 @@ impl Registry {
         events: &mut Vec<Event>,
         body: impl FnOnce(&mut Context<'_>),
     ) -> Result<(), Rejection> {
-        run(environment, chaincode.name(), 0, overlay, events, |ctx| {
+        run((environment, None), chaincode.name(), 0, overlay, events, |ctx| {
             body(ctx);
             Ok(Bytes::new())
         })

@@ -4,9 +4,10 @@
 //! public key, its private half travels in the token, and the newcomer signs all that it brings with it. A carrier of
 //! the request can lose it but not change it.
 
+use super::action::Action;
 use super::caller::{admin, check_address, check_name, node, object};
 use super::organisations;
-use super::proposals::{Action, decide};
+use super::proposals::decide;
 use super::store::{self, INVITATIONS, invitation_key, json};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
@@ -110,6 +111,9 @@ impl JoinOrganisation {
 pub(super) fn invite(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"name\": NAME, \"key\": 64 hex digits, \"expires\": block time in microseconds}";
     let invite: InviteOrganisation = object("invite_organisation", argument, wanted)?;
+    if let Some(approved) = ctx.approved_by() {
+        return execute(ctx, invite, &approved.proposer);
+    }
     let caller = admin(ctx, "invite organisations")?;
     check(ctx, &invite.name, invite.expires)?;
     let action = Action::InviteOrganisation { name: invite.name, key: invite.key, expires: invite.expires };
@@ -117,8 +121,9 @@ pub(super) fn invite(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
 }
 
 /// Does what was approved.
-pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64, by: &str) -> Result<(), Rejection> {
-    check(ctx, name, expires)?;
+fn execute(ctx: &mut Context<'_>, invite: InviteOrganisation, by: &str) -> Result<Bytes, Rejection> {
+    let InviteOrganisation { name, key, expires } = invite;
+    check(ctx, &name, expires)?;
     for old in store::list::<Invitation>(ctx, INVITATIONS.as_bytes(), INVITATIONS_MAX)? {
         if old.expires < ctx.block_time() {
             ctx.delete(invitation_key(&old.name).as_bytes());
@@ -130,10 +135,11 @@ pub(super) fn execute(ctx: &mut Context<'_>, name: &str, key: Hash, expires: u64
             .found(standing.len().to_string())
             .wanted(format!("at most {INVITATIONS_MAX}")));
     }
-    let invitation = Invitation { name: name.to_owned(), key, expires, by: by.to_owned() };
-    store::write(ctx, &invitation_key(name), &invitation)?;
-    ctx.emit("invited", name, json(&invitation)?);
-    Ok(())
+    let invitation = Invitation { name, key, expires, by: by.to_owned() };
+    store::write(ctx, &invitation_key(&invitation.name), &invitation)?;
+    let answer = json(&invitation)?;
+    ctx.emit("invited", &invitation.name, answer.clone());
+    Ok(answer)
 }
 
 /// `invitations`: those that can still be answered.

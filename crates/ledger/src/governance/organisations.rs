@@ -1,8 +1,10 @@
 //! The organisations of the network and their authorities.
 
+use super::action::Action;
 use super::caller::{admin, object, text};
 use super::nodes;
-use super::proposals::{Action, decide};
+use super::proposals::{self, decide};
+use super::quorums;
 use super::store::{self, ORGANISATIONS, former_key, json, organisation_key};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
@@ -164,27 +166,36 @@ pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
 /// Argument of `remove_organisation`.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-struct Remove {
-    name: String,
+pub(super) struct RemoveOrganisation {
+    pub(super) name: String,
 }
 
 /// `remove_organisation {name}`: needs approval. Its certificates count no longer from the next block on, its nodes
 /// become removed, and the rights of its members end in this block.
 pub(super) fn remove(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
-    let remove: Remove = object("remove_organisation", argument, "{\"name\": NAME}")?;
+    let remove: RemoveOrganisation = object("remove_organisation", argument, "{\"name\": NAME}")?;
+    if ctx.approved_by().is_some() {
+        return execute_remove(ctx, &remove.name);
+    }
     let caller = admin(ctx, "remove organisations")?;
     check_removable(ctx, &remove.name)?;
     json(&decide(ctx, caller, Action::RemoveOrganisation { name: remove.name })?)
 }
 
 /// Does what was approved.
-pub(super) fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
+fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection> {
     let organisation = check_removable(ctx, name)?;
     nodes::remove_all_of(ctx, name)?;
     store::write(ctx, &former_key(name), &organisation)?;
     ctx.delete(organisation_key(name).as_bytes());
-    ctx.emit("organisation_removed", name, json(&describe(&organisation)?)?);
-    ctx.tell_organisation_removed(name)
+    if ctx.rules().proposes_calls() {
+        proposals::forget_organisation(ctx, name)?;
+        quorums::forget_organisation(ctx, name)?;
+    }
+    let answer = json(&describe(&organisation)?)?;
+    ctx.emit("organisation_removed", name, answer.clone());
+    ctx.tell_organisation_removed(name)?;
+    Ok(answer)
 }
 
 fn check_removable(ctx: &Context<'_>, name: &str) -> Result<FoundingOrganisation, Rejection> {

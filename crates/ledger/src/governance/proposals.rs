@@ -1,15 +1,20 @@
-//! Actions that concern every organisation: proposed by one organisation, done in the block in which more than half
-//! have approved.
+//! Calls that need approval: proposed by one organisation, executed in the block in which their quorum agrees.
 //!
-//! Only admins propose and approve, each for their organisation. Approvals are counted against the organisations of
-//! that moment: those of an organisation that was removed do not count. A proposal ends after
-//! [`PROPOSAL_LIFE_MAX`] of block time.
+//! Only admins propose and approve, each for their organisation. Approvals are counted against the organisations and the
+//! revocations of that moment: those of an organisation that was removed, or of a certificate that was revoked, do not
+//! count. A proposal ends after [`PROPOSAL_LIFE_MAX`] of block time, or when its call fails. Nothing of such a call is kept;
+//! the proposal stands as failed until it expires or is withdrawn.
+//!
+//! Before rules 3 a proposal knows the organisations that agreed and not their admins, and one that fails goes on waiting.
+//! Approvals from then do not count any more: they name no certificate that could be revoked.
 
-use super::caller::{admin, bad, text};
-use super::nodes::{self, NodeRole};
-use super::store::{self, NEXT_PROPOSAL, PROPOSALS, json, proposal_key};
-use super::{invitations, organisations, rules};
-use crate::chaincode::Context;
+use super::Governance;
+use super::action::Action;
+use super::caller::{admin, bad, object, text};
+use super::quorums;
+use super::store::{self, NEXT_PROPOSAL, PROPOSALS, REVOKED, json, proposal_key};
+use super::{NAME, organisations};
+use crate::chaincode::{ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, Chaincode, Context, Quorum, quorum_of};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -23,43 +28,10 @@ pub const PROPOSAL_LIFE_MAX: u64 = 7 * 24 * 3600 * 1_000_000;
 pub const PROPOSALS_MAX: usize = 256;
 /// Most of them by one organisation, so that none can fill the list.
 pub(super) const PROPOSALS_PER_ORGANISATION_MAX: usize = 16;
-
-/// An action that needs approval.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(tag = "action", rename_all = "snake_case")]
-pub enum Action {
-    /// A node shall be something else.
-    SetNodeRole {
-        /// Its number.
-        id: u64,
-        /// Its organisation and name, for people.
-        node: String,
-        /// Its wanted role.
-        role: NodeRole,
-    },
-    /// An organisation may join.
-    InviteOrganisation {
-        /// Its name.
-        name: String,
-        /// The public half of the invitation's Ed25519 key.
-        key: Hash,
-        /// Until when, in block time (microseconds).
-        expires: u64,
-    },
-    /// An organisation leaves with everything it has.
-    RemoveOrganisation {
-        /// Its name.
-        name: String,
-    },
-    /// Blocks are executed by newer rules.
-    ActivateRules {
-        /// Number of the rules.
-        number: u32,
-        /// They hold from this block on at the earliest.
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        height: Option<u64>,
-    },
-}
+/// Most bytes of a proposed call: its names and arguments.
+pub const CALL_BYTES_MAX: usize = 16 * 1024;
+/// Most arguments of a proposed call.
+pub const CALL_ARGS_MAX: usize = 64;
 
 /// A proposal as it stands on the ledger.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -78,6 +50,34 @@ pub struct Proposal {
     pub created: u64,
     /// Last block time at which it can be approved, microseconds.
     pub expires: u64,
+    /// The admins who approve for these organisations; empty before rules 3.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub approved_by: Vec<Approval>,
+    /// Why it can be approved no longer, if its call was refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub failed: Option<Failed>,
+}
+
+/// An approval: the certificate that signed it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Approval {
+    /// Organisation of the admin.
+    pub organisation: String,
+    /// Their name.
+    pub admin: String,
+    /// SHA-256 of the distinguished name of the certificate's issuer.
+    pub issuer: Hash,
+    /// Its serial number in hexadecimal.
+    pub serial: String,
+}
+
+/// A proposed call that was refused when its quorum had agreed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Failed {
+    /// Number of the code that the call ended with. Its text may differ between releases, so it is in no state.
+    pub code: u16,
+    /// Height of the block.
+    pub height: u64,
 }
 
 /// Answer of every function that may need approval.
@@ -91,28 +91,88 @@ pub struct Decision {
     pub missing: usize,
     /// The organisations that could give them.
     pub pending: Vec<String>,
+    /// How many must approve, while it waits; before rules 3 always more than half of the organisations.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quorum: Option<Quorum>,
 }
 
 impl Decision {
     /// Done.
     pub(super) fn done(proposal: Option<Proposal>) -> Self {
-        Self { executed: true, proposal, missing: 0, pending: Vec::new() }
+        Self { executed: true, proposal, missing: 0, pending: Vec::new(), quorum: None }
+    }
+
+    /// The proposal has failed, and waits for nobody.
+    fn failed(proposal: Proposal) -> Self {
+        Self { executed: false, proposal: Some(proposal), missing: 0, pending: Vec::new(), quorum: None }
     }
 }
 
-/// The proposals that still stand.
-pub(super) fn standing(ctx: &Context<'_>) -> Result<Vec<Proposal>, Rejection> {
+impl Proposal {
+    /// The approvals, as the call learns them.
+    fn approved(&self) -> ApprovedBy {
+        let mut approved =
+            ApprovedBy { proposal: self.id, proposer: self.organisation.clone(), ..ApprovedBy::default() };
+        for organisation in &self.approvals {
+            approved.admins.entry(organisation.clone()).or_default();
+        }
+        for Approval { organisation, admin, .. } in &self.approved_by {
+            approved.admins.entry(organisation.clone()).or_default().insert(admin.clone());
+        }
+        approved
+    }
+
+    /// The organisations of those who approve.
+    fn count_organisations(&mut self) {
+        self.approvals = self.approved_by.iter().map(|approval| approval.organisation.clone()).collect();
+    }
+}
+
+/// The proposals that wait for approvals.
+fn standing(ctx: &Context<'_>) -> Result<Vec<Proposal>, Rejection> {
+    let mut proposals = known(ctx)?;
+    proposals.retain(|proposal| proposal.failed.is_none());
+    Ok(proposals)
+}
+
+/// The proposals that have not expired, with the approvals that count.
+fn known(ctx: &Context<'_>) -> Result<Vec<Proposal>, Rejection> {
     let mut proposals: Vec<Proposal> = store::list(ctx, PROPOSALS.as_bytes(), PROPOSALS_MAX)?;
     proposals.retain(|proposal| proposal.expires >= ctx.block_time());
     proposals.sort_by_key(|proposal| (proposal.created, proposal.id));
+    if ctx.rules().proposes_calls() {
+        for proposal in &mut proposals {
+            proposal.approved_by.retain(|approval| !is_revoked(ctx, approval));
+            proposal.count_organisations();
+        }
+    }
     Ok(proposals)
+}
+
+fn is_revoked(ctx: &Context<'_>, approval: &Approval) -> bool {
+    let serial = hex::decode(&approval.serial).unwrap_or_default();
+    ctx.get(&[REVOKED, &approval.issuer.0, &serial].concat()).is_some()
 }
 
 /// `proposals`: each with what it still needs.
 pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
-    let organisations = organisations::names(ctx)?;
-    let decisions = standing(ctx)?.into_iter().map(|proposal| waiting(proposal, &organisations));
-    json(&decisions.collect::<Vec<_>>())
+    let decisions = known(ctx)?.into_iter().map(|proposal| match proposal.failed {
+        None => waiting(ctx, proposal),
+        Some(_) => Ok(Decision::failed(proposal)),
+    });
+    json(&decisions.collect::<Result<Vec<_>, _>>()?)
+}
+
+/// `propose {chaincode, function, args}`. A function of this chaincode is proposed by calling it.
+pub(super) fn propose(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
+    let wanted = "{\"chaincode\": NAME, \"function\": NAME, \"args\": [hexadecimal, ...]}";
+    let call: Call = object("propose", argument, wanted)?;
+    let caller = admin(ctx, "propose")?;
+    quorum_of(ctx.registry().find(&call.chaincode)?, &call.function)?;
+    if call.chaincode == NAME {
+        return Governance.invoke(ctx, &call.function, &call.args);
+    }
+    json(&decide(ctx, caller, Action::Call(call))?)
 }
 
 /// Proposes an action for the caller's organisation, or approves the same one that stands already.
@@ -122,8 +182,12 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, action: Action) -
     if let Some(same) = proposals.iter().find(|proposal| proposal.action == action) {
         return add_approval(ctx, caller, same.clone());
     }
-    let own = proposals.iter().filter(|proposal| proposal.organisation == caller.organisation).count();
-    for (found, max) in [(proposals.len(), PROPOSALS_MAX), (own, PROPOSALS_PER_ORGANISATION_MAX)] {
+    if ctx.rules().proposes_calls() {
+        check_call(ctx, caller, &action)?;
+    }
+    let known = known(ctx)?;
+    let own = known.iter().filter(|proposal| proposal.organisation == caller.organisation).count();
+    for (found, max) in [(known.len(), PROPOSALS_MAX), (own, PROPOSALS_PER_ORGANISATION_MAX)] {
         if found >= max {
             return Err(Rejection::new(Code::LimitExceeded, "too many proposals wait for approval")
                 .found(format!("{found} proposals"))
@@ -133,15 +197,18 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, action: Action) -
     }
     let number = store::next_number(ctx, NEXT_PROPOSAL)?;
     let created = ctx.block_time();
-    let proposal = Proposal {
+    let mut proposal = Proposal {
         id: Hash::of(&[b"ledgerd proposal v1\0", &number.to_be_bytes(), &json(&action)?]),
         action,
         by: caller.id(),
         organisation: caller.organisation.clone(),
-        approvals: BTreeSet::from([caller.organisation.clone()]),
+        approvals: BTreeSet::new(),
         created,
         expires: created.saturating_add(PROPOSAL_LIFE_MAX),
+        approved_by: Vec::new(),
+        failed: None,
     };
+    agree(ctx, caller, &mut proposal)?;
     ctx.emit("proposed", &proposal.id.to_string(), json(&proposal)?);
     settle(ctx, proposal)
 }
@@ -149,17 +216,19 @@ pub(super) fn decide(ctx: &mut Context<'_>, caller: &Identity, action: Action) -
 /// `approve ID`
 pub(super) fn approve(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejection> {
     let caller = admin(ctx, "approve for its organisation")?;
-    let proposal = find(ctx, "approve", id)?;
+    let proposal = find(standing(ctx)?, "approve", id)?;
     json(&add_approval(ctx, caller, proposal)?)
 }
 
-/// `withdraw ID`: the proposer's organisation takes the proposal back, another one its approval.
+/// `withdraw ID`: the proposer's organisation takes the proposal back, another one its approval, whoever of its admins
+/// gave it.
 pub(super) fn withdraw(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejection> {
     let caller = admin(ctx, "withdraw for its organisation")?;
-    let mut proposal = find(ctx, "withdraw", id)?;
+    let mut proposal = find(known(ctx)?, "withdraw", id)?;
     if caller.organisation == proposal.organisation {
         ctx.delete(proposal_key(&proposal.id).as_bytes());
     } else if proposal.approvals.remove(&caller.organisation) {
+        proposal.approved_by.retain(|approval| approval.organisation != caller.organisation);
         store::write(ctx, &proposal_key(&proposal.id), &proposal)?;
     } else {
         return Err(Rejection::new(Code::NotFound, format!("{} has not approved this", caller.organisation))
@@ -170,15 +239,27 @@ pub(super) fn withdraw(ctx: &mut Context<'_>, id: &Bytes) -> Result<Bytes, Rejec
     json(&proposal)
 }
 
-/// Does what has become due because there are fewer organisations now. An action that cannot be done stays a proposal.
-pub(super) fn settle_all(ctx: &mut Context<'_>) -> Result<(), Rejection> {
-    // Each round removes one proposal, so this ends.
+/// The approvals of an organisation that leaves: if it comes back, it is asked again.
+pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
+    for mut proposal in known(ctx)? {
+        if proposal.approvals.remove(name) {
+            proposal.approved_by.retain(|approval| approval.organisation != name);
+            store::write(ctx, &proposal_key(&proposal.id), &proposal)?;
+        }
+    }
+    Ok(())
+}
+
+/// Does what has become due without another approval: there are fewer organisations now, or a quorum has changed. Before
+/// rules 3, an action that cannot be done stays a proposal.
+fn settle_all(ctx: &mut Context<'_>) -> Result<(), Rejection> {
+    // Each round ends one proposal, so this ends.
     for _ in 0..PROPOSALS_MAX {
-        let organisations = organisations::names(ctx)?;
-        let due = standing(ctx)?.into_iter().filter(|proposal| missing(proposal, &organisations) == 0);
         let mut done = false;
-        for proposal in due {
-            done = execute(ctx, &proposal).is_ok();
+        for proposal in standing(ctx)? {
+            if waiting(ctx, proposal.clone())?.missing == 0 {
+                done = execute(ctx, proposal).is_ok();
+            }
             if done {
                 break;
             }
@@ -191,69 +272,123 @@ pub(super) fn settle_all(ctx: &mut Context<'_>) -> Result<(), Rejection> {
 }
 
 fn add_approval(ctx: &mut Context<'_>, caller: &Identity, mut proposal: Proposal) -> Result<Decision, Rejection> {
-    if proposal.approvals.insert(caller.organisation.clone()) {
+    if agree(ctx, caller, &mut proposal)? {
         ctx.emit("approved", &proposal.id.to_string(), json(&proposal)?);
     }
     settle(ctx, proposal)
 }
 
+/// Adds the caller to those who agree. Answers whether that is new.
+fn agree(ctx: &Context<'_>, caller: &Identity, proposal: &mut Proposal) -> Result<bool, Rejection> {
+    if !ctx.rules().proposes_calls() {
+        return Ok(proposal.approvals.insert(caller.organisation.clone()));
+    }
+    let approval = Approval {
+        organisation: caller.organisation.clone(),
+        admin: caller.name.clone(),
+        issuer: Hash(caller.issuer),
+        serial: hex::encode(&caller.serial),
+    };
+    if proposal.approved_by.contains(&approval) {
+        return Ok(false);
+    }
+    // With a renewed certificate the same admin agrees again, and counts once.
+    let same = |other: &Approval| (&other.organisation, &other.admin) == (&approval.organisation, &approval.admin);
+    proposal.approved_by.retain(|other| !same(other));
+    let own = proposal.approved_by.iter().filter(|other| other.organisation == caller.organisation).count();
+    if own >= ADMINS_PER_ORGANISATION_MAX {
+        return Err(Rejection::new(
+            Code::LimitExceeded,
+            "so many admins of one organisation approve a proposal already",
+        )
+        .found(format!("{own} of {}", caller.organisation))
+        .wanted(format!("at most {ADMINS_PER_ORGANISATION_MAX}")));
+    }
+    proposal.approved_by.push(approval);
+    proposal.count_organisations();
+    Ok(true)
+}
+
 /// Executes the proposal if enough have approved, else keeps it.
 fn settle(ctx: &mut Context<'_>, proposal: Proposal) -> Result<Decision, Rejection> {
-    let organisations = organisations::names(ctx)?;
-    let decision = waiting(proposal.clone(), &organisations);
+    let decision = waiting(ctx, proposal.clone())?;
     if decision.missing > 0 {
         store::write(ctx, &proposal_key(&proposal.id), &proposal)?;
         return Ok(decision);
     }
     let removes = matches!(proposal.action, Action::RemoveOrganisation { .. });
-    execute(ctx, &proposal)
-        .map_err(|fault| fault.next(format!("if it can never be done: ledgerctl network withdraw {}", proposal.id)))?;
-    if removes {
+    let next = format!("if it can never be done: ledgerctl network withdraw {}", proposal.id);
+    let decision = execute(ctx, proposal).map_err(|fault| fault.next(next))?;
+    if decision.executed && (removes || ctx.rules().proposes_calls()) {
         settle_all(ctx)?;
     }
-    Ok(Decision::done(Some(proposal)))
+    Ok(decision)
 }
 
-/// Checks everything before it writes anything: [`settle_all`] goes on after a refusal.
-fn execute(ctx: &mut Context<'_>, proposal: &Proposal) -> Result<(), Rejection> {
-    match &proposal.action {
-        Action::SetNodeRole { id, role, .. } => nodes::execute_role(ctx, *id, *role)?,
-        Action::InviteOrganisation { name, key, expires } => {
-            invitations::execute(ctx, name, *key, *expires, &proposal.organisation)?;
+/// Executes the call of a proposal, and ends the proposal. One that fails leaves nothing but that; before rules 3 it goes on
+/// waiting.
+fn execute(ctx: &mut Context<'_>, mut proposal: Proposal) -> Result<Decision, Rejection> {
+    let key = proposal_key(&proposal.id);
+    match ctx.call_approved(&proposal.approved(), &proposal.action.call()?) {
+        Ok(_) => {
+            ctx.delete(key.as_bytes());
+            ctx.emit("executed", &proposal.id.to_string(), json(&proposal)?);
+            Ok(Decision::done(Some(proposal)))
         }
-        Action::RemoveOrganisation { name } => organisations::execute_remove(ctx, name)?,
-        Action::ActivateRules { number, height } => rules::execute(ctx, *number, *height)?,
+        Err(reason) if ctx.rules().proposes_calls() => {
+            proposal.failed = Some(Failed { code: reason.code.number(), height: ctx.height() });
+            store::write(ctx, &key, &proposal)?;
+            ctx.emit("failed", &proposal.id.to_string(), json(&proposal)?);
+            Ok(Decision::failed(proposal))
+        }
+        Err(reason) => Err(reason),
     }
-    ctx.delete(proposal_key(&proposal.id).as_bytes());
-    ctx.emit("executed", &proposal.id.to_string(), json(proposal)?);
-    Ok(())
 }
 
-fn waiting(proposal: Proposal, organisations: &[String]) -> Decision {
-    let pending = organisations.iter().filter(|name| !proposal.approvals.contains(*name)).cloned().collect();
-    Decision { executed: false, missing: missing(&proposal, organisations), proposal: Some(proposal), pending }
+/// Refuses a call that is too long, and one that would be refused now if every organisation agreed.
+fn check_call(ctx: &mut Context<'_>, caller: &Identity, action: &Action) -> Result<(), Rejection> {
+    let call = action.call()?;
+    let names = call.chaincode.len().saturating_add(call.function.len());
+    let bytes = call.args.iter().map(Bytes::len).fold(names, usize::saturating_add);
+    for (found, max, what) in [(bytes, CALL_BYTES_MAX, "bytes"), (call.args.len(), CALL_ARGS_MAX, "arguments")] {
+        if found > max {
+            return Err(Rejection::new(Code::TooLarge, "the proposed call is too long")
+                .found(format!("{found} {what}"))
+                .wanted(format!("at most {max} {what}")));
+        }
+    }
+    let mut approved = ApprovedBy { proposer: caller.organisation.clone(), ..ApprovedBy::default() };
+    approved.admins = organisations::names(ctx)?.into_iter().map(|name| (name, BTreeSet::new())).collect();
+    approved.admins.entry(caller.organisation.clone()).or_default().insert(caller.name.clone());
+    ctx.rehearse_approved(&approved, &call).map(drop)
 }
 
-/// How many approvals are missing to more than half of the organisations.
-fn missing(proposal: &Proposal, organisations: &[String]) -> usize {
-    let approved = organisations.iter().filter(|name| proposal.approvals.contains(*name)).count();
-    (organisations.len() / 2 + 1).saturating_sub(approved)
+fn waiting(ctx: &Context<'_>, proposal: Proposal) -> Result<Decision, Rejection> {
+    let organisations = organisations::names(ctx)?;
+    let (quorum, approved) = (quorums::of(ctx, &proposal.action)?, proposal.approved());
+    Ok(Decision {
+        executed: false,
+        missing: quorum.missing(&approved, &organisations),
+        pending: quorum.pending(&approved, &organisations),
+        proposal: Some(proposal),
+        quorum: ctx.rules().proposes_calls().then_some(quorum),
+    })
 }
 
-fn find(ctx: &Context<'_>, function: &str, id: &Bytes) -> Result<Proposal, Rejection> {
+fn find(proposals: Vec<Proposal>, function: &str, id: &Bytes) -> Result<Proposal, Rejection> {
     let wanted = "the id of a proposal, or its first 8 digits or more";
     let id = text(function, "ID", id)?.to_ascii_lowercase();
     if id.len() < 8 || id.len() > 64 || !id.bytes().all(|b| b.is_ascii_hexdigit()) {
         return Err(bad(function, "ID", wanted).found(format!("{:?}", id.chars().take(64).collect::<String>())));
     }
-    let mut found = standing(ctx)?.into_iter().filter(|proposal| proposal.id.to_string().starts_with(&id));
+    let mut found = proposals.into_iter().filter(|proposal| proposal.id.to_string().starts_with(&id));
     match (found.next(), found.next()) {
         (Some(proposal), None) => Ok(proposal),
         (Some(_), Some(_)) => Err(bad(function, "ID", "more digits: several proposals begin so").found(id)),
         _ => Err(Rejection::new(Code::NotFound, "no such proposal stands")
             .found(id)
             .wanted(wanted)
-            .next("ledgerctl network proposals; it may have been executed, withdrawn, or have expired")),
+            .next("ledgerctl network proposals; it may have been executed, withdrawn, or have failed or expired")),
     }
 }
 

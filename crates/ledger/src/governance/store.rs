@@ -37,6 +37,7 @@ pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
 pub(super) const ORGANISATIONS: &str = "organisation/";
 pub(super) const NODES: &str = "node/";
 pub(super) const PROPOSALS: &str = "proposal/";
+pub(super) const QUORUMS: &str = "quorum/";
 pub(super) const INVITATIONS: &str = "invitation/";
 pub(super) const ATTESTATIONS: &str = "attestation/";
 pub(super) const CARRIERS: &str = "carrier/";
@@ -69,6 +70,10 @@ pub(super) fn node_key(id: u64) -> String {
 
 pub(super) fn proposal_key(id: &Hash) -> String {
     format!("{PROPOSALS}{id}")
+}
+
+pub(super) fn quorum_key(chaincode: &str, function: &str) -> String {
+    format!("{QUORUMS}{chaincode}/{function}")
 }
 
 pub(super) fn invitation_key(name: &str) -> String {

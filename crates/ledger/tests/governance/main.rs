@@ -1,5 +1,5 @@
 //! Members of the network, and the decisions about them: each test fails if its rule is taken away.
-#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
 #[path = "../authority/mod.rs"]
 mod authority;
@@ -7,7 +7,9 @@ mod authority;
 mod approvals;
 mod attestations;
 mod identities;
+mod model;
 mod nodes;
 mod organisations;
+mod proposals;
 mod rules;
 mod world;

@@ -6,7 +6,7 @@ use ledger::block::Payload;
 use ledger::governance::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
 use ledger::network::{FoundingNode, Genesis};
 use ledger::transaction::{Body, Transaction};
-use ledger::{Chaincode, Context, Ledger, Registry, Rules};
+use ledger::{Chaincode, Context, Ledger, Quorum, Registry, Rules};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
@@ -24,8 +24,12 @@ pub(crate) const START: u64 = 1_893_456_000_000_000;
 pub(crate) const SECOND: u64 = 1_000_000;
 pub(crate) const DAY: u64 = 24 * 3600 * SECOND;
 
-/// Remembers which organisations it was told of.
+/// Remembers which organisations it was told of, and who agreed to its calls.
 struct Listener;
+
+/// `agree TEXT` notes who agreed; with the text `refuse` or `panic` it does that instead, once it was armed.
+static NEEDS_APPROVAL: [(&str, Quorum); 2] =
+    [("agree", Quorum::Majority), ("agree-as-one", Quorum::Admins { of: None, least: 2 })];
 
 impl Chaincode for Listener {
     fn name(&self) -> &'static str {
@@ -35,8 +39,39 @@ impl Chaincode for Listener {
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match (function, args) {
             ("echo", [text]) => Ok(text.clone()),
+            ("arm", []) => {
+                ctx.put(b"armed", "yes");
+                Ok(Bytes::new())
+            }
+            ("agreed", []) => Ok(ctx.get(b"agreed").unwrap_or_default()),
+            ("disarm", []) => {
+                ctx.delete(b"armed");
+                Ok(Bytes::new())
+            }
+            // A detour to what needs approval.
+            ("detour", [text]) => ctx.call("listener", "agree", std::slice::from_ref(text)),
+            ("agree" | "agree-as-one", [text]) => {
+                let approved = ctx.approved_by().unwrap();
+                assert!(ctx.submitter().is_err(), "it acts for all who agreed");
+                let names = approved.admins.iter().map(|(organisation, names)| format!("{organisation} {names:?}"));
+                let names: Vec<_> = names.collect();
+                let before = ctx.get(b"agreed").unwrap_or_default();
+                let line = format!("{text:?} by {} for {}\n", names.join(", "), approved.proposer);
+                ctx.put(b"agreed", [before, line.into()].concat());
+                ctx.emit("agreed", "", text.clone());
+                match (&text[..], ctx.get(b"armed")) {
+                    (b"refuse", Some(_)) => Err(Rejection::new(Code::Refused, "as the test asked")),
+                    (b"panic", Some(_)) => panic!("as the test asked"),
+                    (b"detour", _) => ctx.call("listener", "agree", &[Bytes::from_static(b"nested")]),
+                    _ => Ok(Bytes::new()),
+                }
+            }
             _ => Ok(ctx.get(b"removed").unwrap_or_default()),
         }
+    }
+
+    fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {
+        &NEEDS_APPROVAL
     }
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
@@ -200,6 +235,13 @@ impl Network {
     pub(crate) fn told(&self) -> String {
         let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
         let (answer, _) = self.ledger.query(&caller, self.time, "listener", "removed", &[]).unwrap();
+        String::from_utf8(answer.to_vec()).unwrap()
+    }
+
+    /// Which calls of the other chaincode were approved, by whom.
+    pub(crate) fn agreed(&self) -> String {
+        let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
+        let (answer, _) = self.ledger.query(&caller, self.time, "listener", "agreed", &[]).unwrap();
         String::from_utf8(answer.to_vec()).unwrap()
     }
 

@@ -145,7 +145,7 @@ pub(super) async fn decide(
     done: String,
 ) -> Result<(), Failure> {
     let called = session.call(MSP, function, args).await?;
-    output.show(&Decided { decision: answer::parse(&called.response, "the decision")?, done })
+    Decided { decision: answer::parse(&called.response, "the decision")?, done }.show(output)
 }
 
 /// The present leader.

@@ -1,7 +1,11 @@
 //! How a decision is told: done, or who must still approve.
 
-use crate::output::{Facts, Table, printable};
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table, printable};
+use bytes::Bytes;
+use ledger::Quorum;
 use ledger::governance::{Action, Decision, NodeRole};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -15,6 +19,16 @@ pub(super) struct Decided {
     pub(super) done: String,
 }
 
+impl Decided {
+    /// Tells it, as a refusal if enough have approved but the call was refused.
+    pub(super) fn show(&self, output: &mut Output) -> Result<(), Failure> {
+        match failed(&self.decision) {
+            None => output.show(self),
+            Some(refused) => Err(refused.into()),
+        }
+    }
+}
+
 impl Facts for Decided {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.decision.executed {
@@ -22,6 +36,16 @@ impl Facts for Decided {
         }
         waiting(&self.decision, out)
     }
+}
+
+/// The refusal of a call that enough have approved.
+fn failed(decision: &Decision) -> Option<Rejection> {
+    let proposal = decision.proposal.as_ref()?;
+    let code = Code::from_number(proposal.failed?.code).unwrap_or(Code::Refused);
+    let message = format!("enough have approved, but it could not be done: {}", what(&proposal.action));
+    let found = format!("{code} {} when it was executed; nothing of it was kept", code.name());
+    let next = format!("ledgerctl explain {code}; then propose it again");
+    Some(Rejection::new(code, message).found(found).wanted("a call that is still possible").next(next))
 }
 
 /// Tells which approvals a decision waits for.
@@ -32,6 +56,9 @@ pub(super) fn waiting(decision: &Decision, out: &mut dyn Write) -> io::Result<()
     table.pair("proposal", short(&proposal.id.to_string()));
     table.pair("approved by", joined(&proposal.approvals));
     table.pair("missing", format!("{} of {}", decision.missing, joined(&decision.pending)));
+    if let Some(quorum) = decision.quorum.as_ref().filter(|quorum| **quorum != Quorum::Majority) {
+        table.pair("needs", quorum.to_string());
+    }
     table.pair("ends", crate::time::moment(proposal.expires));
     table.write(out, 2)?;
     writeln!(out, "next, an admin of {} types:", printable(&decision.pending.join(" or ")))?;
@@ -47,7 +74,24 @@ pub(super) fn what(action: &Action) -> String {
         Action::RemoveOrganisation { name } => format!("remove organisation {name}"),
         Action::ActivateRules { number, height: None } => format!("activate rules {number}"),
         Action::ActivateRules { number, height: Some(height) } => format!("activate rules {number} at block {height}"),
+        Action::Call(call) => {
+            let words = [call.chaincode.clone(), call.function.clone()].into_iter().chain(call.args.iter().map(shown));
+            format!("call {}", words.collect::<Vec<_>>().join(" "))
+        }
     }
+}
+
+/// The beginning of an argument, as it could be typed.
+fn shown(argument: &Bytes) -> String {
+    let (text, max) = match std::str::from_utf8(argument) {
+        Ok(text) => (text.to_owned(), 60),
+        Err(_) => (format!("hex:{}", hex::encode(argument)), 24),
+    };
+    let mut shown: String = text.chars().take(max).collect();
+    if shown.len() < text.len() {
+        shown.push('…');
+    }
+    shown
 }
 
 /// The first digits of an id: enough to name a proposal.
@@ -63,16 +107,19 @@ pub(super) fn joined<'a>(names: impl IntoIterator<Item = &'a String>) -> String 
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::governance::Proposal;
+    use ledger::governance::{Failed, Proposal};
     use ledger_hash::Hash;
 
     fn decision(executed: bool) -> Decision {
         let action = Action::SetNodeRole { id: 2, node: "Org2/node2".into(), role: NodeRole::Voter };
         let approvals = ["Org1".to_owned()].into();
         let (by, organisation) = ("Org1/admin".into(), "Org1".into());
-        let proposal = Proposal { id: Hash([0xab; 32]), action, by, organisation, approvals, created: 0, expires: 1 };
+        let (id, approved_by, failed) = (Hash([0xab; 32]), vec![], None);
+        let proposal =
+            Proposal { id, action, by, organisation, approvals, created: 0, expires: 1, approved_by, failed };
         let pending = vec!["Org2".to_owned(), "Org3".to_owned()];
-        Decision { executed, proposal: Some(proposal), missing: usize::from(!executed), pending }
+        let quorum = Some(Quorum::Majority);
+        Decision { executed, proposal: Some(proposal), missing: usize::from(!executed), pending, quorum }
     }
 
     fn told(executed: bool) -> String {
@@ -98,6 +145,33 @@ mod tests {
     #[test]
     fn a_decision_that_was_taken_says_what_happens() {
         assert_eq!(told(true), "node Org2/node2 becomes a voter\n");
+    }
+
+    #[test]
+    fn a_call_is_shown_as_it_could_be_typed_and_long_arguments_are_cut() {
+        let args = [Bytes::from("text"), Bytes::from_static(b"\xff\x00"), Bytes::from("é".repeat(70))];
+        let call = ledger::Call { chaincode: "abac".into(), function: "put".into(), args: args.to_vec() };
+        assert_eq!(what(&Action::Call(call)), format!("call abac put text hex:ff00 {}…", "é".repeat(60)));
+    }
+
+    #[test]
+    fn a_quorum_that_is_not_the_usual_one_is_told() {
+        let decision = Decision { quorum: Some(Quorum::All), ..decision(false) };
+        let mut out = Vec::new();
+        waiting(&decision, &mut out).unwrap();
+        assert!(String::from_utf8(out).unwrap().contains("  needs        organisations = all\n"));
+        assert!(!told(false).contains("needs"), "more than half is the usual one");
+    }
+
+    #[test]
+    fn a_decision_whose_call_was_refused_ends_with_the_code_of_the_call() {
+        let mut decision = decision(false);
+        assert!(failed(&decision).is_none());
+        let code = Code::LastOne.number();
+        decision.proposal.as_mut().unwrap().failed = Some(Failed { code, height: 7 });
+        let refused = failed(&decision).unwrap();
+        assert_eq!(refused.code, Code::LastOne);
+        assert!(refused.message.contains("make node Org2/node2 (id 2) a voter"), "{refused}");
     }
 
     #[test]

@@ -245,9 +245,11 @@ mod tests {
             approvals: ["Org1".to_owned()].into(),
             created: 0,
             expires: 1,
+            approved_by: vec![],
+            failed: None,
         };
-        let decision =
-            Decision { executed: false, proposal: Some(proposal), missing: 1, pending: vec!["Org2".to_owned()] };
+        let (proposal, pending) = (Some(proposal), vec!["Org2".to_owned()]);
+        let decision = Decision { executed: false, proposal, missing: 1, pending, quorum: None };
         let text = told(&invited(&token, Some(9), Some(decision.clone())));
         for part in ["invited organisation Org3\n", "approve abababababab\n", "then, on the machine of Org3/node1:\n"] {
             assert!(text.contains(part), "{part:?} in {text}");

@@ -1,14 +1,17 @@
-//! `network proposals|approve|withdraw`: what waits for approval.
+//! `network propose|proposals|approve|withdraw`: what waits for approval.
 
-use super::ask;
+use super::change::decide;
 use super::decision::{Decided, joined, short, what};
+use super::{ask, json};
 use crate::answer;
+use crate::command::chaincode::Call;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
 use ledger::governance::{Decision, Proposal};
+use ledger_rejection::Code;
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -17,9 +20,22 @@ use std::io::{self, Write};
 #[command(after_help = "Example:\n  ledgerctl network proposals")]
 pub(crate) struct List {}
 
+/// Propose a call of a function that needs approval; for admins.
+///
+/// It is executed in the block in which enough have approved (`ledgerctl network quorums`). A proposal is an approval, too.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl network propose msp remove_organisation '{\"name\":\"Org3\"}'")]
+pub(crate) struct Propose {
+    #[command(flatten)]
+    call: Call,
+}
+
 /// Approve a proposal for your organisation; for admins.
 ///
-/// It is done in the block in which more than half of the organisations have approved.
+/// It is done in the block in which enough have approved: more than half of the organisations, unless the network has decided
+/// otherwise (`ledgerctl network quorums`). If it cannot be done then, the proposal has failed.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl network approve 3f9a0c77c1d2")]
 pub(crate) struct Approve {
@@ -40,12 +56,21 @@ pub(super) async fn run(session: &Session, output: &mut Output) -> Result<(), Fa
     output.show(&Standing { decisions, now: session.client.now() })
 }
 
+impl Propose {
+    pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
+        let (chaincode, function, args) = self.call.read()?;
+        let done = format!("{chaincode} {function} was executed");
+        let call = json(&ledger::Call { chaincode, function, args })?;
+        decide(session, output, "propose", call, done).await
+    }
+}
+
 impl Approve {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
         let done = session.call(MSP, "approve", vec![Bytes::from(self.id)]).await?;
         let decision: Decision = answer::parse(&done.response, "the decision")?;
         let action = decision.proposal.as_ref().map_or_else(String::new, |proposal| what(&proposal.action));
-        output.show(&Decided { done: format!("approved and done: {action}"), decision })
+        Decided { done: format!("approved and done: {action}"), decision }.show(output)
     }
 }
 
@@ -82,13 +107,20 @@ impl Facts for Standing {
                 what(&proposal.action),
                 proposal.by.clone(),
                 joined(&proposal.approvals),
-                decision.missing.to_string(),
-                joined(&decision.pending),
+                missing(decision),
+                if proposal.failed.is_some() { "-".to_owned() } else { joined(&decision.pending) },
                 time::relative(proposal.expires, self.now),
             ]);
         }
         table.write(out, 0)
     }
+}
+
+/// How many approvals are missing, or why there is no use in more.
+fn missing(decision: &Decision) -> String {
+    let failed = decision.proposal.as_ref().and_then(|proposal| proposal.failed);
+    let code = |code| Code::from_number(code).map_or_else(|| format!("code {code}"), |code| code.to_string());
+    failed.map_or_else(|| decision.missing.to_string(), |failed| format!("failed: {}", code(failed.code)))
 }
 
 /// The rest of a proposal.

@@ -1,0 +1,140 @@
+//! How many must approve which call: a rule for each function that needs approval, on the ledger.
+//!
+//! A function begins with the quorum of its chaincode's table. Another one is set by a proposal, which needs the quorum
+//! that the function has then: nobody makes it easier than it is to decide.
+
+use super::action::Action;
+use super::caller::{admin, object};
+use super::organisations;
+use super::proposals::decide;
+use super::store::{self, QUORUMS, json, quorum_key};
+use super::{NAME, SET_QUORUM};
+use crate::chaincode::{Call, Context, Quorum, quorum_of};
+use bytes::Bytes;
+use ledger_rejection::{Code, Rejection};
+use serde::{Deserialize, Serialize};
+
+/// Most rules that are read at once; there is at most one for each function.
+const QUORUMS_MAX: usize = 1024;
+
+/// Argument of `set_quorum`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetQuorum {
+    /// Name of the chaincode.
+    pub chaincode: String,
+    /// Name of the function.
+    pub function: String,
+    /// Its quorum; that of the chaincode's table if it is left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub quorum: Option<Quorum>,
+}
+
+/// The quorum of a function; answer of `quorums`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FunctionQuorum {
+    /// Name of the chaincode.
+    pub chaincode: String,
+    /// Name of the function.
+    pub function: String,
+    /// The quorum in force.
+    pub quorum: Quorum,
+    /// Was it set by a proposal? Otherwise it is that of the chaincode's table.
+    pub set: bool,
+}
+
+/// `quorums`: every function that needs approval. `set_quorum` has that of the function whose quorum it sets.
+pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
+    let mut quorums = Vec::new();
+    for chaincode in ctx.registry().iter() {
+        for (function, default) in chaincode.needs_approval() {
+            if (chaincode.name(), *function) == (NAME, SET_QUORUM) {
+                continue;
+            }
+            let set = store::read::<Quorum>(ctx, &quorum_key(chaincode.name(), function))?;
+            quorums.push(FunctionQuorum {
+                chaincode: chaincode.name().to_owned(),
+                function: (*function).to_owned(),
+                set: set.is_some(),
+                quorum: set.unwrap_or_else(|| default.clone()),
+            });
+        }
+    }
+    json(&quorums)
+}
+
+/// The quorum that a proposed action needs now. A function that newer rules have taken away needs what most do; its call is
+/// then refused.
+pub(super) fn of(ctx: &Context<'_>, action: &Action) -> Result<Quorum, Rejection> {
+    if !ctx.rules().proposes_calls() {
+        return Ok(Quorum::Majority);
+    }
+    let Call { chaincode, function, args } = action.call()?;
+    let changed = ((chaincode.as_str(), function.as_str()) == (NAME, SET_QUORUM)).then_some(args.first()).flatten();
+    let (chaincode, function) = match changed.map(argument).transpose()? {
+        Some(set) => (set.chaincode, set.function),
+        None => (chaincode, function),
+    };
+    if let Some(set) = store::read(ctx, &quorum_key(&chaincode, &function))? {
+        return Ok(set);
+    }
+    let default = ctx.registry().find(&chaincode).and_then(|chaincode| quorum_of(chaincode, &function).cloned());
+    Ok(default.unwrap_or(Quorum::Majority))
+}
+
+/// `set_quorum {chaincode, function, quorum?}`
+pub(super) fn set(ctx: &mut Context<'_>, given: &Bytes) -> Result<Bytes, Rejection> {
+    let set = argument(given)?;
+    if ctx.approved_by().is_some() {
+        return change(ctx, &set);
+    }
+    let caller = admin(ctx, "change a quorum")?;
+    check(ctx, &set)?;
+    let call = Call { chaincode: NAME.to_owned(), function: SET_QUORUM.to_owned(), args: vec![json(&set)?] };
+    json(&decide(ctx, caller, Action::Call(call))?)
+}
+
+/// Rules that count admins of an organisation end when it leaves: nobody could fulfil them.
+pub(super) fn forget_organisation(ctx: &mut Context<'_>, name: &str) -> Result<(), Rejection> {
+    for (key, value) in ctx.range(QUORUMS.as_bytes(), QUORUMS_MAX) {
+        if matches!(store::parse(&key, &value)?, Quorum::Admins { of: Some(organisation), .. } if organisation == name)
+        {
+            ctx.delete(&key);
+        }
+    }
+    Ok(())
+}
+
+fn change(ctx: &mut Context<'_>, set: &SetQuorum) -> Result<Bytes, Rejection> {
+    check(ctx, set)?;
+    let key = quorum_key(&set.chaincode, &set.function);
+    match &set.quorum {
+        Some(quorum) => store::write(ctx, &key, quorum)?,
+        None => ctx.delete(key.as_bytes()),
+    }
+    let event = json(set)?;
+    ctx.emit("quorum_changed", &format!("{}/{}", set.chaincode, set.function), event.clone());
+    Ok(event)
+}
+
+fn check(ctx: &Context<'_>, set: &SetQuorum) -> Result<(), Rejection> {
+    quorum_of(ctx.registry().find(&set.chaincode)?, &set.function)?;
+    if (set.chaincode.as_str(), set.function.as_str()) == (NAME, SET_QUORUM) {
+        return Err(Rejection::new(Code::BadArgument, "set_quorum has no quorum of its own")
+            .found("set_quorum for set_quorum")
+            .wanted("another function: changing its quorum needs the quorum that it has")
+            .next("ledgerctl network quorums"));
+    }
+    let Some(Quorum::Admins { of: Some(organisation), .. }) = &set.quorum else { return Ok(()) };
+    if organisations::find(ctx, organisation)?.is_some() {
+        return Ok(());
+    }
+    Err(Rejection::new(Code::NotFound, "the network has no such organisation")
+        .found(format!("{organisation:?}"))
+        .wanted(format!("one of {}", organisations::names(ctx)?.join(", "))))
+}
+
+fn argument(argument: &Bytes) -> Result<SetQuorum, Rejection> {
+    let wanted = "{\"chaincode\": NAME, \"function\": NAME, \"quorum\": \"organisations = majority\"}";
+    object(SET_QUORUM, argument, wanted)
+}
