@@ -1,10 +1,8 @@
 //! The bridge inside a node: the same as `ledgerd bridge`, through the node's own gateway.
 
-use crate::config::Config;
 use ledger_api::Client;
 use ledger_rejection::Rejection;
 use ros_bridge::Bridge;
-use std::path::Path;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -19,12 +17,8 @@ pub(crate) struct NodeBridge {
 }
 
 impl NodeBridge {
-    /// Starts the bridge that the configuration asks for, if it asks for one. `address` is the node's gateway.
-    ///
-    /// # Errors
-    /// The first fault of the table `[bridge]`.
-    pub(crate) fn start(config: &Config, address: String) -> Result<Option<Self>, Rejection> {
-        let Some(settings) = settings(config)? else { return Ok(None) };
+    /// Starts the bridge. `address` is the node's gateway.
+    pub(crate) fn start(settings: ros_bridge::Config, address: String) -> Self {
         let (stop, mut stopping) = watch::channel(false);
         let task = tokio::spawn(async move {
             let (mut told, mut down) = (String::new(), false);
@@ -67,7 +61,7 @@ impl NodeBridge {
                 }
             }
         });
-        Ok(Some(Self { stop, task }))
+        Self { stop, task }
     }
 
     /// Ends the bridge: what it has set in motion is stopped.
@@ -77,21 +71,6 @@ impl NodeBridge {
             tracing::error!(%error, "the bridge ended too early");
         }
     }
-}
-
-/// The settings of the table `[bridge]`; none if there is no such table.
-///
-/// # Errors
-/// The first fault, which names how many more there are.
-pub(crate) fn settings(config: &Config) -> Result<Option<ros_bridge::Config>, Rejection> {
-    let Some(table) = config.bridge.clone() else { return Ok(None) };
-    ros_bridge::Config::from_table(table, Path::new(".")).map(Some).map_err(|mut faults| {
-        let more = faults.len().saturating_sub(1);
-        let first = if faults.is_empty() { None } else { Some(faults.swap_remove(0)) };
-        let first =
-            first.unwrap_or_else(|| Rejection::new(ledger_rejection::Code::BadConfiguration, "[bridge] is not usable"));
-        Rejection { message: format!("[bridge] {} ({more} more faults)", first.message), ..first }
-    })
 }
 
 /// Ends when the node stops. The value that told so is not kept, because it locks the channel.

@@ -1,7 +1,7 @@
 //! The command line of `ledgerd`.
 
 use crate::ca::operator;
-use crate::config::{CONFIG_BYTES_MAX, Config, Fault, Log};
+use crate::config::{Config, Fault, Log};
 use crate::host::NodeBuilder;
 use crate::instance::Ended;
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
@@ -102,7 +102,6 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         }
         Command::Check(WithConfig { config: path }) => {
             let config = load(&path)?;
-            crate::bridge::settings(&config)?;
             print_line(&format!(
                 "{} is fine: data in {}, listens on {}",
                 path.display(),
@@ -129,8 +128,10 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             command.run(&config).map(|text| print_line(&text))
         }
         Command::Bridge(WithConfig { config }) => {
-            telemetry::start(&bridge_log(&config)?);
-            block_on_with(1, async move { ros_bridge::run(&config, stop_signal()).await })
+            let mut log = Log::default();
+            let config = parsed(ros_bridge::Config::load(&config, |root| log.read(root)))?;
+            telemetry::start(&log);
+            block_on_with(1, async move { ros_bridge::run(config, stop_signal()).await })
         }
         Command::Verify(options) => verify::run(builder, &options),
     }
@@ -188,34 +189,12 @@ pub(crate) fn stop_signal() -> impl Future<Output = ()> {
     }
 }
 
-/// The section `[log]` of a bridge's configuration. What else is wrong with that file the bridge says.
-fn bridge_log(path: &std::path::Path) -> Result<Log, Rejection> {
-    use std::io::Read;
-    let mut text = String::new();
-    let read = std::fs::File::open(path).and_then(|file| file.take(CONFIG_BYTES_MAX as u64).read_to_string(&mut text));
-    if read.is_err() {
-        return Ok(Log::default());
-    }
-    // The lines of other sections stay empty, so that a fault is named with its line.
-    let (mut section, mut kept) = (String::new(), String::new());
-    for line in text.lines() {
-        if line.trim_start().starts_with('[') {
-            section = line.trim().to_owned();
-        }
-        if section.starts_with("[log]") {
-            kept.push_str(line);
-        }
-        kept.push('\n');
-    }
-    parsed(Config::parse(&kept, path)).map(|config| config.log)
-}
-
 /// Every fault of a configuration, one below the other.
 fn load(path: &std::path::Path) -> Result<Config, Rejection> {
     parsed(Config::load(path))
 }
 
-fn parsed(config: Result<Config, Vec<Fault>>) -> Result<Config, Rejection> {
+fn parsed<T>(config: Result<T, Vec<Fault>>) -> Result<T, Rejection> {
     config.map_err(|mut faults| {
         let last = faults
             .pop()

@@ -4,24 +4,20 @@
 //! All faults of a file are found at once, each with its line: settings are read one by one from the parsed text
 //! (which keeps the place of each value), because serde would stop at the first fault.
 
-mod reader;
 #[cfg(test)]
 mod tests;
 
 use crate::ca::CertificateAuthority;
-use crate::ca::durable;
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
 use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_settings::{Reader, Section};
 use ledger_storage::retention::Retention;
-use reader::{Reader, Section};
-use std::fmt;
 use std::path::{Path, PathBuf};
 use tracing_subscriber::filter::LevelFilter;
 
-/// Largest configuration file, in bytes.
-pub const CONFIG_BYTES_MAX: usize = 1024 * 1024;
+pub use ledger_settings::Fault;
+
 /// Longest time without a leader before a new one is elected, in milliseconds.
 const ELECTION_MS_MAX: u64 = 60_000;
 /// How `storage.retention` is written.
@@ -31,7 +27,7 @@ const RETENTION: &str =
 const ELECTION_MS_MIN: u64 = 100;
 
 /// The configuration of a node.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug)]
 pub struct Config {
     /// The file, for commands that are told.
     pub file: PathBuf,
@@ -53,8 +49,8 @@ pub struct Config {
     pub ca: Ca,
     /// `[log]`
     pub log: Log,
-    /// `[bridge]`, read by the bridge itself; none if the node runs no bridge.
-    pub bridge: Option<toml::Table>,
+    /// `[bridge]`; none if the node runs no bridge.
+    pub bridge: Option<ros_bridge::Config>,
 }
 
 /// What counts more on this machine.
@@ -167,62 +163,13 @@ impl Default for Log {
     }
 }
 
-/// Something wrong with a configuration file. Prints as the four lines of an error, of which the first names the file
-/// and the line.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Fault {
-    /// The file.
-    pub file: PathBuf,
-    /// The line, from 1; none if it is about the whole file.
-    pub line: Option<usize>,
-    /// What is wrong, what was wanted, what to do.
-    pub rejection: Rejection,
-}
-
-impl From<Fault> for Rejection {
-    fn from(fault: Fault) -> Self {
-        let mut rejection = fault.rejection;
-        let line = fault.line.map(|line| format!("{line}:")).unwrap_or_default();
-        rejection.message = format!("{}:{line} {}", fault.file.display(), rejection.message);
-        rejection
-    }
-}
-
-impl fmt::Display for Fault {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(&Rejection::from(self.clone()), f)
-    }
-}
-
-impl std::error::Error for Fault {}
-
 impl Config {
     /// Reads a file. Relative paths in it are relative to it.
     ///
     /// # Errors
     /// Every fault of the file, in the order of its lines.
     pub fn load(path: &Path) -> Result<Self, Vec<Fault>> {
-        let whole = |rejection| vec![Fault { file: path.to_owned(), line: None, rejection }];
-        let content = durable::read(path, CONFIG_BYTES_MAX).map_err(|mut rejection| {
-            if rejection.code == Code::BadFile {
-                rejection.next = "give the path of a configuration with --config; \
-                                  ledgerd.toml of the distribution lists every setting"
-                    .into();
-            }
-            whole(rejection)
-        })?;
-        let text = String::from_utf8(content).map_err(|error| {
-            whole(
-                Rejection::new(Code::BadConfiguration, "the file is not text")
-                    .found(format!(
-                        "{:#04x?} at byte {}",
-                        error.as_bytes().get(error.utf8_error().valid_up_to()),
-                        error.utf8_error().valid_up_to()
-                    ))
-                    .wanted("TOML in UTF-8"),
-            )
-        })?;
-        Self::parse(&text, path)
+        Self::parse(&ledger_settings::load(path)?, path)
     }
 
     /// Reads the text of a file; the path is for messages, and what relative paths in it are relative to.
@@ -232,22 +179,17 @@ impl Config {
     pub fn parse(text: &str, path: &Path) -> Result<Self, Vec<Fault>> {
         let mut config = Self { file: path.to_owned(), ..Self::default() };
         let mut reader = Reader::parse(text, path);
-        reader.root(|root| config.read(root));
         let directory = path.parent().unwrap_or(Path::new(""));
+        reader.root(|root| config.read(root, directory));
         config.data = directory.join(&config.data);
         if !config.storage.archive.as_os_str().is_empty() {
             config.storage.archive = directory.join(&config.storage.archive);
-        }
-        if let Some(toml::Value::String(context)) =
-            config.bridge.as_mut().and_then(|bridge| bridge.get_mut("context_dir"))
-        {
-            *context = directory.join(&*context).to_string_lossy().into_owned();
         }
         reader.finish().map(|()| config)
     }
 
     /// Each setting in one line: its name, its range, where it goes.
-    fn read(&mut self, root: &mut Section<'_, '_>) {
+    fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
         let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
@@ -292,15 +234,8 @@ impl Config {
             s.integer("certificate_days", 1..=3650, &mut ca.certificate_days);
             s.integer("secret_days", 1..=365, &mut ca.secret_days);
         });
-        root.section("log", |s| {
-            s.text("level", "off, error, warn, info, debug or trace", &mut log.level, level);
-            s.text("format", "text or json", &mut log.format, |text| match text {
-                "text" => Some(LogFormat::Text),
-                "json" => Some(LogFormat::Json),
-                _ => None,
-            });
-        });
-        root.table("bridge", bridge);
+        log.read(root);
+        root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
         let election_ms = order.tick_ms.saturating_mul(order.election_ticks);
         if !(ELECTION_MS_MIN..=ELECTION_MS_MAX).contains(&election_ms) {
@@ -318,6 +253,20 @@ impl Config {
                 "segments that hold at least two transactions of the largest size".into(),
             );
         }
+    }
+}
+
+impl Log {
+    /// Reads the section `[log]`, of a node or of a bridge that is a process of its own.
+    pub(crate) fn read(&mut self, root: &mut Section<'_, '_>) {
+        root.section("log", |s| {
+            s.text("level", "off, error, warn, info, debug or trace", &mut self.level, level);
+            s.text("format", "text or json", &mut self.format, |text| match text {
+                "text" => Some(LogFormat::Text),
+                "json" => Some(LogFormat::Json),
+                _ => None,
+            });
+        });
     }
 }
 

@@ -1,6 +1,7 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use super::*;
+use ledger_rejection::Code;
 
 fn parse(text: &str) -> Result<Config, Vec<Fault>> {
     Config::parse(text, Path::new("ledgerd.toml"))
@@ -8,6 +9,10 @@ fn parse(text: &str) -> Result<Config, Vec<Fault>> {
 
 fn faults(text: &str) -> Vec<String> {
     parse(text).unwrap_err().iter().map(ToString::to_string).collect()
+}
+
+fn assert_default(config: Result<Config, Vec<Fault>>) {
+    assert_eq!(format!("{:?}", config.unwrap()), format!("{:?}", Config::default()));
 }
 
 /// The one fault of a text.
@@ -21,8 +26,8 @@ const SHIPPED: &str = include_str!("../../ledgerd.toml");
 
 #[test]
 fn an_empty_file_is_the_default() {
-    assert_eq!(parse("").unwrap(), Config::default());
-    assert_eq!(parse(SHIPPED).unwrap(), Config::default());
+    assert_default(parse(""));
+    assert_default(parse(SHIPPED));
 }
 
 #[test]
@@ -32,7 +37,7 @@ fn the_shipped_file_lists_every_setting_with_its_default() {
         _ => line.to_owned(),
     };
     let uncommented = SHIPPED.lines().map(uncomment).collect::<Vec<_>>().join("\n");
-    assert_eq!(parse(&uncommented).unwrap(), Config::default());
+    assert_default(parse(&uncommented));
 
     // Settings that exist are those that an unknown one is compared with.
     for section in ["", "member", "limits", "storage", "order", "ca", "log"] {
@@ -155,7 +160,7 @@ fn settings_that_do_not_go_together_are_both_named() {
 
 #[test]
 fn what_is_not_toml_is_told_with_its_line_and_the_rest_is_still_read() {
-    let told = faults("data = \n[limits]\nin_flight = 5\n");
+    let told = faults("data = \n[limits]\nin_flight_ma = 5\n");
     assert!(told[0].starts_with("ledgerd.toml:1: this is not TOML"), "{told:#?}");
     assert!(told.iter().any(|fault| fault.contains("limits.in_flight_max")), "{told:#?}");
 }
@@ -173,11 +178,30 @@ fn a_section_that_is_a_value_and_a_value_that_is_a_section_are_faults() {
 }
 
 #[test]
-fn the_bridge_is_handed_on_as_it_is() {
-    let config = parse("[bridge]\ndomain = 7\n[[bridge.route]]\ntopic = '/cmd_vel'").unwrap();
-    let bridge = config.bridge.unwrap();
-    assert_eq!(bridge["domain"].as_integer(), Some(7));
-    assert_eq!(bridge["route"].as_array().unwrap().len(), 1);
+fn every_fault_of_the_bridge_is_told_with_its_line_beside_those_of_the_node() {
+    let told = faults(
+        "listn = 'localhost:7450'\n\
+         [bridge]\n\
+         domian_id = 7\n\
+         report_s = 0\n\
+         [[bridge.route]]\n\
+         service = 'Turtlebot4'\n\
+         direction = 'sideways'\n\
+         type = 'Twist'\n",
+    );
+    let wanted = [
+        (1, "the top level has no setting \"listn\"", "did you mean listen?"),
+        (3, "[bridge] has no setting \"domian_id\"", "did you mean bridge.domain_id?"),
+        (4, "bridge.report_s has a wrong value", "found   0"),
+        (6, "bridge.route[1].service has a wrong value", "'Turtlebot4'"),
+        (7, "bridge.route[1].direction has a wrong value", "\"to_ledger\" or \"from_ledger\""),
+        (8, "bridge.route[1].type: ", "geometry_msgs/msg/Twist"),
+    ];
+    assert_eq!(told.len(), wanted.len(), "{told:#?}");
+    for (told, (line, fault, hint)) in told.iter().zip(wanted) {
+        assert!(told.starts_with(&format!("ledgerd.toml:{line}: {fault}")), "{told}");
+        assert!(told.contains(hint), "{told}");
+    }
 }
 
 #[test]
@@ -196,7 +220,7 @@ fn a_file_that_is_missing_too_large_or_not_text_is_a_fault_of_the_file() {
     let path = place.path().join("ledgerd.toml");
     let code = || Config::load(&path).unwrap_err()[0].rejection.code;
     assert_eq!(code(), Code::BadFile);
-    std::fs::write(&path, "#".repeat(CONFIG_BYTES_MAX + 1)).unwrap();
+    std::fs::write(&path, "#".repeat(ledger_settings::FILE_BYTES_MAX + 1)).unwrap();
     assert_eq!(code(), Code::BadFile);
     std::fs::write(&path, b"data = '\xff'").unwrap();
     assert_eq!(code(), Code::BadConfiguration);
@@ -214,7 +238,9 @@ fn many_faults_and_deep_nesting_are_bounded() {
 
 #[test]
 fn paths_of_the_bridge_are_relative_to_the_file_as_well() {
-    let text = "[bridge]\ncontext_dir = \"contexts/robot\"\n";
-    let config = Config::parse(text, Path::new("/etc/ledgerd/ledgerd.toml")).unwrap();
-    assert_eq!(config.bridge.unwrap()["context_dir"].as_str(), Some("/etc/ledgerd/contexts/robot"));
+    let route = "route = [{ service = 'T/cmd_vel', direction = 'to_ledger', type = 'geometry_msgs/msg/Twist' }]";
+    let text = format!("[bridge]\ncontext_dir = \"contexts/robot\"\n{route}\n");
+    let config = Config::parse(&text, Path::new("/etc/ledgerd/ledgerd.toml")).unwrap();
+    let wanted = ros_bridge::IdentitySource::Directory("/etc/ledgerd/contexts/robot".into());
+    assert_eq!(config.bridge.unwrap().identity, wanted);
 }

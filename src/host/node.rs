@@ -99,7 +99,7 @@ impl Node {
         };
         let (address, height) = (host.address(), instance.view.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
-        let bridge = NodeBridge::start(config, host.own_gateway())?;
+        let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
         Ok(Self { host, instance, serving, bridge })
     }
 

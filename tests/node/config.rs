@@ -52,6 +52,37 @@ fn check_names_every_fault_at_once_with_its_line_and_the_nearest_name() {
 }
 
 #[test]
+fn check_names_every_fault_of_a_bridge_of_a_node_and_of_one_by_itself() {
+    let faults = [
+        ("domian_id = 7", "domain_id?"),
+        ("report_s = 0", "from 1 to 86400"),
+        ("shared_memory = 1", "true or false"),
+        ("ROUTE", ""),
+        ("service = \"Turtlebot4\"", "ROBOT/TOPIC"),
+        ("direction = \"to_ledger\"", ""),
+        ("type = \"Twist\"", "geometry_msgs/msg/Twist"),
+    ];
+    let place = TempDir::new().unwrap();
+    let lines = faults.map(|(line, _)| line).join("\n");
+    for (command, file, head, route) in [
+        ("check", "ledgerd.toml", "[bridge]\n", "[[bridge.route]]"),
+        ("run", "ledgerd.toml", "[bridge]\n", "[[bridge.route]]"),
+        ("bridge", "bridge.toml", "node_name = \"door\"\n", "[[route]]"),
+    ] {
+        fs::write(place.path().join(file), format!("{head}{}", lines.replace("ROUTE", route))).unwrap();
+        let done = ledgerd(&[command, "--config", file], place.path());
+        assert_eq!(done.status.code(), Some(3), "{done:?}");
+        let told = text(&done.stderr);
+        assert_eq!(told.matches("error: ").count(), 5, "{told}");
+        for (number, (line, word)) in (2..).zip(faults).filter(|(_, (_, word))| !word.is_empty()) {
+            let fault = told.split("error: ").find(|fault| fault.contains(&format!("{file}:{number}:")));
+            let fault = fault.unwrap_or_else(|| panic!("no fault for {line:?} in:\n{told}"));
+            assert!(fault.contains(word), "{word:?} is missing in: {fault}");
+        }
+    }
+}
+
+#[test]
 fn what_is_no_configuration_is_refused_and_what_is_one_is_fine() {
     let place = TempDir::new().unwrap();
     let file = place.path().join("ledgerd.toml");

@@ -6,9 +6,12 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 17] = [
+const LAYERS: [(&str, &[&str]); 19] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
+    // "Did you mean": of names, not of a ledger.
+    ("nearest", &[]),
+    ("ledger-settings", &["ledger-rejection", "nearest"]),
     // The deliberate bugs of the mutation check.
     ("ledger-mutation", &[]),
     // Keys and certificates: no file, no chain.
@@ -42,11 +45,12 @@ const LAYERS: [(&str, &[&str]); 17] = [
             "ledger-mutation",
             "ledger-rejection",
             "ledger-storage",
+            "nearest",
         ],
     ),
-    ("ledger-api", &["ledger", "ledger-hash", "ledger-identity", "ledger-rejection"]),
+    ("ledger-api", &["ledger", "ledger-hash", "ledger-identity", "ledger-rejection", "nearest"]),
     // Messages by their definitions: nothing of a ledger.
-    ("ros-message", &[]),
+    ("ros-message", &["nearest"]),
     (
         "ros-bridge",
         &[
@@ -56,6 +60,7 @@ const LAYERS: [(&str, &[&str]); 17] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-rejection",
+            "ledger-settings",
             "ros-message",
         ],
     ),
@@ -70,6 +75,7 @@ const LAYERS: [(&str, &[&str]); 17] = [
             "ledger-identity",
             "ledger-rejection",
             "ledger-storage",
+            "nearest",
             "ros-message",
         ],
     ),
@@ -84,6 +90,7 @@ const LAYERS: [(&str, &[&str]); 17] = [
             "ledger-raft",
             "ledger-rejection",
             "ledger-replica",
+            "ledger-settings",
             "ledger-storage",
             "ros-bridge",
             "ros-message",

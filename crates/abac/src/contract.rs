@@ -3,12 +3,12 @@
 use crate::actions::{
     NAME, acquire, authorize, end, follow, hold, policies, publish, release, renew, robots, settings, show,
 };
-use crate::nearest::did_you_mean;
 use crate::policy::decider::Decider;
 use bytes::Bytes;
 use ledger::{Chaincode, Context, Foretold, Revocation};
 use ledger_rejection::Rejection;
 use ledger_storage::result::Event;
+use nearest::did_you_mean;
 
 /// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
 /// JSON.

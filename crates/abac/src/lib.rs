@@ -36,12 +36,11 @@
 //! | `policy` | who may: Cedar, the policies on the ledger, decisions that are remembered |
 //! | `rules` | who wins when several may: a file for each rule, and the table of them |
 //! | `records` | what the state holds: robots, services, grants, keys and indexes |
-//! | `arguments`, `nearest`, `timestamp` | argument parsing, "did you mean", RFC 3339 |
+//! | `arguments`, `timestamp` | argument parsing, RFC 3339 |
 
 mod actions;
 mod arguments;
 mod contract;
-mod nearest;
 mod policy;
 mod records;
 mod rules;

@@ -11,7 +11,7 @@ use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
-    config::{Config, IdentitySource, RouteConfig, all_faults, circle},
+    config::{Config, IdentitySource, RouteConfig, circle},
     count::{Counters, RouteSummary, line},
     domain::{Domain, ROS_DOMAIN_ID},
     gateway::Gateway,
@@ -53,10 +53,9 @@ pub struct Bridge {
 /// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered.
 ///
 /// # Errors
-/// As [`Config::load`], [`Client::connect`] and [`Bridge::start`], where waiting cannot help;
+/// As [`Client::connect`] and [`Bridge::start`], where waiting cannot help;
 /// [`Code::MiddlewareFailed`] if the local graph is lost.
-pub async fn run(config: &Path, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
-    let config = Config::load(config).map_err(all_faults)?;
+pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
     let mut stop = std::pin::pin!(stop);
     let mut told = String::new();
     let (bridge, client) = loop {

@@ -22,10 +22,7 @@
 //! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
 //! Everything has a default but `service`, `direction` and `type`. Every fault is reported, not only the first.
 
-mod table;
-
 use std::{
-    collections::BTreeSet,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -33,19 +30,17 @@ use std::{
 
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
+use ledger_settings::{Fault, Reader, Section, Spot};
 
-pub(crate) use self::table::Table;
 use crate::{
     dds::DOMAIN_MAX,
     names::{TopicName, TypeName},
-    qos::Qos,
+    qos::{DEPTH_SAMPLES_MAX, Durability, Qos, Reliability},
     queue::Limits,
     route::kind::{KINDS, Kind, Plan},
     sample::{SAMPLE_BYTES_MAX, Sample},
 };
 
-/// Largest configuration file, in bytes.
-const CONFIG_BYTES_MAX: u64 = 1024 * 1024;
 /// Most routes of one bridge.
 pub const ROUTES_MAX: usize = 64;
 /// How often the ledger gives a sign of life.
@@ -113,107 +108,119 @@ impl RouteConfig {
 }
 
 impl Config {
-    /// Reads a file. Relative paths in it start at its directory.
+    /// Reads a file. Relative paths in it start at its directory. `program` reads the settings of the program that runs
+    /// the bridge, such as `[log]`.
     ///
     /// # Errors
     /// Every fault: [`Code::BadFile`], [`Code::BadConfiguration`], [`Code::BadName`].
-    pub fn load(path: &Path) -> Result<Self, Vec<Rejection>> {
-        let unreadable = |found: String| {
-            let message = format!("cannot read the bridge configuration {}", path.display());
-            vec![
-                Rejection::new(Code::BadFile, message)
-                    .found(found)
-                    .wanted(format!("a TOML file of at most {CONFIG_BYTES_MAX} bytes")),
-            ]
-        };
-        let length = std::fs::metadata(path).map_err(|error| unreadable(error.to_string()))?.len();
-        if length > CONFIG_BYTES_MAX {
-            return Err(unreadable(format!("{length} bytes")));
-        }
-        let text = std::fs::read_to_string(path).map_err(|error| unreadable(error.to_string()))?;
-        Self::parse(&text, path.parent().unwrap_or(Path::new("")))
+    pub fn load(path: &Path, program: impl FnOnce(&mut Section<'_, '_>)) -> Result<Self, Vec<Fault>> {
+        Self::parse(&ledger_settings::load(path)?, path, program)
     }
 
-    /// Reads the text of a file; `directory` is where relative paths in it start.
+    /// Reads the text of a file; the path is for messages, and relative paths in the text start at its directory.
     ///
     /// # Errors
     /// As [`Config::load`].
-    pub fn parse(text: &str, directory: &Path) -> Result<Self, Vec<Rejection>> {
-        let mut table: toml::Table = text.parse().map_err(|error: toml::de::Error| {
-            vec![
-                Rejection::new(Code::BadConfiguration, "the bridge configuration is not TOML")
-                    .found(error.to_string().trim_end().to_owned()),
-            ]
-        })?;
-        // Of the program that runs the bridge. Inside a node the node has its own.
-        table.remove("log");
-        Self::from_table(table, directory)
+    pub fn parse(text: &str, path: &Path, program: impl FnOnce(&mut Section<'_, '_>)) -> Result<Self, Vec<Fault>> {
+        let mut reader = Reader::parse(text, path);
+        let mut config = Self::default();
+        reader.root(|root| {
+            program(root);
+            config.read(root, path.parent().unwrap_or(Path::new("")));
+        });
+        reader.finish().map(|()| config)
     }
 
-    /// Reads a table, such as `[bridge]` of a node.
-    ///
-    /// # Errors
-    /// As [`Config::load`].
-    pub fn from_table(table: toml::Table, directory: &Path) -> Result<Self, Vec<Rejection>> {
-        let mut faults = Vec::new();
-        let mut root = Table::new("", table, &mut faults);
-        let context: Option<String> = root.take("context", "the name of a context");
-        let context_dir: Option<PathBuf> = root.take("context_dir", "the directory of a context");
-        let identity = match (context, context_dir) {
+    /// Reads a section, such as `[bridge]` of a node; `directory` is where relative paths in it start.
+    pub fn read(&mut self, section: &mut Section<'_, '_>, directory: &Path) {
+        let (mut context, mut context_dir, mut domain_id, mut report_s) = (None, None, None, REPORT_S_DEFAULT);
+        section.text("context", "the name of a context", &mut context, |name| Some(Some(name.to_owned())));
+        section.text("context_dir", "the directory of a context", &mut context_dir, |path| {
+            Some(Some(directory.join(path)))
+        });
+        self.identity = match (context, context_dir) {
             (None, None) => IdentitySource::Selected,
             (Some(name), None) => IdentitySource::Context(name),
-            (None, Some(path)) => IdentitySource::Directory(directory.join(path)),
-            (Some(_), Some(path)) => {
-                root.fault("context and context_dir exclude each other", "both", "one of them", "remove one");
+            (None, Some(path)) => IdentitySource::Directory(path),
+            (Some(name), Some(path)) => {
+                let found = format!("{name:?} and {:?}", path.display().to_string());
+                section.conflict(["context", "context_dir"], found, "one of them".to_owned());
                 IdentitySource::Directory(path)
             }
         };
-        let domain_id = root.integer("domain_id", 0..=u64::from(DOMAIN_MAX));
-        let node_name = root.take("node_name", "a ROS 2 node name").unwrap_or_else(|| "ledgerd_bridge".to_owned());
-        let shared_memory = root.take("shared_memory", "true or false").unwrap_or(true);
-        let report_s = root.integer("report_s", 1..=REPORT_S_MAX).unwrap_or(REPORT_S_DEFAULT);
-        let routes: Vec<toml::Table> = root.take("route", "tables: [[route]]").unwrap_or_default();
-        if routes.is_empty() || routes.len() > ROUTES_MAX {
-            let wanted = format!("1 to {ROUTES_MAX}: [[route]]");
-            root.fault("the bridge has no usable number of routes", &routes.len().to_string(), &wanted, "");
-        }
-        root.finish();
-        let routes = (1..).zip(routes).take(ROUTES_MAX).filter_map(|(number, table)| route(number, table, &mut faults));
-        let routes: Vec<RouteConfig> = routes.collect();
-        let mut known = BTreeSet::new();
-        for route in &routes {
-            if !known.insert((&route.service, route.kind.name)) {
-                let message = format!("two routes carry {} in the same direction", route.service);
-                faults.push(Rejection::new(Code::BadConfiguration, message).wanted("each service once per direction"));
+        section.integer("domain_id", 0..=u64::from(DOMAIN_MAX), &mut domain_id);
+        self.domain_id = domain_id.and_then(|id: u64| u16::try_from(id).ok());
+        section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
+        section.boolean("shared_memory", &mut self.shared_memory);
+        section.integer("report_s", 1..=REPORT_S_MAX, &mut report_s);
+        self.report_every = Duration::from_secs(report_s);
+        let mut routes = Vec::new();
+        section.sections("route", ROUTES_MAX, |number, section| {
+            if let Some(route) = route(section) {
+                routes.push(Numbered { number, spot: section.spot(), route });
             }
+        });
+        for (spot, fault) in twice(&routes).chain(circles(&routes)) {
+            section.refuse(spot, fault);
         }
-        faults.extend(circles(&routes));
-        let domain_id = domain_id.and_then(|id| u16::try_from(id).ok());
-        let report_every = Duration::from_secs(report_s);
-        if faults.is_empty() {
-            Ok(Self { identity, domain_id, node_name, shared_memory, report_every, routes })
-        } else {
-            Err(faults)
+        self.routes = routes.into_iter().map(|numbered| numbered.route).collect();
+    }
+}
+
+/// All defaults, and no route.
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            identity: IdentitySource::Selected,
+            domain_id: None,
+            node_name: "ledgerd_bridge".to_owned(),
+            shared_memory: true,
+            report_every: Duration::from_secs(REPORT_S_DEFAULT),
+            routes: Vec::new(),
         }
     }
+}
+
+/// A route, and where it stands.
+struct Numbered {
+    /// From 1.
+    number: usize,
+    spot: Spot,
+    route: RouteConfig,
+}
+
+/// Pairs of routes, each once.
+fn pairs(routes: &[Numbered]) -> impl Iterator<Item = (&Numbered, &Numbered)> {
+    routes.iter().enumerate().flat_map(|(at, one)| routes.iter().skip(at + 1).map(move |other| (one, other)))
+}
+
+/// Routes that carry the same as one before them.
+fn twice(routes: &[Numbered]) -> impl Iterator<Item = (&Spot, Rejection)> {
+    let same =
+        |one: &RouteConfig, other: &RouteConfig| (&one.service, one.kind.name) == (&other.service, other.kind.name);
+    pairs(routes).filter(move |(one, other)| same(&one.route, &other.route)).map(|(one, other)| {
+        let (service, numbers) = (&other.route.service, format!("routes {} and {}", one.number, other.number));
+        let message = format!("two routes carry {service} in the same direction");
+        let fault = Rejection::new(Code::BadConfiguration, message).found(numbers);
+        (&other.spot, fault.wanted("each service once per direction").next("remove one of both"))
+    })
 }
 
 /// Pairs of routes that are a circle by what the configuration alone says.
-fn circles(routes: &[RouteConfig]) -> Vec<Rejection> {
-    let mut found = Vec::new();
-    for (number, one) in (1..).zip(routes).filter(|(_, route)| route.kind.takes_in()) {
-        for (other_number, other) in (1..).zip(routes).filter(|(_, route)| !route.kind.takes_in()) {
-            if one.service == other.service && one.topic == other.topic {
-                let topic = one.topic.as_ref().map_or("the service's topic", TopicName::as_str);
-                found.push(circle(&one.service, topic, [(number, one.kind), (other_number, other.kind)]));
-            }
-        }
-    }
-    found
+fn circles(routes: &[Numbered]) -> impl Iterator<Item = (&Spot, Rejection)> {
+    let closed = |one: &RouteConfig, other: &RouteConfig| {
+        one.service == other.service && one.topic == other.topic && one.kind.takes_in() != other.kind.takes_in()
+    };
+    pairs(routes).filter(move |(one, other)| closed(&one.route, &other.route)).map(|(one, other)| {
+        let topic = one.route.topic.as_ref().map_or("the service's topic", TopicName::as_str);
+        let both = [one, other].map(|numbered| (numbered.number, numbered.route.kind));
+        (&other.spot, circle(&one.route.service, topic, both))
+    })
 }
 
 /// Two routes between which each message would go round.
-pub(crate) fn circle(service: &str, topic: &str, routes: [(usize, &Kind); 2]) -> Rejection {
+pub(crate) fn circle(service: &str, topic: &str, mut routes: [(usize, &Kind); 2]) -> Rejection {
+    routes.sort_by_key(|(_, kind)| !kind.takes_in());
     let [(one, up), (two, down)] = routes;
     Rejection::new(Code::BadConfiguration, format!("routes {one} and {two} close a circle: {service} on {topic}"))
         .found(format!(
@@ -224,37 +231,40 @@ pub(crate) fn circle(service: &str, topic: &str, routes: [(usize, &Kind); 2]) ->
         .next(format!("give route {two} another topic, e.g. topic = \"/watched\", or remove one of both"))
 }
 
-fn route(number: usize, table: toml::Table, faults: &mut Vec<Rejection>) -> Option<RouteConfig> {
-    let mut table = Table::new(&format!("route {number}: "), table, faults);
-    let service: Option<String> = table.required("service", "ROBOT/TOPIC, e.g. \"Turtlebot4/cmd_vel\"");
-    let service = service.filter(|service| {
-        let usable = service.split_once('/').is_some_and(|(robot, topic)| !robot.is_empty() && !topic.is_empty());
-        if !usable {
-            table.fault(
-                "service is not usable",
-                &format!("{service:?}"),
-                "ROBOT/TOPIC, in full",
-                "ledgerctl robot list",
-            );
-        }
-        usable
+fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
+    const SERVICE: &str = "ROBOT/TOPIC in full, e.g. \"Turtlebot4/cmd_vel\"";
+    const TYPE: &str = "a ROS 2 message type, e.g. \"geometry_msgs/msg/Twist\"";
+    let (mut service, mut kind, mut topic, mut message) = (None, None, None, None);
+    section.required("service", SERVICE);
+    section.text("service", SERVICE, &mut service, |text| {
+        let usable = text.split_once('/').is_some_and(|(robot, topic)| !robot.is_empty() && !topic.is_empty());
+        usable.then(|| Some(text.to_owned()))
     });
-    let kind: Option<&'static Kind> = table.required("direction", &Kind::names());
-    let topic: Option<String> = table.take("topic", "a ROS 2 topic name");
-    let topic = topic.and_then(|topic| table.checked(TopicName::parse(&topic)));
-    let message: Option<String> = table.required("type", "a ROS 2 message type, e.g. \"geometry_msgs/msg/Twist\"");
-    let message = message.and_then(|message| table.checked(TypeName::parse(&message)));
-    let qos: Qos = table.take("qos", "{ reliability, durability, depth }").unwrap_or_default();
-    table.checked(qos.validate());
-    let bytes_max = table.integer("sample_bytes_max", 64..=SAMPLE_BYTES_MAX as u64);
-    let sample_bytes_max = bytes_max.and_then(|bytes| usize::try_from(bytes).ok());
-    let sample_bytes_max = sample_bytes_max.unwrap_or(Limits::default().sample_bytes_max);
-    let plan = kind.map(|kind| (kind.read)(&mut table, sample_bytes_max));
+    section.required("direction", &Kind::names());
+    section.text("direction", &Kind::names(), &mut kind, |name| Kind::named(name).map(Some));
+    section.parsed("topic", "a ROS 2 topic name", &mut topic, |text| TopicName::parse(text).map(Some));
+    section.required("type", TYPE);
+    section.parsed("type", TYPE, &mut message, |text| TypeName::parse(text).map(Some));
+    let mut qos = Qos::default();
+    section.section("qos", |section| read_qos(section, &mut qos));
+    let mut sample_bytes_max = Limits::default().sample_bytes_max as u64;
+    section.integer("sample_bytes_max", 64..=SAMPLE_BYTES_MAX as u64, &mut sample_bytes_max);
+    let sample_bytes_max = usize::try_from(sample_bytes_max).unwrap_or(SAMPLE_BYTES_MAX);
+    let plan = kind.map(|kind: &Kind| (kind.read)(section, sample_bytes_max));
     if kind.is_none() {
-        KINDS.iter().for_each(|kind| table.ignore(kind.keys));
+        KINDS.iter().for_each(|kind| section.ignore(kind.keys));
     }
-    table.finish();
     Some(RouteConfig { service: service?, kind: kind?, plan: plan?, topic, message: message?, qos, sample_bytes_max })
+}
+
+fn read_qos(section: &mut Section<'_, '_>, qos: &mut Qos) {
+    section.text("reliability", "\"reliable\" or \"best_effort\"", &mut qos.reliability, |text| {
+        [Reliability::Reliable, Reliability::BestEffort].into_iter().find(|known| known.name() == text)
+    });
+    section.text("durability", "\"volatile\" or \"transient_local\"", &mut qos.durability, |text| {
+        [Durability::Volatile, Durability::TransientLocal].into_iter().find(|known| known.name() == text)
+    });
+    section.integer("depth", 1..=u64::from(DEPTH_SAMPLES_MAX), &mut qos.depth);
 }
 
 /// The stop message that hexadecimal digits stand for.
@@ -270,19 +280,6 @@ pub(crate) fn stop_sample(text: &str, bytes_max: usize) -> Result<Sample, Reject
     Ok(Sample::from_wire(Bytes::from(bytes), bytes_max)?)
 }
 
-/// One rejection for all faults, for those who can show only one.
-pub(crate) fn all_faults(mut faults: Vec<Rejection>) -> Rejection {
-    if faults.len() == 1
-        && let Some(only) = faults.pop()
-    {
-        return only;
-    }
-    let lines: Vec<String> = faults.iter().map(|fault| fault.to_string().replace("\n  ", "; ")).collect();
-    Rejection::new(Code::BadConfiguration, format!("the bridge configuration has {} faults", faults.len()))
-        .found(lines.join("\n          "))
-        .wanted("a configuration as the documentation of the bridge describes it")
-}
-
 #[cfg(test)]
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
@@ -290,8 +287,8 @@ mod tests {
 
     const ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\n";
 
-    fn parse(text: &str) -> Result<Config, Vec<Rejection>> {
-        Config::parse(text, Path::new("/etc/ledgerd"))
+    fn parse(text: &str) -> Result<Config, Vec<Fault>> {
+        Config::parse(text, Path::new("/etc/ledgerd/bridge.toml"), |_| ())
     }
 
     #[test]
@@ -312,31 +309,55 @@ mod tests {
     }
 
     #[test]
-    fn every_fault_is_named_at_once() {
+    fn every_fault_is_named_at_once_with_its_line() {
         let text = "domain_id = 233\ncontexts = 'x'\n[[route]]\nservice = 'T'\ndirection = 'to_ledger'\ntopic = 'cmd'\n\
                     type = 'Twist'\nbatch_max = 0\nmax_age_ms = 5\n[[route]]\nservise = 'a/b'\nqos = { depth = 0 }";
-        let faults = parse(text).unwrap_err();
-        let all: Vec<String> = faults.iter().map(ToString::to_string).collect();
-        for wanted in [
-            "domain_id",
-            "did you mean context?",
-            "service is not usable",
-            "\"/cmd\"",
-            "geometry_msgs/msg/Twist",
-            "batch_max",
-            "max_age_ms",
-            "did you mean service?",
-            "qos depth",
-        ] {
-            assert!(all.iter().any(|fault| fault.contains(wanted)), "{wanted} is not in {all:#?}");
+        let told: Vec<String> = parse(text).unwrap_err().iter().map(ToString::to_string).collect();
+        let wanted = [
+            (1, "domain_id has a wrong value", "a whole number from 0 to 232"),
+            (2, "the top level has no setting \"contexts\"", "did you mean context?"),
+            (4, "route[1].service has a wrong value", "ROBOT/TOPIC"),
+            (6, "route[1].topic: ", "\"/cmd\""),
+            (7, "route[1].type: ", "geometry_msgs/msg/Twist"),
+            (8, "route[1].batch_max has a wrong value", "from 1 to 256"),
+            (9, "[route[1]] has no setting \"max_age_ms\"", "one of service"),
+            (10, "route[2].service is missing", "ROBOT/TOPIC"),
+            (10, "route[2].direction is missing", "to_ledger"),
+            (10, "route[2].type is missing", "geometry_msgs/msg/Twist"),
+            (11, "[route[2]] has no setting \"servise\"", "did you mean route[2].service?"),
+            (12, "route[2].qos.depth has a wrong value", "from 1 to 10000"),
+        ];
+        assert_eq!(told.len(), wanted.len(), "{told:#?}");
+        for (told, (line, fault, hint)) in told.iter().zip(wanted) {
+            assert!(told.starts_with(&format!("/etc/ledgerd/bridge.toml:{line}: {fault}")), "{told}");
+            assert!(told.contains(hint), "{told}");
         }
-        assert!(all_faults(faults).to_string().contains("max_age_ms"));
+    }
+
+    #[test]
+    fn quality_of_service_is_read_by_the_names_of_ros() {
+        let qos = "qos = { reliability = 'best_effort', durability = 'transient_local', depth = 5 }";
+        let config = parse(&format!("{ROUTE}direction = 'to_ledger'\n{qos}")).unwrap();
+        let wanted = Qos { reliability: Reliability::BestEffort, durability: Durability::TransientLocal, depth: 5 };
+        assert_eq!(config.routes[0].qos, wanted);
+        for bad in ["reliabilty = 'reliable'", "reliability = 'maybe'", "depth = -1"] {
+            assert!(parse(&format!("{ROUTE}direction = 'to_ledger'\nqos = {{ {bad} }}")).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn a_bridge_has_a_route() {
+        for text in ["", "route = []", "route = 5", "route = [5]"] {
+            let faults = parse(text).unwrap_err();
+            assert!(faults[0].rejection.wanted.contains("1 to 64 sections [[route]]"), "{faults:?}");
+        }
+        assert!(parse(&format!("{ROUTE}direction = 'to_ledger'\n").repeat(ROUTES_MAX + 1)).is_err());
     }
 
     #[test]
     fn a_service_goes_one_way_once() {
         let twice = format!("{ROUTE}direction = 'to_ledger'\n{ROUTE}direction = 'to_ledger'");
-        assert!(parse(&twice).unwrap_err()[0].message.contains("same direction"));
+        assert!(parse(&twice).unwrap_err()[0].to_string().starts_with("/etc/ledgerd/bridge.toml:5: two routes carry"));
         let watched = format!("{ROUTE}direction = 'to_ledger'\n{ROUTE}direction = 'from_ledger'\ntopic = '/watched'");
         assert!(parse(&watched).is_ok());
     }
@@ -346,7 +367,7 @@ mod tests {
         for topic in ["", "topic = '/drive'\n"] {
             let text = format!("{ROUTE}{topic}direction = 'to_ledger'\n{ROUTE}{topic}direction = 'from_ledger'");
             let faults = parse(&text).unwrap_err();
-            let [fault] = faults.as_slice() else { unreachable!("{faults:?}") };
+            let [Fault { rejection: fault, .. }] = faults.as_slice() else { unreachable!("{faults:?}") };
             assert!(fault.message.contains("routes 1 and 2 close a circle"), "{fault}");
             assert!(
                 fault.found.contains("T/cmd_vel to_ledger") && fault.found.contains("T/cmd_vel from_ledger"),

@@ -69,6 +69,6 @@ pub mod shm;
 pub mod stop;
 
 pub use bridge::{Bridge, Summary, context_of, run};
-pub use config::Config;
+pub use config::{Config, IdentitySource};
 pub use count::{Latency, RouteSummary};
 pub use renewal::keep_renewed;

@@ -7,7 +7,6 @@
 use std::fmt;
 
 use ros2_client::MessageTypeName;
-use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Explained, Result};
 
@@ -35,13 +34,11 @@ const WELL_KNOWN: [&str; 14] = [
 ];
 
 /// An absolute, fully expanded ROS 2 topic name such as `/robot1/cmd_vel`.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TopicName(String);
 
 /// The name of a ROS 2 message type such as `geometry_msgs/msg/Twist`.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(try_from = "String", into = "String")]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TypeName {
     package: String,
     name: String,
@@ -103,32 +100,6 @@ impl fmt::Display for TopicName {
 impl fmt::Display for TypeName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}/msg/{}", self.package, self.name)
-    }
-}
-
-impl TryFrom<String> for TopicName {
-    type Error = Error;
-    fn try_from(text: String) -> Result<Self> {
-        Self::parse(&text)
-    }
-}
-
-impl TryFrom<String> for TypeName {
-    type Error = Error;
-    fn try_from(text: String) -> Result<Self> {
-        Self::parse(&text)
-    }
-}
-
-impl From<TopicName> for String {
-    fn from(name: TopicName) -> Self {
-        name.0
-    }
-}
-
-impl From<TypeName> for String {
-    fn from(name: TypeName) -> Self {
-        name.to_string()
     }
 }
 
@@ -299,17 +270,5 @@ mod tests {
         for bad in ["", "/", "a/b/c/d", "turtlesim/srv/Spawn", "geometry_msgs/msg/Tw ist", "\0"] {
             assert!(TypeName::parse(bad).is_err(), "for {bad:?}");
         }
-    }
-
-    #[test]
-    fn names_in_a_configuration_are_checked_while_reading_it() {
-        #[derive(Debug, Deserialize)]
-        struct Route {
-            topic: TopicName,
-        }
-        let good: Route = toml::from_str("topic = '/cmd_vel'").unwrap();
-        assert_eq!(good.topic.as_str(), "/cmd_vel");
-        let error = toml::from_str::<Route>("topic = 'cmd_vel'").unwrap_err().to_string();
-        assert!(error.contains("/cmd_vel"), "{error}");
     }
 }

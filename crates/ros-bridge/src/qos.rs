@@ -4,7 +4,6 @@
 //! reader does not hear a best-effort writer. Sensors often publish best effort.
 
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
-use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Explained, Result};
 
@@ -14,8 +13,7 @@ pub const DEPTH_SAMPLES_MAX: u32 = 10_000;
 pub const DEPTH_SAMPLES_DEFAULT: u32 = 100;
 
 /// Whether lost samples are sent again.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Reliability {
     /// Lost samples are sent again, in order.
     #[default]
@@ -35,8 +33,7 @@ impl Reliability {
 }
 
 /// Whether a reader that comes late receives what was published before.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Durability {
     /// Only what is published while the reader is there.
     #[default]
@@ -56,8 +53,7 @@ impl Durability {
 }
 
 /// The settings of one route; unset ones have ROS 2's defaults for publishers and subscriptions.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Qos {
     /// Default: reliable.
     pub reliability: Reliability,
@@ -104,14 +100,12 @@ impl Qos {
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
     #[test]
-    fn an_empty_table_is_reliable_volatile_and_deep_enough_for_bursts() {
-        let qos: Qos = toml::from_str("").unwrap();
-        assert_eq!(qos, Qos::default());
+    fn the_default_is_reliable_volatile_and_deep_enough_for_bursts() {
+        let qos = Qos::default();
         let policies = qos.policies();
         assert!(policies.is_reliable());
         assert!(policies.is_volatile());
@@ -119,19 +113,12 @@ mod tests {
     }
 
     #[test]
-    fn settings_are_read_by_ros_names() {
-        let text = "reliability = 'best_effort'\ndurability = 'transient_local'\ndepth = 5";
-        let policies = toml::from_str::<Qos>(text).unwrap().policies();
+    fn settings_become_policies_of_dds() {
+        let qos = Qos { reliability: Reliability::BestEffort, durability: Durability::TransientLocal, depth: 5 };
+        let policies = qos.policies();
         assert!(!policies.is_reliable());
         assert_eq!(policies.durability(), Some(policy::Durability::TransientLocal));
         assert_eq!(policies.history(), Some(policy::History::KeepLast { depth: 5 }));
-    }
-
-    #[test]
-    fn unknown_keys_and_values_are_refused() {
-        assert!(toml::from_str::<Qos>("reliabilty = 'reliable'").is_err());
-        assert!(toml::from_str::<Qos>("reliability = 'maybe'").is_err());
-        assert!(toml::from_str::<Qos>("depth = -1").is_err());
     }
 
     #[test]

@@ -2,7 +2,7 @@
 
 use crate::cdr::{ByteOrder, Writer};
 use crate::definition::{Count, Primitive};
-use crate::fault::{Fault, did_you_mean};
+use crate::fault::Fault;
 use crate::message::{Element, Field, Message, Structure};
 use crate::written::Written;
 
@@ -75,7 +75,7 @@ impl Encoder {
             return Err(Fault::new(format!("{} has no field {unknown}", structure.name))
                 .found(crate::fault::quoted(unknown))
                 .wanted(names().collect::<Vec<_>>().join(", "))
-                .next(did_you_mean(unknown, names())));
+                .next(nearest::did_you_mean(unknown, names(), "")));
         }
         if structure.fields.is_empty() {
             self.writer.number(1, 0)?;

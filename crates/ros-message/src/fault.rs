@@ -57,17 +57,3 @@ pub(crate) fn quoted(text: &str) -> String {
         None => format!("{text:?}"),
     }
 }
-
-/// `did you mean "x"?` for the nearest of these names, if one is near; otherwise nothing.
-pub(crate) fn did_you_mean<'a>(name: &str, names: impl IntoIterator<Item = &'a str>) -> String {
-    /// Longer names are not compared: it costs the product of both lengths.
-    const COMPARED_BYTES_MAX: usize = 256;
-    if name.len() > COMPARED_BYTES_MAX {
-        return String::new();
-    }
-    let near = |other: &str| (strsim::osa_distance(&name.to_lowercase(), &other.to_lowercase()), other.to_owned());
-    let slip_max = (name.chars().count() / 3).clamp(1, 4);
-    let names = names.into_iter().filter(|other| other.len() <= COMPARED_BYTES_MAX);
-    let nearest = names.map(near).filter(|(distance, _)| *distance <= slip_max).min();
-    nearest.map_or(String::new(), |(_, name)| format!("did you mean {name:?}?"))
-}

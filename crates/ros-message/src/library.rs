@@ -1,7 +1,7 @@
 //! Definitions by the names of their types.
 
 use crate::definition::{self, FieldText, Kind};
-use crate::fault::{Fault, did_you_mean, quoted};
+use crate::fault::{Fault, quoted};
 use crate::message::{Element, Field, Message, Structure};
 use crate::name;
 use std::collections::BTreeMap;
@@ -128,7 +128,7 @@ impl Library {
         Fault::new(format!("the definition of {full} is not known"))
             .found(format!("no definition of {full}"))
             .wanted("one of the common types, or its .msg file")
-            .next(did_you_mean(full, known))
+            .next(nearest::did_you_mean(full, known, ""))
     }
 }
 

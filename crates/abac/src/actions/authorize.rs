@@ -2,7 +2,6 @@
 
 use super::{acquire, hold, publish};
 use crate::arguments::{Arguments, shown};
-use crate::nearest::did_you_mean;
 use crate::policy::decider::{Action, Decider};
 use crate::records::principal::Principal;
 use crate::records::store;
@@ -10,6 +9,7 @@ use bytes::Bytes;
 use ledger::Context;
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
+use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 

@@ -1,7 +1,6 @@
 //! Descriptions of robots: what an owner may say, and what holds where the owner says nothing.
 
 use crate::arguments::{Arguments, shown};
-use crate::nearest::did_you_mean;
 use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Service;
 use crate::records::store;
@@ -10,6 +9,7 @@ use ledger::Context;
 use ledger_contract::{RobotSpec, ServiceSpec};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use nearest::did_you_mean;
 use std::collections::BTreeSet;
 
 /// Longest required attribute with its value, in bytes.

@@ -3,10 +3,10 @@
 use super::service::Service;
 use super::store;
 use crate::arguments::shown;
-use crate::nearest::did_you_mean;
 use ledger::Context;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 
 /// Most robots of a network.

@@ -3,10 +3,10 @@
 use super::robot::{self, Robot};
 use super::store;
 use crate::arguments::shown;
-use crate::nearest::did_you_mean;
 use ledger::Context;
 use ledger_contract::{Direction, Mode};
 use ledger_rejection::{Code, Rejection};
+use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 

@@ -13,8 +13,6 @@ use std::path::{Path, PathBuf};
 pub(super) const CONTEXTS: &str = "contexts";
 /// File that names the selected context.
 const CURRENT: &str = "current";
-/// How alike two names must be (Jaro-Winkler) for one to be suggested for the other.
-const ALIKE: f64 = 0.7;
 
 /// The directory of this user's contexts: `$LEDGERD_HOME`, else `$XDG_CONFIG_HOME/ledgerd`, else `~/.config/ledgerd`.
 ///
@@ -146,16 +144,11 @@ pub(super) fn none_selected(home: &Path) -> Rejection {
 
 fn unknown(home: &Path, name: &str) -> Rejection {
     let names = Context::list(home).unwrap_or_default();
-    let near = names
-        .iter()
-        .map(|known| (strsim::jaro_winkler(&known.to_lowercase(), &name.to_lowercase()), known))
-        .filter(|(alike, _)| *alike > ALIKE)
-        .max_by(|a, b| a.0.total_cmp(&b.0));
-    let next = match near {
-        Some((_, near)) => format!("did you mean {near:?}?"),
-        None if names.is_empty() => "ledgerctl enroll NAME --node HOST:PORT --ca-fingerprint SHA256 --secret S".into(),
-        None => "ledgerctl context list".into(),
+    let otherwise = match names.is_empty() {
+        true => "ledgerctl enroll NAME --node HOST:PORT --ca-fingerprint SHA256 --secret S",
+        false => "ledgerctl context list",
     };
+    let next = nearest::did_you_mean(name, names.iter().map(String::as_str), otherwise);
     Rejection::new(Code::NoContext, format!("there is no context {name:?}"))
         .found(listed(home, &names))
         .wanted("the name of a stored context")

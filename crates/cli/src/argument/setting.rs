@@ -149,8 +149,7 @@ pub(crate) fn find(name: &str, meant: impl Fn(&Key) -> bool) -> Result<&'static 
         return Ok(key);
     }
     let names = KEYS.iter().filter(|key| meant(key)).map(|key| key.name);
-    let near = names.max_by(|a, b| strsim::jaro(a, name).total_cmp(&strsim::jaro(b, name)));
-    let near = near.filter(|near| strsim::jaro(near, name) > 0.7);
+    let near = nearest::nearest(name, names);
     let hint = near.map(|near| format!(" (did you mean {near}?)")).unwrap_or_default();
     Err(format!("unknown setting {name:?}{hint}; wanted one of {}", listed(meant)))
 }
@@ -217,7 +216,7 @@ mod tests {
     fn slips_are_refused_with_what_is_wanted() {
         for (texts, part) in [
             (&["mode"][..], "KEY=VALUE"),
-            (&["modus=open"], "did you mean mode?"),
+            (&["moed=open"], "did you mean mode?"),
             (&["mode=shared"], "open or exclusive"),
             (&["lease=10"], "did you mean 10s?"),
             (&["stop=0g"], "hexadecimal"),

@@ -51,11 +51,11 @@ fn find(text: &str) -> Result<Code, Rejection> {
     if let Ok(number) = number.parse::<u16>() {
         return Code::from_number(number).ok_or_else(|| unknown(text, None));
     }
-    let near = || {
-        let near = Code::ALL.iter().map(|code| (strsim::jaro_winkler(code.name(), &wanted), *code));
-        near.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score > 0.8).map(|(_, code)| code)
-    };
-    Code::ALL.iter().find(|code| code.name() == wanted).copied().ok_or_else(|| unknown(text, near()))
+    let named = |name: &str| Code::ALL.iter().find(|code| code.name() == name).copied();
+    named(&wanted).ok_or_else(|| {
+        let near = nearest::nearest(&wanted, Code::ALL.iter().map(|code| code.name()));
+        unknown(text, near.and_then(named))
+    })
 }
 
 fn unknown(text: &str, near: Option<Code>) -> Rejection {

@@ -137,12 +137,11 @@ async fn find(session: &Session, name: &str) -> Result<Person, Rejection> {
         return Ok(Person::of(record, now));
     }
     let known = identities(session).await?;
-    let near = known.iter().map(|person| (strsim::jaro_winkler(&person.name, name), &person.name));
-    let near = near.max_by(|a, b| a.0.total_cmp(&b.0)).filter(|(score, _)| *score > 0.8);
+    let names = known.iter().map(|person| person.name.as_str());
     Err(Rejection::new(Code::NotFound, format!("no identity {name:?} is registered"))
         .found(name)
         .wanted("the name of a registered identity")
-        .next(near.map_or_else(|| "ledgerctl identity list".to_owned(), |(_, near)| format!("did you mean {near:?}?"))))
+        .next(nearest::did_you_mean(name, names, "ledgerctl identity list")))
 }
 
 /// A new registration, with all that its owner needs.

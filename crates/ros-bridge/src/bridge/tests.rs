@@ -47,7 +47,7 @@ async fn bench(mode: &str, more: &str, prepare: impl FnOnce(&Fake)) -> Bench {
         "domain_id = {DOMAIN}\nshared_memory = false\n[[route]]\nservice = 'T/cmd_vel'\n\
          type = 'geometry_msgs/msg/Twist'\n{more}"
     );
-    let config = Config::parse(&text, Path::new("")).unwrap();
+    let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
     let bridge = Bridge::start_with(config, fake.clone(), &context(&network)).await.unwrap();
     let graph = Participant::open(DOMAIN, "beside").await.unwrap();
     Bench { fake, network, bridge, graph }
@@ -382,7 +382,7 @@ async fn a_robot_whose_rule_this_version_does_not_know_is_not_driven() {
 async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() {
     let fake = Fake::new("limited");
     let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
-    let config = Config::parse(text, Path::new("")).unwrap();
+    let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
     let refused = Bridge::start_with(config, fake, &context(&Network::until(2900))).await.unwrap_err();
     assert_eq!(refused.code, Code::UnknownMode);
     assert_eq!(refused.message, "T/cmd_vel is in mode limited, and this bridge does not know its rule");
@@ -393,7 +393,7 @@ async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() 
 async fn a_route_of_another_type_is_refused_at_the_start() {
     let fake = Fake::new("exclusive");
     let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'\ndirection = 'to_ledger'";
-    let config = Config::parse(text, Path::new("")).unwrap();
+    let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
     let refused = Bridge::start_with(config, fake, &context(&Network::until(2900))).await.unwrap_err();
     assert_eq!(refused.code, Code::WrongType);
     assert_eq!((&refused.found[..], &refused.wanted[..]), ("std_msgs/msg/String", "geometry_msgs/msg/Twist"));

@@ -13,6 +13,7 @@ use std::{
 use futures::{FutureExt, StreamExt, future::BoxFuture};
 use ledger_api::{Subscription, v1::Delivery};
 use ledger_rejection::Rejection;
+use ledger_settings::Section;
 use tokio::time::{sleep_until, timeout};
 
 use self::act::{Act, Shown, judge};
@@ -24,7 +25,7 @@ use super::{
     stopped,
 };
 use crate::{
-    config::{HEARTBEAT_MS, RouteConfig, Table, stop_sample},
+    config::{HEARTBEAT_MS, RouteConfig, stop_sample},
     count::{Complaint, Counters, count, line},
     dds::Role,
     error::Error,
@@ -69,12 +70,15 @@ struct Settings {
     stop: Option<Sample>,
 }
 
-fn read(table: &mut Table<'_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let max_age = table.integer("max_age_ms", 1..=WAIT_MS_MAX).map(Duration::from_millis);
-    let stale_ms = table.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX).unwrap_or(STALE_MS_DEFAULT);
-    let stop: Option<String> = table.take("stop_hex", "CDR in hexadecimal digits");
-    let stop = stop.and_then(|text| table.checked(stop_sample(&text, sample_bytes_max)));
-    Arc::new(Settings { max_age, stale_after: Duration::from_millis(stale_ms), stop })
+fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
+    let (mut max_age_ms, mut stale_after_ms, mut stop) = (None, STALE_MS_DEFAULT, None);
+    section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
+    section.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
+        stop_sample(text, sample_bytes_max).map(Some)
+    });
+    let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
+    Arc::new(Settings { max_age, stale_after, stop })
 }
 
 impl Plan for Settings {

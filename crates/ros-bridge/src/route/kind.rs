@@ -7,7 +7,7 @@ use std::{fmt, sync::Arc};
 use futures::future::BoxFuture;
 use ledger_api::Context;
 use ledger_rejection::Rejection;
-use serde::{Deserialize, Deserializer, de::Error};
+use ledger_settings::Section;
 
 use super::{
     Stop, from_ledger,
@@ -16,13 +16,7 @@ use super::{
     to_ledger,
 };
 use crate::{
-    config::{RouteConfig, Table},
-    count::Counters,
-    dds::Role,
-    gateway::Gateway,
-    mark::Mark,
-    names::TopicName,
-    service::Service,
+    config::RouteConfig, count::Counters, dds::Role, gateway::Gateway, mark::Mark, names::TopicName, service::Service,
     shm::Peers,
 };
 
@@ -40,7 +34,7 @@ pub(crate) struct Kind {
     /// The keys that only this kind has.
     pub(crate) keys: &'static [&'static str],
     /// Reads the settings under these keys; the number is the largest sample of the route, in bytes.
-    pub(crate) read: fn(&mut Table<'_>, usize) -> Arc<dyn Plan>,
+    pub(crate) read: fn(&mut Section<'_, '_>, usize) -> Arc<dyn Plan>,
     /// The words for a cause of silence.
     pub(crate) silence: fn(&Facts<'_>, Cause<'_>) -> Silence,
     /// The warning about an endpoint that does beside this route what the route does.
@@ -97,6 +91,11 @@ impl Kind {
         if self.takes_in() { format!("{topic} -> {service}") } else { format!("{service} -> {topic}") }
     }
 
+    /// The kind of that name.
+    pub(crate) fn named(name: &str) -> Option<&'static Self> {
+        KINDS.into_iter().find(|kind| kind.name == name)
+    }
+
     /// The names of all kinds as the configuration wants them.
     pub(crate) fn names() -> String {
         KINDS.map(|kind| format!("\"{}\"", kind.name)).join(" or ")
@@ -106,14 +105,6 @@ impl Kind {
 impl fmt::Debug for Kind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name)
-    }
-}
-
-impl<'de> Deserialize<'de> for &'static Kind {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let name = String::deserialize(deserializer)?;
-        let named = KINDS.into_iter().find(|kind| kind.name == name);
-        named.ok_or_else(|| D::Error::custom("no kind of route has this name"))
     }
 }
 

@@ -17,6 +17,7 @@ use futures::{
 };
 use ledger_api::Subscription;
 use ledger_rejection::{Code, Rejection};
+use ledger_settings::Section;
 
 use self::publishing::Publishing;
 use super::{
@@ -27,7 +28,7 @@ use super::{
     stopped,
 };
 use crate::{
-    config::{HEARTBEAT_MS, Table},
+    config::HEARTBEAT_MS,
     count::{Complaint, Counters, count, line},
     dds::Role,
     door::Door,
@@ -66,9 +67,10 @@ struct Settings {
     batch_max: usize,
 }
 
-fn read(table: &mut Table<'_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let batch_max = table.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX));
-    Arc::new(Settings { batch_max: batch_max.and_then(|count| usize::try_from(count).ok()).unwrap_or(1) })
+fn read(section: &mut Section<'_, '_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
+    let mut batch_max = 1_u32;
+    section.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX), &mut batch_max);
+    Arc::new(Settings { batch_max: usize::try_from(batch_max).unwrap_or(1) })
 }
 
 impl Plan for Settings {

@@ -1,11 +1,18 @@
 //! "Did you mean": the known name nearest to a mistaken one.
+//!
+//! Edits are counted in integers, because a suggestion becomes part of a verdict and must be equal on every node.
+//!
+//! ```
+//! assert_eq!(nearest::nearest("turtelbot4", ["Husky", "Turtlebot4"]), Some("Turtlebot4"));
+//! assert_eq!(nearest::did_you_mean("Huski", ["Husky"], "robot list"), "did you mean \"Husky\"?");
+//! ```
 
 /// Longest name that is compared, in bytes: the comparison costs the product of both lengths.
 const NAME_BYTES_MAX: usize = 256;
 
-/// The candidate that differs from `name` by the fewest edits, if that is few enough to be a slip. Counts edits in
-/// integers, because the text becomes part of a verdict and must be equal on every node.
-pub(crate) fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+/// The candidate that differs from `name` by the fewest edits, if that is few enough to be a slip. Upper and lower case
+/// are alike.
+pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     if name.len() > NAME_BYTES_MAX {
         return None;
     }
@@ -21,7 +28,7 @@ pub(crate) fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a s
 }
 
 /// `did you mean "x"?`, or `otherwise` if nothing is near.
-pub(crate) fn did_you_mean<'a>(
+pub fn did_you_mean<'a>(
     name: &str,
     candidates: impl IntoIterator<Item = &'a str>,
     otherwise: impl Into<String>,
@@ -39,6 +46,11 @@ mod tests {
         assert_eq!(nearest("turtelbot4", robots), Some("Turtlebot4"));
         assert_eq!(nearest("Turtlebot", robots), Some("Turtlebot4"));
         assert_eq!(nearest("Spot", robots), None);
-        assert_eq!(nearest(&"x".repeat(100_000), robots), None);
+    }
+
+    #[test]
+    fn a_name_without_end_is_compared_with_nothing() {
+        assert_eq!(nearest(&"x".repeat(100_000), ["x"]), None);
+        assert_eq!(nearest("x", ["y".repeat(100_000).as_str()]), None);
     }
 }
