@@ -1,14 +1,15 @@
 //! Keeps the processors awake while a transaction is in flight.
 //!
-//! A command at 50 Hz meets a machine that has gone to sleep since the last one: each wait on its way, for the disk and
+//! A command at 50 Hz meets a machine that has gone to sleep since the last one. Each wait on its way, for the disk and
 //! for the next thread, ends with a processor that must wake up first. That takes longer than all the work (see
-//! docs/benchmarks.md). So with the profile `low-latency`, from the moment a transaction is admitted until its block is
-//! executed, threads of the class `SCHED_IDLE` (sched(7)) spin: the kernel runs them only where nothing else wants to run,
-//! and puts them aside at once when something does. While nothing is in flight they are parked and cost nothing. Before
-//! admission nothing spins: a flood of refused requests must not cost power.
+//! docs/benchmarks.md). So with the profile `low-latency` threads of the class `SCHED_IDLE` (sched(7)) spin, from the
+//! moment a transaction is admitted until its block is executed. The kernel runs them only where nothing else wants to
+//! run, and puts them aside at once when something does. While nothing is in flight they are parked and cost nothing.
+//! Before admission nothing spins: a flood of refused requests must not cost power.
 //!
-//! They pause often, for some microseconds. A processor takes over what waits behind another one when it becomes idle,
-//! which one that spins never does: without the pauses a ready thread could wait for the next tick of the scheduler, 4 ms.
+//! They pause often, for some microseconds. A processor takes over work that waits behind another one when it becomes
+//! idle, which one that spins never does. Without the pauses a ready thread could wait for the next tick of the
+//! scheduler, 4 ms.
 
 use crate::config::Profile;
 use rustix::thread::set_current_timer_slack;
@@ -31,8 +32,8 @@ const LIMIT: Duration = Duration::from_millis(2);
 const LINGER: Duration = Duration::from_micros(300);
 /// How long a processor spins until it shows that it is idle.
 const SPIN: Duration = Duration::from_micros(100);
-/// How long it shows it: long enough that the kernel lets it take over work (it does not look for any if a processor is
-/// usually idle for less than looking takes, tens of microseconds), too short to fall asleep in earnest.
+/// How long it shows it. The time is long enough that the kernel lets it take over work: it looks for none if a
+/// processor is usually idle for less than tens of microseconds. It is too short to fall asleep in earnest.
 const PAUSE: Duration = Duration::from_micros(20);
 /// Spins between two looks at the clock.
 const SPINS_PER_LOOK: u32 = 32;

@@ -10,8 +10,8 @@
 //! The right to receive a certificate stands on the ledger ([`ledger::governance`]), where admins register names; so
 //! any node that carries the key can issue. `identities.json` has what there was before: the first nodes, the first
 //! admin, and secrets made by `ledgerd admin-secret`. It is replaced as a whole and down to the disk before anything is
-//! answered, by whoever holds the lock of the directory: a running node and a command beside it do not lose each
-//! other's changes.
+//! answered, under the lock of the directory. So a running node and a command beside it do not lose each other's
+//! changes.
 
 pub(crate) mod backup;
 pub(crate) mod durable;
@@ -118,7 +118,7 @@ impl CertificateAuthority {
         self.registry.identities.get(name)
     }
 
-    /// What the node `ORGANISATION/NAME` tells a network to show that it carries this CA.
+    /// The message by which the node `ORGANISATION/NAME` shows a network that it carries this CA.
     pub(crate) fn prove(&self, network: &Hash, node: &str) -> CarryCa {
         CarryCa::prove(network, self.organisation(), node, &self.key)
     }

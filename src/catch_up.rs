@@ -12,11 +12,11 @@
 //! **Newcomers.** A node that has joined has a ledger that stands at the genesis: it does not know the network as it is,
 //! nor perhaps its own organisation. The join token names nodes and their CA, which it asks as well, and believes.
 //!
-//! **Whom to believe.** A follower believes its leader, as Raft does. A node that asks around would believe whoever
-//! answers, so it asks for more: blocks are taken from a node of the own organisation, or from the leader that the engine
-//! named; blocks of any other node are taken if a node of a third organisation, or of the own, has the same block hash at
-//! the end of each batch (the hash covers everything before it). Where nobody confirms, nothing is pulled: the leader's
-//! replication brings the blocks, slower.
+//! **Which answers to believe.** A follower believes its leader, as Raft does. A node that asks around would believe
+//! any answer, so it asks for more. It takes blocks from a node of the own organisation, or from the leader that the
+//! engine named. It takes blocks of any other node if a node of a third organisation, or of the own, has the same block
+//! hash at the end of each batch. The hash covers everything before it. Where nobody confirms, nothing is pulled: the
+//! leader's replication brings the blocks, slower.
 
 mod ask;
 mod blocks;
@@ -42,7 +42,7 @@ const LAG_MIN: u64 = 1000;
 /// Time that the others have to say what they have.
 const ASK_TIME_MAX: Duration = Duration::from_secs(1);
 
-/// What the engine said when it could not go on.
+/// The engine's report when it could not go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Behind {
     /// The leader that said so.
@@ -51,7 +51,7 @@ pub(crate) struct Behind {
     pub first_index: u64,
 }
 
-/// What came of catching up.
+/// The outcome of catching up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Caught {
     /// The node has what it could get; replication brings the rest.
@@ -62,7 +62,7 @@ pub(crate) enum Caught {
     Nothing,
 }
 
-/// Who let this node in, for as long as its ledger does not know it.
+/// The nodes that let this node in, for as long as its ledger does not know it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Bootstrap {
     /// `HOST:PORT` of nodes.
@@ -118,7 +118,7 @@ impl CatchUp {
     /// Fetches what the others have, as far as it can be believed. No engine may run.
     ///
     /// # Errors
-    /// What the node cannot go on with: its disk, or a chain that contradicts itself.
+    /// Faults with which the node cannot go on: its disk, or a chain that contradicts itself.
     pub(crate) async fn run(&self, behind: Option<Behind>) -> Result<Caught, Rejection> {
         let offers = self.offers().await;
         let next = self.shared.ledger.tip().height + 1;

@@ -1,4 +1,4 @@
-//! The node's clock: what a leader makes block time from.
+//! Time: the machine's clocks, and a clock for each ledger, from which a leader makes block time.
 
 use ledger::{Ledger, Outcome};
 use ledger_replica::{Now, Observer};
@@ -12,24 +12,49 @@ pub(crate) fn wall() -> u64 {
     u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
 }
 
+/// The clocks of the machine, as a host gives them to its ledgers.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Machine {
+    since: Instant,
+}
+
+impl Machine {
+    /// The steady clock begins now.
+    pub(crate) fn start() -> Self {
+        Self { since: Instant::now() }
+    }
+
+    /// Microseconds since the start, steadily.
+    fn elapsed(self) -> u64 {
+        u64::try_from(self.since.elapsed().as_micros()).unwrap_or(u64::MAX)
+    }
+}
+
 /// A clock that never goes back, not even behind the block time that the network has seen.
 ///
-/// Block time does not go back, so a leader whose machine's clock was set back would let it stand still: no lease would
-/// end, and every new transaction would come too late, until the machine's clock has caught up. The same holds for a new
-/// leader whose machine is behind the old one's. This clock goes on from where block time was, by the machine's
+/// Block time does not go back, so a leader whose machine's clock was set back would let it stand still. No lease would
+/// end, and every new transaction would come too late, until the machine's clock has caught up. The same holds for a
+/// new leader whose machine is behind the old one's. This clock goes on from where block time was, by the machine's
 /// monotonic time, and follows the machine's clock again once that is ahead. Clones share what they have observed.
 #[derive(Clone, Debug)]
 pub(crate) struct Clock {
     /// Block time when the clock was started, or what newer block time makes of it. Never the machine's clock: one that
     /// was wrong at the start and is set right later must not stay wrong here.
     base: Arc<AtomicU64>,
-    since: Instant,
+    machine: Machine,
 }
 
 impl Clock {
-    /// Never shows less than this block time, microseconds since the UNIX epoch.
-    pub(crate) fn starting_at(block_time: u64) -> Self {
-        Self { base: Arc::new(AtomicU64::new(block_time)), since: Instant::now() }
+    /// The clock of a ledger with this newest block time, microseconds since the UNIX epoch. It never shows less.
+    pub(crate) fn of(machine: Machine, block_time: u64) -> Self {
+        let clock = Self { base: Arc::default(), machine };
+        clock.observe(block_time);
+        clock
+    }
+
+    /// The machine's clock, microseconds since the UNIX epoch: certificates are valid by it.
+    pub(crate) fn wall(&self) -> u64 {
+        wall()
     }
 
     /// Microseconds since the UNIX epoch.
@@ -37,7 +62,7 @@ impl Clock {
         self.at(wall(), self.elapsed())
     }
 
-    /// What a replica is told.
+    /// The time as a replica is told it.
     pub(crate) fn both(&self) -> Now {
         let elapsed = self.elapsed();
         Now { clock: self.at(wall(), elapsed), elapsed }
@@ -49,9 +74,9 @@ impl Clock {
         self.observe_at(block_time, self.elapsed());
     }
 
-    /// Microseconds since the clock was started, as the machine's monotonic clock has it.
+    /// Microseconds since the host was started, as the machine's monotonic clock has it.
     pub(crate) fn elapsed(&self) -> u64 {
-        u64::try_from(self.since.elapsed().as_micros()).unwrap_or(u64::MAX)
+        self.machine.elapsed()
     }
 
     fn at(&self, wall: u64, elapsed: u64) -> u64 {
@@ -75,7 +100,7 @@ mod tests {
 
     #[test]
     fn it_goes_on_when_the_machines_clock_is_set_back_and_follows_it_ahead() {
-        let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), since: Instant::now() };
+        let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), machine: Machine::start() };
         assert_eq!(clock.at(1_500, 500), 1_500);
         assert_eq!(clock.at(200, 600), 1_600, "set back: it goes on");
         assert_eq!(clock.at(9_000, 700), 9_000, "set ahead: it follows");
@@ -83,13 +108,13 @@ mod tests {
 
     #[test]
     fn a_machines_clock_that_was_wrong_at_the_start_and_is_set_right_leaves_nothing_behind() {
-        let clock = Clock::starting_at(1_000);
+        let clock = Clock::of(Machine::start(), 1_000);
         assert_eq!((clock.at(900_000, 10), clock.at(2_000, 20)), (900_000, 2_000));
     }
 
     #[test]
     fn it_is_never_behind_a_block_that_was_seen() {
-        let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), since: Instant::now() };
+        let clock = Clock { base: Arc::new(AtomicU64::new(1_000)), machine: Machine::start() };
         clock.observe_at(50_000, 100);
         assert_eq!((clock.at(200, 100), clock.at(200, 150)), (50_000, 50_050));
         clock.observe_at(50_020, 200);
@@ -99,6 +124,6 @@ mod tests {
     #[test]
     fn it_never_starts_behind_block_time() {
         let far_ahead = wall() + 3_600_000_000;
-        assert!(Clock::starting_at(far_ahead).now() >= far_ahead);
+        assert!(Clock::of(Machine::start(), far_ahead).now() >= far_ahead);
     }
 }

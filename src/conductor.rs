@@ -22,7 +22,7 @@ pub(crate) struct Conductor {
     id: u64,
     order: Order,
     catch_up: CatchUp,
-    /// What the orderer said last about being behind.
+    /// The orderer's last report of being behind.
     behind: watch::Receiver<Option<Behind>>,
 }
 
@@ -36,7 +36,7 @@ impl Conductor {
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
     ///
     /// # Errors
-    /// What keeps an engine from starting; a voter that has lost its blocks.
+    /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self) -> Result<JoinHandle<()>, Rejection> {
         let Order { tick_ms, election_ticks, .. } = self.order;
         let Look { offers, open } =
@@ -47,9 +47,9 @@ impl Conductor {
         }
         let hearing = self.catch_up.hear_out(open);
         let running = async move {
-            let fatal = Arc::clone(&self.catch_up.shared);
+            let fate = self.catch_up.shared.fate.clone();
             if let Err(reason) = self.run(far_behind).await {
-                (fatal.fatal)(reason);
+                fate.fail(reason);
             }
         };
         Ok(tokio::spawn(async move {
@@ -63,7 +63,7 @@ impl Conductor {
         loop {
             if far_behind {
                 if self.catch_up.run(None).await? == Caught::Snapshot {
-                    (self.catch_up.shared.start_again)();
+                    self.catch_up.shared.fate.start_again();
                     return Ok(());
                 }
                 if self.catch_up.is_known()? {
@@ -96,7 +96,7 @@ impl Conductor {
                     }
                 }
                 Caught::Snapshot => {
-                    (self.catch_up.shared.start_again)();
+                    self.catch_up.shared.fate.start_again();
                     return Ok(());
                 }
                 Caught::Nothing => {
@@ -115,7 +115,7 @@ impl Conductor {
         }
     }
 
-    /// Ends the engine. What it wrote is durable afterwards, as the next one takes everything in the log for durable.
+    /// Ends the engine. Its writes are durable afterwards, as the next one takes everything in the log for durable.
     async fn end_engine(&self, behind: Behind) -> Result<(), Rejection> {
         let shared = Arc::clone(&self.catch_up.shared);
         let seat = Arc::clone(&self.catch_up.seat);

@@ -45,7 +45,7 @@ pub(crate) struct Options {
     json: bool,
 }
 
-/// What `ledgerd dev --json` prints.
+/// The output of `ledgerd dev --json`.
 #[derive(Serialize)]
 struct Facts {
     address: String,
@@ -57,7 +57,7 @@ struct Facts {
     version: &'static str,
 }
 
-/// Starts the network, prints what a player needs, and ends it on Ctrl-C. Whatever would make it fail is looked at
+/// Starts the network, prints what a player needs, and ends it on Ctrl-C. Every likely reason to fail is looked at
 /// before anything is made: another one may be running.
 pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), Rejection> {
     telemetry::start(&Log { level: LevelFilter::WARN, ..Config::default().log });

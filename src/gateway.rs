@@ -12,7 +12,7 @@ mod transfer;
 
 use crate::awake::Awake;
 use crate::blocks::Blocks;
-use crate::clock::{Clock, wall};
+use crate::clock::Clock;
 use crate::config::Limits;
 use crate::denials::Denials;
 use crate::host::Caller;
@@ -51,7 +51,7 @@ pub(crate) struct GatewayService {
     pub(crate) node: Arc<NodeView>,
 }
 
-/// What the gateway sees of its node.
+/// The gateway's view of its node.
 pub(crate) struct NodeView {
     /// This node, as it was known when it started.
     pub me: Member,
@@ -63,29 +63,29 @@ pub(crate) struct NodeView {
     pub blocks: Arc<Blocks>,
     /// Clients that wait.
     pub waiters: Arc<Waiters>,
-    /// What was refused.
+    /// Calls that were refused.
     pub denials: Arc<Denials>,
     /// Where ordering is, when it is.
     pub seat: Arc<Seat>,
     /// Makes the state as new as what was committed when somebody asked.
     pub current: Current,
-    /// What was executed.
+    /// Blocks that were executed.
     pub executed: Arc<Executed>,
-    /// Who belongs to the network.
+    /// The members of the network.
     pub directory: Arc<Directory>,
     /// The ways to the other nodes.
     pub peers: Arc<Peers>,
     /// Limits of the configuration.
     pub limits: Limits,
-    /// What each identity has in flight.
+    /// The calls that each identity has in flight.
     pub shares: Shares,
     /// Repetitions that are ordered although the state refuses them.
     pub retries: Retries,
     /// Longest time that data waits until it is looked at.
     pub wait_max: Duration,
-    /// Who has subscriptions.
+    /// The identities that have subscriptions.
     pub audience: Arc<Audience>,
-    /// What the disk still has room for.
+    /// The room that the disk still has.
     pub space: Arc<Space>,
     /// This node's certificate, for when it ends.
     pub identity: TlsIdentity,
@@ -122,7 +122,7 @@ impl GatewayService {
 impl NodeView {
     /// Refuses an identity that was revoked or whose certificate has run out since it connected.
     pub(crate) fn check(&self, identity: &Identity) -> Result<(), Status> {
-        identity.check_validity(wall()).map_err(|error| status(&error.into()))?;
+        identity.check_validity(self.clock.wall()).map_err(|error| status(&error.into()))?;
         self.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
     }
 }

@@ -20,6 +20,7 @@ pub use node::{Node, NodeBuilder};
 pub(crate) use papers::{CERTIFICATE_FILE, KEY_FILE, Papers};
 pub(crate) use serve::{Deliver, Services};
 
+use crate::clock::Machine;
 use ledger_rejection::{Code, Rejection};
 use ledgers::Ledgers;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -33,6 +34,8 @@ use tokio::task::JoinSet;
 /// gets that one.
 #[derive(Clone)]
 pub struct Host {
+    /// The clocks of all ledgers.
+    clocks: Machine,
     address: SocketAddr,
     ledgers: Ledgers,
     accepting: Arc<JoinSet<()>>,
@@ -51,12 +54,17 @@ impl Host {
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
         let (ledgers, mut accepting) = (Ledgers::default(), JoinSet::new());
         accepting.spawn(door::accept(listener, ledgers.clone()));
-        Ok(Self { address, ledgers, accepting: Arc::new(accepting) })
+        Ok(Self { clocks: Machine::start(), address, ledgers, accepting: Arc::new(accepting) })
     }
 
     /// Where it listens; the port is the real one where the address said 0.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// The clocks of this machine.
+    pub(crate) fn clocks(&self) -> Machine {
+        self.clocks
     }
 
     /// Where this machine reaches the host.

@@ -1,5 +1,6 @@
-//! What a node does beside its work, on two threads of their own. One zeroes the log ahead, answers those who have waited
-//! too long and watches the disk. The other stores results and world state and makes snapshots, which may take long.
+//! A node's work beside the commands, on two threads of their own. One zeroes the log ahead, answers those who have
+//! waited too long and watches the disk. The other stores results and world state and makes snapshots, which may take
+//! long.
 //!
 //! Both look seldom, and at once when whoever makes work for them rings their [bell](Bell): an idle node lets the machine
 //! sleep.
@@ -8,8 +9,10 @@ mod bell;
 
 pub(crate) use bell::Bell;
 
-use crate::gateway::NodeView;
+use crate::clock::Clock;
 use crate::retention::Pruner;
+use crate::space::Space;
+use crate::waiters::Waiters;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use std::io;
@@ -29,7 +32,7 @@ pub(crate) const PENDING_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Old blocks are looked at this often.
 const PRUNE_PERIOD: Duration = Duration::from_secs(10);
 
-/// What wakes the two threads before their time.
+/// The bells that wake the two threads before their time.
 #[derive(Default)]
 pub(crate) struct Bells {
     /// Few zeros are left ahead of the log.
@@ -49,10 +52,15 @@ impl Housekeeping {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(node: Arc<NodeView>, pruner: Pruner, bells: Arc<Bells>) -> io::Result<Self> {
-        let store = Arc::clone(&pruner.store);
+    pub(crate) fn start(
+        pruner: Pruner,
+        space: &Arc<Space>,
+        (waiters, clock): (Arc<Waiters>, Clock),
+        bells: Arc<Bells>,
+    ) -> io::Result<Self> {
+        let (store, room) = (Arc::clone(&pruner.store), Arc::clone(space));
         let mut keeper = Keeper {
-            node: Arc::clone(&node),
+            space: Arc::clone(space),
             pruner,
             flushed: Instant::now(),
             pruned: Instant::now(),
@@ -68,7 +76,7 @@ impl Housekeeping {
         })?;
         let own = Arc::clone(&bells);
         let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
-            let mut rounds = Rounds { node, store, swept: None };
+            let mut rounds = Rounds { space: room, waiters, clock, store, swept: None };
             let mut next = PAUSE;
             while own.rounds.wait(PAUSE, next) {
                 next = rounds.round();
@@ -91,7 +99,7 @@ impl Housekeeping {
 
 /// Stores results and world state.
 struct Keeper {
-    node: Arc<NodeView>,
+    space: Arc<Space>,
     pruner: Pruner,
     flushed: Instant,
     pruned: Instant,
@@ -101,7 +109,7 @@ struct Keeper {
 
 impl Keeper {
     fn round(&mut self) {
-        let pending = self.node.ledger.pending_bytes();
+        let pending = self.pruner.ledger.pending_bytes();
         if pending > PENDING_BYTES_MAX || (pending > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {
             self.flush();
         }
@@ -113,13 +121,13 @@ impl Keeper {
 
     fn flush(&mut self) {
         self.flushed = Instant::now();
-        if self.node.space.is_full() {
+        if self.space.is_full() {
             // The blocks have it; what the log still has to write goes first.
             return;
         }
         let durable = self.pruner.store.durable_index();
-        match self.node.ledger.flush_up_to(durable, Some(&self.pruner.snapshots)) {
-            Err(fault) if fault.code == Code::DiskFull => self.node.space.look(),
+        match self.pruner.ledger.flush_up_to(durable, Some(&self.pruner.snapshots)) {
+            Err(fault) if fault.code == Code::DiskFull => self.space.look(),
             // Nothing is lost: the blocks have it, and the next start rebuilds what is missing.
             stored => self.storing.note(stored),
         }
@@ -157,7 +165,9 @@ impl Trouble {
 }
 
 struct Rounds {
-    node: Arc<NodeView>,
+    space: Arc<Space>,
+    waiters: Arc<Waiters>,
+    clock: Clock,
     store: Arc<BlockStore>,
     swept: Option<Instant>,
 }
@@ -165,13 +175,13 @@ struct Rounds {
 impl Rounds {
     /// How long the next one may wait.
     fn round(&mut self) -> Duration {
-        self.node.space.look();
+        self.space.look();
         if self.swept.is_none_or(|swept| swept.elapsed() >= LOOK_PERIOD) {
             self.swept = Some(Instant::now());
-            self.node.waiters.sweep(self.node.clock.elapsed());
+            self.waiters.sweep(self.clock.elapsed());
         }
         // What is left on a full disk is for what ends control, not for zeros. It may be over at any moment.
-        if self.node.space.is_full() {
+        if self.space.is_full() {
             return PAUSE;
         }
         match self.store.prepare() {

@@ -7,29 +7,33 @@
 //!            this is   meet
 //! ```
 //!
-//! What it shares with the process, it takes from its [`Host`]. So a process may hold several instances.
+//! It takes from its [`Host`] the parts that it shares with the process. So a process may hold several instances.
 
+mod fate;
 mod trust;
+
+pub use fate::Ended;
+pub(crate) use fate::Fate;
 
 use crate::awake::Awake;
 use crate::blocks::Blocks;
 use crate::catch_up::{Ballot, Bootstrap, CatchUp, Source};
 use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
-use crate::config::{Config, Order};
+use crate::config::{Config, Order, Profile};
 use crate::denials::Denials;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{Audience, Current, GatewayService, NodeView, Shares};
 use crate::host::{Deliver, Host, Papers, Services};
 use crate::housekeeping::{Bells, Housekeeping};
 use crate::identity::{Joined, own_membership, removed};
-use crate::join::{advised, check_member};
+use crate::join::check_member;
 use crate::orderer::{Executed, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::renewal::{self, Keeper};
 use crate::retention::Pruner;
 use crate::scrub::Scrub;
-use crate::signer::Signer;
+use crate::signer::{Author, Signer};
 use crate::slice::Turns;
 use crate::space::Space;
 use crate::speaks::Telling;
@@ -37,6 +41,7 @@ use crate::stores::Stores;
 use crate::waiters::Waiters;
 use crate::witness::{Seen, Testimony, Witness};
 use bytes::Bytes;
+use ledger::Ledger;
 use ledger_api::tls::TrustSource;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
@@ -48,22 +53,30 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use trust::Trust;
 
-/// Why a node cannot go on as it is.
-#[derive(Clone, Debug, PartialEq)]
-pub enum Ended {
-    /// It failed.
-    Failed(Rejection),
-    /// It took a snapshot from another node, in place of blocks that nobody has any more. Stopped and started again, it
-    /// goes on from there.
-    StartAgain,
-}
-
 /// Which node of the network this is.
 struct Standing {
     me: Member,
     directory: Arc<Directory>,
     /// Set on a node that has joined.
     joined: Option<Joined>,
+}
+
+/// The parts that hear of each executed block.
+struct Followers {
+    clock: Clock,
+    waiters: Arc<Waiters>,
+    directory: Arc<Directory>,
+    witness: Arc<Witness>,
+    blocks: Arc<Blocks>,
+    current: Current,
+    executed: Arc<Executed>,
+}
+
+/// The parts that keep the machine awake, and let it sleep.
+struct Pace {
+    awake: Arc<Awake>,
+    turns: Turns,
+    bells: Arc<Bells>,
 }
 
 /// The parts of an instance that know each other.
@@ -73,7 +86,7 @@ struct Wired {
     dialer: Dialer,
     testimony: Testimony,
     seen: mpsc::UnboundedReceiver<Seen>,
-    ended: watch::Receiver<Option<Ended>>,
+    fate: Fate,
 }
 
 /// An instance whose services can be called, and whose engine does not run yet.
@@ -89,15 +102,15 @@ pub(crate) struct Prepared {
 
 /// A running instance.
 pub(crate) struct Instance {
-    /// What the gateway sees of it.
+    /// The gateway's view of it.
     pub(crate) view: Arc<NodeView>,
     /// Why it cannot go on as it is.
     pub(crate) ended: watch::Receiver<Option<Ended>>,
     housekeeping: Housekeeping,
     scrub: Scrub,
     conductor: JoinHandle<()>,
-    /// What goes on beside: renewing the certificate, attesting, watching whether the node still belongs here, telling the
-    /// ledger what its CA knows, and which rules it speaks.
+    /// The tasks beside: renewing the certificate, attesting, watching whether the node still belongs here, telling the
+    /// ledger the knowledge of its CA, and which rules it speaks.
     beside: [JoinHandle<()>; 5],
 }
 
@@ -115,111 +128,136 @@ impl Standing {
     }
 }
 
+impl Followers {
+    /// The followers of this ledger, and the attestations that they will have seen.
+    fn new(
+        stores: &Stores,
+        directory: &Arc<Directory>,
+        seat: &Arc<Seat>,
+        clock: Clock,
+    ) -> (Self, mpsc::UnboundedReceiver<Seen>) {
+        let blocks = Arc::new(Blocks::new(Arc::clone(&stores.ledger), Arc::clone(&stores.store)));
+        let (witness, seen) = Witness::new();
+        let followers = Self {
+            waiters: Arc::default(),
+            directory: Arc::clone(directory),
+            witness,
+            current: Current::new(Arc::clone(seat), Arc::clone(&blocks), clock.clone()),
+            blocks,
+            executed: Arc::default(),
+            clock,
+        };
+        (followers, seen)
+    }
+
+    /// Executes blocks, and tells the followers. Clients that wait for a verdict are told first.
+    fn executor(&self, ledger: &Arc<Ledger>) -> Arc<Executor> {
+        let observers: Vec<Arc<dyn Observer>> = vec![
+            Arc::new(self.clock.clone()),
+            Arc::clone(&self.waiters) as _,
+            Arc::clone(&self.directory) as _,
+            Arc::clone(&self.witness) as _,
+            Arc::clone(&self.blocks) as _,
+            Arc::new(self.current.clone()),
+            Arc::clone(&self.executed) as _,
+        ];
+        Arc::new(Executor::new(Arc::clone(ledger), observers))
+    }
+}
+
+impl Pace {
+    fn of(profile: Profile) -> Result<Self, Rejection> {
+        let awake = Arc::new(Awake::start(profile).map_err(|error| no_thread(&error))?);
+        Ok(Self { awake, turns: Turns::of(profile), bells: Arc::default() })
+    }
+}
+
 impl Wired {
     /// Makes the parts and tells them of each other.
     fn new(
         (papers, config): (&Papers, &Config),
         (stores, trust): (&Stores, &Arc<dyn TrustSource>),
-        standing: &Standing,
+        (standing, clock): (&Standing, Clock),
         started: Instant,
     ) -> Result<Self, Rejection> {
         let Stores { genesis, ledger, store, snapshots } = stores.clone();
-        let (me, directory) = (standing.me.clone(), Arc::clone(&standing.directory));
-        let tls = papers.identity.clone();
-        let clock = Clock::starting_at(ledger.tip().time);
-        let (failed, ended) = watch::channel(None);
-        let (again, told) = (failed.clone(), config.clone());
-        let blocks = Arc::new(Blocks::new(Arc::clone(&ledger), Arc::clone(&store)));
-        let waiters = Arc::new(Waiters::default());
-        let space = Arc::new(Space::open(&config.data));
+        let me = standing.me.clone();
+        let (seat, fate, pace) = (Arc::new(Seat::empty()), Fate::new(config), Pace::of(config.profile)?);
         let dialer = Dialer {
             me: me.id,
             network: ledger.network(),
             organisation: me.organisation.clone(),
-            identity: tls.clone(),
+            identity: papers.identity.clone(),
             trust: Arc::clone(trust),
         };
-        let peers = Peers::new(dialer.clone());
-        let (seat, executed) = (Arc::new(Seat::empty()), Arc::new(Executed::default()));
-        let current = Current::new(Arc::clone(&seat), Arc::clone(&blocks), clock.clone());
-        let denials = Arc::new(Denials::default());
-        let workers = tokio::runtime::Handle::current().metrics().num_workers();
-        let (witness, seen) = Witness::new();
-        let awake = Awake::start(config.profile).map_err(|error| no_thread(&error))?;
-        let (awake, turns, bells) = (Arc::new(awake), Turns::of(config.profile), Arc::<Bells>::default());
-        // Who waits for a verdict is told first.
-        let observers: Vec<Arc<dyn Observer>> = vec![
-            Arc::new(clock.clone()),
-            Arc::clone(&waiters) as _,
-            Arc::clone(&directory) as _,
-            Arc::clone(&witness) as _,
-            Arc::clone(&blocks) as _,
-            Arc::new(current.clone()),
-            Arc::clone(&executed) as _,
-        ];
-        let shared = Arc::new(Shared {
-            ledger: Arc::clone(&ledger),
-            store: Arc::clone(&store),
-            snapshots: Arc::clone(&snapshots),
-            blocks: Arc::clone(&blocks),
-            waiters: Arc::clone(&waiters),
-            current: current.clone(),
-            executor: Arc::new(Executor::new(Arc::clone(&ledger), observers)),
-            directory: Arc::clone(&directory),
-            peers: Arc::clone(&peers),
-            clock: clock.clone(),
-            behind: watch::Sender::new(None),
-            fatal: Box::new(move |reason| {
-                let reason = advised(reason, &told);
-                tracing::error!(%reason, "the node cannot continue");
-                failed.send_replace(Some(Ended::Failed(reason)));
-            }),
-            start_again: Box::new(move || drop(again.send_replace(Some(Ended::StartAgain)))),
-            space: Arc::clone(&space),
-            denials: Arc::clone(&denials),
-            witness: Arc::clone(&witness),
-            awake: Arc::clone(&awake),
-            turns,
-            bells: Arc::clone(&bells),
-        });
-        peers.follow(&directory);
+        let (followers, seen) = Followers::new(stores, &standing.directory, &seat, clock.clone());
+        let executor = followers.executor(&ledger);
+        let Followers { waiters, directory, witness, blocks, current, executed, .. } = followers;
+        let (peers, space, denials) =
+            (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)), Arc::<Denials>::default());
         let testimony = Testimony {
-            shared: Arc::clone(&shared),
-            seat: Arc::clone(&seat),
+            author: Author {
+                signer: Signer::new(papers.identity.clone(), ledger.network(), clock.clone()),
+                ledger: Arc::clone(&ledger),
+                seat: Arc::clone(&seat),
+            },
+            snapshots: Arc::clone(&snapshots),
+            directory: Arc::clone(&directory),
+            witness: Arc::clone(&witness),
+            fate: fate.clone(),
             dialer: dialer.clone(),
-            signer: Signer::new(tls.clone(), ledger.network(), clock.clone()),
             me: me.full_name(),
             every: Duration::from_millis(config.order.attest_ms),
             data: config.data.clone(),
         };
-
+        let shared = Arc::new(Shared {
+            ledger: Arc::clone(&ledger),
+            store,
+            snapshots,
+            blocks: Arc::clone(&blocks),
+            waiters: Arc::clone(&waiters),
+            current: current.clone(),
+            executor,
+            directory: Arc::clone(&directory),
+            peers: Arc::clone(&peers),
+            clock: clock.clone(),
+            behind: watch::Sender::new(None),
+            fate: fate.clone(),
+            space: Arc::clone(&space),
+            denials: Arc::clone(&denials),
+            awake: Arc::clone(&pace.awake),
+            turns: pace.turns,
+            bells: pace.bells,
+        });
+        peers.follow(&directory);
+        let workers = tokio::runtime::Handle::current().metrics().num_workers();
         let audience = Audience::new(config.limits.subscribers_max, me.organisation.clone());
         let view = Arc::new(NodeView {
             me,
-            label: genesis.label.clone(),
-            ledger: Arc::clone(&ledger),
+            label: genesis.label,
+            ledger,
             blocks,
             waiters,
             denials,
-            seat: Arc::clone(&seat),
+            seat,
             current,
             executed,
-            directory: Arc::clone(&directory),
-            peers: Arc::clone(&peers),
+            directory,
+            peers,
             limits: config.limits.clone(),
             shares: Shares::new(count(config.limits.in_flight_max), workers),
             retries: Retries::default(),
             wait_max: Duration::from_millis(config.order.wait_ms),
             audience,
             space,
-            identity: tls.clone(),
+            identity: papers.identity.clone(),
             witness,
-            awake: Arc::clone(&awake),
-            turns,
+            awake: pace.awake,
+            turns: pace.turns,
             clock,
             started,
         });
-        Ok(Self { view, shared, dialer, testimony, seen, ended })
+        Ok(Self { view, shared, dialer, testimony, seen, fate })
     }
 }
 
@@ -234,12 +272,11 @@ impl Prepared {
         (stores, document): (Stores, Bytes),
         started: Instant,
     ) -> Result<(Self, Services), Rejection> {
-        let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger));
+        let clock = Clock::of(host.clocks(), stores.ledger.tip().time);
+        let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger, clock.clone()));
         let standing = Standing::find(&papers, &stores, config)?;
-        let wired = Wired::new((&papers, config), (&stores, &trust), &standing, started)?;
-        let housekeeping =
-            Housekeeping::start(Arc::clone(&wired.view), pruner(&stores, config), Arc::clone(&wired.shared.bells))
-                .map_err(|error| no_thread(&error))?;
+        let wired = Wired::new((&papers, config), (&stores, &trust), (&standing, clock), started)?;
+        let housekeeping = wired.housekeeping(pruner(&stores, config)).map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
         let enrolment = wired.enrolment((host, &papers), (&stores, document), &trust);
         let keeper = Keeper {
@@ -264,23 +301,27 @@ impl Prepared {
     /// time ask this node, too.
     ///
     /// # Errors
-    /// What keeps an engine from starting; a voter that has lost its blocks.
+    /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
         let Self { wired, joined, order, ballot, keeper, registrar, housekeeping } = self;
-        let Wired { view, shared, dialer, testimony, seen, ended } = wired;
+        let Wired { view, shared, dialer, testimony, seen, fate } = wired;
         let (id, seat) = (view.me.id, Arc::clone(&view.seat));
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
         let telling = Telling {
-            shared: Arc::clone(&shared),
-            seat: Arc::clone(&seat),
-            signer: Signer::new(view.identity.clone(), view.ledger.network(), view.clock.clone()),
+            author: Author {
+                signer: Signer::new(view.identity.clone(), view.ledger.network(), view.clock.clone()),
+                ledger: Arc::clone(&view.ledger),
+                seat: Arc::clone(&seat),
+            },
             me: id,
         };
-        let catch_up = CatchUp { bootstrap, shared: Arc::clone(&shared), seat, dialer, ballot, stopping };
+        let store = Arc::clone(&shared.store);
+        let catch_up = CatchUp { bootstrap, shared, seat, dialer, ballot, stopping };
         let conductor = Conductor::new(id, order, catch_up).begin().await?;
-        let scrub = Scrub::start(Arc::clone(&shared)).map_err(|error| no_thread(&error))?;
+        let scrub = Scrub::start(store, fate.clone()).map_err(|error| no_thread(&error))?;
         let (me, members) = (view.me.clone(), view.directory.subscribe());
-        let belonging = async move { (shared.fatal)(removed(me, members).await) };
+        let ended = fate.subscribe();
+        let belonging = async move { fate.fail(removed(me, members).await) };
         let beside = [
             tokio::spawn(keeper.keep()),
             tokio::spawn(testimony.run(seen)),
@@ -293,6 +334,11 @@ impl Prepared {
 }
 
 impl Wired {
+    fn housekeeping(&self, pruner: Pruner) -> io::Result<Housekeeping> {
+        let (waiters, clock) = (Arc::clone(&self.view.waiters), self.view.clock.clone());
+        Housekeeping::start(pruner, &self.view.space, (waiters, clock), Arc::clone(&self.shared.bells))
+    }
+
     fn peer_service(&self, votes: Ballot) -> PeerService<Deliver> {
         let (inbox, source) =
             (Arc::clone(&self.view.seat), Source::new(Arc::clone(&self.shared), Arc::clone(&self.view.seat)));

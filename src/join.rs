@@ -47,7 +47,7 @@ const ANSWER_TIME_MAX: Duration = Duration::from_secs(2);
 /// The arguments of `ledgerd join`.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct JoinOptions {
-    /// What ledgerctl network invite printed.
+    /// The word that ledgerctl network invite printed.
     #[arg(value_name = "TOKEN")]
     token: String,
     /// The node's configuration; made if it does not exist.
@@ -73,9 +73,9 @@ pub(crate) struct JoinOptions {
 /// Joins; answers with what to tell the user.
 ///
 /// # Errors
-/// [`Code::BadArgument`] for a bad token, [`Code::Unreachable`], [`Code::Untrusted`] if a node is of another network,
+/// [`Code::BadArgument`] for a bad token, [`Code::Unreachable`], [`Code::Untrusted`] if a node is of another network;
 /// [`Code::EnrolmentRefused`] if the secret was used or has expired, [`Code::BadFile`] if the data directory is of
-/// something else, and what the ledger says: no invitation, not approved yet.
+/// something else; the ledger's own refusal: no invitation, not approved yet.
 pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
     let token: JoinToken = options.token.parse()?;
     let (address, listen) = (options.address.as_deref(), options.listen.as_deref());
@@ -177,8 +177,8 @@ fn check_own(config: &Config, token: &JoinToken) -> Result<(), Rejection> {
         .next("choose another file with --config, or ask for a token for that node"))
 }
 
-/// That the address is somebody else's is better told before anything is used up. What the token names as an address of
-/// the network may be that of a node that is gone, and whose place this one takes: what counts is who listens there.
+/// That the address is somebody else's is better told before anything is used up. The token may name the address of a
+/// node that is gone, and whose place this one takes. The node that listens there counts.
 async fn check_address(token: &JoinToken, address: &str, listen: &str) -> Result<(), Rejection> {
     let next = "stop that process, or choose another address: ledgerd join TOKEN --address HOST:PORT";
     if let Err(error) = TcpListener::bind(listen) {
@@ -310,7 +310,7 @@ async fn come_back(
     told(&joined, &label, token, options, config)
 }
 
-/// What the user reads in the end: what has happened, and every command that is still to be typed.
+/// The text that the user reads in the end: it tells the outcome, and every command that is still to be typed.
 fn told(
     joined: &Joined,
     label: &str,

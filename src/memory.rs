@@ -1,8 +1,8 @@
 //! Memory that is no longer needed goes back to the operating system.
 //!
-//! glibc learns from what it is asked for: once a large buffer was freed, such buffers and everything around them stay with
-//! the process from then on, up to tens of megabytes. That fits a program that needs as much again. A node on a robot
-//! needs it in its first second and after a burst, so it keeps the thresholds where they start (mallopt(3)).
+//! glibc learns from its use: once a large buffer was freed, such buffers and everything around them stay with the
+//! process from then on. That is up to tens of megabytes. That fits a program that needs as much again. A node on a
+//! robot needs it in its first second and after a burst, so it keeps the thresholds where they start (mallopt(3)).
 
 /// Bytes that are asked for in advance: the value that holds anyway. Setting it is what ends the learning.
 #[cfg(target_env = "gnu")]

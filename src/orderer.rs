@@ -32,16 +32,15 @@ use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::gateway::Current;
 use crate::housekeeping::Bells;
+use crate::instance::Fate;
 use crate::peers::{Directory, Peers};
 use crate::slice::Turns;
 use crate::space::Space;
 use crate::waiters::{Client, Waiters};
-use crate::witness::Witness;
 use execute::Execute;
 use inbox::Inbox;
 use ledger::Ledger;
 use ledger_raft::{Input, RoleChange, Status};
-use ledger_rejection::Rejection;
 use ledger_replica::{Executor, Replica};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
@@ -54,7 +53,7 @@ use tokio::sync::watch;
 /// Inputs from outside that wait for the order thread, which takes them all at once whenever the disk has answered.
 const INBOX_MAX: usize = 4096;
 
-/// What the two threads share with the rest of the node.
+/// The parts that the two threads share with the rest of the node.
 pub(crate) struct Shared {
     /// The ledger that blocks are applied to.
     pub ledger: Arc<Ledger>,
@@ -66,28 +65,24 @@ pub(crate) struct Shared {
     pub blocks: Arc<Blocks>,
     /// Clients that wait for a verdict.
     pub waiters: Arc<Waiters>,
-    /// Who waits until the state is current.
+    /// The readers that wait until the state is current.
     pub current: Current,
     /// Executes blocks, and tells everybody whom they concern.
     pub executor: Arc<Executor>,
-    /// Who belongs to the network.
+    /// The members of the network.
     pub directory: Arc<Directory>,
     /// The other nodes.
     pub peers: Arc<Peers>,
     /// The node's clock.
     pub clock: Clock,
-    /// What the engine says about blocks that it lacks; the conductor acts on it.
+    /// The engine's report about blocks that it lacks; the conductor acts on it.
     pub behind: watch::Sender<Option<Behind>>,
-    /// Called once with the reason if the node cannot go on.
-    pub fatal: Box<dyn Fn(Rejection) + Send + Sync>,
-    /// Called once when the node must start again, on a snapshot that it took.
-    pub start_again: Box<dyn Fn() + Send + Sync>,
-    /// What the disk still has room for.
+    /// Ends the node if it cannot go on.
+    pub fate: Fate,
+    /// The room that the disk still has.
     pub space: Arc<Space>,
-    /// What was refused, here also by ordering.
+    /// Calls that were refused, here also by ordering.
     pub denials: Arc<Denials>,
-    /// Compares what others attest.
-    pub witness: Arc<Witness>,
     /// Keeps the processors awake.
     pub awake: Arc<Awake>,
     /// How long the turns of its threads are.

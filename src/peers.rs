@@ -38,7 +38,7 @@ pub(crate) struct Dialer {
     pub organisation: String,
     /// Its certificate and key.
     pub identity: TlsIdentity,
-    /// Whose certificates it accepts.
+    /// The certificates that it accepts.
     pub trust: Arc<dyn TrustSource>,
 }
 

@@ -103,7 +103,7 @@ impl Keeper {
     }
 }
 
-/// Sees to it that the certificate is valid when the node starts: one that ran out while the node was away is replaced
+/// Sees to it that the certificate is valid when the node starts. One that ran out while the node was away is replaced
 /// if the node carries the CA of its organisation.
 ///
 /// # Errors
@@ -159,7 +159,7 @@ fn validity(identity: &TlsIdentity) -> Result<(u64, u64), Rejection> {
     Ok((certificate.not_before, certificate.not_after))
 }
 
-/// Who the node is: verified as of the last moment of its certificate, which may be over.
+/// The identity of the node: verified as of the last moment of its certificate, which may be over.
 fn own_identity(identity: &TlsIdentity, msps: &Msps) -> Result<Identity, Rejection> {
     let own = identity.own();
     let presented = own.chain.get(1..).unwrap_or_default();

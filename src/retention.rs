@@ -11,7 +11,7 @@ use ledger_storage::snapshot::Snapshots;
 use std::path::PathBuf;
 use std::sync::Arc;
 
-/// What decides about old blocks.
+/// The settings and stores that decide about old blocks.
 pub(crate) struct Pruner {
     pub ledger: Arc<Ledger>,
     pub store: Arc<BlockStore>,

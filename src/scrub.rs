@@ -1,8 +1,8 @@
 //! Looks for rot in the finished part of the log, once after every start: opening does not read it. Slowly, so that nobody
 //! notices: 4 MiB a second at most.
 
-use crate::orderer::Shared;
-use ledger_storage::block_store::StoreError;
+use crate::instance::Fate;
+use ledger_storage::block_store::{BlockStore, StoreError};
 use std::io;
 use std::sync::Arc;
 use std::sync::mpsc::{self, RecvTimeoutError, Sender};
@@ -25,11 +25,11 @@ impl Scrub {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(shared: Arc<Shared>) -> io::Result<Self> {
+    pub(crate) fn start(store: Arc<BlockStore>, fate: Fate) -> io::Result<Self> {
         let (stop, stopped) = mpsc::channel();
         let thread = std::thread::Builder::new().name("scrub".into()).spawn(move || {
             let mut read = 0_u32;
-            let checked = shared.store.check_finished(|bytes| {
+            let checked = store.check_finished(|bytes| {
                 read = read.saturating_add(bytes);
                 if read < PIECE_BYTES {
                     return true;
@@ -39,7 +39,7 @@ impl Scrub {
             });
             match checked {
                 Ok(()) => tracing::debug!("no damage in finished segments"),
-                Err(damage @ StoreError::Corrupt { .. }) => (shared.fatal)(damage.into()),
+                Err(damage @ StoreError::Corrupt { .. }) => fate.fail(damage.into()),
                 Err(error) => tracing::warn!(%error, "cannot look for damage in finished segments"),
             }
         })?;

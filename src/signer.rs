@@ -1,12 +1,18 @@
-//! Signs transactions as the node itself.
+//! Transactions of the node itself.
 
 use crate::clock::Clock;
+use crate::orderer::Seat;
 use bytes::Bytes;
+use ledger::governance;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
+use ledger::{Admission, Ledger};
 use ledger_api::tls::TlsIdentity;
 use ledger_hash::Hash;
+use ledger_raft::{Input, Lane};
 use ledger_rejection::{Code, Rejection};
 use ring::rand::{SecureRandom, SystemRandom};
+use serde::Serialize;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// How long after now a transaction of the node may still be executed.
@@ -30,7 +36,7 @@ impl Signer {
     ///
     /// # Errors
     /// The reason why it is no transaction.
-    pub(crate) fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Transaction, Rejection> {
+    fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Transaction, Rejection> {
         let mut nonce = [0; NONCE_BYTES];
         self.random
             .fill(&mut nonce)
@@ -48,5 +54,34 @@ impl Signer {
             args,
         };
         Transaction::sign(&body, &own.key)?.with_certificate(certificate)
+    }
+}
+
+/// Calls functions of the chaincode `msp` as the node itself.
+pub(crate) struct Author {
+    /// Signs the calls.
+    pub signer: Signer,
+    /// Says whether a call would be executed.
+    pub ledger: Arc<Ledger>,
+    /// Has them ordered.
+    pub seat: Arc<Seat>,
+}
+
+impl Author {
+    /// Submits a call with this argument, unless the ledger has it already. Its verdict is not waited for.
+    ///
+    /// # Errors
+    /// The reason why the state refuses it, or why nothing can be ordered now.
+    pub(crate) fn submit(&self, function: &str, argument: &impl Serialize) -> Result<(), Rejection> {
+        let argument =
+            serde_json::to_vec(argument).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        let signed = self.signer.sign(governance::NAME, function, vec![Bytes::from(argument)])?;
+        let admission = self.ledger.admit(signed.encoded().clone(), self.signer.clock.now());
+        match admission.map_err(|refusal| refusal.rejection)? {
+            Admission::New(transaction) => {
+                self.seat.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
+            }
+            Admission::Known(..) => Ok(()),
+        }
     }
 }

@@ -1,10 +1,10 @@
 //! Short turns on a processor for threads on which many wait, while many wait.
 //!
-//! Where more threads want processors than there are, a thread that becomes ready waits for the turns of others, some 3 ms
-//! each, and a call that gives or ends control passes a handful of threads. Linux (6.12 and later) lets a thread ask for
+//! Where more threads want processors than there are, a thread that becomes ready waits for the turns of others, some 3
+//! ms each. A call that gives or ends control passes a handful of threads. Linux (6.12 and later) lets a thread ask for
 //! shorter turns of its own: it gets no more of the processors, but gets its part earlier (`sched_runtime` in
-//! sched_setattr(2)). While little is to do they are only in the way: a thread that was just woken would interrupt the one
-//! that is about to finish. Only the profile `low-latency` asks for them. Figures are in docs/benchmarks.md.
+//! sched_setattr(2)). While little is to do they are only in the way: a thread that was just woken would interrupt the
+//! one that is about to finish. Only the profile `low-latency` asks for them. Figures are in docs/benchmarks.md.
 
 use crate::config::Profile;
 use std::cell::Cell;
@@ -49,7 +49,7 @@ pub(crate) enum Turns {
 }
 
 impl Turns {
-    /// What the profile wants.
+    /// The turns that the profile wants.
     pub(crate) fn of(profile: Profile) -> Self {
         match profile {
             Profile::Balanced => Self::Usual,

@@ -7,9 +7,9 @@
 //! | less than [`MESSAGES_FREE_BYTES_MIN`], or the log has found no room | only calls that end control ([`ledger::Chaincode::ends`]) |
 //! | less than [`ENDS_FREE_BYTES_MIN`], and the reserve is used up | nothing |
 //!
-//! Somebody else may fill the disk between two looks, to the last byte. Therefore a *reserve* lies in the data directory, a
-//! file whose only use is its place: when the log finds no room, the reserve is given up, and what is under way is
-//! written into that place, and after it whatever ends control.
+//! Somebody else may fill the disk between two looks, to the last byte. Therefore a *reserve* lies in the data
+//! directory, a file whose only use is its place. When the log finds no room, the reserve is given up. Entries that are
+//! under way are written into that place, and after them everything that ends control.
 
 mod reserve;
 
@@ -29,13 +29,13 @@ const LOW_PART: u64 = 10;
 /// The warning ends when so much of the disk more than that is free, one part in so many: it does not come and go.
 const LOW_END_PART: u64 = 100;
 
-/// What is accepted with the space that there is.
+/// The calls that are accepted with the space that there is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 #[repr(u8)]
 pub(crate) enum Accepts {
     /// Everything.
     All,
-    /// What ends control.
+    /// Calls that end control.
     Ends,
     /// Nothing.
     Nothing,
@@ -132,7 +132,7 @@ impl Space {
         self.accepts() > Accepts::All
     }
 
-    /// What is accepted now.
+    /// The calls that are accepted now.
     pub(crate) fn accepts(&self) -> Accepts {
         match self.accepts.load(Ordering::Relaxed) {
             0 => Accepts::All,
@@ -141,7 +141,7 @@ impl Space {
         }
     }
 
-    /// What the last look has found.
+    /// The finding of the last look.
     pub(crate) fn measured(&self) -> Measured {
         Measured { free: self.free.load(Ordering::Relaxed), total: self.total.load(Ordering::Relaxed) }
     }
@@ -205,7 +205,7 @@ impl Space {
     }
 }
 
-/// What is accepted with so much free. `settled`: the reserve is there, or there can be none.
+/// The calls that are accepted with so much free. `settled`: the reserve is there, or there can be none.
 fn accepted(free: u64, settled: bool, stuck: bool) -> Accepts {
     match (settled, stuck) {
         (false, _) if free < ENDS_FREE_BYTES_MIN => Accepts::Nothing,

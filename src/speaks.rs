@@ -1,13 +1,9 @@
 //! Says on the ledger which rules of execution this node speaks, so that the network can activate newer ones.
 
-use crate::orderer::{Seat, Shared};
-use crate::signer::Signer;
-use bytes::Bytes;
+use crate::signer::Author;
+use ledger::Rules;
 use ledger::governance::{self, NodeRole, Speaks};
-use ledger::{Admission, Rules};
-use ledger_raft::{Input, Lane};
-use ledger_rejection::{Code, Rejection};
-use std::sync::Arc;
+use ledger_rejection::Rejection;
 use std::time::Duration;
 use tokio::time::{MissedTickBehavior, interval};
 
@@ -16,15 +12,14 @@ const EVERY: Duration = Duration::from_secs(5);
 
 /// The task that tells the ledger.
 pub(crate) struct Telling {
-    pub shared: Arc<Shared>,
-    pub seat: Arc<Seat>,
-    pub signer: Signer,
+    /// Tells it.
+    pub author: Author,
     /// Id of this node.
     pub me: u64,
 }
 
 impl Telling {
-    /// Tells until the ledger says the same. What it says then changes only with another release, and so with a start.
+    /// Tells until the ledger says the same. Its rules then change only with another release, and so with a start.
     pub(crate) async fn run(self) {
         let mut time = interval(EVERY);
         time.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -40,7 +35,7 @@ impl Telling {
 
     /// Submits what this node speaks, unless the ledger says so already.
     fn tell(&self) -> Result<bool, Rejection> {
-        let ledger = &self.shared.ledger;
+        let ledger = &self.author.ledger;
         let nodes = governance::nodes(&**ledger.state())?;
         let own = nodes.iter().find(|node| node.id == self.me && node.role != NodeRole::Removed);
         let Some(own) = own else { return Ok(false) };
@@ -49,15 +44,8 @@ impl Telling {
         if known == newest {
             return Ok(true);
         }
-        let speaks = Speaks { newest, release: env!("CARGO_PKG_VERSION").to_owned() };
-        let argument =
-            serde_json::to_vec(&speaks).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        let signed = self.signer.sign(governance::NAME, "speak", vec![Bytes::from(argument)])?;
-        let admission = ledger.admit(signed.encoded().clone(), self.shared.clock.now());
-        if let Admission::New(transaction) = admission.map_err(|refusal| refusal.rejection)? {
-            let transaction = transaction.encoded().clone();
-            self.seat.input(Input::Submit { lane: Lane::Data, transaction })?;
-        }
+        let release = env!("CARGO_PKG_VERSION").to_owned();
+        self.author.submit("speak", &Speaks { newest, release })?;
         Ok(false)
     }
 }

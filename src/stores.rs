@@ -22,7 +22,7 @@ const LOG_CACHE_BYTES: usize = 2 * 1024 * 1024;
 /// The opened stores.
 #[derive(Clone)]
 pub(crate) struct Stores {
-    /// What the network began with.
+    /// The beginning of the network.
     pub genesis: Genesis,
     /// The ledger; everything known to be committed is executed.
     pub ledger: Arc<Ledger>,
@@ -110,7 +110,7 @@ impl Kept for Directories<'_> {
     }
 }
 
-/// Moves a directory out of the way; what was moved before is deleted.
+/// Moves a directory out of the way; the one that was moved before is deleted.
 fn set_aside(directory: &Path) -> Result<(), Rejection> {
     let aside = directory.with_extension("damaged");
     let moved = match std::fs::remove_dir_all(&aside) {

@@ -20,7 +20,7 @@ pub(crate) struct Options {
     json: bool,
 }
 
-/// What `ledgerd verify --json` prints.
+/// The output of `ledgerd verify --json`.
 #[derive(Serialize)]
 struct Verified<'a> {
     ok: bool,

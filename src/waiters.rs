@@ -9,7 +9,7 @@ use ledger_storage::result::TransactionResult;
 use tokio::sync::mpsc;
 use tonic::Status;
 
-/// Who waits for which transaction.
+/// The clients that wait, by their transactions.
 pub(crate) type Waiters = ledger_replica::Waiters<Client>;
 
 /// Where an answer goes. The place counts the transaction as in flight until it is answered.

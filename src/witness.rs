@@ -10,22 +10,21 @@
 //!   difference   where it began: height and key
 //! ```
 //!
-//! A node that more than half of the members contradict stops, says where the difference began, and leaves a mark, so
+//! A node that more than half of the members contradict stops and says where the difference began. It leaves a mark, so
 //! that its next start makes the world state anew from the blocks.
 
 mod difference;
 mod judge;
 
-use crate::orderer::{Seat, Shared};
-use crate::peers::Dialer;
-use crate::signer::Signer;
-use bytes::Bytes;
+use crate::instance::Fate;
+use crate::peers::{Dialer, Directory};
+use crate::signer::Author;
 use judge::{Finding, Judge};
 use ledger::governance::{self, Attest, Attestation};
-use ledger::{Admission, Ledger, Outcome};
-use ledger_raft::{Input, Lane};
+use ledger::{Ledger, Outcome};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Observer;
+use ledger_storage::snapshot::Snapshots;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -38,7 +37,7 @@ const EVENT: &str = "attested";
 /// The mark of a world state that contradicts the others', in the data directory.
 pub(crate) const DIVERGED_FILE: &str = "diverged";
 
-/// What the rest of the node sees of its witness.
+/// The view that the rest of the node has of its witness.
 pub(crate) struct Witness {
     seen: mpsc::UnboundedSender<Seen>,
     /// Height of the newest block that holds anything but attestations.
@@ -50,7 +49,7 @@ pub(crate) struct Witness {
 
 /// An attestation that was executed.
 pub(crate) struct Seen {
-    /// Who signed it, `ORGANISATION/NAME`.
+    /// Its signer, `ORGANISATION/NAME`.
     by: String,
     attest: Attest,
 }
@@ -69,7 +68,7 @@ impl Witness {
         self.snapshot.load(Ordering::Relaxed)
     }
 
-    /// Who contradicts this node, in words; empty if nobody does.
+    /// The members that contradict this node, in words; empty if nobody does.
     pub(crate) fn divergence(&self) -> String {
         self.differing.lock().unwrap_or_else(PoisonError::into_inner).clone()
     }
@@ -96,10 +95,18 @@ impl Observer for Witness {
 
 /// The task of a witness.
 pub(crate) struct Testimony {
-    pub shared: Arc<Shared>,
-    pub seat: Arc<Seat>,
+    /// Submits attestations, and knows what was computed.
+    pub author: Author,
+    /// The snapshots of this node.
+    pub snapshots: Arc<Snapshots>,
+    /// The members of the network.
+    pub directory: Arc<Directory>,
+    /// The attestations of others.
+    pub witness: Arc<Witness>,
+    /// Ends a node that is wrong.
+    pub fate: Fate,
+    /// Asks a node that differs.
     pub dialer: Dialer,
-    pub signer: Signer,
     /// This node, `ORGANISATION/NAME`.
     pub me: String,
     /// Time between two attestations.
@@ -108,7 +115,7 @@ pub(crate) struct Testimony {
     pub data: PathBuf,
 }
 
-/// What the task remembers.
+/// The memory of the task.
 #[derive(Default)]
 struct Memory {
     judge: Judge,
@@ -123,7 +130,7 @@ impl Testimony {
     pub(crate) async fn run(self, mut seen: mpsc::UnboundedReceiver<Seen>) {
         let mut memory = Memory::default();
         // What was attested before this node started counts as well.
-        for record in governance::attestations(&**self.shared.ledger.state()).unwrap_or_default() {
+        for record in governance::attestations(&**self.author.ledger.state()).unwrap_or_default() {
             let by = format!("{}/{}", record.organisation, record.node);
             self.judge(&mut memory, Seen { by, attest: record.latest.attest }).await;
         }
@@ -149,33 +156,21 @@ impl Testimony {
 
     fn attest_tip(&self, memory: &Memory) -> Result<(), Rejection> {
         self.attest_snapshot(memory)?;
-        let tip = self.shared.ledger.tip();
-        if self.shared.witness.ordinary.load(Ordering::Relaxed) <= memory.attested {
+        let tip = self.author.ledger.tip();
+        if self.witness.ordinary.load(Ordering::Relaxed) <= memory.attested {
             return Ok(());
         }
-        self.attest(&Attest { height: tip.height, hash: tip.hash, digest: tip.digest, content: None })
+        self.author.submit("attest", &Attest { height: tip.height, hash: tip.hash, digest: tip.digest, content: None })
     }
 
     fn attest_snapshot(&self, memory: &Memory) -> Result<(), Rejection> {
-        let Some(snapshot) = self.shared.snapshots.newest() else { return Ok(()) };
+        let Some(snapshot) = self.snapshots.newest() else { return Ok(()) };
         let (height, content) = (snapshot.manifest().height, snapshot.content());
-        self.shared.witness.snapshot.store(height, Ordering::Relaxed);
-        let Some(seal) = self.shared.ledger.seal(height)?.filter(|_| height > memory.snapshot) else {
+        self.witness.snapshot.store(height, Ordering::Relaxed);
+        let Some(seal) = self.author.ledger.seal(height)?.filter(|_| height > memory.snapshot) else {
             return Ok(());
         };
-        self.attest(&Attest { height, hash: seal.hash, digest: seal.digest, content: Some(content) })
-    }
-
-    fn attest(&self, attest: &Attest) -> Result<(), Rejection> {
-        let argument = serde_json::to_vec(attest).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        let signed = self.signer.sign(governance::NAME, "attest", vec![Bytes::from(argument)])?;
-        let admission = self.shared.ledger.admit(signed.encoded().clone(), self.shared.clock.now());
-        match admission.map_err(|refusal| refusal.rejection)? {
-            Admission::New(transaction) => {
-                self.seat.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
-            }
-            Admission::Known(..) => Ok(()),
-        }
+        self.author.submit("attest", &Attest { height, hash: seal.hash, digest: seal.digest, content: Some(content) })
     }
 
     async fn judge(&self, memory: &mut Memory, Seen { by, attest }: Seen) {
@@ -185,10 +180,10 @@ impl Testimony {
             return;
         }
         // What is not kept any more, or not yet executed, is not judged.
-        let Ok(Some(own)) = self.shared.ledger.seal(attest.height) else { return };
+        let Ok(Some(own)) = self.author.ledger.seal(attest.height) else { return };
         let agrees = own.digest == attest.digest && own.hash == attest.hash;
-        let finding = memory.judge.judge(&by, attest.height, agrees, self.shared.directory.members().len());
-        *self.shared.witness.differing.lock().unwrap_or_else(PoisonError::into_inner) = memory.judge.describe();
+        let finding = memory.judge.judge(&by, attest.height, agrees, self.directory.members().len());
+        *self.witness.differing.lock().unwrap_or_else(PoisonError::into_inner) = memory.judge.describe();
         match finding {
             Finding::Agrees => {}
             Finding::Differs => tracing::error!(
@@ -204,13 +199,13 @@ impl Testimony {
 
     /// This node is wrong: it stops serving, and says where that began.
     async fn stop(&self, judge: &Judge) {
-        self.seat.stop();
+        self.author.seat.stop();
         let mark = self.data.join(DIVERGED_FILE);
         if let Err(error) = std::fs::write(&mark, judge.describe()) {
             tracing::error!(%error, mark = %mark.display(), "cannot mark the world state");
         }
-        let began = difference::find(&self.shared, &self.dialer, judge).await;
-        (self.shared.fatal)(
+        let began = difference::find(&self.author.ledger, &self.directory, &self.dialer, judge).await;
+        self.fate.fail(
             Rejection::new(Code::Diverged, "the world state of this node differs from that of most others")
                 .found(judge.describe())
                 .wanted(began)

@@ -1,5 +1,5 @@
-//! Who waits for events about what. A block wakes only those whom one of its events may concern: what a subscriber of
-//! one robot costs does not grow with what the others do.
+//! Subscribers, and the events for which each of them waits. A block wakes only those whom one of its events may
+//! concern: what a subscriber of one robot costs does not grow with what the others do.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -20,7 +20,7 @@ pub(super) struct Table {
     all: Vec<Arc<Mark>>,
 }
 
-/// What one of them has still to look at.
+/// The blocks that one of them has still to look at.
 pub(super) struct Mark {
     unseen: Mutex<Unseen>,
     wake: Notify,

@@ -1,5 +1,5 @@
-//! What an operator does with a CA at the node's own machine, whether the node runs or not: a secret for an admin who
-//! is locked out, a copy for the safe, and putting it back.
+//! An operator's work with a CA at the node's own machine, whether the node runs or not. It makes a secret for an admin
+//! who is locked out, or a copy for the safe, and puts that back.
 
 use super::backup::{self, Backup};
 use super::place::carried;

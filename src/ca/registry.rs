@@ -1,5 +1,5 @@
-//! Who was registered at this machine, and what was issued here before the ledger knew of it: the file
-//! `identities.json`. Registrations of admins over the network stand on the ledger and never here.
+//! Names that were registered at this machine, and certificates that were issued here before the ledger knew of them:
+//! the file `identities.json`. Registrations of admins over the network stand on the ledger and never here.
 
 use super::durable::{self, SECRET_MODE, Staged};
 use super::secret::OneTimeSecret;

@@ -1,6 +1,5 @@
 //! How the key of a CA travels from one node to another: sealed for a key that the receiver made for this purpose
-//! (HPKE, RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305). Who carries it from one to the other cannot read or change
-//! it.
+//! (HPKE, RFC 9180: X25519, HKDF-SHA256, ChaCha20-Poly1305). A carrier between the two cannot read or change it.
 
 use hpke::aead::ChaCha20Poly1305;
 use hpke::kdf::HkdfSha256;
@@ -24,7 +23,7 @@ pub(crate) struct Receiver {
     public: <Key as Kem>::PublicKey,
 }
 
-/// What is sealed, and for whom: both sides must say the same.
+/// The purpose and the receiver of a seal: both sides must say the same.
 pub(crate) struct Delivery<'a> {
     /// The network.
     pub(crate) network: &'a Hash,

@@ -1,4 +1,4 @@
-//! What the other nodes have.
+//! The blocks of the other nodes.
 
 use super::Bootstrap;
 use crate::peers::{Dialer, Member};
@@ -11,14 +11,14 @@ use ledger_hash::Hash;
 use std::time::Duration;
 use tonic::transport::Channel;
 
-/// What one node has, and the connection to it.
+/// The blocks of one node, and the connection to it.
 #[derive(Clone)]
 pub(crate) struct Offer {
     /// The join token vouches for it.
     pub vouched: bool,
     /// The node.
     pub member: Member,
-    /// What it says that it has.
+    /// The blocks that it says it has.
     pub chain: ChainResponse,
     /// For further questions.
     pub channel: Channel,

@@ -222,8 +222,8 @@ fn take_in(shared: &crate::orderer::Shared, batch: Batch) -> Result<(), Rejectio
     Ok(())
 }
 
-/// Makes blocks durable as committed. What the log has already stays: entries of the same index and term are the same
-/// (Raft §5.3, log matching), and what follows them may have been acknowledged.
+/// Makes blocks durable as committed. Entries that the log has already stay. Entries of the same index and term are the
+/// same (Raft §5.3, log matching), and the ones after them may have been acknowledged.
 fn store(store: &BlockStore, entries: &[Entry], end: End) -> Result<(), Rejection> {
     let known = entries.iter().take_while(|entry| store.term(entry.index) == Some(entry.term)).count();
     let HardState { term, vote, .. } = store.hard_state();

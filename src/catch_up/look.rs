@@ -1,14 +1,14 @@
 //! The question with which a node starts: what do the others have, and what do they know it to have had?
 //!
-//! **What it protects.** A voter that has lost blocks which it acknowledged must not vote: with its vote the others could
+//! **The protection.** A voter that has lost blocks which it acknowledged must not vote: with its vote the others could
 //! elect a leader that lacks what was promised. It cannot tell by itself; the leader and the attestations can.
 //!
-//! **How long it takes.** Who refuses a connection has answered. Who is silent is waited for until [`ASK_TIME_MAX`] as
-//! long as a majority of the voters has not been heard, for then nothing can be ordered anyway, or if there is nothing
-//! in the log, which looks like a lost disk. Otherwise silence costs [`PATIENCE`], and ordering begins while the question
-//! is still open. Until it is closed this node gives no vote, nor does it ask for any, as its own election timeout is
-//! longer; what it acknowledges it has on its disk. An answer that comes in that time and says that blocks were lost ends
-//! the node as it would have before.
+//! **How long it takes.** A node that refuses a connection has answered. A silent node is waited for until
+//! [`ASK_TIME_MAX`] as long as a majority of the voters has not been heard, for then nothing can be ordered anyway. It
+//! is also waited for if there is nothing in the log, which looks like a lost disk. Otherwise silence costs
+//! [`PATIENCE`], and ordering begins while the question is still open. Until it is closed this node gives no vote, nor
+//! does it ask for any, as its own election timeout is longer; each entry that it acknowledges is on its disk. An answer that
+//! comes in that time and says that blocks were lost ends the node as it would have before.
 
 use super::ask::{Answers, Offer, longest_first};
 use super::{ASK_TIME_MAX, CatchUp};
@@ -26,11 +26,11 @@ use tokio::time::{Instant, timeout_at};
 /// Time that silent nodes cost a start when they are not needed.
 const PATIENCE: Duration = Duration::from_millis(200);
 
-/// What was heard.
+/// The answers that were heard.
 pub(crate) struct Look {
     /// Longest chain first.
     pub offers: Vec<Offer>,
-    /// Who is silent so far, if it is not waited for.
+    /// The nodes that are silent so far, if they are not waited for.
     pub open: Option<Open>,
 }
 
@@ -105,7 +105,7 @@ impl CatchUp {
                 match answer {
                     Ok(Some(Some(offer))) => {
                         if let Err(lost) = check_kept(&shared, &offer) {
-                            return (shared.fatal)(lost);
+                            return shared.fate.fail(lost);
                         }
                     }
                     Ok(Some(None)) => {}
@@ -117,7 +117,7 @@ impl CatchUp {
     }
 }
 
-/// Are those that were heard, with this node, a majority of the voters? Who does not vote needs nobody.
+/// Are those that were heard, with this node, a majority of the voters? A node that does not vote needs nobody.
 fn is_enough(me: u64, members: &[Member], heard: &[u64]) -> bool {
     let voters: Vec<u64> = members.iter().filter(|member| member.votes()).map(|member| member.id).collect();
     let known = voters.iter().filter(|voter| **voter == me || heard.contains(voter)).count();

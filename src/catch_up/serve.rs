@@ -22,7 +22,7 @@ const AHEAD_MAX: usize = 2;
 /// Streams of blocks at a time; each takes a thread while it reads.
 const STREAMS_MAX: usize = 8;
 
-/// What this node gives to others.
+/// The service that gives blocks and snapshots to others.
 pub(crate) struct Source {
     shared: Arc<Shared>,
     seat: Arc<Seat>,
@@ -35,7 +35,7 @@ impl Source {
         Self { shared, seat, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
     }
 
-    /// What this node has, and what it knows of the asking one.
+    /// The blocks of this node, and its knowledge of the asking one.
     pub(crate) fn chain(&self, asking: &Member) -> ChainResponse {
         let height = self.committed();
         let status = self.seat.status();
@@ -107,7 +107,7 @@ impl Source {
         }
     }
 
-    /// What is committed and durable here.
+    /// The last block that is committed and durable here.
     fn committed(&self) -> u64 {
         self.shared.store.committed().min(self.shared.store.durable_index())
     }
@@ -180,7 +180,7 @@ impl Source {
         Ok(ReceiverStream::new(stream))
     }
 
-    /// What a recent block wrote.
+    /// The writes of a recent block.
     pub(crate) fn writes(&self, height: u64) -> WritesResponse {
         let Some(writes) = self.shared.ledger.writes(height) else { return WritesResponse::default() };
         let writes = writes.into_iter().map(|write| v1::Write {

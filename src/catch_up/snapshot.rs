@@ -1,8 +1,9 @@
 //! Taking a snapshot from another node, if nobody has the blocks any more that this node lacks.
 //!
 //! The manifest comes first, with the attestations of its content. Nothing is fetched unless an organisation that this
-//! node trusts attests it; nothing is used unless it is attested as [`ledger_replica::trust`] wants, which is only known when the
-//! organisations inside of the snapshot are. Chunks that are there after an interruption are not fetched again.
+//! node trusts attests it. Nothing is used unless it is attested as [`ledger_replica::trust`] wants, which is only
+//! known when the organisations inside of the snapshot are. Chunks that are there after an interruption are not fetched
+//! again.
 
 use super::ask::Offer;
 use super::blocks::{in_time, is_own};

@@ -19,7 +19,7 @@ pub(super) const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
 /// Bytes of a Twist: two vectors of three doubles.
 const TWIST_BYTES: usize = 48;
 
-/// What an operator writes into `linear.z`, so that the robot's side can tell whose message it got.
+/// The marks that an operator writes into `linear.z`, so that the robot's side can tell whose message it got.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Operator {
     /// Salma.

@@ -1,4 +1,5 @@
-//! What runs at this moment, drawn on the terminal: who publishes and whom the robot hears, as bars of messages a second.
+//! The demo at this moment, drawn on the terminal: publishers, and the messages that the robot hears, as bars of
+//! messages a second.
 
 use super::HZ;
 use super::graph::{Operator, Robot};

@@ -1,7 +1,7 @@
 //! The contexts of `ledgerd dev` have fixed names, so they belong to one run at a time: the one that holds the lock.
 //!
-//! The lock is the system's, and ends with the process however that ends. What a run that was killed has left behind is
-//! the next one's to replace; what a run uses that lives nobody touches.
+//! The lock is the system's, and ends with the process however that ends. The next run replaces the remains of a run
+//! that was killed. Nobody touches the files of a run that lives.
 
 use super::{LABEL, ORGANISATIONS, context_name};
 use ledger_api::Context;

@@ -85,8 +85,8 @@ impl Authorities {
         open.insert(authority.organisation().to_owned(), Arc::new(Mutex::new(authority)));
     }
 
-    /// A node that the ledger knows as a carrier of a CA, and whose directory of it is gone, must not start as if nothing
-    /// had happened: the organisation counts on it.
+    /// The ledger may know a node as a carrier of a CA whose directory is gone. Such a node must not start as if
+    /// nothing had happened: the organisation counts on it.
     ///
     /// # Errors
     /// [`Code::BadFile`] with the directory and the remedy.

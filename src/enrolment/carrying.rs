@@ -1,6 +1,6 @@
-//! How a node comes to carry the CA of its organisation: it offers a key made for this purpose, a node that carries the CA
-//! seals the CA's key for it, and it takes that. An admin of the organisation brings it from one to the other, and cannot
-//! read it.
+//! A node comes to carry the CA of its organisation in three steps. It offers a key made for this purpose, a node that
+//! carries the CA seals the CA's key for it, and it takes that. An admin of the organisation brings it from one to the
+//! other, and cannot read it.
 
 use super::authorities::lock;
 use super::{EnrolmentService, Shared};

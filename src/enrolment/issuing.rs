@@ -1,9 +1,9 @@
 //! How a certificate is issued: the ledger says who may have one, this node signs it, the ledger records it, and only
-//! then it is handed out. So a secret is used up by one key whichever nodes it is taken to, and a second try with the
-//! same key receives the same certificate from any of them.
+//! then it is handed out. So one key uses up a secret, whichever nodes it is taken to. A second try with the same key
+//! receives the same certificate from any of them.
 //!
 //! Secrets that were made at this machine are known here alone. They must also work while the network orders nothing,
-//! or nobody who is locked out could come back: what they open is kept on this disk first, and recorded as soon as
+//! or nobody who is locked out could come back. So their use is kept on this disk first, and recorded as soon as
 //! possible.
 
 use super::authorities::lock;

@@ -1,4 +1,4 @@
-//! Tells the ledger which CAs this node carries, and what it knows from its own disk: names and certificates from
+//! Tells the ledger which CAs this node carries, and the knowledge of its own disk. That is names and certificates from
 //! before there was a ledger, and secrets that were made at this machine.
 
 use super::authorities::lock;

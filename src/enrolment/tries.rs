@@ -64,7 +64,7 @@ fn overloaded(whose: &str, burst: u64, refill: u64) -> Rejection {
         .next("try again in a few seconds, with the right secret")
 }
 
-/// Who has one address of IPv6 has 2⁶⁴ of them.
+/// The owner of one address of IPv6 has 2⁶⁴ of them.
 fn network_of(source: IpAddr) -> IpAddr {
     match source.to_canonical() {
         IpAddr::V6(address) => Ipv6Addr::from(u128::from(address) & !u128::from(u64::MAX)).into(),

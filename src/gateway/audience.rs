@@ -1,6 +1,6 @@
 //! The audience: who has subscriptions at this node, so that nobody takes the place of everybody.
 //!
-//! An identity has at most as many subscriptions as there are places free; so has another organisation with all its
+//! An identity has at most as many subscriptions as there are places free. So has another organisation with all its
 //! identities together, because its CA can make as many identities as it likes. A part of the places is kept for robots
 //! and nodes: a robot that hears nothing stops.
 

@@ -17,14 +17,14 @@ use tokio::time::timeout;
 /// Becomes known.
 pub(crate) type Question = oneshot::Receiver<Known>;
 
-/// What makes a node's state current; cheap to clone.
+/// Makes a node's state current; cheap to clone.
 #[derive(Clone)]
 pub(crate) struct Current {
     blocks: Arc<Blocks>,
     questions: Arc<Questions>,
 }
 
-/// Who waits for an answer.
+/// The readers that wait for an answer.
 struct Waiting(oneshot::Sender<Known>);
 
 impl Asker for Waiting {
@@ -49,7 +49,7 @@ struct State {
     timer: Option<u64>,
 }
 
-/// What the timer has to be told.
+/// The news for the timer.
 enum Timer {
     Fine,
     Begin,
@@ -73,7 +73,7 @@ impl Current {
         self.ask().await.unwrap_or_else(|_| Err(Rejection::new(Code::ShuttingDown, "the node is stopping")))
     }
 
-    /// As [`Current::reach`], for who does something else meanwhile. What counts is the moment of this call.
+    /// As [`Current::reach`], for who does something else meanwhile. The moment of this call counts.
     pub(crate) fn ask(&self) -> Question {
         let (sender, known) = oneshot::channel();
         self.questions.tell(|reads, now, out| reads.ask(now, Waiting(sender), out));

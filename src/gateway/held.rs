@@ -1,4 +1,4 @@
-//! What came over one stream and this node's state refuses, until it is known whether that state is current.
+//! Calls that came over one stream and that this node's state refuses, until it is known whether that state is current.
 //!
 //! The rest of the stream goes on meanwhile. Only what is about the same as something that is held waits behind it: else a
 //! client's later call would overtake its earlier one. Control, as everywhere, waits for control only.
@@ -113,7 +113,8 @@ impl Held {
         }
     }
 
-    /// What a call is about: usually a service, whatever is done with it. Two that are taken for one wait for each other.
+    /// The subject of a call: usually a service, whatever is done with it. Two that are taken for one wait for each
+    /// other.
     fn subject(&self, arrived: &Arrived) -> u64 {
         let body = arrived.transaction.body();
         self.hasher.hash_one((&body.chaincode, body.args.first()))

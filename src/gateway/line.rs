@@ -1,8 +1,9 @@
-//! What has come over one stream and was not looked at yet.
+//! Transactions that have come over one stream and were not looked at yet.
 //!
-//! Control goes first. Data waits only so long: beyond it the node gets more than it can look at, and then only the newest
-//! about each subject goes on, because a newer command is worth more than an older one; the last one of a burst may be
-//! the one that stops the robot. It, too, is refused after twice as long. Whatever is refused is told so, and counted.
+//! Control goes first. Data waits only so long: beyond it the node gets more than it can look at. Then only the newest
+//! about each subject goes on, because a newer command is worth more than an older one. The last one of a burst may be
+//! the one that stops the robot. It, too, is refused after twice as long. A transaction that is refused is told so, and
+//! counted.
 
 use super::share::Place;
 use bytes::Bytes;
@@ -16,11 +17,11 @@ use std::time::{Duration, Instant};
 pub(super) struct Arrived {
     /// It has the form of one.
     pub(super) transaction: Transaction,
-    /// What goes with it.
+    /// Its ticket, which goes with it.
     pub(super) ticket: Ticket,
 }
 
-/// What goes with a transaction until it is answered.
+/// The ticket that goes with a transaction until it is answered.
 pub(super) struct Ticket {
     /// Height at which it is to be looked at.
     pub(super) min_height: u64,
@@ -127,7 +128,7 @@ pub(super) fn overloaded(
         .next("send less often; send newer data instead, or the same call again after 100 ms")
 }
 
-/// What a call is about: usually a service.
+/// The subject of a call: usually a service.
 fn subject(arrived: &Arrived) -> (&str, &str, Option<&Bytes>) {
     let body = arrived.transaction.body();
     (&body.chaincode, &body.function, body.args.first())

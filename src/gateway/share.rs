@@ -1,9 +1,9 @@
 //! Shares: what one identity uses of a node at a time, so that nobody can use it up.
 //!
-//! Two things are shared. *Places* are held from a transaction's arrival to its verdict; an identity holds at most as many
-//! as are free, so that there are always some for others. *Turns* are for looking at transactions, which mostly is
-//! verifying signatures: the lanes have turns of their own, so that control never waits until data is looked at; and
-//! within a lane identities take turns, however many connections each has.
+//! Two things are shared. *Places* are held from a transaction's arrival to its verdict; an identity holds at most as
+//! many as are free, so that there are always some for others. *Turns* are for looking at transactions, which mostly is
+//! verifying signatures. The lanes have turns of their own, so that control never waits until data is looked at. Within
+//! a lane identities take turns, however many connections each has.
 
 use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
@@ -17,7 +17,7 @@ const IN_FLIGHT_BYTES_MAX: usize = 64 * 1024 * 1024;
 /// Streams and calls that look at control transactions at a time. They are few, and quickly done.
 const CONTROL_TURNS: usize = 1;
 
-/// What all identities share.
+/// The part that all identities share.
 pub(crate) struct Shares {
     places: Arc<Semaphore>,
     places_max: usize,
@@ -37,7 +37,7 @@ pub(crate) struct Share {
     all_turns: Turns,
 }
 
-/// What an identity has in flight.
+/// The calls that an identity has in flight.
 #[derive(Default)]
 struct Used {
     transactions: AtomicUsize,
@@ -58,7 +58,7 @@ pub(crate) struct Place {
     _permit: OwnedSemaphorePermit,
 }
 
-/// The right to look at transactions, until it is dropped. Whoever has it must not wait for anything.
+/// The right to look at transactions, until it is dropped. Its holder must not wait for anything.
 pub(crate) struct Turn {
     _own: OwnedSemaphorePermit,
     _all: OwnedSemaphorePermit,
@@ -110,7 +110,7 @@ impl Shares {
 }
 
 impl Share {
-    /// Whose it is.
+    /// Its owner.
     pub(crate) fn name(&self) -> &str {
         &self.name
     }
@@ -173,7 +173,7 @@ impl Share {
 }
 
 impl Place {
-    /// Whose it is.
+    /// Its owner.
     pub(crate) fn name(&self) -> &str {
         &self.share.name
     }

@@ -99,7 +99,7 @@ struct Desk {
     share: Arc<Share>,
     answers: Answers,
     line: Line,
-    /// What the state refuses, until it is known whether the state is current.
+    /// Calls that the state refuses, until it is known whether the state is current.
     held: Held,
 }
 
@@ -284,9 +284,9 @@ impl NodeView {
         }
     }
 
-    /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused here;
-    /// the answer may also be an earlier verdict. What the state refuses is given back as long as it is not known whether the
-    /// state is current.
+    /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused
+    /// here; the answer may also be an earlier verdict. A call that the state refuses is given back as long as it is
+    /// not known whether the state is current.
     fn submit(&self, arrived: Arrived, answers: &Answers) -> Option<Item> {
         let Arrived { transaction, ticket } = arrived;
         let decision = self.admitting(&ticket).look(transaction);

@@ -1,7 +1,7 @@
 //! Subscriptions: events from a height on, decided one by one whether this caller may read them.
 //!
-//! Who asks for what they may not read is refused, and who loses the right is told so: silence would look as if nothing
-//! happened.
+//! A caller that asks for events that it may not read is refused, and one that loses the right is told so: silence
+//! would look as if nothing happened.
 
 use super::audience::Listener;
 use super::{NodeView, status};
@@ -83,7 +83,7 @@ pub(super) async fn start(
     Ok(ReceiverStream::new(stream))
 }
 
-/// Which events are delivered. What is empty admits all.
+/// Which events are delivered. An empty filter admits all.
 struct Wanted {
     chaincode: String,
     /// Sorted, each once.
@@ -240,7 +240,7 @@ impl Subscription {
         there
     }
 
-    /// What of a block this subscriber wants and may read.
+    /// The events of a block that this subscriber wants and may read.
     fn delivery(&mut self, outcome: &Outcome) -> Option<Delivery> {
         let wanted = outcome.events.iter().filter(|emitted| self.wanted.admits(&emitted.event));
         let (wanted, unread): (Vec<_>, Vec<_>) =

@@ -26,8 +26,8 @@ impl NodeView {
         }
     }
 
-    /// A node that stops and leads hands over first, so that the others need not wait until they miss it. What is under
-    /// way goes to the next leader.
+    /// A node that stops and leads hands over first, so that the others need not wait until they miss it. Calls that
+    /// are under way go to the next leader.
     pub(crate) async fn hand_over(&self) {
         let Ok(orderer) = self.seat.handle() else { return };
         let deadline = Instant::now() + HANDOVER_TIME_MAX;

@@ -109,8 +109,8 @@ async fn handshake(socket: TcpStream, source: IpAddr, ledgers: &Ledgers) -> Resu
     Ok((served, Connection { stream, caller }))
 }
 
-/// Closes a refused connection so that the client can read the alert that says why: while bytes from it wait unread,
-/// closing would reset the connection, and a reset discards what the client has not read yet.
+/// Closes a refused connection so that the client can read the alert that says why. While bytes from it wait unread,
+/// closing would reset the connection, and a reset discards bytes that the client has not read yet.
 async fn linger(mut socket: TcpStream) {
     if socket.shutdown().await.is_err() {
         return;

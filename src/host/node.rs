@@ -48,7 +48,7 @@ impl NodeBuilder {
     /// Starts a node in the directory that the configuration names.
     ///
     /// # Errors
-    /// What is missing or wrong, in words for the operator.
+    /// The fault, in words for the operator.
     pub async fn start(&self, config: &Config) -> Result<Node, Rejection> {
         Node::start(self.registry()?, config, None).await.map_err(|reason| advised(reason, config))
     }

@@ -31,7 +31,7 @@ const STOP_TIME_MAX: Duration = Duration::from_millis(500);
 /// Takes a message of another node; false when this one is stopping.
 pub(crate) type Deliver = Box<dyn Fn(u64, PeerMessage) -> bool + Send + Sync>;
 
-/// What an instance offers to clients and other nodes.
+/// The services of an instance for clients and other nodes.
 pub(crate) struct Services {
     /// For clients and bridges.
     pub(crate) gateway: GatewayService,

@@ -1,6 +1,6 @@
-//! What an instance trusts: the organisations on its ledger.
+//! The trust of an instance: the organisations on its ledger.
 
-use crate::clock::wall;
+use crate::clock::Clock;
 use ledger::Ledger;
 use ledger_api::tls::TrustSource;
 use ledger_identity::Identity;
@@ -10,12 +10,13 @@ use std::sync::Arc;
 /// The organisations on a ledger.
 pub(super) struct Trust {
     ledger: Arc<Ledger>,
+    clock: Clock,
 }
 
 impl Trust {
     /// Those of this ledger, as they change.
-    pub(super) fn new(ledger: &Arc<Ledger>) -> Self {
-        Self { ledger: Arc::clone(ledger) }
+    pub(super) fn new(ledger: &Arc<Ledger>, clock: Clock) -> Self {
+        Self { ledger: Arc::clone(ledger), clock }
     }
 }
 
@@ -25,7 +26,7 @@ impl TrustSource for Trust {
     }
 
     fn now(&self) -> u64 {
-        wall()
+        self.clock.wall()
     }
 
     fn revoked(&self, identity: &Identity) -> bool {

@@ -44,7 +44,7 @@ pub(crate) struct RejoinOptions {
 ///
 /// # Errors
 /// [`Code::BadFile`] if the directory is in use, or its certificate cannot be used; [`Code::Unreachable`] if no other
-/// node answers; what the ledger says, for example that this is the last voter.
+/// node answers; the ledger's own refusal, for example that this is the last voter.
 pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<String, Rejection> {
     let data = &config.data;
     let blocks = data.join(BLOCKS_DIRECTORY);

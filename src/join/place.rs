@@ -20,9 +20,9 @@ const BEFORE_FILE: &str = "before";
 /// Largest such file, in bytes.
 const NUMBER_BYTES_MAX: usize = 32;
 
-/// What the name of a directory ends with in which a node is prepared; digits follow.
+/// The end of the name of a directory in which a node is prepared; digits follow.
 const STAGED: &str = ".joining-";
-/// What a file system of its own may hold from the beginning.
+/// The entries that a file system of its own may hold from the beginning.
 const LOST_AND_FOUND: &str = "lost+found";
 
 /// Where a node's files are while it joins, and where they go.

@@ -48,7 +48,7 @@ impl Execute {
         blocks.put(entries);
     }
 
-    /// Has the execute thread nothing to do? Whoever gives it blocks may execute the next ones itself then.
+    /// Has the execute thread nothing to do? The thread that gives it blocks may execute the next ones itself then.
     pub(super) fn is_idle(&self) -> bool {
         self.given.is_empty()
     }
@@ -56,7 +56,7 @@ impl Execute {
     /// Executes blocks. False if the node cannot go on.
     pub(super) fn execute(&self, entries: &[Entry]) -> bool {
         if let Err(fault) = self.shared.executor.execute_all(entries) {
-            (self.shared.fatal)(fault);
+            self.shared.fate.fail(fault);
             return false;
         }
         if self.shared.waiters.is_empty() {
@@ -79,7 +79,7 @@ impl Given {
         self.0.fetch_add(blocks, Ordering::Relaxed);
     }
 
-    /// So many are executed. Whoever sees it sees what they wrote.
+    /// So many are executed. A thread that sees it sees their writes.
     fn remove(&self, blocks: usize) {
         let before = self.0.fetch_sub(blocks, Ordering::Release);
         assert!(before >= blocks, "{blocks} blocks were executed, and {before} were given");

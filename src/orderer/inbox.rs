@@ -1,8 +1,8 @@
 //! A queue from many threads to one.
 //!
 //! The channels of the standard library wake their reader while they hold a lock that the reader takes next. Where more
-//! threads want processors than there are, the reader often runs at once in place of the thread that woke it, finds the
-//! lock taken, and both wait until that thread has a processor again: milliseconds, under overload. Here nobody holds
+//! threads want processors than there are, the reader often runs at once in place of the thread that woke it, and finds
+//! the lock taken. Both wait until that thread has a processor again: milliseconds, under overload. Here nobody holds
 //! anything while a thread is woken, and the reader takes everything that waits at once.
 
 use std::sync::atomic::{AtomicBool, Ordering};

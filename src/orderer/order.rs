@@ -29,7 +29,7 @@ pub(super) struct Order {
     effects: Vec<Effect>,
     status: Arc<Mutex<Status>>,
     role: watch::Sender<RoleChange>,
-    /// Who belongs to the network, to notice when it changes.
+    /// The members of the network, to notice when they change.
     members: watch::Receiver<Arc<[Member]>>,
     /// The node cannot go on.
     failed: bool,
@@ -173,7 +173,7 @@ impl Order {
             }
             Effect::Failed(reason) => {
                 self.failed = true;
-                (self.shared.fatal)(reason);
+                self.shared.fate.fail(reason);
             }
         }
     }

@@ -1,4 +1,4 @@
-//! Who belongs to the network: the node records on the ledger, and what they come to in the ordering.
+//! The members of the network: the node records on the ledger, and their part in the ordering.
 
 use ledger::governance::{self, NodeRecord, NodeRole};
 use ledger::members::Membership;
@@ -9,7 +9,7 @@ use ledger_storage::result::BlockKind;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::watch;
 
-/// What a node does in the ordering.
+/// A node's part in the ordering.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Part {
     /// It orders.
@@ -29,9 +29,9 @@ pub(crate) struct Member {
     pub organisation: String,
     /// `HOST:PORT`.
     pub address: String,
-    /// What the ledger says it shall be; none if it shall leave.
+    /// The part that the ledger wants for it; none if it shall leave.
     pub wanted: Option<Part>,
-    /// What it is; none if it is not in the ordering (yet).
+    /// Its part; none if it is not in the ordering (yet).
     pub actual: Option<Part>,
 }
 
@@ -45,7 +45,7 @@ impl Member {
         }
     }
 
-    /// What it is, for people: `voter`, `learner`, or how it is changing.
+    /// Its part, for people: `voter`, `learner`, or how it is changing.
     pub(crate) fn role(&self) -> &'static str {
         match (self.actual, self.wanted) {
             (None, Some(_)) => "joining",
@@ -61,7 +61,7 @@ impl Member {
     }
 }
 
-/// Who belongs to the network now. Follows the ledger.
+/// The members of the network now. Follows the ledger.
 pub(crate) struct Directory {
     members: watch::Sender<Arc<[Member]>>,
     /// One reading at a time, so that an older one never replaces a newer one.

@@ -81,7 +81,7 @@ struct Begun {
     network: Hash,
     /// Where others reach its node.
     address: String,
-    /// What the user reads.
+    /// The text that the user reads.
     told: String,
 }
 

@@ -13,8 +13,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Issues an identity of an organisation whose CA lies in a node's data directory, with a key made here, as a context
-/// named like the identity that connects to `node` (`HOST:PORT`). The node must not be running: it owns its CAs then.
+/// Issues an identity of an organisation whose CA lies in a node's data directory, with a key made here. It comes as a
+/// context named like the identity that connects to `node` (`HOST:PORT`). The node must not be running: it owns its CAs
+/// then.
 ///
 /// # Errors
 /// As [`CertificateAuthority::issue`]; [`ledger_rejection::Code::BadFile`] if the directory is no node's.

@@ -8,7 +8,7 @@ use std::fs;
 use std::net::SocketAddr;
 use std::path::Path;
 
-/// What is written where no configuration is yet: every setting with its default, commented out.
+/// The file that is written where no configuration is yet: every setting with its default, commented out.
 const SHIPPED_CONFIG: &str = include_str!("../../ledgerd.toml");
 /// The lines in it that say where to listen and where the data are.
 const SHIPPED_LISTEN: &str = "#listen = \"127.0.0.1:7450\"";

@@ -31,7 +31,7 @@ enum State {
 }
 
 impl Reserve {
-    /// What an earlier run has left, or none yet.
+    /// The reserve that an earlier run has left, or none yet.
     pub(super) fn of(data: &Path) -> Self {
         let path = data.join(FILE);
         let whole = |file: fs::Metadata| file.len() == BYTES && file.blocks() * STAT_BLOCK_BYTES >= BYTES;

@@ -5,8 +5,7 @@
 //! known to both.
 
 use super::judge::{Judge, halve};
-use crate::orderer::Shared;
-use crate::peers::{Dialer, Member};
+use crate::peers::{Dialer, Directory, Member};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger::writes::Write;
@@ -20,13 +19,13 @@ use tonic::transport::Channel;
 const SEARCH_TIME_MAX: Duration = Duration::from_secs(5);
 
 /// Describes the first difference between this node and one that contradicts it, as well as it can be found.
-pub(super) async fn find(shared: &Shared, dialer: &Dialer, judge: &Judge) -> String {
+pub(super) async fn find(ledger: &Ledger, directory: &Directory, dialer: &Dialer, judge: &Judge) -> String {
     let Some((name, height)) = judge.first() else { return String::new() };
-    let members = shared.directory.members();
+    let members = directory.members();
     let Some(member) = members.iter().find(|member| member.full_name() == name) else {
         return format!("the digest of {name} at height {height}");
     };
-    match tokio::time::timeout(SEARCH_TIME_MAX, search(&shared.ledger, dialer, member, height)).await {
+    match tokio::time::timeout(SEARCH_TIME_MAX, search(ledger, dialer, member, height)).await {
         Ok(Ok(found)) => found,
         Ok(Err(reason)) => format!("the digest of {name} at height {height} ({name} was asked for more: {reason})"),
         Err(_) => format!("the digest of {name} at height {height} ({name} was asked for more, and did not answer)"),

@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 
-/// What an attestation means for this node.
+/// The meaning of an attestation for this node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Finding {
     /// It says what this node has computed.
@@ -16,7 +16,7 @@ pub(crate) enum Finding {
     Outvoted,
 }
 
-/// Who differs from this node, by the newest attestation of each.
+/// The members that differ from this node, by the newest attestation of each.
 #[derive(Debug, Default)]
 pub(crate) struct Judge {
     /// Attesting node, `ORGANISATION/NAME`, and the height at which it differed first.
@@ -35,7 +35,7 @@ impl Judge {
         if self.differing.len() * 2 > members { Finding::Outvoted } else { Finding::Differs }
     }
 
-    /// Who differs, in words; empty if nobody does.
+    /// The members that differ, in words; empty if nobody does.
     pub(crate) fn describe(&self) -> String {
         let differing: Vec<_> =
             self.differing.iter().map(|(node, height)| format!("{node} differs at height {height}")).collect();
