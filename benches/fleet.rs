@@ -1,8 +1,8 @@
-//! What one more of everything costs: robots, users, policies, organisations, voters, learners, subscribers, blocks.
+//! The price of one more of everything: robots, users, policies, organisations, voters, learners, subscribers, blocks.
 //!
-//! Each part has more and more of one thing on a network of real processes, and measures commit and delivery latency, CPU of
-//! all nodes, memory and disk while robots are driven, by the clock, at 50 Hz and at 1000 Hz. Then it says the law: flat,
-//! logarithmic or linear, and what one more costs.
+//! Each part has more and more of one thing on a network of real processes. It measures commit and delivery latency,
+//! CPU of all nodes, memory and disk while robots are driven, by the clock, at 50 Hz and at 1000 Hz. Then it says the
+//! law: flat, logarithmic or linear, and what one more costs.
 //!
 //! | part | what there is more of |
 //! |---|---|

@@ -1,11 +1,12 @@
 //! Commit and delivery latency against message frequency, over TLS, from real processes with their data on disk.
 //!
-//! - `sweep`: open loop at 1 to 5000 Hz: from the time a command (`set` of one Twist, signed) was due to its verdict at the
-//!   client, and to its event at a subscriber on the other organisation's node. Percentiles as a table, in
-//!   `target/bench/latency.json`, and as the paper's figure in `target/bench/latency.svg`.
-//! - `side_by_side`: one in flight, at 50 Hz and at 200 Hz, in turns with the floor (TLS, sign, verify, `fdatasync`:
-//!   nothing else) and with etcd of one and of three nodes, so that all meet the same mood of the machine. The targets are
-//!   ratios of these. First alone on the machine, then *contended*: a busy loop on every processor, at normal priority.
+//! - `sweep`: open loop at 1 to 5000 Hz. It begins when a command (`set` of one Twist, signed) was due. It ends with
+//!   its verdict at the client, and with its event at a subscriber on the other organisation's node. Percentiles as a
+//!   table, in `target/bench/latency.json`, and as the paper's figure in `target/bench/latency.svg`.
+//! - `side_by_side`: one in flight, at 50 Hz and at 200 Hz. It runs in turns with the floor (TLS, sign, verify,
+//!   `fdatasync`: nothing else) and with etcd of one and of three nodes. So all meet the same mood of the machine. The
+//!   targets are ratios of these. First alone on the machine, then *contended*: a busy loop on every processor, at
+//!   normal priority.
 //! - `commit/one_in_flight`: closed loop, by criterion, which tells whether it changed since the last run.
 //!
 //! `cargo bench --bench latency [-- sweep | side_by_side | one_in_flight]`; `LEDGERD_BENCH_SECONDS` sets the length of each

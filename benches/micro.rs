@@ -181,7 +181,7 @@ fn signature(criterion: &mut Criterion) {
     criterion.bench_function("decode", |bencher| bencher.iter(|| Transaction::decode(black_box(encoded.clone()))));
 }
 
-/// What the gateway does before ordering: decode, identify, verify, simulate.
+/// The gateway's work before ordering: decode, identify, verify, simulate.
 fn admission(criterion: &mut Criterion) {
     let world = std::cell::RefCell::new(World::new());
     criterion.bench_function("admission", |bencher| {
@@ -190,7 +190,7 @@ fn admission(criterion: &mut Criterion) {
     });
 }
 
-/// What every node does with a committed block; one that admitted its transactions has verified them already.
+/// The work of every node with a committed block; one that admitted its transactions has verified them already.
 fn execution(criterion: &mut Criterion) {
     for (name, admitted) in [("execute_admitted", true), ("execute_following", false)] {
         let mut group = criterion.benchmark_group(name);

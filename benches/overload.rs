@@ -1,5 +1,5 @@
-//! Twice of what the network carries: what do those wait whose commands are accepted, what are the others told, and what
-//! do calls that give and end control wait meanwhile, and somebody who drives another robot at 50 Hz?
+//! Twice of what the network carries: how long do accepted commands wait, and what are the others told? How long do
+//! calls wait that give and end control, and somebody who drives another robot at 50 Hz?
 //!
 //! `cargo bench --bench overload`; `LEDGERD_BENCH_SECONDS` sets the length of each run.
 
@@ -38,7 +38,7 @@ use tokio::sync::mpsc;
 const FLOODERS: usize = 4;
 /// Under way in the closed loop that finds the capacity, of each of them.
 const IN_FLIGHT: usize = 32;
-/// What is sent, as a multiple of the capacity; 0 is the run to compare with.
+/// The load, as a multiple of the capacity; 0 is the run to compare with.
 const MULTIPLES: [f64; 3] = [0.0, 1.0, 2.0];
 /// Rate of the operator of another robot: the paper's.
 const OPERATOR_HZ: f64 = 50.0;
@@ -49,7 +49,7 @@ const BURST_EVERY: Duration = Duration::from_millis(1);
 /// Flooding commands are signed before the run.
 const FLOOD_TTL: Duration = Duration::from_secs(110);
 
-/// Who takes part.
+/// The participants.
 struct People {
     flooders: Vec<Arc<Operator>>,
     /// Drives a robot of their own all the time.
@@ -63,7 +63,7 @@ struct People {
     uncontrolled: Arc<AtomicUsize>,
 }
 
-/// What became of the flood.
+/// The fate of the flood.
 struct Flood {
     sent: usize,
     seconds: f64,
@@ -72,7 +72,7 @@ struct Flood {
     refused: BTreeMap<String, u64>,
 }
 
-/// What one run came to.
+/// The outcome of one run.
 struct Outcome {
     multiple: f64,
     flood: Flood,
@@ -126,7 +126,7 @@ fn people(runtime: &Runtime, other: &Runtime, network: &Network) -> People {
     People { flooders, operator, arrivals, controller, held: AtomicBool::new(true), uncontrolled: Arc::default() }
 }
 
-/// What is accepted of the flooders a second while they wait for their verdicts.
+/// The transactions of the flooders that are accepted in a second while they wait for their verdicts.
 fn capacity(runtime: &Runtime, flooders: &[Arc<Operator>], duration: Duration) -> f64 {
     let (next, accepted) = (Arc::new(AtomicUsize::new(0)), Arc::new(AtomicUsize::new(0)));
     let (flooders, counted) = (flooders.to_vec(), Arc::clone(&accepted));

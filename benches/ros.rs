@@ -1,12 +1,12 @@
-//! From ROS sample to ROS sample: an operator's node publishes `geometry_msgs/msg/Twist`, the robot's node receives it,
-//! and between them are her bridge, her node and the robot's node with its bridge inside, each a process of its own, as in
-//! the paper's network.
+//! From ROS sample to ROS sample: an operator's node publishes `geometry_msgs/msg/Twist`, and the robot's node receives
+//! it. Between them are her bridge, her node and the robot's node with its bridge inside, each a process of its own, as
+//! in the paper's network.
 //!
 //! Open loop, from the time a sample was due until the robot's node has it; over DDS at both ends, and over shared memory
 //! (iceoryx2) at both ends. In turns with it, so that all meet the same mood of the machine:
 //! - the floor: the same sample from publisher to subscriber with nothing of ours between them;
-//! - commit: the same command, signed by a client, until its verdict; and until its event at a subscriber of the robot's
-//!   node. What the bridges add beyond the commit is sample to sample less that.
+//! - commit: the same command, signed by a client, until its verdict; and until its event at a subscriber of the
+//!   robot's node. The bridges add sample to sample less that.
 //!
 //! `cargo bench --bench ros [-- dds | shared_memory]`; `LEDGERD_BENCH_SECONDS` sets the length of each rate. Runs in a network of its own.
 
@@ -48,7 +48,7 @@ const OPERATOR_DOMAIN: u16 = 211;
 const ROBOT_DOMAIN: u16 = 212;
 const FLOOR_DOMAIN: u16 = 213;
 
-/// What one middleware came to at one rate. Latencies are in nanoseconds.
+/// The outcome of one middleware at one rate. Latencies are in nanoseconds.
 struct Line {
     middleware: Middleware,
     hz: f64,
@@ -135,8 +135,8 @@ impl Line {
         median(&self.samples) - median(&self.commit)
     }
 
-    /// The parts of the median: into the operator's bridge, to the event at the robot's node, out of its bridge. What is
-    /// missing to the whole are the bridges themselves, the gate above all.
+    /// The parts of the median: into the operator's bridge, to the event at the robot's node, out of its bridge. The
+    /// bridges themselves, the gate above all, are the rest of the whole.
     fn parts(&self) -> f64 {
         2.0 * median(&self.floor) + median(&self.delivery)
     }

@@ -22,7 +22,7 @@ use network::Network;
 use std::time::{Duration, Instant};
 use tokio::runtime::Builder;
 
-/// Ten robots at 50 Hz. They share two services here; what is stored of each message is the same.
+/// Ten robots at 50 Hz. They share two services here; the stored part of each message is the same.
 const HZ: f64 = 500.0;
 /// The shortest retention, and small files, so that it can be seen at work.
 const SETTINGS: &str = "[storage]\nsegment_mib = 4\nretention = \"10min\"\n";

@@ -1,7 +1,8 @@
 //! From the start of a node to the moment when it orders: with nothing on its disk, and with a long chain.
 //!
-//! The chain is made without a node and is as one leaves it: one command a block, 1000 blocks in a second of block time,
-//! log, results and world state on disk. Then the node is started and ended in turns, in order and with `kill -9`.
+//! The chain is made without a node and is as one leaves it. It has one command a block, 1000 blocks in a second of
+//! block time, and log, results and world state on disk. Then the node is started and ended in turns, in order and with
+//! `kill -9`.
 //!
 //! `cargo bench --bench start`; `LEDGERD_BENCH_BLOCKS` sets the length of the chain.
 

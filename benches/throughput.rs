@@ -33,7 +33,7 @@ const MESSAGES: [usize; 4] = [1, 8, 32, 128];
 /// In flight where only the number of messages varies.
 const IN_FLIGHT_BATCHED: usize = 256;
 
-/// What a loop used, per call.
+/// The use of a loop, per call.
 struct Cost {
     cpu_us: f64,
     own_cpu_us: f64,

@@ -1,8 +1,8 @@
 //! The configuration of a node: `ledgerd.toml`. Every setting has a default; `ledgerd.toml` in the repository lists
 //! them all.
 //!
-//! All faults of a file are found at once, each with its line: settings are read one by one from the parsed text
-//! (which keeps the place of each value), because serde would stop at the first fault.
+//! All faults of a file are found at once, each with its line. Settings are read one by one from the parsed text, which
+//! keeps the place of each value, because serde would stop at the first fault.
 
 #[cfg(test)]
 mod tests;
@@ -53,7 +53,7 @@ pub struct Config {
     pub bridge: Option<ros_bridge::Config>,
 }
 
-/// What counts more on this machine.
+/// The preference of this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Profile {
     /// `balanced`: power. The processors sleep whenever nothing is to be done.
@@ -74,7 +74,7 @@ pub struct MemberOf {
     pub address: String,
 }
 
-/// What a node accepts at most.
+/// The limits of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Bytes of one transaction.
@@ -118,10 +118,10 @@ pub struct Ca {
     pub secret_days: u32,
 }
 
-/// What is logged, and how.
+/// The level and the form of the log.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Log {
-    /// What is less important than this is left out.
+    /// Lines that are less important than this are left out.
     pub level: LevelFilter,
     /// For people or for machines.
     pub format: LogFormat,

@@ -7,15 +7,15 @@ const FLAT: f64 = 0.1;
 /// Points farther than this from the best law keep none of them.
 const UNCLEAR: f64 = 0.25;
 
-/// What the points say.
+/// The law behind the points.
 #[derive(Clone, Debug)]
 pub(crate) struct Law {
     growth: &'static str,
     /// The mean.
     mean: f64,
-    /// What one more adds, by the straight line through all points.
+    /// The price of one more, by the straight line through all points.
     one_more: f64,
-    /// What ten times as many add, by the logarithmic curve.
+    /// The price of ten times as many, by the logarithmic curve.
     ten_times: f64,
     /// How far the points are from the law, relative to their mean.
     residual: f64,

@@ -1,4 +1,4 @@
-//! What there may be more of, except blocks.
+//! The things of which there may be more, except blocks.
 
 use crate::Bench;
 use crate::drivers::{Drivers, register, robot, salma};
@@ -51,7 +51,7 @@ impl Site {
     }
 }
 
-/// Robots that are driven, each by a holder of its own: at rates that they share, and each at 50 Hz, with as many messages
+/// Robots that are driven, each by a holder of its own. They share rates, and each runs at 50 Hz, with as many messages
 /// in a transaction as bring all to 1000 transactions a second.
 pub(crate) fn robots(bench: &Bench) -> Vec<Point> {
     let counts = bench.counts(&[1, 10, 100, 1000]);

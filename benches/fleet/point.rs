@@ -16,7 +16,7 @@ const WARM_UP: (f64, Duration) = (200.0, Duration::from_millis(300));
 /// Time in which a node has stored results and world state.
 const STORED_WITHIN: Duration = Duration::from_millis(700);
 
-/// What drives a point.
+/// The load that drives a point.
 pub(crate) struct Load {
     /// As it is called in results.
     pub(crate) name: String,
@@ -35,21 +35,21 @@ impl Load {
     }
 }
 
-/// What was measured. Times are in nanoseconds.
+/// The measurement. Times are in nanoseconds.
 pub(crate) struct Point {
     /// How many of what grows.
     pub(crate) x: f64,
-    /// What drove it.
+    /// The load that drove it.
     pub(crate) load: Load,
     run: Run,
     delivery: Histogram<u64>,
-    /// CPU of all nodes for a transaction, microseconds; what they do when idle is in it.
+    /// CPU of all nodes for a transaction, microseconds; their idle work is in it.
     pub(crate) cpu_us: f64,
     /// Resident memory of a node, the mean of all, MiB.
     pub(crate) resident_mib: f64,
-    /// What the first node's files grew by for a transaction, bytes, without the zeros that are written ahead.
+    /// The growth of the first node's files for a transaction, bytes, without the zeros that are written ahead.
     pub(crate) disk_bytes: f64,
-    /// What else there is to say, for programs.
+    /// Further facts, for programs.
     pub(crate) more: Value,
 }
 

@@ -14,7 +14,7 @@ const SPIN: Duration = Duration::from_micros(100);
 /// The longest latency that histograms tell apart, in nanoseconds.
 const LATENCY_NS_MAX: u64 = 60_000_000_000;
 
-/// What one run came to. Latencies are in nanoseconds.
+/// The outcome of one run. Latencies are in nanoseconds.
 pub(crate) struct Run {
     /// Commands a second that were due.
     pub(crate) hz: f64,
@@ -69,7 +69,7 @@ pub(crate) fn open_loop<F: Future<Output = ()> + Send + 'static>(
     summarise(hz, start, &finished)
 }
 
-/// What a closed loop came to.
+/// The outcome of a closed loop.
 pub(crate) struct Throughput {
     /// Calls that were under way at any time.
     pub(crate) in_flight: usize,

@@ -25,7 +25,7 @@ pub(crate) struct Engines {
     now: u64,
 }
 
-/// What ordering one command took.
+/// The time that ordering one command took.
 pub(crate) struct Ordered {
     /// The engine: from the command to its block, and from the flush to the commit and the message to the learner.
     pub(crate) engine: Duration,

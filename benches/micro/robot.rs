@@ -24,7 +24,7 @@ const DDS_DOMAIN: u16 = 3;
 /// Time for one sample, or for two participants to find each other.
 const WAIT_MAX: Duration = Duration::from_secs(20);
 
-/// What the robot checks of every message: decode, time, epoch, holder, signature, sequence.
+/// The robot's checks of every message: decode, time, epoch, holder, signature, sequence.
 pub(crate) fn gate(criterion: &mut Criterion) {
     let world = RefCell::new(World::new());
     let (context, epoch) = (world.borrow().founding.salma.clone(), world.borrow().epoch);

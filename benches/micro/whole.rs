@@ -111,7 +111,7 @@ fn time<T>(body: impl FnOnce() -> T) -> Duration {
     start.elapsed()
 }
 
-/// What the parts are measured with, and the network of the whole.
+/// The tools that measure the parts, and the network of the whole.
 struct Bench {
     world: World,
     engines: Engines,

@@ -93,7 +93,7 @@ impl Network {
         assert!(process.wait().unwrap().success());
     }
 
-    /// Who belongs to the network, and where its nodes are.
+    /// The members of the network, and the places of its nodes.
     pub(crate) fn founding(&self) -> &Founding {
         &self.founding
     }

@@ -1,4 +1,4 @@
-//! What a bench leaves: a table on standard output for people, `target/bench/NAME.json` for programs.
+//! The report of a bench: a table on standard output for people, `target/bench/NAME.json` for programs.
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::bench_directory;
@@ -18,7 +18,7 @@ pub(crate) struct Line {
     pub(crate) refused: usize,
     /// From when a command was due to its event at the last node's subscriber, in nanoseconds.
     pub(crate) delivery: Histogram<u64>,
-    /// What a write with `fdatasync` of the same size took right after, in nanoseconds.
+    /// The time of a write with `fdatasync` of the same size right after, in nanoseconds.
     pub(crate) disk: Histogram<u64>,
 }
 

@@ -20,7 +20,7 @@ const CONNECT_MAX: Duration = Duration::from_secs(30);
 /// So long after the last sample was due it is waited for.
 const LATE_MAX: Duration = Duration::from_secs(5);
 
-/// What carries samples at both ends.
+/// The middleware that carries samples at both ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Middleware {
     /// DDS over UDP on the loopback.

@@ -1,5 +1,5 @@
-//! The paper's network with its two bridges: the operator's, a process of its own beside the node of her organisation, and
-//! the robot's inside the node that its owner has on it.
+//! The paper's network with its two bridges. The operator's is a process of its own beside the node of her
+//! organisation; the robot's is inside the node that its owner has on it.
 
 use crate::founding::{Founding, PAPER, clock, robots};
 use crate::network::Network;
@@ -88,7 +88,7 @@ impl Site {
     }
 }
 
-/// What a bridge is told; everything else is as it is by default: DDS and shared memory.
+/// The settings of a bridge; everything else is as it is by default: DDS and shared memory.
 fn bridge_settings(home: &Path, name: &str, domain: u16, direction: &str, section: &str) -> String {
     let context = home.join("contexts").join(name);
     format!(

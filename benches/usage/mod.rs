@@ -1,4 +1,4 @@
-//! What processes used: CPU, memory, bytes on disk and on the wire, read from `/proc` and `/sys`.
+//! The use of processes: CPU, memory, bytes on disk and on the wire, read from `/proc` and `/sys`.
 #![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use std::fs::File;
@@ -25,7 +25,7 @@ pub(crate) fn cpu(processes: &[u32]) -> Duration {
     Duration::from_millis(processes.iter().map(ticks).sum::<u64>() * 1000 / TICKS_PER_SECOND)
 }
 
-/// The same to the nanosecond. What threads used that have ended meanwhile is missing.
+/// The same to the nanosecond. The use of threads that have ended meanwhile is missing.
 pub(crate) fn cpu_exact(processes: &[u32]) -> Duration {
     let of_thread = |thread: std::fs::DirEntry| {
         let statistics = std::fs::read_to_string(thread.path().join("schedstat")).ok()?;

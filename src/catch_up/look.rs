@@ -7,8 +7,8 @@
 //! [`ASK_TIME_MAX`] as long as a majority of the voters has not been heard, for then nothing can be ordered anyway. It
 //! is also waited for if there is nothing in the log, which looks like a lost disk. Otherwise silence costs
 //! [`PATIENCE`], and ordering begins while the question is still open. Until it is closed this node gives no vote, nor
-//! does it ask for any, as its own election timeout is longer; each entry that it acknowledges is on its disk. An answer that
-//! comes in that time and says that blocks were lost ends the node as it would have before.
+//! does it ask for any, as its own election timeout is longer. Each entry that it acknowledges is on its disk. An
+//! answer that comes in that time and says that blocks were lost ends the node as it would have before.
 
 use super::ask::{Answers, Offer, longest_first};
 use super::{ASK_TIME_MAX, CatchUp};

@@ -1,5 +1,5 @@
-//! What must be true after every fault: all nodes have the same chain and the same state, and in it every acknowledged
-//! transaction once, where its user was told.
+//! The truth after every fault: all nodes have the same chain and the same state. In it every acknowledged transaction
+//! is once, where its user was told.
 
 use crate::cluster::{Cluster, NODES};
 use crate::load::Told;
@@ -17,7 +17,7 @@ const ASKED_AT_ONCE: usize = 32;
 const LOOKED_UP: usize = 300;
 const RESUBMITTED: usize = 30;
 
-/// What every node has at one height.
+/// The state of every node at one height.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Link {
     pub term: u64,

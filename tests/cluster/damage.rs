@@ -1,5 +1,5 @@
-//! Bytes that change on a disk while the node is down. Whatever it is, the node repairs it, refuses it with file and
-//! offset, or makes its state again from the blocks; it never answers wrong and never panics.
+//! Bytes that change on a disk while the node is down. The node repairs any of it, refuses it with file and offset, or
+//! makes its state again from the blocks; it never answers wrong and never panics.
 //!
 //! | module | what is damaged |
 //! |---|---|

@@ -17,7 +17,7 @@ use std::sync::Arc;
 /// Bytes of the messages that fill the log of the node without space.
 const LARGE_BYTES: usize = 100_000;
 
-/// What one node says to a transaction that is submitted to it alone: the code of the verdict.
+/// The answer of one node to a transaction that is submitted to it alone: the code of the verdict.
 async fn told_by(cluster: &Cluster, node: usize, number: u64) -> u32 {
     let place = vec![cluster.fleet.nodes[node].address.clone()];
     let guest = Context { nodes: place, ..cluster.guest.clone() };

@@ -1,5 +1,5 @@
-//! Networks of three voters and a learner in two organisations, as real processes on real disks, and what happens to
-//! such machines: they are killed, cut off, stopped, filled up and damaged. After each fault nothing that was
+//! Networks of three voters and a learner in two organisations, as real processes on real disks. They suffer as such
+//! machines do: they are killed, cut off, stopped, filled up and damaged. After each fault nothing that was
 //! acknowledged is lost or executed twice, and all nodes agree.
 //!
 //! | module | what happens |

@@ -1,5 +1,5 @@
 //! A leader that is stopped (SIGSTOP: a suspended laptop, a hypervisor, a debugger) and wakes up, believing that it
-//! still leads. What it is asked in that moment it must not answer from the past.
+//! still leads. It must not answer questions of that moment from the past.
 
 use crate::audit::audit;
 use crate::cluster::{Cluster, VOTERS};
@@ -27,7 +27,7 @@ async fn acquire(client: &Client) -> (u64, u64) {
     (grant.height, epoch.unwrap_or_else(|| panic!("no epoch in {told}")))
 }
 
-/// Who drives the robot according to an answer to `robot Turtlebot4`.
+/// The driver of the robot according to an answer to `robot Turtlebot4`.
 fn driver(answer: &[u8]) -> String {
     let robot: Value = serde_json::from_slice(answer).unwrap();
     robot["owner"].as_str().unwrap_or_default().to_owned()

@@ -1,6 +1,6 @@
 //! Four machines and a router between them, in network namespaces: each node has a network of its own, and the test,
-//! with its clients, is the router. A bridge would do for whole machines, but only a router can lose what goes in one
-//! direction between two of them: a rule for source and destination drops it without a word.
+//! with its clients, is the router. A bridge would do for whole machines, but only a router can lose packets in one
+//! direction between two of them. A rule for source and destination drops them without a word.
 //!
 //! Only for tests that are [`isolated`](crate::own_network::isolated): the rules end with their namespace.
 

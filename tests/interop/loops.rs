@@ -1,5 +1,5 @@
-//! What came from the ledger does not get there again: not through another bridge, not through a relay, over DDS or
-//! shared memory. Otherwise one command becomes thousands, never too old, and the lease never ends.
+//! Messages from the ledger do not get there again: not through another bridge, not through a relay, over DDS or shared
+//! memory. Otherwise one command becomes thousands, never too old, and the lease never ends.
 
 use std::time::Duration;
 
@@ -51,7 +51,7 @@ impl Node {
         self.0.writer(&topic(name), &kind(), &Qos::default()).unwrap()
     }
 
-    /// What others publish; what this node publishes itself is left out.
+    /// The publications of others; those of this node are left out.
     fn reader(&self, name: &str) -> Reader {
         self.0.reader(&topic(name), &kind(), &Qos::default(), Limits::default()).unwrap()
     }
@@ -216,7 +216,8 @@ async fn relay(from: Reader, to: Writer) {
     }
 }
 
-/// What is delivered on `/watched` comes back to `/cmd_vel` through a relay. `bridges` are those of the operator's domain.
+/// A sample that is delivered on `/watched` comes back to `/cmd_vel` through a relay. `bridges` are those of the
+/// operator's domain.
 async fn a_relay_in_the_operators_domain(bridges: &[(&str, String)]) {
     let world = World::start_with_mode("/cmd_vel", TWIST, "exclusive").await;
     let settings = |domain: u16, routes: &str| format!("domain_id = {domain}\nshared_memory = false\n{routes}");

@@ -1,8 +1,8 @@
 //! README.md as it stands: its blocks of commands are run, in order, by somebody with an empty home directory.
 //!
-//! What README prints is compared line by line. Times, ids, fingerprints and secrets differ from run to run: a word of that
-//! kind may be another one of the same form, and where a later command of README names it, the real one is put there. So
-//! README shows whole values, as a reader sees them.
+//! The output in README is compared line by line. Times, ids, fingerprints and secrets differ from run to run: a word
+//! of that kind may be another one of the same form. Where a later command of README names it, the real one is put
+//! there. So README shows whole values, as a reader sees them.
 
 mod page;
 mod terminal;
@@ -11,7 +11,7 @@ use crate::network;
 use page::{Block, Page};
 use terminal::Terminal;
 
-/// Who runs a block.
+/// The shell that runs a block.
 enum Run {
     /// This test.
     Here,

@@ -239,7 +239,7 @@ impl World {
         Process(command.spawn().unwrap())
     }
 
-    /// What a bridge with these settings prints, that cannot start; and its exit code.
+    /// The output of a bridge with these settings that cannot start, and its exit code.
     pub(crate) fn bridge_refuses(&self, name: &str, settings: &str) -> (Option<i32>, String) {
         let output = ledgerd().args(["bridge", "--config"]).arg(self.config_of(name, settings)).output().unwrap();
         (output.status.code(), String::from_utf8(output.stderr).unwrap())
@@ -265,7 +265,7 @@ impl World {
         }
     }
 
-    /// What a bridge that cannot start prints.
+    /// The output of a bridge that cannot start.
     pub(crate) fn bridge_fails(&self, name: &str, topic: &str, kind: &str) -> String {
         let config = self.bridge_config(name, 1, "to_ledger", topic, kind);
         let output = ledgerd().args(["bridge", "--config"]).arg(config).output().unwrap();

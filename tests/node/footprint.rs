@@ -1,4 +1,4 @@
-//! What a command takes on a node's disk, for good.
+//! The bytes of a command on a node's disk, for good.
 
 use crate::support::network::{SERVICE, register_robots};
 use crate::support::{Fleet, connect};

@@ -240,7 +240,7 @@ async fn certificates_of_strangers_and_of_other_times_are_refused() {
     target.end("certificates");
 }
 
-/// What a fake node trusts: whoever comes.
+/// A fake node trusts everybody.
 struct Anybody(Arc<Msps>);
 
 impl TrustSource for Anybody {

@@ -20,7 +20,7 @@ pub struct Newcomer {
     pub address: String,
 }
 
-/// What one run of `ledgerd join` said.
+/// The output of one run of `ledgerd join`.
 pub struct Ran {
     ok: bool,
     stdout: String,
@@ -54,7 +54,7 @@ impl Newcomer {
         Process::start(name, fleet.path(), command)
     }
 
-    /// What a try that was interrupted leaves: everything but these files.
+    /// The remains of a try that was interrupted: everything but these files.
     fn interrupt(&self, lost: &[&str]) {
         let staged = self.staged();
         std::fs::rename(self.data(), &staged).unwrap();

@@ -1,4 +1,4 @@
-//! Who leads: reads that ask the leader, transfers on demand and at the end of a node, clients that go on.
+//! Leadership: reads that ask the leader, transfers on demand and at the end of a node, clients that go on.
 
 use crate::support::network::{NodeWish, free_address, message, now, register_robots};
 use crate::support::process::Process;

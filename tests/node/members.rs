@@ -16,7 +16,7 @@ async fn decide(client: &Client, function: &str, argument: String) -> Decision {
     serde_json::from_slice(&done.response).unwrap()
 }
 
-/// What a node is by what another one sees.
+/// The role of a node as another one sees it.
 async fn becomes(observer: &Client, node: u64, role: &str) {
     until(&format!("node {node} is {role:?}"), || async {
         let status = observer.status().await.ok()?;

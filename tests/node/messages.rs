@@ -3,7 +3,7 @@
 use crate::support::Dev;
 use serde_json::{Value, json};
 
-/// What one line of `echo -o json` says.
+/// The content of one line of `echo -o json`.
 fn lines(text: &str) -> Vec<Value> {
     text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
 }

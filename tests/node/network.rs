@@ -19,7 +19,7 @@ async fn becomes(ctl: &Ctl, name: &str, role: &str) {
     .await;
 }
 
-/// Who leads; 0 if nobody knows, or nobody answers yet.
+/// The leader; 0 if nobody knows, or nobody answers yet.
 fn leader(ctl: &Ctl) -> u64 {
     let ran = ctl.run(&["network", "status", "-o", "json"]);
     if ran.code == 0 { ran.json()["leader_id"].as_u64().unwrap() } else { 0 }

@@ -1,4 +1,4 @@
-//! Who may read: told at once, told when it ends, and never kept out by somebody who takes every place.
+//! Readers: told at once, told when the right ends, and never kept out by somebody who takes every place.
 
 use crate::support::network::register_robots;
 use crate::support::wait::{PATIENCE, until};

@@ -17,7 +17,7 @@ fn older(fleet: &Fleet) {
     }
 }
 
-/// What `network rules` shows, once it does and this holds.
+/// The output of `network rules`, once it comes and this holds.
 async fn rules(ctl: &Ctl, what: &str, holds: impl Fn(&Value) -> bool) -> Value {
     until(what, || async {
         let ran = ctl.run(&["network", "rules", "-o", "json"]);

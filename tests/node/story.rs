@@ -1,4 +1,4 @@
-//! What people do with `ledgerctl` on a network for playing, from the first command to the last.
+//! People's work with `ledgerctl` on a network for playing, from the first command to the last.
 
 use crate::support::{Ctl, Dev, eventually};
 use serde_json::Value;

@@ -27,7 +27,7 @@ fn three(directory: &TempDir) -> Terminal {
     terminal
 }
 
-/// What `network status` says as a context, if it answers at all.
+/// The output of `network status` as a context, if it answers at all.
 fn status(terminal: &Terminal, context: &str) -> Option<(i32, Value)> {
     let ran = Ctl::at(&terminal.home()).as_(context).run(&["network", "status", "--check", "-o", "json"]);
     serde_json::from_str(&ran.stdout).ok().map(|value| (ran.code, value))
@@ -209,7 +209,7 @@ fn until_it_follows(terminal: &Terminal, context: &str, name: &str) {
     });
 }
 
-/// Runs what must fail at once; what it says.
+/// Runs a command that must fail at once; the answer is its output.
 fn failed(terminal: &Terminal, line: &str) -> String {
     let done = terminal.run(line);
     assert!(!done.status.success(), "{line} has succeeded");

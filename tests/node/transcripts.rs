@@ -1,8 +1,9 @@
-//! What `ledgerctl` says to somebody who got something wrong, word for word: tests/transcripts/wrong_input.txt.
+//! The answers of `ledgerctl` to somebody who got something wrong, word for word: tests/transcripts/wrong_input.txt.
 //!
-//! The file is for reading. Each line `who$ ledgerctl …` is run as that person on one network for playing, in this order;
-//! below it stands what it prints, with its exit code if that is not 0. What differs from run to run has a name in capitals.
-//! After a change of words: `LEDGERD_TRANSCRIPTS=write cargo test --test node transcripts`, then read the difference.
+//! The file is for reading. Each line `who$ ledgerctl …` is run as that person on one network for playing, in this
+//! order. Below it stands its output, with its exit code if that is not 0. Words that differ from run to run have a
+//! name in capitals. After a change of words: `LEDGERD_TRANSCRIPTS=write cargo test --test node transcripts`, then read
+//! the difference.
 
 use crate::support::{Ctl, Dev};
 use std::fs;

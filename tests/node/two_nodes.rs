@@ -1,4 +1,4 @@
-//! The demo's topology: Org1's node orders, Org2's follows. What goes in at one comes out at the other.
+//! The demo's topology: Org1's node orders, Org2's follows. A transaction that goes in at one comes out at the other.
 
 use crate::support::ctl::verify;
 use crate::support::network::{message, register_robots};

@@ -1,4 +1,4 @@
-//! What the documents promise.
+//! The promises of the documents.
 
 use crate::sources::{files, read, root};
 use std::collections::BTreeSet;

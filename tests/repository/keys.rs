@@ -24,8 +24,8 @@ fn documented(chaincode: &str) -> BTreeSet<String> {
     .collect()
 }
 
-/// The beginnings of keys in the sources of a chaincode: texts that start with small letters and a `/`, and full keys
-/// that start with the name of the chaincode and a zero byte.
+/// The beginnings of keys in the sources of a chaincode. They are texts that start with small letters and a `/`, and
+/// full keys that start with the name of the chaincode and a zero byte.
 fn written(chaincode: &str, folders: &[&str]) -> BTreeSet<String> {
     let full = format!("{chaincode}\\0");
     let sources = files(&root().join("crates"), ".rs").into_iter().filter(|path| {

@@ -1,4 +1,4 @@
-//! What a program links follows from what it does.
+//! The libraries that a program links follow from its work.
 
 use crate::sources::root;
 use std::collections::BTreeSet;

@@ -14,7 +14,7 @@ fn modules() -> Vec<String> {
     paths.filter_map(|path| path.strip_suffix("::KIND")).map(str::to_owned).collect()
 }
 
-/// What a file says before its tests.
+/// The source of a file, before its tests.
 fn product(path: &Path) -> String {
     let text = read(path);
     text.split("#[cfg(test)]\nmod tests")

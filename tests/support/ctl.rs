@@ -14,7 +14,7 @@ pub struct Ctl {
     context: Option<String>,
 }
 
-/// What one run said.
+/// The output of one run.
 #[derive(Debug)]
 pub struct Ran {
     pub stdout: String,

@@ -9,7 +9,7 @@ use tempfile::TempDir;
 /// A running network for playing, in a home of its own.
 pub struct Dev {
     pub process: Process,
-    /// What `--json` printed.
+    /// The output of `--json`.
     pub facts: Value,
     pub home: TempDir,
 }

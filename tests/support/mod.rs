@@ -1,4 +1,5 @@
-//! What tests with real nodes share: processes that never stay behind, networks in temporary directories, `ledgerctl`.
+//! The shared parts of tests with real nodes: processes that never stay behind, networks in temporary directories,
+//! `ledgerctl`.
 //!
 //! | module | what is there |
 //! |---|---|

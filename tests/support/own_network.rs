@@ -56,8 +56,8 @@ pub(crate) fn isolated<Here>(_here: &Here) -> bool {
     false
 }
 
-/// The full name of the test in this binary whose closure has this type: without the crate before it, and without the
-/// closures after it (a test that is `async` is a closure itself).
+/// The full name of the test in this binary whose closure has this type. It is without the crate before it, and without
+/// the closures after it (a test that is `async` is a closure itself).
 fn test_of(closure: &str) -> &str {
     let test = closure.split("::{{closure}}").next().unwrap_or(closure);
     test.split_once("::").map_or(test, |(_, name)| name)

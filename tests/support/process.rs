@@ -35,12 +35,12 @@ impl Process {
         self.child.id()
     }
 
-    /// What it has printed on standard output.
+    /// Its output on standard output.
     pub fn stdout(&self) -> String {
         std::fs::read_to_string(&self.stdout).unwrap_or_default()
     }
 
-    /// What it, and those of its name before it, have printed on standard error.
+    /// Its output, and that of processes of its name before it, on standard error.
     pub fn stderr(&self) -> String {
         std::fs::read_to_string(&self.stderr).unwrap_or_default()
     }
@@ -96,7 +96,7 @@ impl Process {
         self.no_panic();
     }
 
-    /// Whatever happened: nothing has panicked.
+    /// After anything that happened: nothing has panicked.
     pub fn no_panic(&self) {
         let log = self.stderr();
         assert!(!log.contains("panicked"), "{} panicked:\n{log}", self.name);

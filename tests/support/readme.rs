@@ -1,9 +1,9 @@
 //! The blocks of README.md, run as they stand.
 //!
-//! A line that begins with `$ ` is typed. Words in capitals stand for what an earlier command has printed: `TOKEN` for the
-//! word of `ledgerctl network invite`, `FINGERPRINT` and `SECRET` for what stands behind `--ca-fingerprint` and `--secret`,
-//! `ID` for what stands behind `network approve`; always the newest. A command with `&` goes on beside. A command that finds
-//! nobody who answers (exit code 4) is typed again, as a person does who has just started a node.
+//! A line that begins with `$ ` is typed. Words in capitals stand for the output of an earlier command, always the
+//! newest. `TOKEN` is the word of `ledgerctl network invite`, `FINGERPRINT` and `SECRET` stand behind
+//! `--ca-fingerprint` and `--secret`, and `ID` behind `network approve`. A command with `&` goes on beside. A command
+//! that finds nobody who answers (exit code 4) is typed again, as a person does who has just started a node.
 
 use super::process::Process;
 use super::programs;
@@ -31,7 +31,7 @@ pub struct Terminal {
     directory: PathBuf,
     /// Everything that was printed, for the words in capitals.
     printed: String,
-    /// What goes on beside, by its command.
+    /// The processes beside, by their commands.
     pub beside: Vec<(String, Process)>,
 }
 
@@ -106,7 +106,7 @@ impl Terminal {
         command
     }
 
-    /// What a word in capitals stands for.
+    /// The value of a word in capitals.
     fn word(&self, word: &str) -> String {
         let after = |text: &str| {
             let found = self.printed.rsplit_once(text).and_then(|(_, rest)| rest.split_whitespace().next());

@@ -38,7 +38,7 @@ pub(crate) struct Inventory;
 pub(crate) struct Find {
     /// Its number: finds are counted from 1.
     pub(crate) id: u64,
-    /// What it is.
+    /// Its name.
     pub(crate) item: String,
     /// The robot that found it.
     pub(crate) robot: String,
@@ -48,7 +48,7 @@ pub(crate) struct Find {
     pub(crate) y_mm: i64,
     /// The organisation that reported it.
     pub(crate) organisation: String,
-    /// Who reported it, e.g. `Org1/Salma`.
+    /// Its reporter, e.g. `Org1/Salma`.
     pub(crate) reported_by: String,
     /// When: block time, microseconds since the UNIX epoch.
     pub(crate) time: u64,
@@ -166,7 +166,7 @@ fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {
     serde_json::to_vec(value).map(Bytes::from).map_err(|error| Rejection::new(Code::Internal, error.to_string()))
 }
 
-/// What this chaincode wrote earlier.
+/// The value that this chaincode wrote earlier.
 fn stored<T: for<'a> Deserialize<'a>>(value: &[u8]) -> Result<T, Rejection> {
     serde_json::from_slice(value)
         .map_err(|error| Rejection::new(Code::Corrupt, format!("a stored value cannot be read: {error}")))

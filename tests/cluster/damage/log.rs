@@ -37,7 +37,7 @@ struct Log {
     records: Vec<Placed>,
 }
 
-/// What became of a damaged log.
+/// The fate of a damaged log.
 #[derive(Default)]
 struct Outcomes {
     repaired: u64,
@@ -111,8 +111,8 @@ impl Log {
         entries
     }
 
-    /// Opens the log with one file changed; what the store then has, entry by entry. What opening does not read is found
-    /// by who reads it, or by the check that follows a start.
+    /// Opens the log with one file changed; the answer is the content of the store then, entry by entry. A reader, or the check that
+    /// follows a start, finds the part that opening does not read.
     fn open(&self, file: usize, content: Vec<u8>) -> Result<Vec<Entry>, StoreError> {
         let mut files = self.files.clone();
         files[file].1 = content;

@@ -13,7 +13,7 @@ use ledger_storage::layout::STATE_DIRECTORY;
 use std::fs;
 use std::path::PathBuf;
 
-/// What happens to the files of a voter that does not run.
+/// The damage to the files of a voter that does not run.
 #[derive(Clone, Copy, Debug)]
 enum Damage {
     /// A bit in the oldest segment.

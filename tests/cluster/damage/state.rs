@@ -28,7 +28,7 @@ const SECTORS: u64 = 30;
 /// Everything in the world state, and the digest that led there.
 type World = (Hash, Vec<(Bytes, Bytes)>);
 
-/// What executing the blocks of a directory gives, at every height.
+/// The results of executing the blocks of a directory, at every height.
 fn worlds(data: &Path, scratch: &Path) -> BTreeMap<u64, World> {
     copy(&data.join(BLOCKS_DIRECTORY), scratch);
     let genesis = fs::read(data.join(GENESIS_FILE)).unwrap();

@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-/// What a test needs of README.
+/// The parts of README that a test needs.
 pub(super) struct Page {
     pub(super) text: String,
     /// Blocks of commands in their order.

@@ -49,7 +49,7 @@ pub struct Client {
     introduced: bool,
     /// The robots are set up; only the owner's client cares.
     pub ready: bool,
-    /// What it does whatever the plan; for the last word of a run.
+    /// Its work whatever the plan; for the last word of a run.
     pub orders: Vec<Call>,
     /// It does nothing of its own any more.
     pub obedient: bool,
@@ -59,7 +59,7 @@ pub struct Client {
     pub obeyed: Vec<Code>,
 }
 
-/// What is read of a grant.
+/// The fields that are read of a grant.
 #[derive(Deserialize)]
 struct Granted {
     epoch: u64,
@@ -293,7 +293,7 @@ impl World {
         self.schedule(think, Event::Client { client: number, attempt });
     }
 
-    /// What the client makes of a verdict.
+    /// The client's reading of a verdict.
     fn learn(&mut self, number: usize, code: Code, response: &Bytes) {
         let client = &mut self.clients[number];
         let Some(call) = client.call.clone() else { return };

@@ -1,7 +1,7 @@
 //! The clocks of a machine, in virtual time: the wall clock, which may be wrong and jump, and the monotonic one.
 //!
-//! What a node makes of them is a copy of the rule in `src/clock.rs` of the node: time that never goes back, not even
-//! behind the block time that it has seen. All times are in microseconds.
+//! A node makes of them a copy of the rule in `src/clock.rs` of the node: time that never goes back, not even behind
+//! the block time that it has seen. All times are in microseconds.
 
 /// Virtual time 0 as a wall clock shows it: 2030-01-01, in microseconds since the UNIX epoch.
 pub const EPOCH: u64 = 1_893_456_000_000_000;
@@ -51,13 +51,13 @@ impl Clock {
         self.base = block_time.saturating_sub(elapsed);
     }
 
-    /// What the process takes for the time, microseconds since the UNIX epoch.
+    /// The process's view of the time, microseconds since the UNIX epoch.
     pub fn now(&self, virtual_now: u64) -> u64 {
         let elapsed = self.monotonic(virtual_now) - self.started;
         self.wall(virtual_now).max(self.base + elapsed)
     }
 
-    /// What the machine shows.
+    /// The machine's clock.
     pub fn wall(&self, virtual_now: u64) -> u64 {
         (EPOCH + self.monotonic(virtual_now)).saturating_add_signed(self.offset)
     }

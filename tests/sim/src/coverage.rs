@@ -1,4 +1,5 @@
-//! What was really done to the cluster, counted where it is done: a fault that was only planned tests nothing.
+//! The damage that was really done to the cluster, counted where it is done: a fault that was only planned tests
+//! nothing.
 
 use ledger_rejection::Code;
 use std::collections::BTreeMap;
@@ -35,7 +36,7 @@ faults! {
     Partition "partition";
     /// One group does not hear the other, which hears it.
     OneWay "one-way partition";
-    /// A node loses power; what was not synced is lost.
+    /// A node loses power; unsynced writes are lost.
     Crash "crash";
     /// … in the middle of a write, of which some sectors survive.
     TornWrite "crash that tears a write";

@@ -1,4 +1,4 @@
-//! What the clients did and saw, in real (virtual) time: what the oracle judges in the end.
+//! The clients' calls and answers, in real (virtual) time: the oracle judges them in the end.
 
 use bytes::Bytes;
 use ledger_hash::Hash;
@@ -16,7 +16,7 @@ pub struct History {
 /// One operation of one client.
 #[derive(Debug)]
 pub struct Operation {
-    /// Whose it is.
+    /// Its owner.
     pub client: usize,
     /// The client's session: it remembers nothing of an earlier one.
     pub session: u64,
@@ -24,13 +24,13 @@ pub struct Operation {
     pub invoked: u64,
     /// When it returned; none while it runs, or if nobody ever knew.
     pub returned: Option<u64>,
-    /// What it is.
+    /// The operation.
     pub kind: Kind,
-    /// What came of it.
+    /// Its outcome.
     pub result: Outcome,
 }
 
-/// What an operation is.
+/// The kinds of operations.
 #[derive(Debug)]
 pub enum Kind {
     /// A transaction.
@@ -53,7 +53,7 @@ pub enum Kind {
     },
 }
 
-/// What came of an operation, as far as its client knows.
+/// The outcome of an operation, as far as its client knows.
 #[derive(Clone, Debug)]
 pub enum Outcome {
     /// Nothing yet, or never anything: it may have happened or not.
@@ -69,7 +69,7 @@ pub enum Outcome {
         /// By this code it can never happen.
         never: bool,
     },
-    /// What was read.
+    /// The value that was read.
     Read {
         /// The height that it is from.
         height: u64,
@@ -77,7 +77,7 @@ pub enum Outcome {
         judged_at: u64,
         /// Whether it could be read.
         code: Code,
-        /// What it is.
+        /// Its content.
         response: Bytes,
     },
 }

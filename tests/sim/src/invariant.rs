@@ -1,4 +1,4 @@
-//! What must hold at every moment, whatever happens: one file each, with where it is from.
+//! The invariants of every moment, whatever happens: one file each, with its source.
 //!
 //! Each invariant is a small state machine that is told what the nodes do and compares it with what it was told
 //! before. It sees all nodes at once, which no node does. [`Invariants`] passes on what the world observes.
@@ -44,7 +44,7 @@ use std::sync::Arc;
 pub struct Violation {
     /// Which one, e.g. `election safety`.
     pub invariant: &'static str,
-    /// What was found.
+    /// The violation that was found.
     pub what: String,
 }
 
@@ -61,14 +61,14 @@ impl fmt::Display for Violation {
     }
 }
 
-/// What a check answers.
+/// The answer of a check.
 pub type Check = Result<(), Violation>;
 
 /// A block that a node has executed, with its transactions read once for all invariants.
 pub struct Executed<'a> {
     /// The node.
     pub node: u64,
-    /// What came out.
+    /// The outcome.
     pub outcome: &'a Outcome,
     /// Its transactions; none where the bytes are not one.
     pub transactions: &'a [Option<Transaction>],
@@ -88,21 +88,21 @@ pub struct Invariants {
     pub state_agreement: StateAgreement,
     /// A transaction is executed once.
     pub exactly_once: ExactlyOnce,
-    /// What was promised is on disks.
+    /// Promised entries are on disks.
     pub acknowledged: AcknowledgedIsDurable,
     /// At most as many holders as the mode allows.
     pub grant_exclusivity: GrantExclusivity,
     /// Epochs never come twice.
     pub epochs_grow: EpochsGrow,
-    /// Who has no right has no success.
+    /// A caller without a right has no success.
     pub denied_by_default: DeniedByDefault,
-    /// Who was revoked does nothing any more.
+    /// A revoked identity does nothing any more.
     pub revoked: RevokedStaysRevoked,
-    /// What is committed does not change.
+    /// Committed entries do not change.
     pub committed: CommittedIsImmutable,
-    /// What was refused for good is not executed.
+    /// A transaction that was refused for good is not executed.
     pub refused_is_final: RefusedIsFinal,
-    /// What was told is seen by every later call.
+    /// Every later call sees the answers that were given.
     pub answered_is_seen: AnsweredIsSeen,
 }
 

@@ -1,5 +1,5 @@
-//! A whole cluster of `ledgerd` in one thread, in virtual time: the real ledger, access control and ordering engine, on
-//! disks, clocks and a network that fail in every way that we could think of.
+//! A whole cluster of `ledgerd` in one thread, in virtual time: the real ledger, access control and ordering engine.
+//! Its disks, clocks and network fail in every way that we could think of.
 //!
 //! One number, the seed, decides everything: how many nodes there are, what the clients want, what goes wrong and when.
 //! So a run that breaks a promise can be repeated, byte for byte:
@@ -8,15 +8,15 @@
 //! cargo run --release --bin simulate -- --seed 4711 --trace
 //! ```
 //!
-//! After a storm everything heals; then the cluster must converge and serve. What must hold meanwhile is in
-//! [`invariant`], one file each. In the end [`oracle`] replays the chain through a small model of access control, written
-//! apart from the product, and looks at every client's view in real time.
+//! After a storm everything heals; then the cluster must converge and serve. The invariants are in [`invariant`], one
+//! file each. In the end [`oracle`] replays the chain through a small model of access control, written apart from the
+//! product, and looks at every client's view in real time.
 //!
-//! What is real: `ledger_replica::Replica` with everything that a node decides around the engine,
-//! `ledger_storage::block_store::BlockStore`, `ledger::Ledger` with the chaincodes `msp` and `abac`. What is simulated: disks
-//! ([`ledger_storage::disk::SimDisk`]), network, clocks, clients, and the threads that drive the replica (`world`; compare
-//! `src/orderer/order.rs`). What it is not: a test of sockets, TLS, gRPC, threads or sled; tests/cluster does those with
-//! real processes.
+//! The real parts are `ledger_replica::Replica` with every decision of a node around the engine,
+//! `ledger_storage::block_store::BlockStore`, and `ledger::Ledger` with the chaincodes `msp` and `abac`. The simulated
+//! parts are disks ([`ledger_storage::disk::SimDisk`]), network, clocks, clients, and the threads that drive the
+//! replica (`world`; compare `src/orderer/order.rs`). It is no test of sockets, TLS, gRPC, threads or sled;
+//! tests/cluster does those with real processes.
 //!
 //! | module | what is there |
 //! |---|---|

@@ -37,7 +37,7 @@ pub struct Node {
     pub clock: Clock,
     /// The process.
     pub up: Option<Running>,
-    /// Counts starts; what an earlier process had asked for is void.
+    /// Counts starts; requests of an earlier process are void.
     pub start: u64,
     /// Until when the process stands still.
     pub paused_until: u64,
@@ -63,13 +63,13 @@ pub struct Running {
     pub desired: Desired,
     /// Executes.
     pub executor: Arc<Executor>,
-    /// Who waits for the verdict on a transaction.
+    /// The clients that wait for the verdict on a transaction.
     pub waiters: Arc<Waiters<Client>>,
-    /// Who waits until the state is current.
+    /// The readers that wait until the state is current.
     pub reads: Reads<Asking>,
     /// Repetitions that are ordered although the state refuses them.
     pub retries: Retries,
-    /// What clients are told.
+    /// The answers for clients.
     pub answers: (mpsc::Sender<Verdict>, mpsc::Receiver<Verdict>),
     /// Since when clients wait.
     pub waiting: BTreeMap<Reply, u64>,
@@ -83,7 +83,7 @@ pub struct Running {
     pub flushing: bool,
     /// The order thread does nothing else while it flushes, as in the node; without, more can overlap.
     pub waits_for_disk: bool,
-    /// What has come in meanwhile.
+    /// The events that have come in meanwhile.
     pub inbox: VecDeque<Event>,
     /// Given to the execute thread, and not executed.
     pub given: VecDeque<Entry>,
@@ -108,11 +108,11 @@ pub struct Running {
 pub struct Client {
     /// Where the answer goes.
     pub reply: Reply,
-    /// What it is told.
+    /// Its answer.
     pub answers: mpsc::Sender<Verdict>,
 }
 
-/// What a client is told about its transaction.
+/// The answer to a client about its transaction.
 #[derive(Clone, Debug)]
 pub struct Verdict {
     /// Where the answer goes.
@@ -149,7 +149,7 @@ impl Waiter for Client {
 /// the state refuses.
 #[derive(Clone, Debug)]
 pub struct Asking {
-    /// What is asked.
+    /// The question.
     pub request: Request,
     /// Why the state refuses it, if it is a transaction.
     pub refusal: Option<Box<Refusal>>,
@@ -172,7 +172,7 @@ pub struct Reply {
     pub attempt: u64,
 }
 
-/// What a client asks of a node.
+/// A client's request to a node.
 #[derive(Clone, Debug)]
 pub struct Request {
     /// Where the answer goes.
@@ -181,11 +181,11 @@ pub struct Request {
     pub min_height: u64,
     /// The newest height that anybody had been told when the client asked. The node does not know it.
     pub told: u64,
-    /// What it wants.
+    /// Its wish.
     pub what: What,
 }
 
-/// What is wanted.
+/// The request.
 #[derive(Clone, Debug)]
 pub enum What {
     /// Order this.
@@ -206,7 +206,7 @@ pub enum What {
     },
 }
 
-/// What a node answers.
+/// The answer of a node.
 #[derive(Clone, Debug)]
 pub enum Answer {
     /// The transaction was executed.
@@ -222,7 +222,7 @@ pub enum Answer {
     },
     /// It was not ordered, or not that anybody knows.
     Refused(Refused),
-    /// What was read.
+    /// The value that was read.
     Value {
         /// The height that it is from.
         height: u64,
@@ -230,7 +230,7 @@ pub enum Answer {
         judged_at: u64,
         /// Whether it could be read.
         code: Code,
-        /// What it is.
+        /// Its content.
         response: Bytes,
     },
 }

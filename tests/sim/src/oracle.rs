@@ -14,7 +14,7 @@ use crate::world::World;
 /// Judges a run that has ended.
 ///
 /// # Errors
-/// What does not fit.
+/// The contradiction.
 pub fn judge(world: &mut World) -> Check {
     world.coverage.checks += replay::replay(world)?;
     world.coverage.checks += views::check(world)?;

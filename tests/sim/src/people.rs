@@ -21,7 +21,7 @@ pub const CERTIFICATES: usize = 3;
 const ED25519_PKCS8: &[u8] =
     &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
 
-/// Who: organisation, name, role, attributes.
+/// The identity: organisation, name, role, attributes.
 const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
     ("Org1", "admin", "admin", &[]),
     ("Org1", "Salma", "member", &["Turtlebot4", "Husky"]),
@@ -37,7 +37,7 @@ const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
 
 /// One certificate of a person, with its key.
 pub struct Person {
-    /// What a node reads from the certificate.
+    /// The fields that a node reads from the certificate.
     pub identity: Identity,
     /// The certificate in DER.
     pub certificate: Bytes,

@@ -1,4 +1,4 @@
-//! What a seed decides before anything happens: how large the network is, and how badly it is treated.
+//! The decisions of a seed before anything happens: how large the network is, and how badly it is treated.
 
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
@@ -42,7 +42,7 @@ pub struct Plan {
     pub disk_max: u64,
 }
 
-/// What the network does to messages.
+/// The network's treatment of messages.
 #[derive(Clone, Debug)]
 pub struct NetworkPlan {
     /// Shortest and longest ordinary way of a message.

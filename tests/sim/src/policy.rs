@@ -6,7 +6,7 @@
 pub enum Policy {
     /// The rule of the paper, as an organisation's own policy.
     Attribute,
-    /// Whoever is of a trusted organisation.
+    /// Any identity of a trusted organisation.
     Trusted,
     /// Never this person.
     ForbidFarhad,
@@ -16,7 +16,7 @@ pub enum Policy {
     Until(u64),
 }
 
-/// What a single policy says.
+/// The content of a single policy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Says {
     /// Yes.
@@ -29,7 +29,7 @@ pub enum Says {
     Error,
 }
 
-/// Whom and what a policy is asked about.
+/// The subject and the object of a policy's question.
 pub struct Asked<'a> {
     /// `Org1/Farhad`.
     pub who: &'a str,
@@ -83,7 +83,7 @@ impl Policy {
             .find(|policy| policy.id() == id && policy.text() == text)
     }
 
-    /// What it says.
+    /// Its content.
     pub fn says(self, asked: &Asked<'_>) -> Says {
         let permit = |holds| if holds { Says::Permit } else { Says::Nothing };
         match self {

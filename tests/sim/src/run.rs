@@ -12,13 +12,13 @@ use ledger_rejection::Code;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// What a run came to.
+/// The outcome of a run.
 pub struct Report {
     /// The seed.
     pub seed: u64,
     /// The promise that was broken, if one was.
     pub violation: Option<Violation>,
-    /// What was done.
+    /// The deeds.
     pub coverage: Coverage,
     /// Hash over the trace.
     pub trace_hash: u64,

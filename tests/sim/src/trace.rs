@@ -1,4 +1,4 @@
-//! What happened, one line each: a hash that always runs, and the text if somebody wants to read it.
+//! The course of events, one line each: a hash that always runs, and the text if somebody wants to read it.
 
 use std::fmt::{self, Write as _};
 

@@ -60,7 +60,7 @@ pub(crate) enum Event {
     Undo(Undo),
 }
 
-/// What a process does at its own time.
+/// The work of a process at its own time.
 pub(crate) enum Timer {
     /// The order thread has something to do.
     Turn,
@@ -68,7 +68,7 @@ pub(crate) enum Timer {
     Flushed,
     /// Committed blocks are executed.
     Execute,
-    /// Who waits until the state is current is looked after.
+    /// Readers that wait until the state is current are looked after.
     Reads,
     /// Blocks are fetched from a peer.
     CatchUp,
@@ -97,7 +97,7 @@ pub(crate) struct Randoms {
 pub struct Block {
     /// The log entry.
     pub entry: Entry,
-    /// What came out.
+    /// The outcome.
     pub outcome: Outcome,
 }
 
@@ -111,13 +111,13 @@ pub struct World {
     pub people: Arc<People>,
     /// All nodes that ever were.
     pub nodes: BTreeMap<u64, Node>,
-    /// What clients did and saw.
+    /// The clients' calls and answers.
     pub history: History,
     /// The promises.
     pub invariants: Invariants,
-    /// What was done.
+    /// The deeds.
     pub coverage: Coverage,
-    /// What happened.
+    /// The events.
     pub trace: Trace,
     /// The chain, as executed first.
     pub blocks: Vec<Block>,
@@ -132,7 +132,7 @@ pub struct World {
     /// Faults still happen.
     pub(crate) chaos: bool,
     pub(crate) replacement: Option<Replacement>,
-    /// Who shall vote and follow, as the operator wants it.
+    /// The voters and followers, as the operator wants them.
     pub desired: Desired,
     pub(crate) access: Option<Arc<dyn Chaincode>>,
     /// A member forges a copy of the next transaction that it hears of.

@@ -1,4 +1,4 @@
-//! What a client wants to do next.
+//! The next wish of a client.
 
 use super::READER;
 use crate::clock::EPOCH;
@@ -118,7 +118,7 @@ pub fn robots(open: bool) -> [String; 2] {
 }
 
 impl World {
-    /// What a client does next; nothing if it has no work.
+    /// The next step of a client; nothing if it has no work.
     pub(super) fn intend(&mut self, number: usize) -> Option<Call> {
         let client = &self.clients[number];
         if let Some(call) = client.orders.first() {

@@ -1,5 +1,5 @@
 //! Acknowledged is durable (design.md §7.1): when a client hears of a verdict, its block is on the disks of a majority
-//! of the voters; and what a node once called durable is there after every crash.
+//! of the voters. Entries that a node once called durable are there after every crash.
 
 use super::{Check, Violation};
 use ledger::members::Membership;
@@ -8,7 +8,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 const NAME: &str = "acknowledged is durable";
 
-/// What each node has called durable: the terms of its log from index 1.
+/// The entries that each node has called durable: the terms of its log from index 1.
 #[derive(Default)]
 pub struct AcknowledgedIsDurable {
     durable: BTreeMap<u64, Vec<u64>>,

@@ -17,7 +17,7 @@ impl AnsweredIsSeen {
         self.told = self.told.max(height);
     }
 
-    /// What had been told by now; for a call that is made now.
+    /// The answers that had been given by now; for a call that is made now.
     pub fn told(&self) -> u64 {
         self.told
     }

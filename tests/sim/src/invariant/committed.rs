@@ -1,5 +1,5 @@
 //! Committed is immutable (Raft §5.3, state machine safety): every node executes the same entry at an index, in order,
-//! each once; and a log that is opened again still has the entries that were committed in it.
+//! each once. A log that is opened again still has the entries that were committed in it.
 
 use super::{Check, Violation};
 use ledger_storage::block_store::BlockStore;

@@ -1,8 +1,8 @@
 //! Denied by default (design.md §7.3): who has no right by any policy that the simulated admins use never succeeds in
 //! taking, using or changing anything.
 //!
-//! Judged by nothing but the certificate: an organisation that no robot trusts, or neither admin nor any attribute while
-//! only attributes count. What policies decide beyond that is the oracle's business.
+//! Judged by nothing but the certificate: an organisation that no robot trusts, or neither admin nor any attribute
+//! while only attributes count. The oracle judges the further decisions of policies.
 
 use super::{Check, Executed, Violation};
 use crate::people::{People, Person};

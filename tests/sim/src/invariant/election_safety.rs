@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 const NAME: &str = "election safety";
 
-/// Who led and who voted, in every term.
+/// The leader and the votes of every term.
 #[derive(Default)]
 pub struct ElectionSafety {
     leaders: BTreeMap<u64, u64>,

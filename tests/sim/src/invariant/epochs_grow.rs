@@ -1,5 +1,5 @@
-//! Epochs grow (design.md §7.4): every grant of a service has a higher epoch than all before, and no message of an
-//! older epoch than the newest grant is accepted where a grant is needed.
+//! Epochs grow (design.md §7.4): every grant of a service has a higher epoch than all before. No message of an older
+//! epoch than the newest grant is accepted where a grant is needed.
 
 use super::{Check, Executed, Violation};
 use serde::Deserialize;

@@ -1,5 +1,5 @@
 //! Exactly once (design.md §7.1): however often a transaction is submitted, through whichever node, it is executed
-//! once; whatever comes of a repetition, it changes nothing.
+//! once; a repetition changes nothing.
 
 use super::{Check, Executed, Violation};
 use ledger_hash::Hash;

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 const NAME: &str = "grant exclusivity";
 
-/// Who holds what.
+/// The holders of services.
 #[derive(Default)]
 pub struct GrantExclusivity {
     holders: BTreeMap<String, BTreeSet<(String, u64)>>,
@@ -52,7 +52,7 @@ impl GrantExclusivity {
         Ok(())
     }
 
-    /// Who holds a service, with the epoch.
+    /// The holder of a service, with the epoch.
     pub fn holders(&self, service: &str) -> Option<&BTreeSet<(String, u64)>> {
         self.holders.get(service)
     }

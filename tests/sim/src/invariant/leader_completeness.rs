@@ -6,7 +6,7 @@ use ledger_storage::block_store::BlockStore;
 
 const NAME: &str = "leader completeness";
 
-/// What is committed, as far as any node has said so.
+/// The committed entries, as far as any node has said so.
 #[derive(Default)]
 pub struct LeaderCompleteness {
     /// Term of the entry, and the lowest term in which a node was when it called it committed; from index 1. An entry

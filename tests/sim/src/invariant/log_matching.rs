@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 
 const NAME: &str = "log matching";
 
-/// What was seen at each place of any log.
+/// The entries that were seen at each place of any log.
 #[derive(Default)]
 pub struct LogMatching {
     /// By index and term: the content, and the term before.

@@ -1,5 +1,5 @@
-//! Refused is final (gateway.proto, `SubmitResponse.height`): what a node has refused without a height, for a reason that is
-//! the transaction's own, was not executed and never is, whichever node has a copy.
+//! Refused is final (gateway.proto, `SubmitResponse.height`). A node may refuse a transaction without a height, for a
+//! reason that is the transaction's own. It was not executed then and never is, whichever node has a copy.
 
 use super::{Check, Executed, Violation};
 use ledger_hash::Hash;
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 
 const NAME: &str = "refused is final";
 
-/// What was promised, and what was executed.
+/// The promises, and the executed transactions.
 #[derive(Default)]
 pub struct RefusedIsFinal {
     refused: BTreeMap<Hash, (u64, Code)>,

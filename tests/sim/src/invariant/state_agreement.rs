@@ -11,7 +11,7 @@ const NAME: &str = "state agreement";
 #[derive(Default)]
 pub struct StateAgreement {
     digests: Vec<Hash>,
-    /// What the snapshot of each height contains.
+    /// The content of the snapshot of each height.
     snapshots: BTreeMap<u64, Hash>,
 }
 
@@ -45,7 +45,7 @@ impl StateAgreement {
         }
     }
 
-    /// What a node says of a block, beyond what the digest covers: texts of refusals, events.
+    /// A node's report of a block, beyond the digest: texts of refusals, events.
     ///
     /// # Errors
     /// It says something else than the node that executed the block first.

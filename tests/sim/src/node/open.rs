@@ -1,4 +1,4 @@
-//! What a node has, as `ledger_replica::opening` asks for it.
+//! The stores of a node, as `ledger_replica::opening` asks for them.
 
 use super::{Node, Shelf};
 use ledger::{Ledger, Outcome};
@@ -18,7 +18,7 @@ pub struct Keeping<'a> {
     pub node: &'a mut Node,
     /// Name of the network.
     pub network: Hash,
-    /// What was executed again.
+    /// The blocks that were executed again.
     pub replayed: Vec<(Entry, Outcome)>,
 }
 
@@ -50,7 +50,7 @@ impl Kept for Keeping<'_> {
 /// Opens the log of a node whose process is not running.
 ///
 /// # Errors
-/// What the node would say, and end.
+/// The node's last words, and its end.
 pub fn open_blocks(node: &Node, network: Hash, segment_bytes: u64, salt: u64) -> Result<BlockStore, StoreError> {
     let mut segment = salt;
     let mut options = Options::new(network.0, move || {

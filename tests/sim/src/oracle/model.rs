@@ -1,4 +1,4 @@
-//! Who may do what, in as few words as possible.
+//! The rights of everybody, in as few words as possible.
 
 mod grants;
 
@@ -123,7 +123,7 @@ impl Model {
         }
     }
 
-    /// What a gateway would say at this state and time; nothing changes.
+    /// The answer of a gateway at this state and time; nothing changes.
     pub(super) fn admit(&self, transaction: &Transaction, time: u64) -> Code {
         if self.done.contains(&transaction.id()) {
             return Code::Duplicate;

@@ -13,14 +13,14 @@ use serde::Deserialize;
 
 const NAME: &str = "the oracle agrees";
 
-/// What is read of a grant.
+/// The fields that are read of a grant.
 #[derive(Deserialize)]
 struct Granted {
     epoch: u64,
     expires: u64,
 }
 
-/// What is read of a service.
+/// The fields that are read of a service.
 #[derive(Deserialize)]
 struct Served {
     holders: Vec<String>,

@@ -1,5 +1,6 @@
-//! What each client saw, in real time: every verdict is that of the chain; what returned before something else began
-//! comes before it in the chain; nobody reads backwards; a linearizable read sees everything that anybody was told.
+//! The history of each client, in real time: every verdict is that of the chain. A call that returned before another
+//! began comes before it in the chain. Nobody reads backwards; a linearizable read sees everything that anybody was
+//! told.
 
 use crate::history::{Kind, Outcome, Verdict};
 use crate::invariant::Violation;
@@ -96,7 +97,7 @@ fn remembered(world: &World) -> Result<u64, Violation> {
     Ok(checks)
 }
 
-/// What was refused for good never happens.
+/// A transaction that was refused for good never happens.
 fn never(world: &World, places: &BTreeMap<Hash, Place>) -> Result<u64, Violation> {
     let mut checks = 0;
     for operation in &world.history.operations {

@@ -1,5 +1,5 @@
-//! A node that the leader cannot serve any more fetches blocks from whoever has them: the engine ends, blocks come in
-//! batches, are written, executed, and a new engine goes on from there (`src/catch_up/` of the node).
+//! A node that the leader cannot serve any more fetches blocks from others that have them. The engine ends, blocks come
+//! in batches, are written and executed, and a new engine goes on from there (`src/catch_up/` of the node).
 
 use super::{Event as Happening, Timer, World};
 use crate::clock::MILLISECOND;

@@ -1,4 +1,4 @@
-//! What goes wrong, and when.
+//! The faults, and their times.
 
 use super::{Event, Undo, World};
 use crate::clock::{EPOCH, MILLISECOND, SECOND};

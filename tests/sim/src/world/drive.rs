@@ -146,7 +146,7 @@ impl World {
         Ok(())
     }
 
-    /// Who has just voted is made to forget it, if it can: power fails now and then at this moment.
+    /// A voter that has just voted is made to forget it, if it can: power fails now and then at this moment.
     fn forgets(&mut self, id: u64) {
         let fault = Fault::Crash;
         if self.chaos && self.plan.faults.contains(&fault) && self.random.faults.percent(10) {
@@ -164,7 +164,7 @@ impl World {
         self.input(to, Input::Message { from, message })
     }
 
-    /// What a process does at its own time.
+    /// The work of a process at its own time.
     pub(super) fn timer(&mut self, id: u64, timer: Timer) -> Check {
         match timer {
             Timer::Turn => {
@@ -291,7 +291,7 @@ impl World {
         self.prune(id)
     }
 
-    /// Whoever waits is answered within a bounded time, if only that nobody knows.
+    /// A client that waits is answered within a bounded time, if only that nobody knows.
     fn nobody_is_forgotten(&mut self, id: u64) -> Check {
         let now = self.now;
         let Some(running) = self.running(id) else { return Ok(()) };
@@ -304,7 +304,7 @@ impl World {
         }
     }
 
-    /// What waiters were told goes to their clients.
+    /// The waiters' answers go to their clients.
     pub(super) fn tell(&mut self, id: u64) -> Check {
         let Some(running) = self.running(id) else { return Ok(()) };
         let answers: Vec<Verdict> = running.answers.1.try_iter().collect();

@@ -1,4 +1,4 @@
-//! The gateway of a node: admission, queries, waiting for heights (`src/gateway/`). What is decided is the replica's.
+//! The gateway of a node: admission, queries, waiting for heights (`src/gateway/`). The replica makes the decisions.
 
 use super::{Event, Timer, World};
 use crate::invariant::Check;
@@ -139,7 +139,7 @@ impl World {
         }
     }
 
-    /// Hands a transaction to the replica; who submitted it waits for its verdict.
+    /// Hands a transaction to the replica; its submitter waits for its verdict.
     fn order(&mut self, id: u64, reply: Reply, transaction: &Transaction) -> Check {
         let now = self.now;
         let Some(running) = self.running(id) else { return Ok(()) };

@@ -10,8 +10,8 @@ use ledger_hash::Hash;
 use ledger_raft::{Input, Lane};
 
 impl World {
-    /// A member that hears of a transaction has a copy of it ordered first, signed by somebody else: the id is the same, and
-    /// the verdict says nothing about the transaction.
+    /// A member that hears of a transaction has a copy of it ordered first, signed by somebody else. The id is the
+    /// same, and the verdict says nothing about the transaction.
     pub(super) fn order_forged(&mut self, id: u64, transaction: &Transaction) -> Check {
         let other = self.people.all.iter().find(|person| person.fingerprint() != transaction.creator());
         let Some(other) = other else { return Ok(()) };

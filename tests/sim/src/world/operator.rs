@@ -1,4 +1,4 @@
-//! Whoever runs the network: takes out what is broken, and puts something new in its place.
+//! The operator of the network takes out broken nodes, and puts new ones in their place.
 
 use super::{Event, World, clock};
 use crate::clock::MILLISECOND;

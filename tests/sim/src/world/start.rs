@@ -18,7 +18,7 @@ use ledger_storage::snapshot::Snapshots;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, mpsc};
 
-/// What is broken when a node ends for no reason that was injected.
+/// The node that is broken when it ends for no reason that was injected.
 const UNEXPLAINED: &str = "a node ends only for a reason";
 
 impl World {
@@ -129,7 +129,7 @@ impl World {
         Ok(())
     }
 
-    /// Ends a process. What was not synced survives if the machine goes on, and not (or in parts) if power fails.
+    /// Ends a process. Unsynced writes survive if the machine goes on, and not (or in parts) if power fails.
     pub(super) fn stop(&mut self, id: u64, power_fails: bool) {
         let Some(node) = self.nodes.get_mut(&id) else { return };
         node.up = None;

@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// Shortest lease that may be asked for, milliseconds.
 const LEASE_MS_MIN: u64 = 100;
 
-/// What a refused call may have changed before it was refused.
+/// The changes that a refused call may have made before it was refused.
 pub(super) struct Before {
     grants: BTreeMap<String, Vec<Grant>>,
     robots: BTreeMap<String, Robot>,
