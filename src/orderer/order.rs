@@ -171,6 +171,10 @@ impl Order {
                 tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
                 self.shared.behind.send_replace(Some(Behind { from, first_index }));
             }
+            Effect::Ignored { from, reason } => {
+                let peer = self.shared.directory.name(from);
+                tracing::warn!(peer, reason, "ordering ignores a message of a peer");
+            }
             Effect::Failed(reason) => {
                 self.failed = true;
                 self.shared.fate.fail(reason);

@@ -266,7 +266,7 @@ impl Engine {
                             tracing::debug!(from, %error, "a message of a peer has no effect");
                         }
                     }
-                    Err(reason) => return tracing::warn!(from, reason, "a message of a peer is ignored"),
+                    Err(reason) => return out.push(Output::Ignored { from, reason }),
                 }
                 if let Some(known) = heartbeat {
                     self.tell_what_is_held(from, known);

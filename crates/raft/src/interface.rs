@@ -131,6 +131,13 @@ pub enum Output {
         /// The first block that replication still brings.
         first_index: u64,
     },
+    /// A message of a peer is ignored: no honest peer sends it, or this node cannot take it now.
+    Ignored {
+        /// The peer.
+        from: u64,
+        /// Why.
+        reason: &'static str,
+    },
     /// The block store failed, or has lost what this voter promised to keep. The engine does nothing any more; the
     /// process should end.
     Failed(Rejection),

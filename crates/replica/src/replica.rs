@@ -123,6 +123,13 @@ pub enum Effect {
         /// The first block that replication still brings.
         first_index: u64,
     },
+    /// A message of a peer was ignored. Nothing is to be done but to say so.
+    Ignored {
+        /// The peer.
+        from: u64,
+        /// Why.
+        reason: &'static str,
+    },
     /// The node cannot go on.
     Failed(Rejection),
 }

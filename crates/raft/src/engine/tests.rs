@@ -210,6 +210,12 @@ fn hostile_messages_change_nothing_and_never_panic() {
     }
 }
 
+#[test]
+fn an_ignored_message_is_told_with_its_sender_and_the_reason() {
+    let out = step(&mut leader(1), message(2, RaftKind::AppendResponse, |message| message.index = 1000));
+    assert_eq!(out, [Output::Ignored { from: 2, reason: "it acknowledges entries that do not exist" }]);
+}
+
 /// Node 1 follows node 2 and holds one committed entry.
 fn follower() -> Engine {
     let mut engine = engine(1, &[1, 2, 3], &[]);

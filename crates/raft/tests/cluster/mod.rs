@@ -270,6 +270,7 @@ impl Cluster {
                 self.nodes.get_mut(&id).unwrap().reads.push((context, index));
             }
             Output::Behind { first_index, .. } => self.catch_up(id, first_index),
+            Output::Ignored { .. } => {}
             Output::Dropped { transaction, reason } => {
                 self.nodes.get_mut(&id).unwrap().dropped.push((transaction, reason.code));
             }

@@ -54,6 +54,7 @@ impl<W: Waiter> Replica<W> {
                 _ => Effect::Refused { input, reason },
             }),
             Output::Behind { from, first_index } => out.push(Effect::Behind { from, first_index }),
+            Output::Ignored { from, reason } => out.push(Effect::Ignored { from, reason }),
             Output::Failed(reason) => out.push(Effect::Failed(reason)),
         }
     }

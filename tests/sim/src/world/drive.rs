@@ -79,6 +79,7 @@ impl World {
             }
             Effect::Refused { input, reason } => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
             Effect::Behind { first_index, .. } => return self.behind(id, first_index),
+            Effect::Ignored { from, reason } => self.note(format_args!("n{id} ignores a message of n{from}: {reason}")),
             Effect::Failed(reason) => return self.failed(id, &reason.to_string()),
         }
         Ok(())
