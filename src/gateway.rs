@@ -2,10 +2,8 @@
 
 mod audience;
 mod current;
-mod held;
-mod line;
+mod looks;
 mod reads;
-mod share;
 mod submit;
 mod subscribe;
 mod transfer;
@@ -36,10 +34,11 @@ use ledger_api::v1::{
 use ledger_identity::Identity;
 use ledger_rejection::Code;
 use ledger_replica::Retries;
-pub(crate) use share::{Place, Shares};
+use ledger_replica::gateway::Shares;
+pub(crate) use looks::Looks;
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use submit::Verdicts;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
@@ -79,10 +78,12 @@ pub(crate) struct NodeView {
     pub limits: Limits,
     /// The calls that each identity has in flight.
     pub shares: Shares,
+    /// The turns to look at transactions.
+    pub looks: Arc<Looks>,
     /// Repetitions that are ordered although the state refuses them.
     pub retries: Retries,
-    /// Longest time that data waits until it is looked at.
-    pub wait_max: Duration,
+    /// Longest time that data waits until it is looked at, microseconds.
+    pub wait_max: u64,
     /// The identities that have subscriptions.
     pub audience: Arc<Audience>,
     /// The room that the disk still has.

@@ -23,7 +23,7 @@ use crate::conductor::Conductor;
 use crate::config::{Config, Order, Profile};
 use crate::denials::Denials;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
-use crate::gateway::{Audience, Current, GatewayService, NodeView, Shares};
+use crate::gateway::{Audience, Current, GatewayService, Looks, NodeView};
 use crate::host::{Deliver, Host, Papers, Services};
 use crate::housekeeping::{Bells, Housekeeping};
 use crate::identity::{Joined, own_membership, removed};
@@ -45,6 +45,7 @@ use ledger::Ledger;
 use ledger_api::tls::TrustSource;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::gateway::Shares;
 use ledger_replica::{Executor, Observer, Retries};
 use std::io;
 use std::sync::Arc;
@@ -245,9 +246,10 @@ impl Wired {
             directory,
             peers,
             limits: config.limits.clone(),
-            shares: Shares::new(count(config.limits.in_flight_max), workers),
+            shares: Shares::new(count(config.limits.in_flight_max)),
+            looks: Looks::new(workers),
             retries: Retries::default(),
-            wait_max: Duration::from_millis(config.order.wait_ms),
+            wait_max: config.order.wait_ms.saturating_mul(1000),
             audience,
             space,
             identity: papers.identity.clone(),

@@ -1,9 +1,9 @@
 //! Clients that wait for the verdict on a transaction, and how the answer travels to them.
 
-use crate::gateway::Place;
 use ledger_api::v1::{SubmitResponse, Verdict};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
+use ledger_replica::gateway::Place;
 use ledger_replica::{Answer, Executed, Waiter};
 use ledger_storage::result::TransactionResult;
 use tokio::sync::mpsc;

@@ -1,19 +1,19 @@
 //! Submission: a place in the line, admission, then the queue of the orderer, then an answer when the verdict is known.
 
-use super::current::Known;
-use super::held::{Held, Item};
-use super::line::{Arrived, Line, Ticket, overloaded};
-use super::share::{Share, Turn};
+use super::current::{Known, Question};
+use super::looks::Look;
 use super::{GatewayService, NodeView};
-use crate::waiters::{Client, executed, refused};
+use crate::waiters::{Client, refused};
 use futures::FutureExt;
-use ledger::transaction::Transaction;
-use ledger::{Ground, Refusal};
+use ledger::Refusal;
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::{Input, Lane};
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::Executed;
-use ledger_replica::admission::{Admitting, Decision, answer_to};
+use ledger_replica::gateway::{
+    Admitting, Arrived, Call, Decision, Desk, Entrance, Item, Job, Looked, Share, Ticket, Turned, id_of,
+};
+use ledger_replica::{Answer, Executed, Waiter};
+use std::future::pending;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll};
@@ -22,8 +22,6 @@ use tokio::sync::{Semaphore, mpsc};
 use tokio_stream::{Stream, StreamExt};
 use tonic::{Status, Streaming};
 
-/// Signatures that are checked together in one turn.
-const TOGETHER_MAX: usize = 16;
 /// Longest time that one stream looks at transactions while others wait for their turn, after their signatures were checked
 /// together.
 const SLICE: Duration = Duration::from_micros(200);
@@ -45,8 +43,8 @@ pub(super) fn stream(gateway: GatewayService, share: Arc<Share>, requests: Strea
     let (answers, verdicts) = mpsc::unbounded_channel();
     let unread = Arc::new(Semaphore::new(UNREAD_MAX));
     let requests = Requests { requests, unread: Arc::clone(&unread), open: true };
-    let desk = Desk { node: gateway.node, share, answers, line: Line::default(), held: Held::default() };
-    tokio::spawn(desk.serve(requests));
+    let stream = Serving { node: gateway.node, share, answers, desk: Desk::default(), question: None };
+    tokio::spawn(stream.serve(requests));
     Verdicts { verdicts, unread }
 }
 
@@ -94,22 +92,22 @@ impl Requests {
 }
 
 /// Serves one stream.
-struct Desk {
+struct Serving {
     node: Arc<NodeView>,
     share: Arc<Share>,
     answers: Answers,
-    line: Line,
-    /// Calls that the state refuses, until it is known whether the state is current.
-    held: Held,
+    desk: Desk<Client>,
+    /// The question of the desk, whether the state is current.
+    question: Option<Question>,
 }
 
-impl Desk {
+impl Serving {
     async fn serve(mut self, mut requests: Requests) {
-        while requests.open || self.line.next().is_some() || !self.held.is_empty() {
-            if self.line.next().is_none() && self.held.due().is_none() {
+        while requests.open || !self.desk.is_empty() {
+            if self.desk.next().is_none() {
                 tokio::select! {
                     request = requests.next(), if requests.open => self.take_in(request),
-                    () = self.held.answered(), if !self.held.is_empty() => {}
+                    known = known(&mut self.question) => self.desk.answered(known),
                     () = self.answers.closed() => return,
                 }
             }
@@ -123,95 +121,81 @@ impl Desk {
                     _ => break,
                 }
             }
-            let _not_yet = self.held.answered().now_or_never();
-            self.decide(&mut requests).await;
-            self.look(&mut requests).await;
+            if let Some(known) = known(&mut self.question).now_or_never() {
+                self.desk.answered(known);
+            }
+            self.work(&mut requests).await;
         }
     }
 
     fn take_in(&mut self, request: Option<SubmitRequest>) {
         let Some(request) = request else { return };
-        match self.node.arrived(request, &self.share) {
-            Ok(arrived) => self.line.push(arrived),
+        match self.node.arrived(request, &self.share, &self.answers) {
+            Ok(arrived) => self.desk.take_in(arrived),
             Err(answer) => drop(self.answers.send(Ok(*answer))),
         }
     }
 
-    /// Decides on what was held, now that the state is current; for as long as others allow.
-    async fn decide(&mut self, requests: &mut Requests) {
-        let Some(lane) = self.held.due() else { return };
-        let Some(turn) = self.turn(lane, requests).await else { return };
-        let start = Instant::now();
-        while let Some((item, known)) = self.held.take(lane, || self.node.current.ask()) {
-            self.node.submit_again(item, &known, &self.answers);
-            if self.held.due() != Some(lane) || start.elapsed() >= SLICE {
-                break;
-            }
-        }
-        drop(turn);
-        if self.held.due().is_some() {
-            tokio::task::yield_now().await;
-        }
-    }
-
-    /// Looks at what waits, for as long as others allow.
-    async fn look(&mut self, requests: &mut Requests) {
-        let Some(lane) = self.line.next() else { return };
-        self.node.turns.adapt(self.line.len() >= MANY_WAIT);
+    /// Does the next job, for as long as others allow.
+    async fn work(&mut self, requests: &mut Requests) {
+        let Some(job) = self.desk.next() else { return };
+        self.node.turns.adapt(self.desk.waiting() >= MANY_WAIT);
         // Not with a turn, as nobody else could have it meanwhile.
-        if let Some(height) = self.line.min_height(lane)
-            && let Err(reason) = self.node.at_height(height).await
-        {
-            if let Some(arrived) = self.line.take(lane) {
-                self.node.refuse_unordered(&arrived, &reason, &self.answers);
+        let height = self.desk.min_height(job);
+        if height > self.node.ledger.tip().height {
+            let node = Arc::clone(&self.node);
+            match self.meanwhile(job, requests, node.at_height(height)).await {
+                Some(Ok(())) => {}
+                Some(Err(reason)) => {
+                    if let Some(arrived) = self.desk.give_up(job.lane()) {
+                        refuse_unordered(arrived, &reason);
+                    }
+                    return;
+                }
+                None => return,
             }
-            return;
         }
-        let Some(turn) = self.turn(lane, requests).await else { return };
-        let (now, height) = (Instant::now(), self.node.ledger.tip().height);
-        if lane == Lane::Data {
-            for (arrived, reason) in self.line.take_late(now, self.node.wait_max) {
-                self.node.refuse_overloaded(&arrived, reason, &self.answers);
-            }
-        }
-        self.node.ledger.verify_together(self.line.first(lane, TOGETHER_MAX), self.node.clock.now());
+        let Some(turn) = self.turn(job, requests).await else { return };
+        let node = self.node.admitting();
+        self.desk.begin(job, &node, |decision| drop(self.node.carry_out(decision)));
         let start = Instant::now();
-        while self.line.min_height(lane).is_some_and(|wanted| wanted <= height)
-            && let Some(arrived) = self.line.take(lane)
-        {
-            let left = match self.held.holds_back(&arrived) {
-                true => Some(Item { arrived, refusal: None }),
-                false => self.node.submit(arrived, &self.answers),
-            };
-            if let Some(item) = left {
-                self.held.push(item, || self.node.current.ask());
+        self.desk.work(job, &node, |looked| {
+            if let Looked::Decided(decision) = looked {
+                let _never_held_twice = self.node.carry_out(decision);
             }
-            if start.elapsed() >= SLICE {
-                break;
-            }
+            start.elapsed() < SLICE
+        });
+        if self.desk.asks() {
+            self.question = Some(self.node.current.ask());
         }
         drop(turn);
-        if self.line.next().is_some() {
+        if self.desk.next().is_some() {
             tokio::task::yield_now().await;
         }
     }
 
-    /// Waits for a turn, and takes in what comes meanwhile. None if something urgent came, which goes first.
-    async fn turn(&mut self, lane: Lane, requests: &mut Requests) -> Option<Turn> {
-        if let Some(turn) = self.share.try_turn(lane) {
+    /// Waits for a turn. None if something urgent came, which goes first.
+    async fn turn(&mut self, job: Job, requests: &mut Requests) -> Option<Look> {
+        if let Some(turn) = self.node.looks.try_turn(job.lane(), &self.share) {
             return Some(turn);
         }
-        let share = Arc::clone(&self.share);
-        let mut turn = pin!(share.turn(lane));
+        let (looks, share) = (Arc::clone(&self.node.looks), Arc::clone(&self.share));
+        self.meanwhile(job, requests, looks.turn(job.lane(), &share)).await
+    }
+
+    /// Waits, and takes in the calls that come meanwhile. None if something urgent came, which goes first.
+    async fn meanwhile<T>(&mut self, job: Job, requests: &mut Requests, what: impl Future<Output = T>) -> Option<T> {
+        let mut what = pin!(what);
         let mut reads = 0;
         loop {
             let request = tokio::select! {
                 biased;
-                turn = &mut turn => return turn,
+                done = &mut what => return Some(done),
                 request = requests.next(), if requests.open => request,
+                () = self.answers.closed() => return None,
             };
             self.take_in(request);
-            if lane == Lane::Data && self.line.next() == Some(Lane::Control) {
+            if job.lane() == Lane::Data && self.desk.next().is_some_and(|next| next.lane() == Lane::Control) {
                 return None;
             }
             reads += 1;
@@ -222,156 +206,92 @@ impl Desk {
     }
 }
 
+/// Waits for the answer to the question that is under way; for ever if there is none. Cancelling it loses nothing.
+async fn known(question: &mut Option<Question>) -> Known {
+    let Some(asked) = question else { return pending().await };
+    let known = asked.await;
+    *question = None;
+    known.unwrap_or_else(|_| Err(Rejection::new(Code::ShuttingDown, "the node is stopping")))
+}
+
+/// Answers for a transaction that this node cannot look at.
+fn refuse_unordered(arrived: Arrived<Client>, reason: &Rejection) {
+    arrived.client.answer(&Answer::Refused { id: arrived.transaction.id(), reason });
+}
+
 impl NodeView {
     /// One transaction that does not come over a stream. It is answered now or when the verdict is known.
     pub(super) async fn submit_one(&self, request: SubmitRequest, share: &Arc<Share>, answers: &Answers) {
-        let arrived = match self.arrived(request, share) {
+        let arrived = match self.arrived(request, share, answers) {
             Ok(arrived) => arrived,
             Err(answer) => return drop(answers.send(Ok(*answer))),
         };
         if let Err(reason) = self.at_height(arrived.ticket.min_height).await {
-            return self.refuse_unordered(&arrived, &reason, answers);
+            return refuse_unordered(arrived, &reason);
         }
-        let Some(turn) = share.turn(arrived.ticket.lane).await else { return };
-        let waited = arrived.ticket.since.elapsed();
-        if arrived.ticket.lane == Lane::Data && waited > self.wait_max {
-            let reason = overloaded(true, waited, (1, waited), self.wait_max);
-            return self.refuse_overloaded(&arrived, reason, answers);
-        }
-        let Some(item) = self.submit(arrived, answers) else { return };
+        let lane = arrived.ticket.lane;
+        let turn = self.looks.turn(lane, share).await;
+        let Some(item) = self.carry_out(self.admitting().look_alone(arrived)) else { return };
         drop(turn);
         let known = self.current.reach().await;
-        let Some(_turn) = share.turn(item.arrived.ticket.lane).await else { return };
-        self.submit_again(item, &known, answers);
+        let _turn = self.looks.turn(lane, share).await;
+        let _never_held_twice = self.carry_out(self.admitting().look_again(item, &known));
     }
 
-    /// Takes a request in: what can be refused without looking closer is refused here.
-    fn arrived(&self, request: SubmitRequest, share: &Arc<Share>) -> Result<Arrived, Box<SubmitResponse>> {
+    /// Takes a request in, or answers it.
+    fn arrived(
+        &self,
+        request: SubmitRequest,
+        share: &Arc<Share>,
+        answers: &Answers,
+    ) -> Result<Arrived<Client>, Box<SubmitResponse>> {
         let SubmitRequest { transaction: encoded, min_height, first_attempt } = request;
-        // Not even looked at, but named: by the id a client on a stream knows which of its transactions is meant.
-        let unread = |rejection| {
-            let transaction = Transaction::decode(encoded.clone()).ok();
-            let refusal = Refusal::of_node(None, transaction, rejection);
-            self.refuse(first_attempt, &refusal)
-        };
-        let limit = self.limits.payload_bytes_max;
-        if encoded.len() as u64 > limit {
-            let rejection = Rejection::new(Code::TooLarge, "transaction is larger than this node accepts")
-                .found(format!("{} bytes", encoded.len()))
-                .wanted(format!("at most {limit} bytes (limits.payload_bytes_max)"))
-                .next("send less at once, or raise the limit in the node's configuration");
-            return Err(unread(rejection));
-        }
-        let transaction = Transaction::decode(encoded)
-            .map_err(|rejection| Refusal { who: None, transaction: None, rejection, ground: Ground::Bytes })
-            .map_err(|refusal| self.refuse(first_attempt, &refusal))?;
-        let body = transaction.body();
-        let chaincode = self.ledger.registry().find(&body.chaincode).ok();
-        if let Err(rejection) = self.space.check(|| chaincode.is_some_and(|called| called.ends(&body.function))) {
-            return Err(self.refuse(first_attempt, &Refusal::of_node(None, Some(transaction), rejection)));
-        }
-        let urgent = chaincode.is_some_and(|called| called.urgent(&body.function));
-        let lane = if urgent { Lane::Control } else { Lane::Data };
-        match share.place(lane, transaction.encoded().len()) {
-            Ok(place) => {
-                let ticket = Ticket { min_height, first_attempt, lane, since: Instant::now(), place };
-                Ok(Arrived { transaction, ticket })
-            }
-            Err(rejection) => {
-                let who = Some(share.name().to_owned());
-                Err(self.refuse(first_attempt, &Refusal::of_node(who, Some(transaction), rejection)))
-            }
-        }
+        let (payload_bytes_max, elapsed) = (self.limits.payload_bytes_max, self.clock.elapsed());
+        let entrance = Entrance { ledger: &self.ledger, payload_bytes_max, elapsed };
+        let client = |place| Client { answers: answers.clone(), place };
+        let call = Call { encoded, min_height, first_attempt };
+        entrance.enter(call, share, |ends| self.space.check(ends), client).map_err(|Turned { refusal, reason }| {
+            self.denials.record(self.clock.now(), &refusal);
+            Box::new(refused(id_of(&refusal).as_ref(), &reason))
+        })
     }
 
-    /// Admits a transaction and hands it to the orderer. Everything that can be refused before ordering is refused
-    /// here; the answer may also be an earlier verdict. A call that the state refuses is given back as long as it is
-    /// not known whether the state is current.
-    fn submit(&self, arrived: Arrived, answers: &Answers) -> Option<Item> {
-        let Arrived { transaction, ticket } = arrived;
-        let decision = self.admitting(&ticket).look(transaction);
-        self.carry_out(decision, ticket, None, answers)
-    }
-
-    /// As [`NodeView::submit`], for one that was held until it is known whether the state is current.
-    fn submit_again(&self, item: Item, known: &Known, answers: &Answers) {
-        let Item { arrived, refusal } = item;
-        let Arrived { transaction, ticket } = arrived;
-        let decision = self.admitting(&ticket).look_again(transaction, refusal, known);
-        let _never_held_twice = self.carry_out(decision, ticket, Some(known), answers);
-    }
-
-    fn admitting<'a>(&'a self, ticket: &'a Ticket) -> Admitting<'a, Client> {
+    /// The circumstances of a look at a transaction. Everything that can be refused before ordering is refused by it.
+    fn admitting(&self) -> Admitting<'_, Client> {
         Admitting {
             ledger: &self.ledger,
             waiters: &self.waiters,
             retries: &self.retries,
-            clock: self.clock.now(),
-            who: ticket.place.name(),
-            first_attempt: ticket.first_attempt,
+            now: self.clock.both(),
+            wait_max: self.wait_max,
         }
     }
 
-    /// Does what was decided. `reached` is what became of the question whether the state is current, if it was asked.
-    fn carry_out(
-        &self,
-        decision: Decision,
-        ticket: Ticket,
-        reached: Option<&Known>,
-        answers: &Answers,
-    ) -> Option<Item> {
-        let (lane, since) = (ticket.lane, ticket.since);
+    /// Carries a decision out. A call that the state refuses is given back until it is known whether the state is current.
+    fn carry_out(&self, decision: Decision<Client>) -> Option<Item<Client>> {
         match decision {
-            Decision::Order { transaction, again } => {
-                let (arrived, waited) = (Arrived { transaction, ticket }, since.elapsed());
-                if !again && reached.is_some() && lane == Lane::Data && waited > self.wait_max * 2 {
-                    let reason = overloaded(true, waited, (1, waited), self.wait_max);
-                    self.refuse_overloaded(&arrived, reason, answers);
-                } else {
-                    self.order(arrived, answers);
-                }
+            Decision::Order(arrived) => self.order(arrived),
+            Decision::Known { client, id, record } => {
+                client.answer(&Answer::Executed(Executed::recorded(id, &record)));
             }
-            Decision::Known(id, record) => drop(answers.send(Ok(executed(&Executed::recorded(id, &record))))),
-            Decision::Hold(transaction, refusal) => {
-                return Some(Item { arrived: Arrived { transaction, ticket }, refusal: Some(refusal) });
-            }
-            Decision::Refuse { refusal, reason } => {
+            Decision::Hold(item) => return Some(item),
+            Decision::Refuse { client, refusal, reason } => {
                 self.denials.record(self.clock.now(), &refusal);
-                let id = refusal.transaction.as_ref().map(Transaction::id);
-                let _gone = answers.send(Ok(refused(id.as_ref(), &reason)));
+                let _gone = client.answers.send(Ok(refused(id_of(&refusal).as_ref(), &reason)));
             }
         }
         None
     }
 
     /// Hands a transaction to the orderer. It is answered when it has a verdict.
-    fn order(&self, arrived: Arrived, answers: &Answers) {
+    fn order(&self, arrived: Arrived<Client>) {
         self.awake.keep();
-        let Arrived { transaction, ticket: Ticket { lane, place, .. } } = arrived;
-        let client = Client { answers: answers.clone(), place };
+        let Arrived { transaction, ticket: Ticket { lane, .. }, client } = arrived;
         self.waiters.add(self.clock.elapsed(), &transaction, lane, client);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
         if let Err(rejection) = self.seat.input(input) {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
             self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
         }
-    }
-
-    /// Answers for a transaction that this node cannot look at.
-    fn refuse_unordered(&self, arrived: &Arrived, reason: &Rejection, answers: &Answers) {
-        let _gone = answers.send(Ok(refused(Some(&arrived.transaction.id()), reason)));
-    }
-
-    fn refuse_overloaded(&self, arrived: &Arrived, rejection: Rejection, answers: &Answers) {
-        let (who, transaction) = (Some(arrived.ticket.place.name().to_owned()), Some(arrived.transaction.clone()));
-        let refusal = Refusal::of_node(who, transaction, rejection);
-        let _gone = answers.send(Ok(*self.refuse(arrived.ticket.first_attempt, &refusal)));
-    }
-
-    /// Counts a refusal; the answer to it.
-    fn refuse(&self, first_attempt: bool, refusal: &Refusal) -> Box<SubmitResponse> {
-        self.denials.record(self.clock.now(), refusal);
-        let reason = answer_to(refusal, first_attempt);
-        Box::new(refused(refusal.transaction.as_ref().map(Transaction::id).as_ref(), &reason))
     }
 }

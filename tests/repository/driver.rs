@@ -18,6 +18,8 @@ const DRIVING: [&str; 10] = [
     "ORGANISATIONS_MIN",
     "snapshot.fill(",
 ];
+/// A folder that names these decides about calls itself: their lanes, their order, and refusals.
+const ADMITTING: [&str; 4] = ["admit_decoded(", ".urgent(", "Refusal::step", "fn take_late"];
 /// Times that the replica decides about.
 const TIMES: [&str; 6] =
     ["WAIT_MAX", "WAIT_FOR_HEIGHT", "CONFIRM_TIME_MAX", "FULL_DISK_PAUSE", "LEARNER_WRITE_DELAY", "LEAVE_AGAIN_PAUSE"];
@@ -45,6 +47,8 @@ fn the_replica_has_no_thread_no_clock_and_no_file() {
 fn the_node_and_the_simulation_drive_the_replica_and_no_copy_of_it() {
     for folder in ["src", "tests/sim/src"] {
         assert_eq!(having(folder, &words(&DRIVING)), [], "the replica does that");
+        assert_eq!(having(folder, &words(&ADMITTING)), [], "the replica's gateway does that");
+        assert!(!having(folder, &words(&["desk.work("])).is_empty(), "{folder} serves no desk");
         let times: Vec<String> = TIMES.iter().map(|time| format!("const {time}")).collect();
         assert_eq!(having(folder, &times), [], "the replica decides about that time");
         assert!(!having(folder, &words(&["Replica::start"])).is_empty(), "{folder} starts no replica");

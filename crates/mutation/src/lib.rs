@@ -40,6 +40,14 @@ pub enum Mutation {
     AnswerAMinorityRead,
     /// A snapshot is believed that one organisation attests.
     BelieveOneOrganisation,
+    /// A gateway looks at messages before what ends or hands over control.
+    DataOvertakesControl,
+    /// A later call about a subject is decided while an earlier one is held.
+    OvertakeWhatIsHeld,
+    /// One identity may use a gateway alone.
+    IgnoreTheShare,
+    /// A client whose verdict does not come is never told so.
+    ForgetADeadline,
 }
 
 /// Is this bug turned on?

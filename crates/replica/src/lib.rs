@@ -10,7 +10,7 @@
 //! | [`trust`] | whether a snapshot is believed |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `in_place` | which blocks the thread that orders executes itself |
-//! | [`admission`] | order a transaction, answer it, or hold it until the state is current |
+//! | [`gateway`] | calls that want to be ordered: shares, turns, lanes, admission |
 //! | `ticks` | when the thread that orders wakes up by itself |
 //! | `retries` | how many refused repetitions of one identity are ordered |
 //! | `reads` | [`Reads`]: is the state as new as what was committed when somebody asked? |
@@ -42,8 +42,8 @@
 
 #![forbid(unsafe_code)]
 
-pub mod admission;
 mod executor;
+pub mod gateway;
 mod in_place;
 pub mod opening;
 mod reads;

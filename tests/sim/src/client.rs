@@ -214,7 +214,7 @@ impl World {
         }
         let reply = Reply { client: number, attempt: client.attempt };
         let (attempt, gateway) = (client.attempt, client.gateway);
-        let request = Request { reply, min_height: client.seen, told, what };
+        let request = Request { reply, min_height: client.seen, told, stream: number as u64, what };
         if let Some(at) = self.links.client(self.now, &mut self.random.network, &mut self.coverage) {
             self.schedule_at(at, Event::Request { node: gateway, request });
         }

@@ -11,7 +11,9 @@ mod denied_by_default;
 mod election_safety;
 mod epochs_grow;
 mod exactly_once;
+mod fair_share;
 mod grant_exclusivity;
+mod in_order;
 mod leader_completeness;
 mod log_matching;
 mod refused_is_final;
@@ -26,7 +28,9 @@ pub use denied_by_default::DeniedByDefault;
 pub use election_safety::ElectionSafety;
 pub use epochs_grow::EpochsGrow;
 pub use exactly_once::ExactlyOnce;
+pub use fair_share::FairShare;
 pub use grant_exclusivity::GrantExclusivity;
+pub use in_order::{Call, InOrder};
 pub use leader_completeness::LeaderCompleteness;
 pub use log_matching::LogMatching;
 pub use refused_is_final::RefusedIsFinal;
@@ -104,6 +108,10 @@ pub struct Invariants {
     pub refused_is_final: RefusedIsFinal,
     /// Every later call sees the answers that were given.
     pub answered_is_seen: AnsweredIsSeen,
+    /// A flood keeps nobody out.
+    pub fair_share: FairShare,
+    /// No later call overtakes an earlier one.
+    pub in_order: InOrder,
 }
 
 impl Invariants {
@@ -124,6 +132,8 @@ impl Invariants {
             committed: CommittedIsImmutable::default(),
             refused_is_final: RefusedIsFinal::default(),
             answered_is_seen: AnsweredIsSeen::default(),
+            fair_share: FairShare,
+            in_order: InOrder::default(),
         }
     }
 

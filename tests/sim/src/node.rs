@@ -9,10 +9,11 @@ pub use shelf::Shelf;
 use crate::clock::Clock;
 use crate::coverage::Fault;
 use bytes::Bytes;
-use ledger::{Ledger, Refusal};
+use ledger::Ledger;
 use ledger_hash::Hash;
-use ledger_raft::Desired;
+use ledger_raft::{Desired, Lane};
 use ledger_rejection::Code;
+use ledger_replica::gateway::{Desk, Job, Place, Share, Shares, Turn, Turns};
 use ledger_replica::{Answer as Told, Asker, Event, Executor, Reads, Replica, Retries, Waiter, Waiters};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::disk::SimDisk;
@@ -69,6 +70,14 @@ pub struct Running {
     pub reads: Reads<Asking>,
     /// Repetitions that are ordered although the state refuses them.
     pub retries: Retries,
+    /// The calls that each identity has in flight.
+    pub shares: Shares,
+    /// The turns to look at transactions, by number of the stream.
+    pub turns: Turns<u64>,
+    /// Streams of submissions.
+    pub streams: BTreeMap<u64, Stream>,
+    /// The height and the time by which transactions were refused that are held.
+    pub judged: BTreeMap<Reply, (u64, u64)>,
     /// The answers for clients.
     pub answers: (mpsc::Sender<Verdict>, mpsc::Receiver<Verdict>),
     /// Since when clients wait.
@@ -103,11 +112,43 @@ pub struct Running {
     pub leading: bool,
 }
 
+/// A stream of submissions.
+pub struct Stream {
+    /// Its calls.
+    pub desk: Desk<Client>,
+    /// The share of its owner.
+    pub share: Arc<Share>,
+    /// The turn that it has or waits for.
+    pub turn: Option<Looking>,
+    /// It waits until this time for a height, to look at what has come in a lane.
+    pub reaching: Option<(Lane, u64)>,
+}
+
+/// A turn of a stream.
+#[derive(Clone, Copy)]
+pub struct Looking {
+    /// The turn.
+    pub turn: Turn,
+    /// Its job.
+    pub job: Job,
+    /// It has it; else it waits.
+    pub has: bool,
+    /// No other stream of the identity had one or waited when it came.
+    pub alone: bool,
+    /// Turns of the lane that others have had meanwhile.
+    pub passed: usize,
+}
+
 /// A client that waits for the verdict on a transaction.
-#[derive(Debug)]
 pub struct Client {
     /// Where the answer goes.
     pub reply: Reply,
+    /// The newest height that anybody had been told when it asked.
+    pub told: u64,
+    /// Its place among those in flight.
+    pub place: Place,
+    /// Which of those that came to this node it is.
+    pub number: u64,
     /// Its answer.
     pub answers: mpsc::Sender<Verdict>,
 }
@@ -137,7 +178,7 @@ impl Waiter for Client {
     }
 
     fn name(&self) -> &str {
-        ""
+        self.place.name()
     }
 
     fn is_gone(&self) -> bool {
@@ -145,16 +186,13 @@ impl Waiter for Client {
     }
 }
 
-/// A request that waits until the node's state is as new as what was committed when it came: a read, or a transaction that
-/// the state refuses.
+/// A read or a stream that waits until the node's state is as new as the blocks that were committed when it came.
 #[derive(Clone, Debug)]
-pub struct Asking {
-    /// The question.
-    pub request: Request,
-    /// Why the state refuses it, if it is a transaction.
-    pub refusal: Option<Box<Refusal>>,
-    /// The height and the time by which it was refused.
-    pub judged: (u64, u64),
+pub enum Asking {
+    /// A read.
+    Read(Request),
+    /// A stream, for the calls that the state refuses.
+    Stream(u64),
 }
 
 impl Asker for Asking {
@@ -181,6 +219,8 @@ pub struct Request {
     pub min_height: u64,
     /// The newest height that anybody had been told when the client asked. The node does not know it.
     pub told: u64,
+    /// The stream over which it comes.
+    pub stream: u64,
     /// Its wish.
     pub what: What,
 }

@@ -109,6 +109,11 @@ impl People {
         self.all.iter().find(|person| person.fingerprint() == *fingerprint)
     }
 
+    /// How many identities there are.
+    pub fn identities(&self) -> usize {
+        PEOPLE.len()
+    }
+
     /// Index of a person's `nth` certificate.
     pub fn index(&self, id: &str, nth: usize) -> Option<usize> {
         self.all.iter().position(|person| person.nth == nth && person.id() == id)

@@ -7,10 +7,12 @@ mod catch_up;
 mod chaos;
 mod drive;
 mod execute;
+mod flood;
 mod gateway;
 mod hostile;
 mod operator;
 mod start;
+mod streams;
 
 pub use operator::Replacement;
 
@@ -70,6 +72,10 @@ pub(crate) enum Timer {
     Execute,
     /// Readers that wait until the state is current are looked after.
     Reads,
+    /// A stream has waited long enough for a height.
+    Stream(u64),
+    /// The turn of a stream is over.
+    TurnOver(u64),
     /// Blocks are fetched from a peer.
     CatchUp,
     /// The world state is flushed, who waits too long is told.
@@ -141,6 +147,10 @@ pub struct World {
     sequence: u64,
     /// Names faults that end.
     pub(crate) faults: u64,
+    /// Counts calls that nobody waits for.
+    pub(crate) floods: u64,
+    /// When the last flood began.
+    pub(crate) flooded: u64,
 }
 
 enum Awake {
@@ -200,6 +210,8 @@ impl World {
             queue: BTreeMap::new(),
             sequence: 0,
             faults: 0,
+            floods: 0,
+            flooded: 0,
             plan,
         };
         let plan = format!("{:?}", world.plan);

@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 const NODES_MAX: usize = 14;
 
 /// The faults that happen at a moment; the others are rates.
-const AT_A_MOMENT: [Fault; 19] = [
+const AT_A_MOMENT: [Fault; 20] = [
     Fault::Clog,
     Fault::Partition,
     Fault::OneWay,
@@ -33,6 +33,7 @@ const AT_A_MOMENT: [Fault; 19] = [
     Fault::Replacement,
     Fault::Hostile,
     Fault::Hostile,
+    Fault::Flood,
 ];
 
 impl World {
@@ -93,6 +94,7 @@ impl World {
                 }
             }
             Fault::FullDisk => self.fill(id),
+            Fault::Flood => self.flood(id),
             Fault::BitFlip if self.may_lose(id) => self.flip(id),
             Fault::Replacement if self.may_lose(id) => self.lose(id),
             Fault::ClockStep => self.set_clock(id),

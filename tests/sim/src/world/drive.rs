@@ -179,6 +179,8 @@ impl World {
             Timer::Flushed => self.flushed(id),
             Timer::Execute => self.execute(id),
             Timer::Reads => self.reads(id, |reads, now, out| reads.time(now, out)),
+            Timer::Stream(stream) => self.tend(id, stream),
+            Timer::TurnOver(stream) => self.turn_over(id, stream),
             Timer::CatchUp => self.fetch(id),
             Timer::Housekeeping => self.keep_house(id),
         }

@@ -1,5 +1,6 @@
 //! Nodes come and go.
 
+use super::streams::{PLACES, WORKERS};
 use super::{Event, Timer, World};
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
@@ -9,6 +10,7 @@ use ledger::{Chaincode, Registry};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
+use ledger_replica::gateway::{Shares, Turns};
 use ledger_replica::opening::Opening;
 use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Waiters};
 use ledger_storage::block_store::{BlockStore, StoreError};
@@ -80,6 +82,10 @@ impl World {
             desired: self.desired.clone(),
             reads: Reads::new(tip),
             retries: Retries::default(),
+            shares: Shares::new(PLACES),
+            turns: Turns::new(WORKERS),
+            streams: BTreeMap::new(),
+            judged: BTreeMap::new(),
             answers: mpsc::channel(),
             waiting: BTreeMap::new(),
             store,

@@ -1,49 +1,53 @@
-//! Transactions that have come over one stream and were not looked at yet.
+//! Calls that have come over one stream and were not looked at yet.
 //!
-//! Control goes first. Data waits only so long: beyond it the node gets more than it can look at. Then only the newest
-//! about each subject goes on, because a newer command is worth more than an older one. The last one of a burst may be
-//! the one that stops the robot. It, too, is refused after twice as long. A transaction that is refused is told so, and
-//! counted.
+//! Control goes first. Data waits only so long. Beyond that the node gets more than it can look at, and only the newest call
+//! about each subject goes on. A newer command is worth more than an older one, and the last of a burst may stop the robot.
+//! It, too, is refused after twice as long. Every refusal is told and counted.
 
-use super::share::Place;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
+use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
 use std::collections::{HashSet, VecDeque};
-use std::time::{Duration, Instant};
 
 /// A transaction that has come and was not looked at yet.
-pub(super) struct Arrived {
+pub struct Arrived<C> {
     /// It has the form of one.
-    pub(super) transaction: Transaction,
-    /// Its ticket, which goes with it.
-    pub(super) ticket: Ticket,
+    pub transaction: Transaction,
+    /// Its circumstances.
+    pub ticket: Ticket,
+    /// Where the answer goes. It has a place until then.
+    pub client: C,
 }
 
-/// The ticket that goes with a transaction until it is answered.
-pub(super) struct Ticket {
+/// The circumstances of a transaction until it is answered.
+#[derive(Clone, Copy, Debug)]
+pub struct Ticket {
     /// Height at which it is to be looked at.
-    pub(super) min_height: u64,
+    pub min_height: u64,
     /// The client says that it gave it to no node before.
-    pub(super) first_attempt: bool,
+    pub first_attempt: bool,
     /// How urgent it says it is.
-    pub(super) lane: Lane,
-    /// When it came.
-    pub(super) since: Instant,
-    /// It is in flight.
-    pub(super) place: Place,
+    pub lane: Lane,
+    /// When it came, microseconds.
+    pub since: u64,
 }
 
 /// Those of one stream, in the order in which they came.
-#[derive(Default)]
-pub(super) struct Line {
-    control: VecDeque<Arrived>,
-    data: VecDeque<Arrived>,
+pub(super) struct Line<C> {
+    control: VecDeque<Arrived<C>>,
+    data: VecDeque<Arrived<C>>,
 }
 
-impl Line {
-    pub(super) fn push(&mut self, arrived: Arrived) {
+impl<C> Default for Line<C> {
+    fn default() -> Self {
+        Self { control: VecDeque::new(), data: VecDeque::new() }
+    }
+}
+
+impl<C> Line<C> {
+    pub(super) fn push(&mut self, arrived: Arrived<C>) {
         self.lane(arrived.ticket.lane).push_back(arrived);
     }
 
@@ -54,6 +58,9 @@ impl Line {
 
     /// The lane that is to be looked at next.
     pub(super) fn next(&self) -> Option<Lane> {
+        if active(Mutation::DataOvertakesControl) && !self.data.is_empty() {
+            return Some(Lane::Data);
+        }
         match (self.control.is_empty(), self.data.is_empty()) {
             (false, _) => Some(Lane::Control),
             (true, false) => Some(Lane::Data),
@@ -72,21 +79,21 @@ impl Line {
     }
 
     /// Takes the first of a lane.
-    pub(super) fn take(&mut self, lane: Lane) -> Option<Arrived> {
+    pub(super) fn take(&mut self, lane: Lane) -> Option<Arrived<C>> {
         self.lane(lane).pop_front()
     }
 
     /// When the first data has waited too long: takes out all but the newest about each subject, and that too if it has
     /// waited twice as long.
-    pub(super) fn take_late(&mut self, now: Instant, wait_max: Duration) -> Vec<(Arrived, Rejection)> {
-        let waited = |arrived: &Arrived| now.saturating_duration_since(arrived.ticket.since);
+    pub(super) fn take_late(&mut self, now: u64, wait_max: u64) -> Vec<(Arrived<C>, Rejection)> {
+        let waited = |arrived: &Arrived<C>| now.saturating_sub(arrived.ticket.since);
         if self.data.front().is_none_or(|first| waited(first) <= wait_max) {
             return Vec::new();
         }
         let mut seen = HashSet::new();
         let mut newest: Vec<_> = self.data.iter().rev().map(|arrived| seen.insert(subject(arrived))).collect();
         drop(seen);
-        let (mut refused, line) = (Vec::new(), (self.data.len(), self.data.front().map_or(Duration::ZERO, waited)));
+        let (mut refused, line) = (Vec::new(), (self.data.len(), self.data.front().map_or(0, waited)));
         for arrived in std::mem::take(&mut self.data) {
             let newest = newest.pop().unwrap_or(true);
             let waited = waited(&arrived);
@@ -99,7 +106,7 @@ impl Line {
         refused
     }
 
-    fn lane(&mut self, lane: Lane) -> &mut VecDeque<Arrived> {
+    fn lane(&mut self, lane: Lane) -> &mut VecDeque<Arrived<C>> {
         match lane {
             Lane::Control => &mut self.control,
             Lane::Data => &mut self.data,
@@ -108,12 +115,7 @@ impl Line {
 }
 
 /// Why data is not looked at that has waited so long, where so much waits of which the oldest has waited so long.
-pub(super) fn overloaded(
-    newest: bool,
-    waited: Duration,
-    (waiting, oldest): (usize, Duration),
-    wait_max: Duration,
-) -> Rejection {
+pub(super) fn overloaded(newest: bool, waited: u64, (waiting, oldest): (usize, u64), wait_max: u64) -> Rejection {
     let message = match newest {
         true => "more comes than this node can look at in time",
         false => "more comes than this node can look at in time: a newer call about the same took this one's place",
@@ -121,15 +123,15 @@ pub(super) fn overloaded(
     Rejection::new(Code::Overloaded, message)
         .found(format!(
             "it waited {} ms, the oldest of {waiting} on this connection {} ms",
-            waited.as_millis(),
-            oldest.as_millis()
+            waited / 1000,
+            oldest / 1000
         ))
-        .wanted(format!("at most {} ms (order.wait_ms)", wait_max.as_millis()))
+        .wanted(format!("at most {} ms (order.wait_ms)", wait_max / 1000))
         .next("send less often; send newer data instead, or the same call again after 100 ms")
 }
 
 /// The subject of a call: usually a service.
-fn subject(arrived: &Arrived) -> (&str, &str, Option<&Bytes>) {
+fn subject<C>(arrived: &Arrived<C>) -> (&str, &str, Option<&Bytes>) {
     let body = arrived.transaction.body();
     (&body.chaincode, &body.function, body.args.first())
 }
@@ -138,24 +140,23 @@ fn subject(arrived: &Arrived) -> (&str, &str, Option<&Bytes>) {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::gateway::share::Shares;
+    use crate::gateway::{Place, Shares};
     use ledger::transaction::Body;
     use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
 
-    const DATA_WAIT_MAX: Duration = Duration::from_millis(100);
+    const DATA_WAIT_MAX: u64 = 100_000;
 
     struct Stream {
-        line: Line,
+        line: Line<Place>,
         shares: Shares,
         key: SigningKey,
-        start: Instant,
     }
 
     impl Stream {
         fn new() -> Self {
             let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-            Self { line: Line::default(), shares: Shares::new(1000, 2), key, start: Instant::now() }
+            Self { line: Line::default(), shares: Shares::new(1000), key }
         }
 
         /// Something about a service comes so many milliseconds after the start.
@@ -170,15 +171,14 @@ mod tests {
                 args: vec![service.into()],
             };
             let transaction = Transaction::sign(&body, &self.key).unwrap();
-            let place = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();
-            let since = self.start + Duration::from_millis(at_ms);
-            let ticket = Ticket { min_height: 0, first_attempt: true, lane, since, place };
-            self.line.push(Arrived { transaction, ticket });
+            let client = self.shares.of("Org1/Salma".into()).place(lane, transaction.encoded().len()).unwrap();
+            let ticket = Ticket { min_height: 0, first_attempt: true, lane, since: at_ms * 1000 };
+            self.line.push(Arrived { transaction, ticket, client });
         }
 
         /// When those came that are refused after so many milliseconds, and what they are told.
         fn refused(&mut self, after_ms: u64) -> Vec<(u64, Rejection)> {
-            let late = self.line.take_late(self.start + Duration::from_millis(after_ms), DATA_WAIT_MAX);
+            let late = self.line.take_late(after_ms * 1000, DATA_WAIT_MAX);
             late.into_iter().map(|(arrived, reason)| (arrived.transaction.body().not_after, reason)).collect()
         }
 

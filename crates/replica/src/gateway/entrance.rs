@@ -1,0 +1,86 @@
+//! Taking a call in: what can be refused without looking closer is refused here.
+
+use super::admission::answer_to;
+use super::line::{Arrived, Ticket};
+use super::share::{Place, Share};
+use bytes::Bytes;
+use ledger::transaction::Transaction;
+use ledger::{Ground, Ledger, Refusal};
+use ledger_raft::Lane;
+use ledger_rejection::{Code, Rejection};
+use std::sync::Arc;
+
+/// The node's circumstances when a call comes.
+pub struct Entrance<'a> {
+    /// The ledger.
+    pub ledger: &'a Ledger,
+    /// Bytes that a transaction may have at most (`limits.payload_bytes_max`).
+    pub payload_bytes_max: u64,
+    /// Time since the node started, microseconds.
+    pub elapsed: u64,
+}
+
+/// A call as it comes.
+pub struct Call {
+    /// The bytes of a transaction.
+    pub encoded: Bytes,
+    /// Height at which it is to be looked at.
+    pub min_height: u64,
+    /// The client says that it gave it to no node before.
+    pub first_attempt: bool,
+}
+
+/// A call that is not even looked at.
+pub struct Turned {
+    /// The finding of the node; to be counted.
+    pub refusal: Box<Refusal>,
+    /// The answer to the client.
+    pub reason: Rejection,
+}
+
+impl Entrance<'_> {
+    /// Takes a call of an identity in. `room` says why the disk has no room for it, if it has none; whether the call ends
+    /// control it can ask. `client` is who gets the answer, with the place that it has until then.
+    ///
+    /// # Errors
+    /// Why it is not looked at.
+    pub fn enter<C>(
+        &self,
+        call: Call,
+        share: &Arc<Share>,
+        room: impl FnOnce(&dyn Fn() -> bool) -> Result<(), Rejection>,
+        client: impl FnOnce(Place) -> C,
+    ) -> Result<Arrived<C>, Turned> {
+        let Call { encoded, min_height, first_attempt } = call;
+        let turned = |refusal: Box<Refusal>| Turned { reason: answer_to(&refusal, first_attempt), refusal };
+        if encoded.len() as u64 > self.payload_bytes_max {
+            let rejection = Rejection::new(Code::TooLarge, "transaction is larger than this node accepts")
+                .found(format!("{} bytes", encoded.len()))
+                .wanted(format!("at most {} bytes (limits.payload_bytes_max)", self.payload_bytes_max))
+                .next("send less at once, or raise the limit in the node's configuration");
+            // Not even looked at, but named: by the id a client on a stream knows which of its transactions is meant.
+            let transaction = Transaction::decode(encoded).ok();
+            return Err(turned(Box::new(Refusal::of_node(None, transaction, rejection))));
+        }
+        let transaction = Transaction::decode(encoded).map_err(|rejection| {
+            turned(Box::new(Refusal { who: None, transaction: None, rejection, ground: Ground::Bytes }))
+        })?;
+        let body = transaction.body();
+        let chaincode = self.ledger.registry().find(&body.chaincode).ok();
+        if let Err(rejection) = room(&|| chaincode.is_some_and(|called| called.ends(&body.function))) {
+            return Err(turned(Box::new(Refusal::of_node(None, Some(transaction), rejection))));
+        }
+        let urgent = chaincode.is_some_and(|called| called.urgent(&body.function));
+        let lane = if urgent { Lane::Control } else { Lane::Data };
+        match share.place(lane, transaction.encoded().len()) {
+            Ok(place) => {
+                let ticket = Ticket { min_height, first_attempt, lane, since: self.elapsed };
+                Ok(Arrived { transaction, ticket, client: client(place) })
+            }
+            Err(rejection) => {
+                let who = Some(share.name().to_owned());
+                Err(turned(Box::new(Refusal::of_node(who, Some(transaction), rejection))))
+            }
+        }
+    }
+}

@@ -1,0 +1,239 @@
+//! Places: what one identity uses of a node at a time, so that nobody can use it up.
+//!
+//! A place is held from a transaction's arrival to its verdict. An identity holds at most as many as are free, so that there
+//! are always some for others. The lanes count apart: who fills the data lane can still release.
+
+use ledger_mutation::{Mutation, active};
+use ledger_raft::Lane;
+use ledger_rejection::{Code, Rejection};
+use std::collections::HashMap;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+
+/// Most bytes of transactions of one identity and lane in flight.
+const IN_FLIGHT_BYTES_MAX: usize = 64 * 1024 * 1024;
+
+/// The places of a node and the identities that share them.
+pub struct Shares {
+    places: Arc<Places>,
+    identities: Mutex<Identities>,
+}
+
+#[derive(Default)]
+struct Identities {
+    /// Number of the next identity.
+    next: u64,
+    known: HashMap<String, Weak<Share>>,
+}
+
+/// The places of a node.
+struct Places {
+    free: AtomicUsize,
+    max: usize,
+    /// The node stops.
+    closed: AtomicBool,
+}
+
+/// The share of one identity; lives as long as one of its streams or transactions.
+pub struct Share {
+    name: String,
+    number: u64,
+    places: Arc<Places>,
+    control: Used,
+    data: Used,
+}
+
+/// The transactions of an identity in flight.
+#[derive(Default)]
+struct Used {
+    transactions: AtomicUsize,
+    bytes: AtomicUsize,
+}
+
+/// A place among the transactions in flight, until it is dropped.
+pub struct Place {
+    share: Arc<Share>,
+    lane: Lane,
+    bytes: usize,
+}
+
+impl Shares {
+    /// So many transactions in flight.
+    pub fn new(places_max: usize) -> Self {
+        let (free, closed) = (AtomicUsize::new(places_max), AtomicBool::new(false));
+        Self { places: Arc::new(Places { free, max: places_max, closed }), identities: Mutex::default() }
+    }
+
+    /// The share of an identity, e.g. `Org1/Salma`.
+    pub fn of(&self, name: String) -> Arc<Share> {
+        let mut identities = self.identities.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(share) = identities.known.get(&name).and_then(Weak::upgrade) {
+            return share;
+        }
+        identities.known.retain(|_, share| share.strong_count() > 0);
+        identities.next += 1;
+        let share = Arc::new(Share {
+            name: name.clone(),
+            number: identities.next,
+            places: Arc::clone(&self.places),
+            control: Used::default(),
+            data: Used::default(),
+        });
+        identities.known.insert(name, Arc::downgrade(&share));
+        share
+    }
+
+    /// Transactions in flight.
+    pub fn in_flight(&self) -> usize {
+        self.places.max - self.places.free.load(Ordering::Relaxed)
+    }
+
+    /// The node stops: nobody gets a place any more.
+    pub fn close(&self) {
+        self.places.closed.store(true, Ordering::Relaxed);
+    }
+}
+
+impl Share {
+    /// The name of the identity, e.g. `Org1/Salma`.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Its number at this node, for [`crate::gateway::Turns`].
+    pub fn number(&self) -> u64 {
+        self.number
+    }
+
+    /// How many transactions of a lane have a place.
+    pub fn in_flight(&self, lane: Lane) -> usize {
+        self.used(lane).transactions.load(Ordering::Relaxed)
+    }
+
+    /// A place for a transaction of so many bytes.
+    ///
+    /// # Errors
+    /// [`Code::Overloaded`] beyond the identity's share, [`Code::ShuttingDown`].
+    pub fn place(self: &Arc<Self>, lane: Lane, bytes: usize) -> Result<Place, Rejection> {
+        let used = self.used(lane);
+        let (transactions, held) = (used.transactions.load(Ordering::Relaxed), used.bytes.load(Ordering::Relaxed));
+        let free = self.places.free.load(Ordering::Relaxed);
+        if held > 0 && held.saturating_add(bytes) > IN_FLIGHT_BYTES_MAX {
+            return Err(self
+                .overloaded()
+                .found(format!("{held} bytes without a verdict, and {bytes} more"))
+                .wanted(format!("at most {IN_FLIGHT_BYTES_MAX} bytes of one identity")));
+        }
+        if self.places.closed.load(Ordering::Relaxed) {
+            return Err(Rejection::new(Code::ShuttingDown, "the node is stopping"));
+        }
+        let within = transactions < free || active(Mutation::IgnoreTheShare);
+        if !(within && self.places.take()) {
+            let share = format!(
+                "at most as many as there are places free, {free} of {} (limits.in_flight_max)",
+                self.places.max
+            );
+            return Err(self.overloaded().found(format!("{transactions} without a verdict")).wanted(share));
+        }
+        used.transactions.fetch_add(1, Ordering::Relaxed);
+        used.bytes.fetch_add(bytes, Ordering::Relaxed);
+        Ok(Place { share: Arc::clone(self), lane, bytes })
+    }
+
+    fn overloaded(&self) -> Rejection {
+        Rejection::new(Code::Overloaded, format!("{} has too much in flight at this node", self.name))
+            .next("wait for verdicts before sending more; try again after 100 ms")
+    }
+
+    fn used(&self, lane: Lane) -> &Used {
+        match lane {
+            Lane::Control => &self.control,
+            Lane::Data => &self.data,
+        }
+    }
+}
+
+impl Places {
+    /// Takes one; false if there is none.
+    fn take(&self) -> bool {
+        self.free.fetch_update(Ordering::Relaxed, Ordering::Relaxed, |free| free.checked_sub(1)).is_ok()
+    }
+}
+
+impl Place {
+    /// The name of the identity, e.g. `Org1/Salma`.
+    pub fn name(&self) -> &str {
+        &self.share.name
+    }
+}
+
+impl Drop for Place {
+    fn drop(&mut self) {
+        let used = self.share.used(self.lane);
+        used.transactions.fetch_sub(1, Ordering::Relaxed);
+        used.bytes.fetch_sub(self.bytes, Ordering::Relaxed);
+        let free = self.share.places.free.fetch_add(1, Ordering::Relaxed);
+        debug_assert!(free < self.share.places.max, "a place came back that nobody had");
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn fill(share: &Arc<Share>, lane: Lane) -> Vec<Place> {
+        std::iter::from_fn(|| share.place(lane, 100).ok()).collect()
+    }
+
+    #[test]
+    fn one_identity_cannot_take_all_places() {
+        let shares = Shares::new(120);
+        let [flooder, second, third] = ["A/x", "A/y", "B/z"].map(|name| shares.of(name.into()));
+        let floods = fill(&flooder, Lane::Data);
+        assert_eq!(floods.len(), 60, "as many as are left");
+        let refused = flooder.place(Lane::Data, 1).err().unwrap();
+        assert_eq!(refused.code, Code::Overloaded);
+        assert!(refused.to_string().contains("A/x") && refused.wanted.contains("in_flight_max"), "{refused}");
+        let more = fill(&second, Lane::Data);
+        assert_eq!(more.len(), 30);
+        third.place(Lane::Data, 1).unwrap();
+        drop(floods);
+        assert_eq!(shares.in_flight(), 30, "places come back");
+        flooder.place(Lane::Data, 1).unwrap();
+    }
+
+    #[test]
+    fn who_fills_the_data_lane_can_still_release() {
+        let shares = Shares::new(120);
+        let flooder = shares.of("A/x".into());
+        let _floods = fill(&flooder, Lane::Data);
+        flooder.place(Lane::Control, 1).unwrap();
+    }
+
+    #[test]
+    fn an_identity_is_bounded_in_bytes_but_its_first_transaction_passes() {
+        let shares = Shares::new(120);
+        let share = shares.of("A/x".into());
+        let first = share.place(Lane::Data, IN_FLIGHT_BYTES_MAX + 1).unwrap();
+        assert_eq!(share.place(Lane::Data, 1).err().unwrap().code, Code::Overloaded);
+        drop(first);
+        share.place(Lane::Data, 1).unwrap();
+    }
+
+    #[test]
+    fn the_share_of_who_is_gone_is_forgotten() {
+        let shares = Shares::new(120);
+        for number in 0..100 {
+            drop(shares.of(number.to_string()));
+        }
+        assert!(shares.identities.lock().unwrap().known.len() <= 1);
+    }
+
+    #[test]
+    fn a_node_that_stops_gives_no_places() {
+        let shares = Shares::new(120);
+        shares.close();
+        assert_eq!(shares.of("A/x".into()).place(Lane::Control, 1).err().unwrap().code, Code::ShuttingDown);
+    }
+}
