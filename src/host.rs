@@ -7,20 +7,28 @@
 //! serve     the services of one ledger
 //! ledgers   the ledgers behind the listener
 //! door      TCP connections, and TLS handshakes beside each other
+//!   crowd        how many of one kind may stand there
+//!   sources      addresses from which members have come
+//!   descriptors  how many connections there may be
 //! ```
 
+mod crowd;
+mod descriptors;
 mod door;
 mod ledgers;
 mod node;
 mod papers;
 mod serve;
+mod sources;
 
-pub(crate) use door::Caller;
+pub(crate) use door::{Caller, Members};
 pub use node::{Node, NodeBuilder};
 pub(crate) use papers::{CERTIFICATE_FILE, KEY_FILE, Papers};
 pub(crate) use serve::{Deliver, Services};
+pub(crate) use sources::network_of;
 
 use crate::clock::Machine;
+use descriptors::Connections;
 use ledger_rejection::{Code, Rejection};
 use ledgers::Ledgers;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -38,6 +46,7 @@ pub struct Host {
     clocks: Machine,
     address: SocketAddr,
     ledgers: Ledgers,
+    connections: Connections,
     accepting: Arc<JoinSet<()>>,
 }
 
@@ -53,8 +62,9 @@ impl Host {
         })?;
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
         let (ledgers, mut accepting) = (Ledgers::default(), JoinSet::new());
-        accepting.spawn(door::accept(listener, ledgers.clone()));
-        Ok(Self { clocks: Machine::start(), address, ledgers, accepting: Arc::new(accepting) })
+        let connections = descriptors::divide();
+        accepting.spawn(door::accept(listener, ledgers.clone(), connections));
+        Ok(Self { clocks: Machine::start(), address, ledgers, connections, accepting: Arc::new(accepting) })
     }
 
     /// Where it listens; the port is the real one where the address said 0.
@@ -65,6 +75,11 @@ impl Host {
     /// The clocks of this machine.
     pub(crate) fn clocks(&self) -> Machine {
         self.clocks
+    }
+
+    /// Places for the members of one ledger.
+    pub(crate) fn members(&self) -> Arc<Members> {
+        door::members(self.connections.members)
     }
 
     /// Where this machine reaches the host.

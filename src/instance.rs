@@ -10,6 +10,7 @@
 //! It takes from its [`Host`] the parts that it shares with the process. So a process may hold several instances.
 
 mod fate;
+mod revocations;
 mod trust;
 
 pub use fate::Ended;
@@ -24,7 +25,7 @@ use crate::config::{Config, Order, Profile};
 use crate::denials::Denials;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{Audience, Current, GatewayService, Looks, NodeView};
-use crate::host::{Deliver, Host, Papers, Services};
+use crate::host::{Deliver, Host, Members, Papers, Services};
 use crate::housekeeping::{Bells, Housekeeping};
 use crate::identity::{Joined, own_membership, removed};
 use crate::join::check_member;
@@ -47,6 +48,7 @@ use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::gateway::Shares;
 use ledger_replica::{Executor, Observer, Retries};
+use revocations::Revocations;
 use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -88,6 +90,7 @@ struct Wired {
     testimony: Testimony,
     seen: mpsc::UnboundedReceiver<Seen>,
     fate: Fate,
+    members: Arc<Members>,
 }
 
 /// An instance whose services can be called, and whose engine does not run yet.
@@ -152,7 +155,7 @@ impl Followers {
     }
 
     /// Executes blocks, and tells the followers. Clients that wait for a verdict are told first.
-    fn executor(&self, ledger: &Arc<Ledger>) -> Arc<Executor> {
+    fn executor(&self, ledger: &Arc<Ledger>, members: &Arc<Members>) -> Arc<Executor> {
         let observers: Vec<Arc<dyn Observer>> = vec![
             Arc::new(self.clock.clone()),
             Arc::clone(&self.waiters) as _,
@@ -161,6 +164,7 @@ impl Followers {
             Arc::clone(&self.blocks) as _,
             Arc::new(self.current.clone()),
             Arc::clone(&self.executed) as _,
+            Arc::new(Revocations::new(members, ledger)),
         ];
         Arc::new(Executor::new(Arc::clone(ledger), observers))
     }
@@ -178,7 +182,7 @@ impl Wired {
     fn new(
         (papers, config): (&Papers, &Config),
         (stores, trust): (&Stores, &Arc<dyn TrustSource>),
-        (standing, clock): (&Standing, Clock),
+        (standing, clock, members): (&Standing, Clock, Arc<Members>),
         started: Instant,
     ) -> Result<Self, Rejection> {
         let Stores { genesis, ledger, store, snapshots } = stores.clone();
@@ -192,7 +196,7 @@ impl Wired {
             trust: Arc::clone(trust),
         };
         let (followers, seen) = Followers::new(stores, &standing.directory, &seat, clock.clone());
-        let executor = followers.executor(&ledger);
+        let executor = followers.executor(&ledger, &members);
         let Followers { waiters, directory, witness, blocks, current, executed, .. } = followers;
         let (peers, space, denials) =
             (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)), Arc::<Denials>::default());
@@ -259,7 +263,7 @@ impl Wired {
             clock,
             started,
         });
-        Ok(Self { view, shared, dialer, testimony, seen, fate })
+        Ok(Self { view, shared, dialer, testimony, seen, fate, members })
     }
 }
 
@@ -277,7 +281,7 @@ impl Prepared {
         let clock = Clock::of(host.clocks(), stores.ledger.tip().time);
         let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger, clock.clone()));
         let standing = Standing::find(&papers, &stores, config)?;
-        let wired = Wired::new((&papers, config), (&stores, &trust), (&standing, clock), started)?;
+        let wired = Wired::new((&papers, config), (&stores, &trust), (&standing, clock, host.members()), started)?;
         let housekeeping = wired.housekeeping(pruner(&stores, config)).map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
         let enrolment = wired.enrolment((host, &papers), (&stores, document), &trust);
@@ -294,6 +298,7 @@ impl Prepared {
             enrolment: enrolment.clone(),
             peer: wired.peer_service(ballot.clone()),
             trust,
+            members: Arc::clone(&wired.members),
         };
         let (joined, order, registrar) = (standing.joined, config.order.clone(), enrolment);
         Ok((Self { wired, joined, order, ballot, keeper, registrar, housekeeping }, services))
@@ -306,7 +311,7 @@ impl Prepared {
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
         let Self { wired, joined, order, ballot, keeper, registrar, housekeeping } = self;
-        let Wired { view, shared, dialer, testimony, seen, fate } = wired;
+        let Wired { view, shared, dialer, testimony, seen, fate, .. } = wired;
         let (id, seat) = (view.me.id, Arc::clone(&view.seat));
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
         let telling = Telling {

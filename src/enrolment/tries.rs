@@ -2,9 +2,10 @@
 //!
 //! Only what is refused counts, and who comes with a good secret is never refused for the guesses of others.
 
+use crate::host::network_of;
 use ledger_rejection::{Code, Rejection};
 use std::collections::HashMap;
-use std::net::{IpAddr, Ipv6Addr};
+use std::net::IpAddr;
 
 /// Failed tries of one source that may come at once.
 pub(super) const BURST_MAX: u64 = 30;
@@ -64,14 +65,6 @@ fn overloaded(whose: &str, burst: u64, refill: u64) -> Rejection {
         .next("try again in a few seconds, with the right secret")
 }
 
-/// The owner of one address of IPv6 has 2⁶⁴ of them.
-fn network_of(source: IpAddr) -> IpAddr {
-    match source.to_canonical() {
-        IpAddr::V6(address) => Ipv6Addr::from(u128::from(address) & !u128::from(u64::MAX)).into(),
-        v4 => v4,
-    }
-}
-
 /// A bucket with a token for each try; it refills with time.
 #[derive(Default)]
 struct Bucket {
@@ -110,6 +103,7 @@ impl Bucket {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
     use super::*;
+    use std::net::Ipv6Addr;
 
     const NOW: u64 = 1_800_000_000_000_000;
 

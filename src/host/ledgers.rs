@@ -1,6 +1,6 @@
 //! The ledgers behind one listener: each has its own certificate, its own callers and its own server.
 
-use super::door::Connection;
+use super::door::{Connection, Members};
 use ledger_api::tls::{TrustSource, named_network};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
@@ -14,8 +14,8 @@ use tokio_stream::wrappers::ReceiverStream;
 /// Most connections that are established and not yet taken over by the server of their ledger.
 const ESTABLISHED_MAX: usize = 64;
 
-/// Established connections, for the server of one ledger.
-pub(super) type Connections = ReceiverStream<io::Result<Connection>>;
+/// Established connections, for a server of one ledger.
+pub(super) type Incoming = ReceiverStream<io::Result<Connection>>;
 
 /// A ledger as the listener sees it.
 #[derive(Clone)]
@@ -24,8 +24,12 @@ pub(super) struct Served {
     pub(super) tls: Arc<ServerConfig>,
     /// Says who a client is.
     pub(super) trust: Arc<dyn TrustSource>,
-    /// Takes the connections.
-    pub(super) established: mpsc::Sender<io::Result<Connection>>,
+    /// The members that are connected.
+    pub(super) members: Arc<Members>,
+    /// Takes the connections of members.
+    pub(super) members_established: mpsc::Sender<io::Result<Connection>>,
+    /// Takes those without a certificate.
+    pub(super) strangers_established: mpsc::Sender<io::Result<Connection>>,
 }
 
 /// The ledgers that are served, by the name of their network.
@@ -41,7 +45,7 @@ pub(super) struct Place {
 }
 
 impl Ledgers {
-    /// Serves this network from now on.
+    /// Serves this network from now on. Answers with the connections of members, and with those without a certificate.
     ///
     /// # Errors
     /// [`Code::BadConfiguration`] if another node of the same network is served here.
@@ -49,10 +53,11 @@ impl Ledgers {
         &self,
         network: Hash,
         tls: Arc<ServerConfig>,
-        trust: Arc<dyn TrustSource>,
-    ) -> Result<(Place, Connections), Rejection> {
-        let (established, connections) = mpsc::channel(ESTABLISHED_MAX);
-        let served = Served { tls, trust, established };
+        (trust, members): (Arc<dyn TrustSource>, Arc<Members>),
+    ) -> Result<(Place, Incoming, Incoming), Rejection> {
+        let (members_established, of_members) = mpsc::channel(ESTABLISHED_MAX);
+        let (strangers_established, of_strangers) = mpsc::channel(ESTABLISHED_MAX);
+        let served = Served { tls, trust, members, members_established, strangers_established };
         let entered = self.served.send_if_modified(|all| {
             let free = !all.contains_key(&network);
             if free {
@@ -66,7 +71,8 @@ impl Ledgers {
                 .wanted("one node of each network")
                 .next("give this node a listener of its own"));
         }
-        Ok((Place { network, ledgers: self.clone() }, ReceiverStream::new(connections)))
+        let place = Place { network, ledgers: self.clone() };
+        Ok((place, ReceiverStream::new(of_members), ReceiverStream::new(of_strangers)))
     }
 
     /// The ledger that a client means: the only one, or the one whose network it names.

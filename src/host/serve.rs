@@ -1,6 +1,7 @@
 //! The services of an instance behind the host's listener.
 
 use super::Host;
+use super::door::Members;
 use super::ledgers::Place;
 use crate::config::Limits;
 use crate::enrolment::EnrolmentService;
@@ -23,6 +24,16 @@ use tonic::transport::Server;
 
 /// Bytes of one stream, and of one connection, that may be on their way: enough for a fast link's delay.
 const WINDOW_BYTES: (u32, u32) = (1 << 20, 4 << 20);
+/// The same of a client without a certificate, which only enrols.
+const STRANGER_WINDOW_BYTES: (u32, u32) = (32 << 10, 64 << 10);
+/// Calls at a time of a client without a certificate.
+const STRANGER_CALLS_MAX: u32 = 4;
+/// Most bytes of a message of such a client: a signing request and a secret take a few hundred.
+const STRANGER_MESSAGE_BYTES_MAX: usize = 32 << 10;
+/// Most bytes of the headers of a call of such a client.
+const STRANGER_HEADER_BYTES_MAX: u32 = 8 << 10;
+/// Most bytes of a message about enrolment: what tonic takes where nothing is said.
+const ENROLMENT_BYTES_MAX: usize = 4 << 20;
 /// Space around the payload in a message.
 const MESSAGE_EXTRA_BYTES: usize = 64 * 1024;
 /// Time that open calls have to end when the node stops.
@@ -41,6 +52,8 @@ pub(crate) struct Services {
     pub(crate) peer: PeerService<Deliver>,
     /// The callers that it accepts.
     pub(crate) trust: Arc<dyn TrustSource>,
+    /// Those of them that are connected.
+    pub(crate) members: Arc<Members>,
 }
 
 /// A server that runs.
@@ -63,32 +76,59 @@ impl Host {
         services: Services,
         limits: &Limits,
     ) -> Result<Serving, Rejection> {
-        let Services { gateway, enrolment, peer, trust } = services;
+        let Services { gateway, enrolment, peer, trust, members } = services;
         let server_tls = server_config(identity, Arc::clone(&trust))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
-        let (place, connections) = self.ledgers.enter(network, Arc::new(server_tls), trust)?;
+        let (place, of_members, of_strangers) = self.ledgers.enter(network, Arc::new(server_tls), (trust, members))?;
         // More than is accepted: what is a little too large gets an answer that says so.
         let message_bytes_max = count(limits.payload_bytes_max).max(PAYLOAD_BYTES_MAX) + MESSAGE_EXTRA_BYTES;
-        let (stop, mut stopping) = watch::channel(false);
-        let server = Server::builder()
-            .tcp_nodelay(true)
-            .initial_stream_window_size(WINDOW_BYTES.0)
-            .initial_connection_window_size(WINDOW_BYTES.1)
-            .http2_keepalive_interval(Some(Duration::from_secs(5)))
-            .http2_keepalive_timeout(Some(Duration::from_secs(5)))
-            .add_service(GatewayServer::new(gateway).max_decoding_message_size(message_bytes_max))
-            .add_service(EnrolmentServer::new(enrolment))
-            .add_service(PeerServer::new(peer).max_decoding_message_size(PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES))
-            .serve_with_incoming_shutdown(connections, async move {
-                let _stopped = stopping.wait_for(|stop| *stop).await;
-            });
+        let (gateway, enrolment, peer) = (Arc::new(gateway), Arc::new(enrolment), Arc::new(peer));
+        let services = |message_bytes_max: usize, peer_bytes_max: usize| {
+            let gateway = GatewayServer::from_arc(Arc::clone(&gateway)).max_decoding_message_size(message_bytes_max);
+            let peer = PeerServer::from_arc(Arc::clone(&peer)).max_decoding_message_size(peer_bytes_max);
+            let enrolment = EnrolmentServer::from_arc(Arc::clone(&enrolment));
+            (gateway, enrolment.max_decoding_message_size(message_bytes_max.min(ENROLMENT_BYTES_MAX)), peer)
+        };
+        let (stop, stopping) = watch::channel(false);
+        let (gateway_server, enrolment_server, peer_server) =
+            services(message_bytes_max, PEER_MESSAGE_BYTES_MAX + MESSAGE_EXTRA_BYTES);
+        let for_members = server(WINDOW_BYTES)
+            .add_service(gateway_server)
+            .add_service(enrolment_server)
+            .add_service(peer_server)
+            .serve_with_incoming_shutdown(of_members, told(stopping.clone()));
+        // The same services, as all but one of their calls say that they want a certificate.
+        let (gateway_server, enrolment_server, peer_server) =
+            services(STRANGER_MESSAGE_BYTES_MAX, STRANGER_MESSAGE_BYTES_MAX);
+        let for_strangers = server(STRANGER_WINDOW_BYTES)
+            .max_concurrent_streams(STRANGER_CALLS_MAX)
+            .http2_max_header_list_size(STRANGER_HEADER_BYTES_MAX)
+            .add_service(gateway_server)
+            .add_service(enrolment_server)
+            .add_service(peer_server)
+            .serve_with_incoming_shutdown(of_strangers, told(stopping));
         let server = tokio::spawn(async move {
-            if let Err(error) = server.await {
+            if let Err(error) = tokio::try_join!(for_members, for_strangers) {
                 tracing::error!(%error, "the server ended");
             }
         });
         Ok(Serving { place, server, stop })
     }
+}
+
+/// A server with windows of so many bytes for each stream and for each connection.
+fn server((stream_bytes, connection_bytes): (u32, u32)) -> Server {
+    Server::builder()
+        .tcp_nodelay(true)
+        .initial_stream_window_size(stream_bytes)
+        .initial_connection_window_size(connection_bytes)
+        .http2_keepalive_interval(Some(Duration::from_secs(5)))
+        .http2_keepalive_timeout(Some(Duration::from_secs(5)))
+}
+
+/// Waits until the server is to stop.
+async fn told(mut stopping: watch::Receiver<bool>) {
+    let _stopped = stopping.wait_for(|stop| *stop).await;
 }
 
 impl Serving {
