@@ -1,7 +1,7 @@
-//! Who stands at the door and behind it: so many of one kind at most, so that nobody keeps the others out.
+//! The places at the door and behind it. Each kind has a limit, so that nobody keeps the others out.
 //!
-//! Whoever comes is let in. If that is one too many, the one that has stood there longest leaves: one of the same name if
-//! that name has too many, and else one of the name that has the most. So whoever crowds in pushes itself out.
+//! Everybody is let in. If that is one too many, the one that has stood there longest leaves. It is one of the same name if
+//! that name has too many, and else one of the name with the most. So somebody who crowds in pushes itself out.
 
 use std::collections::{BTreeMap, HashMap};
 use std::future::poll_fn;

@@ -60,7 +60,7 @@ pub(super) struct Connection {
     place: Place,
 }
 
-/// What an established connection occupies.
+/// The place of an established connection.
 enum Place {
     Member(Stay<Named>),
     /// With the end of its time.

@@ -22,6 +22,7 @@ mod catch_up;
 mod config;
 mod contexts;
 mod crash;
+mod crowd;
 mod disk_full;
 mod footprint;
 mod hostile;
