@@ -1,66 +1,41 @@
 //! Catching up: blocks and snapshots from other nodes, for a node that lacks more than replication brings.
 //!
+//! What is fetched, from whom, and whom the node believes is decided by [`ledger_replica::catch_up`]. Here are the
+//! connections and the threads that do it.
+//!
 //! ```text
-//! catch_up     what to do, and whom to believe
-//!   ask        what the other nodes have
-//!   look       the question with which a node starts, and what must wait for the answers
-//!   blocks     pulling blocks: verified, stored, executed
-//!   snapshot   taking the world state, where the blocks are gone
+//! catch_up     carries out what the machine says
+//!   ask        asks the other nodes what they have, when the node starts and later
+//!   blocks     streams of blocks, and block hashes
+//!   snapshot   manifests and chunks
 //!   serve      the other side: what this node gives to those that ask
 //! ```
 //!
 //! **Newcomers.** A node that has joined has a ledger that stands at the genesis: it does not know the network as it is,
 //! nor perhaps its own organisation. The join token names nodes and their CA, which it asks as well, and believes.
-//!
-//! **Which answers to believe.** A follower believes its leader, as Raft does. A node that asks around would believe
-//! any answer, so it asks for more. It takes blocks from a node of the own organisation, or from the leader that the
-//! engine named. It takes blocks of any other node if a node of a third organisation, or of the own, has the same block
-//! hash at the end of each batch. The hash covers everything before it. Where nobody confirms, nothing is pulled: the
-//! leader's replication brings the blocks, slower.
 
 mod ask;
 mod blocks;
-mod look;
 mod serve;
 mod snapshot;
 
-pub(crate) use look::{Ballot, Look};
 pub(crate) use serve::Source;
 
 use crate::orderer::{Seat, Shared};
 use crate::peers::{Dialer, Member};
-use ask::{Answers, Offer};
+use ask::{Answers, Contact};
+use ledger_api::v1::BlockEntries;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::REJOIN;
+use ledger_replica::catch_up::{self, ASK_TIME_MAX, Ballot, Batch, Behind, Caught, Got, Todo};
+use ledger_storage::snapshot::Snapshot;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::watch;
+use tonic::Streaming;
 
-/// A node that lacks no more blocks than this leaves it to replication.
-const LAG_MIN: u64 = 1000;
-/// Time that the others have to say what they have.
-const ASK_TIME_MAX: Duration = Duration::from_secs(1);
-
-/// The engine's report when it could not go on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Behind {
-    /// The leader that said so.
-    pub from: u64,
-    /// The first block that replication still brings.
-    pub first_index: u64,
-}
-
-/// The outcome of catching up.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Caught {
-    /// The node has what it could get; replication brings the rest.
-    Up,
-    /// A snapshot is there, and the log begins after it: the node has to start again on it.
-    Snapshot,
-    /// Nobody had what is needed, or nobody confirmed it. To be tried again.
-    Nothing,
-}
+/// How often progress is told.
+const PROGRESS_PERIOD: Duration = Duration::from_secs(2);
 
 /// The nodes that let this node in, for as long as its ledger does not know it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -87,63 +62,108 @@ pub(crate) struct CatchUp {
     pub stopping: watch::Receiver<bool>,
 }
 
+/// What is open while it fetches.
+struct Fetching {
+    stream: Option<(Streaming<BlockEntries>, String)>,
+    told: Instant,
+}
+
 impl CatchUp {
-    /// Is there enough to fetch that it is worth it?
-    pub(crate) fn is_far_behind(&self, offers: &[Offer]) -> bool {
-        let next = self.shared.ledger.tip().height + 1;
-        offers.iter().any(|offer| offer.chain.height > next + LAG_MIN || offer.chain.first_height > next)
-    }
-
-    /// Does the ledger know this node? Before it does, it knows perhaps neither the leader nor whoever else may call.
-    ///
-    /// # Errors
-    /// [`Code::NotAMember`] if it knows that this node was removed.
-    pub(crate) fn is_known(&self) -> Result<bool, Rejection> {
-        let me = self.dialer.me;
-        if self.shared.directory.members().iter().any(|member| member.id == me) {
-            return Ok(true);
-        }
-        let records = ledger::governance::nodes(&**self.shared.ledger.state())?;
-        match records.iter().any(|record| record.id == me) {
-            false => Ok(false),
-            true => Err(Rejection::new(Code::NotAMember, "this node was removed from the network")
-                .found(format!(
-                    "node {me}, removed, by the block of height {} or before",
-                    self.shared.ledger.tip().height
-                ))
-                .next(format!("to bring it in again as a new node: {REJOIN}"))),
-        }
-    }
-
     /// Fetches what the others have, as far as it can be believed. No engine may run.
     ///
     /// # Errors
     /// Faults with which the node cannot go on: its disk, or a chain that contradicts itself.
     pub(crate) async fn run(&self, behind: Option<Behind>) -> Result<Caught, Rejection> {
-        let offers = self.offers().await;
-        let next = self.shared.ledger.tip().height + 1;
-        let kept = |offer: &Offer| offer.chain.height >= next && offer.chain.first_height <= next;
-        let caught = match offers.iter().any(kept) {
-            true => self.pull(&offers, behind).await?,
-            false => Caught::Nothing,
-        };
-        match caught {
-            Caught::Nothing => self.take_snapshot(&offers).await,
-            caught => Ok(caught),
+        let token = self.bootstrap.as_ref().map(|known| known.ca);
+        let (ledger, organisation) = (Arc::clone(&self.shared.ledger), self.dialer.organisation.clone());
+        let mut machine = catch_up::CatchUp::new(ledger, organisation, behind, token);
+        let mut fetching = Fetching { stream: None, told: Instant::now() };
+        let mut todo = Todo::Ask;
+        loop {
+            self.seat.show_progress(machine.aim());
+            let got = match todo {
+                Todo::Done(caught) => return Ok(caught),
+                Todo::Failed(reason) => return Err(reason),
+                _ if self.is_stopping() => return Ok(Caught::Nothing),
+                todo => self.carry_out(todo, machine.aim(), &mut fetching).await,
+            };
+            todo = machine.step(got);
         }
     }
 
-    async fn offers(&self) -> Vec<Offer> {
+    async fn carry_out(&self, todo: Todo<Contact>, aim: u64, fetching: &mut Fetching) -> Got<Contact> {
+        match todo {
+            Todo::Ask => Got::Offers(self.offers().await),
+            Todo::Open { peer, from } => {
+                fetching.stream = None;
+                match blocks::open(&peer, from).await {
+                    Ok(stream) => fetching.stream = Some((stream, peer.address)),
+                    Err(fault) => return Got::Blocks(Err(fault)),
+                }
+                Got::Blocks(blocks::next(&mut fetching.stream).await)
+            }
+            Todo::More => Got::Blocks(blocks::next(&mut fetching.stream).await),
+            Todo::Confirm { peer, height } => Got::Hash(blocks::block_hash(&peer, height).await),
+            Todo::TakeIn(batch) => {
+                let taken = self.take_in(&batch).await;
+                if fetching.told.elapsed() > PROGRESS_PERIOD {
+                    fetching.told = Instant::now();
+                    tracing::info!(height = self.shared.ledger.tip().height, of = aim, "fetching blocks");
+                }
+                Got::TakenIn(taken)
+            }
+            Todo::Manifest { peer } => Got::Manifest(snapshot::manifest(&peer).await),
+            Todo::Fetch { peer, manifest, trial } => Got::Snapshot(self.fetch(&peer, manifest, trial).await),
+            Todo::Install(snapshot) => Got::Installed(self.install(snapshot).await),
+            Todo::Pause(time) => {
+                self.pause(time).await;
+                Got::Waited
+            }
+            Todo::Done(_) | Todo::Failed(_) => Got::Waited,
+        }
+    }
+
+    /// Stores and executes blocks. A full disk gets the reserve before it is tried again.
+    async fn take_in(&self, batch: &Arc<Batch>) -> Result<(), Rejection> {
+        let (shared, batch) = (Arc::clone(&self.shared), Arc::clone(batch));
+        let taken = tokio::task::spawn_blocking(move || {
+            let taken = batch.take_in(&shared.store, &shared.executor, &shared.snapshots);
+            match &taken {
+                Ok(()) => shared.space.room(),
+                Err(fault) if fault.code == Code::DiskFull => drop(shared.space.no_room()),
+                Err(_) => {}
+            }
+            taken
+        });
+        taken.await.map_err(|_| Rejection::new(Code::Internal, "the execution of fetched blocks panicked"))?
+    }
+
+    async fn install(&self, snapshot: Arc<Snapshot>) -> Result<(), Rejection> {
+        let store = Arc::clone(&self.shared.store);
+        let begun = tokio::task::spawn_blocking(move || catch_up::install(&store, &snapshot)).await;
+        begun.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with the log"))?
+    }
+
+    /// Waits so long, or until the node stops.
+    pub(crate) async fn pause(&self, micros: u64) {
+        let mut stopping = self.stopping.clone();
+        let stopped = stopping.wait_for(|stopping| *stopping);
+        let _stopping = tokio::time::timeout(Duration::from_micros(micros), stopped).await;
+    }
+
+    async fn offers(&self) -> Vec<ask::Offer> {
         ask::all(self.question(&self.shared.directory.members())).await
     }
 
     fn question(&self, members: &[Member]) -> Answers {
         let stranger = !members.iter().any(|member| member.id == self.dialer.me);
         let bootstrap = self.bootstrap.as_ref().filter(|_| stranger);
-        self.dialer.question(members, bootstrap, self.shared.ledger.network(), ASK_TIME_MAX)
+        let patience = Duration::from_micros(ASK_TIME_MAX);
+        self.dialer.question(members, bootstrap, self.shared.ledger.network(), patience)
     }
 
-    fn is_stopping(&self) -> bool {
+    /// Does the node stop?
+    pub(crate) fn is_stopping(&self) -> bool {
         *self.stopping.borrow()
     }
 }

@@ -1,28 +1,30 @@
-//! Starts engines, and ends them when the node lacks blocks that replication does not bring.
+//! Starts engines, and ends them when the node lacks blocks that replication does not bring: as
+//! [`ledger_replica::conductor`] decides.
 //!
 //! The orderer tells here that it is behind; then its engine ends, the node catches up, and a new engine goes on from
 //! there. Clients are told meanwhile that the node is behind.
 
-use crate::catch_up::{Behind, CatchUp, Caught, Look};
+use crate::catch_up::CatchUp;
 use crate::config::Order;
 use crate::instance::count;
 use crate::orderer::Orderer;
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::catch_up::Behind;
+use ledger_replica::conductor::{self, Happened, Next};
 use ledger_replica::{Replica, Settings};
+use ledger_storage::block_store::StoreError;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
-
-/// Pause before an engine starts again that had nothing to fetch: another leader may still have the blocks.
-const RETRY_PAUSE: Duration = Duration::from_millis(500);
 
 /// Keeps an engine running.
 pub(crate) struct Conductor {
     id: u64,
     order: Order,
     catch_up: CatchUp,
-    /// The orderer's last report of being behind.
+    machine: conductor::Conductor,
+    /// What the orderer said last about being behind.
     behind: watch::Receiver<Option<Behind>>,
 }
 
@@ -30,26 +32,27 @@ impl Conductor {
     /// For the node with this id.
     pub(crate) fn new(id: u64, order: Order, catch_up: CatchUp) -> Self {
         let behind = catch_up.shared.behind.subscribe();
-        Self { id, order, catch_up, behind }
+        let machine = conductor::Conductor::new(id, Arc::clone(&catch_up.shared.ledger));
+        Self { id, order, catch_up, machine, behind }
     }
 
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
     ///
     /// # Errors
-    /// A fault that keeps an engine from starting; a voter that has lost its blocks.
-    pub(crate) async fn begin(self) -> Result<JoinHandle<()>, Rejection> {
+    /// What keeps an engine from starting; a voter that has lost its blocks.
+    pub(crate) async fn begin(mut self) -> Result<JoinHandle<()>, Rejection> {
         let Order { tick_ms, election_ticks, .. } = self.order;
-        let Look { offers, open } =
-            self.catch_up.look(Duration::from_millis(tick_ms.saturating_mul(election_ticks))).await?;
-        let far_behind = self.catch_up.is_far_behind(&offers) || !self.catch_up.is_known()?;
-        if !far_behind {
+        let (offers, open) = self.catch_up.look(Duration::from_millis(tick_ms.saturating_mul(election_ticks))).await?;
+        let mut next = self.machine.step(Happened::Looked(offers))?;
+        if next == Next::Start {
             self.start_engine()?;
+            next = Next::Nothing;
         }
         let hearing = self.catch_up.hear_out(open);
         let running = async move {
-            let fate = self.catch_up.shared.fate.clone();
-            if let Err(reason) = self.run(far_behind).await {
-                fate.fail(reason);
+            let fatal = Arc::clone(&self.catch_up.shared);
+            if let Err(reason) = self.run(next).await {
+                (fatal.fatal)(reason);
             }
         };
         Ok(tokio::spawn(async move {
@@ -57,74 +60,61 @@ impl Conductor {
         }))
     }
 
-    async fn run(mut self, mut far_behind: bool) -> Result<(), Rejection> {
-        let mut stopping = self.catch_up.stopping.clone();
-        let (mut told, mut helpless) = (false, false);
-        loop {
-            if far_behind {
-                if self.catch_up.run(None).await? == Caught::Snapshot {
-                    self.catch_up.shared.fate.start_again();
-                    return Ok(());
-                }
-                if self.catch_up.is_known()? {
-                    if told {
-                        tracing::warn!("this node has learnt the current members of the network");
-                    }
+    async fn run(mut self, mut next: Next) -> Result<(), Rejection> {
+        while !self.catch_up.is_stopping() {
+            let happened = match next {
+                Next::Start => {
+                    self.catch_up.shared.behind.send_replace(None);
                     self.start_engine()?;
-                    far_behind = false;
-                } else if !std::mem::replace(&mut told, true) {
-                    tracing::warn!("no node tells the current members of the network; asking again");
-                } else if tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await.is_ok() {
-                    return Ok(());
+                    next = Next::Nothing;
+                    continue;
                 }
-                continue;
-            }
-            let behind = tokio::select! {
-                biased;
-                _ = stopping.wait_for(|stopping| *stopping) => return Ok(()),
-                behind = self.behind.wait_for(Option::is_some) => match behind {
-                    Ok(behind) => *behind,
-                    Err(_) => return Ok(()),
+                Next::Nothing => match self.hear_of_behind().await {
+                    Some(behind) => Happened::Behind(behind),
+                    None => return Ok(()),
                 },
-            };
-            let Some(behind) = behind else { continue };
-            self.end_engine(behind).await?;
-            match self.catch_up.run(Some(behind)).await? {
-                Caught::Up => {
-                    if std::mem::take(&mut helpless) {
-                        tracing::warn!("another node has helped this node to catch up");
-                    }
+                Next::End(behind) => {
+                    self.end_engine(behind).await?;
+                    Happened::Ended
                 }
-                Caught::Snapshot => {
-                    self.catch_up.shared.fate.start_again();
+                Next::Flush => Happened::Flushed(self.flush().await?),
+                Next::CatchUp(behind) => Happened::Caught(self.catch_up.run(behind).await?),
+                Next::Pause(time) => {
+                    self.catch_up.pause(time).await;
+                    Happened::Waited
+                }
+                Next::StartAgain => {
+                    (self.catch_up.shared.start_again)();
                     return Ok(());
                 }
-                Caught::Nothing => {
-                    // Once, not twice a second.
-                    if !std::mem::replace(&mut helpless, true) {
-                        tracing::warn!(
-                            wanted = behind.first_index - 1,
-                            "no node could help this node to catch up; trying again"
-                        );
-                    }
-                    let _stopping = tokio::time::timeout(RETRY_PAUSE, stopping.wait_for(|stopping| *stopping)).await;
-                }
-            }
-            self.catch_up.shared.behind.send_replace(None);
-            self.start_engine()?;
+            };
+            next = self.machine.step(happened)?;
+        }
+        Ok(())
+    }
+
+    /// What the orderer says about being behind; nothing if the node stops.
+    async fn hear_of_behind(&mut self) -> Option<Behind> {
+        let mut stopping = self.catch_up.stopping.clone();
+        tokio::select! {
+            biased;
+            _ = stopping.wait_for(|stopping| *stopping) => None,
+            behind = self.behind.wait_for(Option::is_some) => behind.ok().and_then(|behind| *behind),
         }
     }
 
-    /// Ends the engine. Its writes are durable afterwards, as the next one takes everything in the log for durable.
+    /// Ends the engine, and waits until what was committed is executed.
     async fn end_engine(&self, behind: Behind) -> Result<(), Rejection> {
-        let shared = Arc::clone(&self.catch_up.shared);
         let seat = Arc::clone(&self.catch_up.seat);
-        let ended = tokio::task::spawn_blocking(move || {
-            seat.clear(behind.first_index.saturating_sub(1));
-            shared.store.flush()
-        });
-        ended.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while the engine ended"))??;
-        Ok(())
+        let ended = tokio::task::spawn_blocking(move || seat.clear(behind.first_index.saturating_sub(1)));
+        ended.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked while the engine ended"))
+    }
+
+    /// Makes the log durable, if there is room.
+    async fn flush(&self) -> Result<Result<(), StoreError>, Rejection> {
+        let shared = Arc::clone(&self.catch_up.shared);
+        let flushed = tokio::task::spawn_blocking(move || shared.flush());
+        flushed.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with the log"))
     }
 
     fn start_engine(&self) -> Result<(), Rejection> {

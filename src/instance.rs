@@ -18,7 +18,7 @@ pub(crate) use fate::Fate;
 
 use crate::awake::Awake;
 use crate::blocks::Blocks;
-use crate::catch_up::{Ballot, Bootstrap, CatchUp, Source};
+use crate::catch_up::{Bootstrap, CatchUp, Source};
 use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
 use crate::config::{Config, Order, Profile};
@@ -47,6 +47,7 @@ use ledger_api::tls::TrustSource;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::gateway::Shares;
+use ledger_replica::catch_up::Ballot;
 use ledger_replica::{Executor, Observer, Retries};
 use revocations::Revocations;
 use std::io;

@@ -27,7 +27,6 @@ pub(crate) use seat::Seat;
 
 use crate::awake::Awake;
 use crate::blocks::Blocks;
-use crate::catch_up::Behind;
 use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::gateway::Current;
@@ -41,8 +40,10 @@ use execute::Execute;
 use inbox::Inbox;
 use ledger::Ledger;
 use ledger_raft::{Input, RoleChange, Status};
+use ledger_rejection::Rejection;
+use ledger_replica::catch_up::Behind;
 use ledger_replica::{Executor, Replica};
-use ledger_storage::block_store::BlockStore;
+use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::snapshot::Snapshots;
 use order::Order;
 use std::io;
@@ -89,6 +90,25 @@ pub(crate) struct Shared {
     pub turns: Turns,
     /// Wakes housekeeping when there is work for it.
     pub bells: Arc<Bells>,
+}
+
+impl Shared {
+    /// Makes the log durable. A disk without room gets the reserve first.
+    ///
+    /// # Errors
+    /// As [`BlockStore::flush`]; [`StoreError::DiskFull`] if the reserve is used up.
+    pub(crate) fn flush(&self) -> Result<(), StoreError> {
+        loop {
+            match self.store.flush() {
+                Err(StoreError::DiskFull { .. }) if self.space.no_room() => {}
+                Ok(_) => {
+                    self.space.room();
+                    return Ok(());
+                }
+                Err(fault) => return Err(fault),
+            }
+        }
+    }
 }
 
 /// The running threads.

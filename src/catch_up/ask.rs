@@ -1,6 +1,6 @@
 //! The blocks of the other nodes.
 
-use super::Bootstrap;
+use super::{Bootstrap, CatchUp};
 use crate::peers::{Dialer, Member};
 use futures::StreamExt;
 use futures::future::{BoxFuture, FutureExt};
@@ -8,24 +8,91 @@ use futures::stream::FuturesUnordered;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{ChainRequest, ChainResponse};
 use ledger_hash::Hash;
+use ledger_rejection::Rejection;
+use ledger_replica::catch_up::{Heard, Holding, Look, Stage, Who};
+use std::sync::Arc;
 use std::time::Duration;
+use tokio::time::{Instant, timeout};
 use tonic::transport::Channel;
 
-/// The blocks of one node, and the connection to it.
+/// The connection to a node that was asked.
 #[derive(Clone)]
-pub(crate) struct Offer {
-    /// The join token vouches for it.
-    pub vouched: bool,
-    /// The node.
-    pub member: Member,
-    /// The blocks that it says it has.
-    pub chain: ChainResponse,
-    /// For further questions.
-    pub channel: Channel,
+pub(super) struct Contact {
+    pub(super) address: String,
+    pub(super) channel: Channel,
 }
+
+/// What one node has.
+pub(super) type Offer = ledger_replica::catch_up::Offer<Contact>;
 
 /// The answers as they come; none from who refuses, is silent, or is of another network.
 pub(super) type Answers = FuturesUnordered<BoxFuture<'static, Option<Offer>>>;
+
+/// The question of a start that some may still answer.
+pub(crate) struct Open {
+    answers: Answers,
+    look: Look,
+    asked: Instant,
+}
+
+impl CatchUp {
+    /// Asks the other nodes what they have, before the first engine starts. `election_time`: this node does not stand for
+    /// election for so long.
+    ///
+    /// # Errors
+    /// If this node votes and has lost what it promised to keep.
+    pub(crate) async fn look(&self, election_time: Duration) -> Result<(Vec<Holding>, Open), Rejection> {
+        let members = self.shared.directory.members();
+        let answers = self.question(&members);
+        let voters = members.iter().filter(|member| member.votes()).map(|member| member.id).collect();
+        let (last, asked) = (self.shared.store.last_index(), answers.len());
+        let look = Look::new((0, self.dialer.me), voters, last, asked, micros(election_time), self.ballot.clone());
+        let (mut open, mut offers) = (Open { answers, look, asked: Instant::now() }, Vec::new());
+        while open.look.stage() == Stage::Asking {
+            offers.extend(open.hear().await?);
+        }
+        Ok((offers, open))
+    }
+
+    /// Hears out those that were silent, until the question is closed; then the node may vote.
+    pub(crate) fn hear_out(&self, mut open: Open) -> impl Future<Output = ()> + Send + use<> {
+        let (shared, mut stopping) = (Arc::clone(&self.shared), self.stopping.clone());
+        async move {
+            while open.look.stage() != Stage::Closed {
+                let heard = tokio::select! {
+                    biased;
+                    _ = stopping.wait_for(|stopping| *stopping) => return,
+                    heard = open.hear() => heard,
+                };
+                if let Err(lost) = heard {
+                    return (shared.fatal)(lost);
+                }
+            }
+        }
+    }
+}
+
+impl Open {
+    /// The next answer; nothing if none came in time.
+    async fn hear(&mut self) -> Result<Option<Holding>, Rejection> {
+        let due = self.look.due().unwrap_or_default().saturating_sub(micros(self.asked.elapsed()));
+        let answer = timeout(Duration::from_micros(due), self.answers.next()).await;
+        let now = micros(self.asked.elapsed());
+        match answer {
+            Ok(Some(Some(offer))) => {
+                self.look.step(now, Heard::Answer(&offer.who, &offer.has))?;
+                return Ok(Some(offer.has));
+            }
+            Ok(Some(None)) => self.look.step(now, Heard::Refusal)?,
+            Ok(None) | Err(_) => self.look.step(now, Heard::Time)?,
+        };
+        Ok(None)
+    }
+}
+
+fn micros(time: Duration) -> u64 {
+    u64::try_from(time.as_micros()).unwrap_or(u64::MAX)
+}
 
 impl Dialer {
     /// Asks all other members at the same time; each has so long to answer.
@@ -38,12 +105,11 @@ impl Dialer {
         patience: Duration,
     ) -> Answers {
         let answers = Answers::new();
-        let ours = move |offer: &Offer| offer.chain.network == network.as_ref();
         for member in members.iter().filter(|member| member.id != self.me) {
             let (dialer, member) = (self.clone(), member.clone());
             let answer = async move {
-                match tokio::time::timeout(patience, dialer.ask_one(&member)).await {
-                    Ok(Ok(offer)) => Some(offer).filter(ours),
+                match timeout(patience, dialer.ask_one(&member, network)).await {
+                    Ok(Ok(offer)) => offer,
                     Ok(Err(reason)) => {
                         tracing::debug!(peer = %member.full_name(), reason, "the peer does not tell what it holds");
                         None
@@ -58,48 +124,42 @@ impl Dialer {
         {
             let (dialer, address) = (self.clone(), address.clone());
             let answer = async move {
-                let answer = tokio::time::timeout(patience, dialer.ask_first(&address, ca)).await;
-                answer.ok()?.ok().filter(ours)
+                let answer = timeout(patience, dialer.ask_first(&address, ca, network)).await;
+                answer.ok()?.ok().flatten()
             };
             answers.push(answer.boxed());
         }
         answers
     }
 
-    async fn ask_one(&self, member: &Member) -> Result<Offer, String> {
-        let channel = self.channel(member).await?;
-        let chain = chain(channel.clone()).await?;
-        Ok(Offer { vouched: false, member: member.clone(), chain, channel })
+    async fn ask_one(&self, member: &Member, network: Hash) -> Result<Option<Offer>, String> {
+        let who =
+            Who { id: member.id, organisation: member.organisation.clone(), name: member.full_name(), vouched: false };
+        offer(who, Contact { address: member.address.clone(), channel: self.channel(member).await? }, network).await
     }
 
-    async fn ask_first(&self, address: &str, ca: Hash) -> Result<Offer, String> {
+    async fn ask_first(&self, address: &str, ca: Hash, network: Hash) -> Result<Option<Offer>, String> {
         let channel = self.first_contact(address, ca).await?;
-        let chain = chain(channel.clone()).await?;
-        let name = address.to_owned();
-        let member = Member {
-            id: 0,
-            name,
-            organisation: String::new(),
-            address: address.to_owned(),
-            wanted: None,
-            actual: None,
-        };
-        Ok(Offer { vouched: true, member, chain, channel })
+        let who = Who { id: 0, organisation: String::new(), name: address.to_owned(), vouched: true };
+        offer(who, Contact { address: address.to_owned(), channel }, network).await
     }
 }
 
-/// All answers, longest chain first.
+/// All answers.
 pub(super) async fn all(answers: Answers) -> Vec<Offer> {
-    let mut offers: Vec<Offer> = answers.filter_map(|answer| async move { answer }).collect().await;
-    longest_first(&mut offers);
-    offers
+    answers.filter_map(|answer| async move { answer }).collect().await
 }
 
-pub(super) fn longest_first(offers: &mut [Offer]) {
-    offers.sort_by_key(|offer| std::cmp::Reverse(offer.chain.height));
-}
-
-async fn chain(channel: Channel) -> Result<ChainResponse, String> {
-    let answer = PeerClient::new(channel).chain(ChainRequest {}).await;
-    Ok(answer.map_err(|status| status.message().to_owned())?.into_inner())
+/// What a node has; none if it is of another network.
+async fn offer(who: Who, peer: Contact, network: Hash) -> Result<Option<Offer>, String> {
+    let answer = PeerClient::new(peer.channel.clone()).chain(ChainRequest {}).await;
+    let chain: ChainResponse = answer.map_err(|status| status.message().to_owned())?.into_inner();
+    let has = Holding {
+        height: chain.height,
+        first_height: chain.first_height,
+        snapshot_height: chain.snapshot_height,
+        yours: chain.yours,
+        you_vote: chain.you_vote,
+    };
+    Ok((chain.network == network.as_ref()).then_some(Offer { who, has, peer }))
 }

@@ -9,6 +9,7 @@ use ledger_api::v1::{
     self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
 };
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::catch_up::store_holds;
 use ledger_replica::trust;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
@@ -109,7 +110,7 @@ impl Source {
 
     /// The last block that is committed and durable here.
     fn committed(&self) -> u64 {
-        self.shared.store.committed().min(self.shared.store.durable_index())
+        store_holds(&self.shared.store)
     }
 
     /// Block hash and state digest after a block; empty if it is not kept, or not executed yet.

@@ -3,12 +3,11 @@
 use super::Shared;
 use super::execute::Execute;
 use super::inbox::Inbox;
-use crate::catch_up::Behind;
 use crate::peers::Member;
 use crate::waiters::Client;
 use ledger_raft::{Change, Input, Role, RoleChange, Status};
+use ledger_replica::catch_up::Behind;
 use ledger_replica::{Circumstances, Effect, Event, Replica, Work};
-use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::Entry;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -101,17 +100,9 @@ impl Order {
 
     /// Makes the log durable.
     fn write(&mut self) {
-        let result = loop {
-            match self.shared.store.flush() {
-                Err(StoreError::DiskFull { .. }) if self.shared.space.no_room() => {}
-                result => break result.map(drop),
-            }
-        };
-        if result.is_ok() {
-            self.shared.space.room();
-            if self.shared.store.wants_preparing() {
-                self.shared.bells.rounds.ring();
-            }
+        let result = self.shared.flush();
+        if result.is_ok() && self.shared.store.wants_preparing() {
+            self.shared.bells.rounds.ring();
         }
         self.step(Event::Written(result));
     }

@@ -48,6 +48,10 @@ pub enum Mutation {
     IgnoreTheShare,
     /// A client whose verdict does not come is never told so.
     ForgetADeadline,
+    /// A node that catches up takes blocks that nobody confirms.
+    TakeUnconfirmedBlocks,
+    /// A node votes before it knows whether it has lost blocks.
+    VoteBeforeTheAnswers,
 }
 
 /// Is this bug turned on?

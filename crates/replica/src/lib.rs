@@ -6,6 +6,8 @@
 //! | module | what is there |
 //! |---|---|
 //! | `replica` | [`Replica`]: the engine and its duties; events in, effects out |
+//! | [`conductor`] | when a node has an engine: starting, ending, catching up |
+//! | [`catch_up`] | what a node fetches from others, from whom, and whom it believes |
 //! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
 //! | [`trust`] | whether a snapshot is believed |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
@@ -42,6 +44,8 @@
 
 #![forbid(unsafe_code)]
 
+pub mod catch_up;
+pub mod conductor;
 mod executor;
 pub mod gateway;
 mod in_place;

@@ -1,0 +1,83 @@
+//! What the other nodes have.
+
+use crate::REJOIN;
+use ledger::Ledger;
+use ledger::governance::{self, NodeRole};
+use ledger_rejection::{Code, Rejection};
+use ledger_storage::block_store::BlockStore;
+
+/// A node that lacks no more blocks than this leaves it to replication.
+const LAG_MIN: u64 = 1000;
+
+/// A node that was asked.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Who {
+    /// Its number; 0 if only its address is known.
+    pub id: u64,
+    /// Its organisation; empty if only its address is known.
+    pub organisation: String,
+    /// Its name for people.
+    pub name: String,
+    /// The join token vouches for it.
+    pub vouched: bool,
+}
+
+/// What a node says that it has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Holding {
+    /// Its newest block that is committed and durable.
+    pub height: u64,
+    /// Its oldest block.
+    pub first_height: u64,
+    /// Its newest snapshot; 0 if it has none.
+    pub snapshot_height: u64,
+    /// What it knows the asking node to have had.
+    pub yours: u64,
+    /// It knows the asking node as a voter.
+    pub you_vote: bool,
+}
+
+/// What one node has, and how to reach it.
+#[derive(Clone, Debug)]
+pub struct Offer<P> {
+    /// The node.
+    pub who: Who,
+    /// What it has.
+    pub has: Holding,
+    /// For further questions.
+    pub peer: P,
+}
+
+impl Holding {
+    /// Has it this block?
+    pub(super) fn holds(&self, height: u64) -> bool {
+        self.first_height <= height && height <= self.height
+    }
+}
+
+/// The newest block that a node may give to others: what is committed and durable there.
+pub fn store_holds(store: &BlockStore) -> u64 {
+    store.committed().min(store.durable_index())
+}
+
+/// Is there enough to fetch that it is worth it?
+pub fn is_far_behind<'a>(ledger: &Ledger, offers: impl IntoIterator<Item = &'a Holding>) -> bool {
+    let next = ledger.tip().height + 1;
+    offers.into_iter().any(|has| has.height > next + LAG_MIN || has.first_height > next)
+}
+
+/// Does the ledger know this node? Before it does, it knows perhaps neither the leader nor whoever else may call.
+///
+/// # Errors
+/// [`Code::NotAMember`] if it knows that this node was removed.
+pub fn is_known(ledger: &Ledger, me: u64) -> Result<bool, Rejection> {
+    let records = governance::nodes(&**ledger.state())?;
+    let Some(record) = records.iter().find(|record| record.id == me) else { return Ok(false) };
+    // Who was removed belongs here until the ordering has let it go.
+    if record.role != NodeRole::Removed || ledger.members()?.contains(me) {
+        return Ok(true);
+    }
+    Err(Rejection::new(Code::NotAMember, "this node was removed from the network")
+        .found(format!("node {me}, removed, by the block of height {} or before", ledger.tip().height))
+        .next(format!("to bring it in again as a new node: {REJOIN}")))
+}
