@@ -20,11 +20,13 @@ use crate::instance::Fate;
 use crate::peers::{Dialer, Directory};
 use crate::signer::Author;
 use judge::{Finding, Judge};
-use ledger::governance::{self, Attest, Attestation};
-use ledger::{Ledger, Outcome};
+use ledger::governance::{self, Attest};
+use ledger::{Admission, Ledger, Outcome};
+use ledger_raft::{Input, Lane};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Observer;
-use ledger_storage::snapshot::Snapshots;
+pub(crate) use ledger_replica::witness::Seen;
+use ledger_replica::witness::{Said, seen};
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -32,8 +34,6 @@ use std::time::Duration;
 use tokio::sync::mpsc;
 use tokio::time::{MissedTickBehavior, interval};
 
-/// The name of the event that an attestation causes; its subject is the node, `ORGANISATION/NAME`.
-const EVENT: &str = "attested";
 /// The mark of a world state that contradicts the others', in the data directory.
 pub(crate) const DIVERGED_FILE: &str = "diverged";
 
@@ -45,13 +45,6 @@ pub(crate) struct Witness {
     /// Height of this node's newest snapshot.
     snapshot: AtomicU64,
     differing: Mutex<String>,
-}
-
-/// An attestation that was executed.
-pub(crate) struct Seen {
-    /// Its signer, `ORGANISATION/NAME`.
-    by: String,
-    attest: Attest,
 }
 
 impl Witness {
@@ -76,18 +69,11 @@ impl Witness {
 
 impl Observer for Witness {
     fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
-        let mut attestations = 0;
-        for emitted in &outcome.events {
-            let event = &emitted.event;
-            if event.chaincode != governance::NAME || event.name != EVENT {
-                continue;
-            }
-            attestations += 1;
-            if let Ok(Attestation { attest, .. }) = serde_json::from_slice(&event.payload) {
-                let _stopping = self.seen.send(Seen { by: event.subject.clone(), attest });
-            }
+        let (attestations, ordinary) = seen(outcome);
+        for attestation in attestations {
+            let _stopping = self.seen.send(attestation);
         }
-        if outcome.results.len() > attestations {
+        if ordinary {
             self.ordinary.store(outcome.header.height, Ordering::Relaxed);
         }
     }
@@ -119,10 +105,7 @@ pub(crate) struct Testimony {
 #[derive(Default)]
 struct Memory {
     judge: Judge,
-    /// Greatest height that this node has attested.
-    attested: u64,
-    /// Greatest height of a snapshot that it has attested.
-    snapshot: u64,
+    said: Said,
 }
 
 impl Testimony {
@@ -155,28 +138,33 @@ impl Testimony {
     }
 
     fn attest_tip(&self, memory: &Memory) -> Result<(), Rejection> {
-        self.attest_snapshot(memory)?;
-        let tip = self.author.ledger.tip();
-        if self.witness.ordinary.load(Ordering::Relaxed) <= memory.attested {
-            return Ok(());
+        let (ledger, snapshots) = (&self.shared.ledger, &self.shared.snapshots);
+        let height = snapshots.newest().map_or(0, |snapshot| snapshot.manifest().height);
+        self.shared.witness.snapshot.store(height, Ordering::Relaxed);
+        if let Some(attest) = memory.said.snapshot_due(ledger, snapshots)? {
+            self.attest(&attest)?;
         }
-        self.author.submit("attest", &Attest { height: tip.height, hash: tip.hash, digest: tip.digest, content: None })
+        match memory.said.block_due(ledger, self.shared.witness.ordinary.load(Ordering::Relaxed)) {
+            Some(attest) => self.attest(&attest),
+            None => Ok(()),
+        }
     }
 
-    fn attest_snapshot(&self, memory: &Memory) -> Result<(), Rejection> {
-        let Some(snapshot) = self.snapshots.newest() else { return Ok(()) };
-        let (height, content) = (snapshot.manifest().height, snapshot.content());
-        self.witness.snapshot.store(height, Ordering::Relaxed);
-        let Some(seal) = self.author.ledger.seal(height)?.filter(|_| height > memory.snapshot) else {
-            return Ok(());
-        };
-        self.author.submit("attest", &Attest { height, hash: seal.hash, digest: seal.digest, content: Some(content) })
+    fn attest(&self, attest: &Attest) -> Result<(), Rejection> {
+        let argument = serde_json::to_vec(attest).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
+        let signed = self.signer.sign(governance::NAME, "attest", vec![Bytes::from(argument)])?;
+        let admission = self.shared.ledger.admit(signed.encoded().clone(), self.shared.clock.now());
+        match admission.map_err(|refusal| refusal.rejection)? {
+            Admission::New(transaction) => {
+                self.seat.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
+            }
+            Admission::Known(..) => Ok(()),
+        }
     }
 
     async fn judge(&self, memory: &mut Memory, Seen { by, attest }: Seen) {
         if by == self.me {
-            memory.attested = memory.attested.max(attest.height);
-            memory.snapshot = memory.snapshot.max(attest.content.map_or(0, |_| attest.height));
+            memory.said.note(&attest);
             return;
         }
         // What is not kept any more, or not yet executed, is not judged.

@@ -3,13 +3,12 @@
 use super::blocks::to_wire;
 use crate::orderer::{Seat, Shared};
 use crate::peers::Member;
-use ledger::governance::{self, AttestationRecord};
 use ledger_api::to_status;
 use ledger_api::v1::{
     self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
 };
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::catch_up::store_holds;
+use ledger_replica::catch_up::{Holding, store_holds};
 use ledger_replica::trust;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
@@ -38,26 +37,19 @@ impl Source {
 
     /// The blocks of this node, and its knowledge of the asking one.
     pub(crate) fn chain(&self, asking: &Member) -> ChainResponse {
-        let height = self.committed();
-        let status = self.seat.status();
-        let peers = status.iter().flat_map(|status| &status.peers);
-        let acknowledged = peers.filter(|peer| peer.node == asking.id).map(|peer| peer.matched).max();
+        let shared = &self.shared;
+        let stores = (&*shared.ledger, &*shared.store, &*shared.snapshots);
+        let Holding { height, first_height, snapshot_height, yours, you_vote } =
+            Holding::of(stores, self.seat.status().as_ref(), asking.id);
         ChainResponse {
-            network: self.shared.ledger.network().0.to_vec().into(),
-            first_height: self.shared.store.first_index(),
+            network: shared.ledger.network().0.to_vec().into(),
+            first_height,
             height,
-            term: self.shared.store.term(height).unwrap_or_default(),
-            snapshot_height: self.shared.snapshots.newest().map_or(0, |newest| newest.manifest().height),
-            yours: acknowledged.max(self.attested(asking)).unwrap_or_default(),
-            you_vote: asking.votes(),
+            term: shared.store.term(height).unwrap_or_default(),
+            snapshot_height,
+            yours,
+            you_vote,
         }
-    }
-
-    /// The newest height that a node has attested.
-    fn attested(&self, node: &Member) -> Option<u64> {
-        let records = governance::attestations(&**self.shared.ledger.state()).ok()?;
-        let own = |record: &&AttestationRecord| record.organisation == node.organisation && record.node == node.name;
-        records.iter().find(own).map(|record| record.latest.attest.height)
     }
 
     /// Blocks from a height on, until the newest that is committed.

@@ -5,8 +5,8 @@ use std::path::PathBuf;
 
 /// Only a machine has these.
 const MACHINERY: [&str; 7] = ["std::thread", "std::time", "std::fs", "std::net", "tokio", "Instant", "SystemTime"];
-/// A program that names these drives the engine itself.
-const DRIVING: [&str; 10] = [
+/// Whoever names these drives the engine itself.
+const DRIVING: [&str; 14] = [
     "Engine::",
     "EngineConfig",
     "Output::",
@@ -17,12 +17,25 @@ const DRIVING: [&str; 10] = [
     "is_early(",
     "ORGANISATIONS_MIN",
     "snapshot.fill(",
+    ".begin_after(",
+    ".set_committed(",
+    "Header::following(",
+    "RaftKind::PreVote",
 ];
 /// A folder that names these decides about calls itself: their lanes, their order, and refusals.
 const ADMITTING: [&str; 4] = ["admit_decoded(", ".urgent(", "Refusal::step", "fn take_late"];
 /// Times that the replica decides about.
-const TIMES: [&str; 6] =
-    ["WAIT_MAX", "WAIT_FOR_HEIGHT", "CONFIRM_TIME_MAX", "FULL_DISK_PAUSE", "LEARNER_WRITE_DELAY", "LEAVE_AGAIN_PAUSE"];
+const TIMES: [&str; 9] = [
+    "WAIT_MAX",
+    "WAIT_FOR_HEIGHT",
+    "CONFIRM_TIME_MAX",
+    "FULL_DISK_PAUSE",
+    "LEARNER_WRITE_DELAY",
+    "LEAVE_AGAIN_PAUSE",
+    "LAG_MIN",
+    "ASK_TIME_MAX",
+    "SILENCE_MAX",
+];
 
 /// The files below a folder in which a line of code has one of these, and what it has.
 fn having(folder: &str, words: &[String]) -> Vec<(PathBuf, String)> {

@@ -52,6 +52,10 @@ pub enum Mutation {
     TakeUnconfirmedBlocks,
     /// A node votes before it knows whether it has lost blocks.
     VoteBeforeTheAnswers,
+    /// A node that was removed keeps its vote.
+    KeepARemovedVoter,
+    /// The first block after a snapshot is executed twice.
+    ApplyTwiceAfterASnapshot,
 }
 
 /// Is this bug turned on?

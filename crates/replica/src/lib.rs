@@ -10,6 +10,7 @@
 //! | [`catch_up`] | what a node fetches from others, from whom, and whom it believes |
 //! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
 //! | [`trust`] | whether a snapshot is believed |
+//! | [`witness`] | what a node attests, and when |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `in_place` | which blocks the thread that orders executes itself |
 //! | [`gateway`] | calls that want to be ordered: shares, turns, lanes, admission |
@@ -56,6 +57,7 @@ mod retries;
 mod ticks;
 pub mod trust;
 mod waiters;
+pub mod witness;
 
 pub use executor::{Executor, Observer, in_turns};
 pub use in_place::Circumstances;

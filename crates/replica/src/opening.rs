@@ -2,6 +2,7 @@
 
 use crate::REJOIN;
 use ledger::{Ledger, Registry};
+use ledger_mutation::Mutation;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::entry::Entry;
@@ -141,6 +142,9 @@ impl Opening<'_> {
     fn execute_the_rest(&self, ledger: &Ledger, kept: &mut impl Kept) -> Result<(), Rejection> {
         let committed = self.store.hard_state().commit;
         let mut next = ledger.tip().height + 1;
+        if ledger_mutation::active(Mutation::ApplyTwiceAfterASnapshot) && self.store.first_index() > 1 {
+            next = (next - 1).max(self.store.first_index());
+        }
         while next <= committed {
             for entry in self.store.entries(next..committed + 1, REPLAY_BYTES)? {
                 kept.replay(ledger, &entry)?;

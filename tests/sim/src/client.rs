@@ -128,7 +128,7 @@ impl World {
         let number = self.clients.len();
         let gateway = self.gateways().first().copied().unwrap_or(1);
         let mut client = Client::new(person, gateway);
-        client.nth = CERTIFICATES - 1;
+        client.nth = if self.people.index(person, CERTIFICATES - 1).is_some() { CERTIFICATES - 1 } else { 0 };
         client.ahead = self.clients.iter().map(|client| client.ahead).max().unwrap_or(EPOCH);
         client.orders = orders;
         client.obedient = true;

@@ -70,10 +70,12 @@ faults! {
     Replacement "node replaced";
     /// Old blocks are dropped.
     Pruning "old blocks dropped";
-    /// A node is so far behind that it fetches blocks from its peers.
+    /// A node fetches blocks from its peers.
     CatchUp "caught up from peers";
     /// Nobody has the blocks any more that a node needs: it takes a snapshot.
     Snapshot "snapshot taken";
+    /// A node gives another blocks that nobody has ordered.
+    ForgedBlocks "forged block offered";
     /// A member orders what no honest gateway would let through.
     Hostile "hostile transaction";
     /// A client sends much at once, over many streams, and waits for nothing.
@@ -112,6 +114,10 @@ pub struct Coverage {
     pub linearizable: u64,
     /// Groups of blocks that the order thread executed itself.
     pub in_place: u64,
+    /// Attestations that nodes submitted.
+    pub attestations: u64,
+    /// Engines that could not write what they had when they ended, for lack of space.
+    pub full_at_end: u64,
     /// Facts checked by the oracle.
     pub checks: u64,
 }
@@ -143,6 +149,8 @@ impl Coverage {
         self.timeouts += other.timeouts;
         self.linearizable += other.linearizable;
         self.in_place += other.in_place;
+        self.attestations += other.attestations;
+        self.full_at_end += other.full_at_end;
         self.checks += other.checks;
     }
 
@@ -173,6 +181,8 @@ impl fmt::Display for Coverage {
         )?;
         writeln!(f, "linearizable      {} reads", self.linearizable)?;
         writeln!(f, "in place          {} times", self.in_place)?;
+        writeln!(f, "attestations      {}", self.attestations)?;
+        writeln!(f, "full at the end   {} engines", self.full_at_end)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;
         for fault in Fault::ALL {

@@ -14,10 +14,13 @@ mod exactly_once;
 mod fair_share;
 mod grant_exclusivity;
 mod in_order;
+mod informed_votes;
 mod leader_completeness;
 mod log_matching;
+mod members;
 mod refused_is_final;
 mod revoked;
+mod snapshot_trust;
 mod state_agreement;
 
 pub use acknowledged::AcknowledgedIsDurable;
@@ -31,10 +34,13 @@ pub use exactly_once::ExactlyOnce;
 pub use fair_share::FairShare;
 pub use grant_exclusivity::GrantExclusivity;
 pub use in_order::{Call, InOrder};
+pub use informed_votes::VotesAreInformed;
 pub use leader_completeness::LeaderCompleteness;
 pub use log_matching::LogMatching;
+pub use members::MembersFollowTheLedger;
 pub use refused_is_final::RefusedIsFinal;
 pub use revoked::RevokedStaysRevoked;
+pub use snapshot_trust::SnapshotsAreAttested;
 pub use state_agreement::StateAgreement;
 
 use crate::people::People;
@@ -112,6 +118,12 @@ pub struct Invariants {
     pub fair_share: FairShare,
     /// No later call overtakes an earlier one.
     pub in_order: InOrder,
+    /// Nobody goes on from a snapshot that too few attest.
+    pub snapshot_trust: SnapshotsAreAttested,
+    /// Nobody votes without knowing whether it has lost blocks.
+    pub informed_votes: VotesAreInformed,
+    /// Members come and go by transactions.
+    pub members: MembersFollowTheLedger,
 }
 
 impl Invariants {
@@ -134,6 +146,9 @@ impl Invariants {
             answered_is_seen: AnsweredIsSeen::default(),
             fair_share: FairShare,
             in_order: InOrder::default(),
+            snapshot_trust: SnapshotsAreAttested::default(),
+            informed_votes: VotesAreInformed::default(),
+            members: MembersFollowTheLedger::default(),
         }
     }
 
@@ -151,6 +166,7 @@ impl Invariants {
             self.denied_by_default.executed(executed)?;
             self.revoked.executed(executed)?;
             self.grant_exclusivity.executed(executed)?;
+            self.snapshot_trust.executed(executed);
         }
         Ok(())
     }

@@ -8,12 +8,16 @@ pub use shelf::Shelf;
 
 use crate::clock::Clock;
 use crate::coverage::Fault;
+use crate::world::Fetching;
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_hash::Hash;
 use ledger_raft::{Desired, Lane};
 use ledger_rejection::Code;
 use ledger_replica::gateway::{Desk, Job, Place, Share, Shares, Turn, Turns};
+use ledger_replica::catch_up::{Ballot, Holding, Look};
+use ledger_replica::conductor::Conductor;
+use ledger_replica::witness::Said;
 use ledger_replica::{Answer as Told, Asker, Event, Executor, Reads, Replica, Retries, Waiter, Waiters};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::disk::SimDisk;
@@ -60,8 +64,10 @@ pub struct Node {
 pub struct Running {
     /// Orders; none while blocks are fetched from peers.
     pub replica: Option<Replica<Client>>,
-    /// The members that the replica was told are wanted.
-    pub desired: Desired,
+    /// The members that the node's ledger wants.
+    pub wanted: Desired,
+    /// The replica is to be told so.
+    pub wants_others: bool,
     /// Executes.
     pub executor: Arc<Executor>,
     /// The clients that wait for the verdict on a transaction.
@@ -106,8 +112,24 @@ pub struct Running {
     pub behind: Vec<(u64, Request)>,
     /// The log cannot be written for lack of space.
     pub disk_full: bool,
-    /// The height up to which blocks are to be fetched from peers.
-    pub catch_up_to: u64,
+    /// Decides when there is an engine.
+    pub conductor: Conductor,
+    /// The question with which the process has started.
+    pub look: Look,
+    /// When that goes on although nobody answers.
+    pub look_at: u64,
+    /// What was heard before the first engine.
+    pub heard: Vec<Holding>,
+    /// The first engine has started, or blocks are fetched before.
+    pub begun: bool,
+    /// Withholds votes.
+    pub ballot: Ballot,
+    /// What is fetched from peers.
+    pub fetching: Option<Fetching>,
+    /// What the node has attested.
+    pub said: Said,
+    /// Height of the newest block that holds anything but attestations.
+    pub ordinary: u64,
     /// It led when that was looked at last.
     pub leading: bool,
 }

@@ -17,6 +17,10 @@ use std::collections::BTreeMap;
 
 /// How many certificates each person has: after a revocation they go on with the next.
 pub const CERTIFICATES: usize = 3;
+/// Most nodes that ever belong to one network.
+const NODES: u64 = 40;
+/// Most organisations that run nodes.
+const NODE_ORGANISATIONS: usize = 3;
 /// Everything before the seed of an Ed25519 key in PKCS#8 version 1 (RFC 8410).
 const ED25519_PKCS8: &[u8] =
     &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
@@ -53,6 +57,8 @@ pub struct People {
     pub organisations: Vec<FoundingOrganisation>,
     /// Every certificate: those of one person follow each other.
     pub all: Vec<Person>,
+    /// How many of them are people's.
+    persons: usize,
 }
 
 impl Person {
@@ -101,7 +107,34 @@ impl People {
                 all.push(Person { identity, certificate, key, nth });
             }
         }
-        Self { organisations, all }
+        let persons = all.len();
+        for id in 1..=NODES {
+            let mut of: Vec<String> = (2..=NODE_ORGANISATIONS).map(|count| organisation_of(id, count)).collect();
+            of.dedup();
+            for organisation in of {
+                let (name, key) = (format!("node{id}"), key(&format!("{organisation}/node{id}")));
+                let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+                let mut params = params(&name, "node");
+                params.serial_number = Some(SerialNumber::from(all.len() as u64 + 1000));
+                let certificate = params.signed_by(&public, &authorities[&*organisation]).unwrap();
+                let certificate = Bytes::copy_from_slice(certificate.der());
+                let identity = msps.verify(&certificate, &[], EPOCH).unwrap();
+                all.push(Person { identity, certificate, key, nth: 0 });
+            }
+        }
+        Self { organisations, all, persons }
+    }
+
+    /// The certificates of people; the others are those of nodes.
+    pub fn persons(&self) -> &[Person] {
+        &self.all[..self.persons]
+    }
+
+    /// The certificate of a node, in a network in which so many organisations run nodes.
+    pub fn node(&self, id: u64, organisations: usize) -> &Person {
+        let name = format!("{}/node{id}", organisation_of(id, organisations));
+        let index = self.index(&name, 0).unwrap_or_else(|| panic!("more than {NODES} nodes"));
+        &self.all[index]
     }
 
     /// A person's certificate by its fingerprint.
@@ -124,6 +157,11 @@ impl Default for People {
     fn default() -> Self {
         Self::new()
     }
+}
+
+/// The organisation that runs a node: each in its turn.
+pub fn organisation_of(id: u64, organisations: usize) -> String {
+    format!("Org{}", 1 + (id as usize - 1) % organisations)
 }
 
 fn key(name: &str) -> SigningKey {

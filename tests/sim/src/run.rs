@@ -57,7 +57,13 @@ fn play(world: &mut World) -> Check {
     world.heal();
     let deadline = world.now + HEAL_MAX;
     // First everybody finishes what they are doing, and the members are complete again.
-    until(world, deadline, "the members are complete", |world| world.replacement.is_none() && world.is_settled())?;
+    until(world, deadline, "the ledger wants what the operator wants", World::is_recorded)?;
+    let settled =
+        until(world, deadline, "the members are complete", |world| world.replacement.is_none() && world.is_settled());
+    if settled.is_err() {
+        world.invariants.members.at_rest(world.newest_members(), &world.records)?;
+    }
+    settled?;
     for client in &mut world.clients {
         client.obedient = true;
     }

@@ -3,17 +3,21 @@
 //! Nothing here reads a clock, starts a thread or opens a socket; every choice is a number of a sequence that the seed
 //! decides. Events of the same moment happen in the order in which they were scheduled.
 
-mod catch_up;
 mod chaos;
 mod drive;
 mod execute;
 mod flood;
+mod fetch;
 mod gateway;
 mod hostile;
+mod look;
 mod operator;
 mod start;
 mod streams;
+mod witness;
 
+pub(crate) use fetch::Contact;
+pub use fetch::Fetching;
 pub use operator::Replacement;
 
 use crate::client::Client;
@@ -23,11 +27,12 @@ use crate::history::History;
 use crate::invariant::{Check, Invariants, Violation};
 use crate::links::Links;
 use crate::node::{Answer, Node, Reply, Request};
-use crate::people::People;
+use crate::people::{People, organisation_of};
 use crate::plan::Plan;
 use crate::random::Random;
 use crate::trace::Trace;
 use bytes::Bytes;
+use ledger::governance::NodeRecord;
 use ledger::members::Membership;
 use ledger::network::{FoundingNode, Genesis};
 use ledger::{Chaincode, Outcome, Rules};
@@ -76,8 +81,16 @@ pub(crate) enum Timer {
     Stream(u64),
     /// The turn of a stream is over.
     TurnOver(u64),
-    /// Blocks are fetched from a peer.
-    CatchUp,
+    /// The next thing is done to catch up.
+    Fetch,
+    /// A pause of the conductor is over.
+    Conduct,
+    /// A peer that was asked when the process started answers.
+    Answered(u64),
+    /// The question of the start goes on although nobody answers.
+    Look,
+    /// The node attests what it has computed.
+    Attest,
     /// The world state is flushed, who waits too long is told.
     Housekeeping,
 }
@@ -140,6 +153,10 @@ pub struct World {
     pub(crate) replacement: Option<Replacement>,
     /// The voters and followers, as the operator wants them.
     pub desired: Desired,
+    /// The nodes as they stand on the ledger, by the newest block that any node has executed.
+    pub records: Vec<NodeRecord>,
+    /// The client that does what the operator wants, and how many did before.
+    pub(crate) operating: (Option<usize>, usize),
     pub(crate) access: Option<Arc<dyn Chaincode>>,
     /// A member forges a copy of the next transaction that it hears of.
     pub(crate) forges_next: bool,
@@ -204,6 +221,8 @@ impl World {
             random,
             chaos: true,
             replacement: None,
+            records: Vec::new(),
+            operating: (None, 0),
             desired: Desired { voters: (1..=voters).collect(), learners: (voters + 1..=all).collect() },
             access: None,
             forges_next: false,
@@ -221,6 +240,7 @@ impl World {
             world.schedule(delay, Event::Start { node: id });
         }
         world.employ();
+        world.schedule(300 * MILLISECOND, Event::Operator);
         if !world.plan.faults.is_empty() {
             let first = SECOND + world.random.faults.around(world.plan.between_faults);
             world.schedule(first, Event::Fault);
@@ -344,13 +364,18 @@ pub(crate) fn clock(random: &mut Random, drifts: bool) -> Clock {
     Clock::new(about(random, MILLISECOND), 0)
 }
 
+/// Where a node would be reached.
+pub(crate) fn address(id: u64) -> String {
+    format!("127.0.0.1:{}", 7000 + id)
+}
+
 /// The genesis: nodes in turn of the organisations.
 fn found(plan: &Plan, people: &People, seed: u64) -> (Bytes, Hash) {
     let nodes = (1..=plan.voters + plan.learners).map(|id| FoundingNode {
         id,
         name: format!("node{id}"),
-        organisation: format!("Org{}", 1 + (id as usize - 1) % plan.organisations),
-        address: format!("127.0.0.1:{}", 7000 + id),
+        organisation: organisation_of(id, plan.organisations),
+        address: address(id),
         voter: id <= plan.voters,
     });
     let genesis = Genesis {

@@ -5,6 +5,7 @@
 use bytes::Bytes;
 use ledger::Outcome;
 use ledger::block::Header;
+use ledger::governance::{NodeRecord, NodeRole};
 use ledger::members::Membership;
 use ledger::transaction::Transaction;
 use ledger_hash::Hash;
@@ -15,7 +16,8 @@ use ledger_storage::result::{BlockKind, EmittedEvent, Event, TransactionResult};
 use ledgerd_sim::client::{Call, sign};
 use ledgerd_sim::invariant::{
     AcknowledgedIsDurable, ChainAgreement, CommittedIsImmutable, DeniedByDefault, ElectionSafety, EpochsGrow,
-    ExactlyOnce, Executed, GrantExclusivity, LeaderCompleteness, LogMatching, RevokedStaysRevoked, StateAgreement,
+    ExactlyOnce, Executed, GrantExclusivity, LeaderCompleteness, LogMatching, MembersFollowTheLedger,
+    RevokedStaysRevoked, SnapshotsAreAttested, StateAgreement, VotesAreInformed,
 };
 use ledgerd_sim::people::People;
 use std::sync::Arc;
@@ -218,4 +220,61 @@ fn a_committed_entry_that_changes_is_noticed() {
     committed.reopened(1, &log).unwrap();
     log.append(&[], Some(&HardState { term: 2, vote: 0, commit: 1 })).unwrap();
     committed.reopened(1, &log).unwrap_err();
+}
+
+#[test]
+fn a_snapshot_that_too_few_attest_is_noticed() {
+    let mut attested = SnapshotsAreAttested::default();
+    let content = Hash::of(&[b"snapshot"]);
+    let mut says = |node: &str, content: Hash| {
+        let zero = Hash::ZERO;
+        let said = format!(
+            r#"{{"height":10,"hash":"{zero}","digest":"{zero}","content":"{content}","time":1,"transaction":"{zero}"}}"#
+        );
+        let mut outcome = event(block(1, Hash::ZERO), "attested", &said);
+        for emitted in &mut outcome.events {
+            emitted.event.chaincode = "msp".into();
+            emitted.event.subject = node.into();
+        }
+        attested.executed(&at(1, &outcome));
+        attested.installed(2, 10, Hash::of(&[b"snapshot"])).is_ok()
+    };
+    assert!(!says("Org1/node1", content));
+    assert!(!says("Org1/node3", content), "of the same organisation");
+    assert!(!says("Org2/node2", Hash::ZERO), "of another content");
+    assert!(says("Org2/node2", content));
+}
+
+#[test]
+fn a_vote_before_everybody_has_answered_is_noticed() {
+    let mut votes = VotesAreInformed::default();
+    votes.votes(1).unwrap();
+    votes.asks(1, 1);
+    votes.votes(1).unwrap_err();
+    votes.answered(1);
+    votes.votes(1).unwrap();
+    votes.asks(1, 1);
+    votes.closed(1);
+    votes.votes(1).unwrap();
+}
+
+#[test]
+fn members_that_no_transaction_wanted_are_noticed() {
+    let record = |id, role| NodeRecord {
+        id,
+        name: format!("node{id}"),
+        organisation: "Org1".into(),
+        address: format!("h:{id}"),
+        role,
+        speaks: None,
+    };
+    let mut members = MembersFollowTheLedger::default();
+    let records = [record(1, NodeRole::Voter), record(2, NodeRole::Learner)];
+    let one = Membership::new([1], []);
+    members.executed(&one, &Membership::new([1], [2]), &records).unwrap();
+    members.executed(&one, &Membership::new([1], [3]), &records).unwrap_err();
+    members.executed(&one, &Membership::new([1, 2], []), &records).unwrap_err();
+    members.at_rest(&Membership::new([1], [2]), &records).unwrap();
+    let removed = [record(1, NodeRole::Voter), record(2, NodeRole::Removed)];
+    members.at_rest(&Membership::new([1, 2], []), &removed).unwrap_err();
 }

@@ -1,4 +1,4 @@
-//! Would the simulation notice? Fifteen deliberate bugs, one at a time: each must be caught within a bounded number of
+//! Would the simulation notice? Twenty deliberate bugs, one at a time: each must be caught within a bounded number of
 //! seeds, by the promises that it breaks.
 //!
 //! `cargo test --release -p ledgerd-sim --features mutations --test mutations`
@@ -110,4 +110,29 @@ fn a_waiter_that_is_forgotten_is_noticed() {
 #[test]
 fn a_read_that_no_majority_confirms_is_noticed() {
     caught(Mutation::AnswerAMinorityRead, &["answered is seen", "clients see one history"]);
+}
+
+#[test]
+fn a_snapshot_that_one_organisation_attests_is_noticed_when_it_is_taken() {
+    caught(Mutation::BelieveOneOrganisation, &["snapshots are attested"]);
+}
+
+#[test]
+fn blocks_that_nobody_confirms_are_noticed_when_they_are_taken() {
+    caught(Mutation::TakeUnconfirmedBlocks, &["committed is immutable", "chain agreement", "log matching"]);
+}
+
+#[test]
+fn a_vote_before_it_is_known_whether_blocks_were_lost_is_noticed() {
+    caught(Mutation::VoteBeforeTheAnswers, &["votes are informed"]);
+}
+
+#[test]
+fn a_removed_member_that_keeps_its_vote_is_noticed() {
+    caught(Mutation::KeepARemovedVoter, &["members follow the ledger"]);
+}
+
+#[test]
+fn a_block_that_is_executed_twice_after_a_snapshot_is_noticed() {
+    caught(Mutation::ApplyTwiceAfterASnapshot, &["a node ends only for a reason"]);
 }

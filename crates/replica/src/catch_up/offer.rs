@@ -3,8 +3,10 @@
 use crate::REJOIN;
 use ledger::Ledger;
 use ledger::governance::{self, NodeRole};
+use ledger_raft::Status;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
+use ledger_storage::snapshot::Snapshots;
 
 /// A node that lacks no more blocks than this leaves it to replication.
 const LAG_MIN: u64 = 1000;
@@ -49,6 +51,25 @@ pub struct Offer<P> {
 }
 
 impl Holding {
+    /// What a node with these stores tells the node `asking`. `status`: how ordering stands there, if it does.
+    pub fn of(
+        (ledger, store, snapshots): (&Ledger, &BlockStore, &Snapshots),
+        status: Option<&Status>,
+        asking: u64,
+    ) -> Self {
+        let peers = status.into_iter().flat_map(|status| &status.peers);
+        let acknowledged = peers.filter(|peer| peer.node == asking).map(|peer| peer.matched).max();
+        let attestations = governance::attestations(&**ledger.state()).unwrap_or_default();
+        let attested = attestations.iter().find(|said| said.id == asking).map(|said| said.latest.attest.height);
+        Self {
+            height: store_holds(store),
+            first_height: store.first_index(),
+            snapshot_height: snapshots.newest().map_or(0, |newest| newest.manifest().height),
+            yours: acknowledged.max(attested).unwrap_or_default(),
+            you_vote: ledger.members().is_ok_and(|members| members.is_voter(asking)),
+        }
+    }
+
     /// Has it this block?
     pub(super) fn holds(&self, height: u64) -> bool {
         self.first_height <= height && height <= self.height

@@ -63,6 +63,18 @@ pub enum Call {
         /// Its serial number.
         serial: String,
     },
+    /// To come in as a node.
+    Join {
+        /// The address of the node.
+        address: String,
+    },
+    /// To give a node a role: `voter`, `learner` or `removed`.
+    SetRole {
+        /// The node.
+        id: u64,
+        /// The role.
+        role: &'static str,
+    },
 }
 
 impl Call {
@@ -84,6 +96,10 @@ impl Call {
             Self::Setup { open } => ("abac", "replace", robots(*open).iter().map(|robot| text(robot)).collect()),
             Self::Put(policy) => ("abac", "policy", vec![text("put"), text(policy.id()), text(&policy.text())]),
             Self::Remove(policy) => ("abac", "policy", vec![text("remove"), text(policy.id())]),
+            Self::Join { address } => ("msp", "join_node", vec![text(&format!(r#"{{"address":"{address}"}}"#))]),
+            Self::SetRole { id, role } => {
+                ("msp", "set_node_role", vec![text(&format!(r#"{{"id":{id},"role":"{role}"}}"#))])
+            }
             Self::Revoke { issuer, serial } => ("msp", "revoke", vec![text(issuer), text(serial)]),
         }
     }
@@ -173,7 +189,7 @@ impl World {
     fn revocation(&mut self) -> Option<Call> {
         let revocable: Vec<_> = self
             .people
-            .all
+            .persons()
             .iter()
             .filter(|person| {
                 person.identity.organisation == "Org1" && person.identity.name != "admin" && person.nth == 0

@@ -1,6 +1,7 @@
 //! The rights of everybody, in as few words as possible.
 
 mod grants;
+mod network;
 
 use crate::people::{People, Person};
 use crate::policy::{Asked, Policy, Says};
@@ -9,6 +10,7 @@ use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::Code;
+use network::Nodes;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -33,6 +35,8 @@ pub(super) struct Model {
     grants: BTreeMap<String, Vec<Grant>>,
     /// Epoch and number of the last message: of a service for one, or of each publisher of one for all.
     last: BTreeMap<(String, String), (u64, u64)>,
+    /// Nodes, and what they attest.
+    network_of_nodes: Nodes,
 }
 
 /// A robot as it was registered.
@@ -82,7 +86,11 @@ impl From<Code> for Judged {
 type Verdict = Result<Judged, Code>;
 
 impl Model {
-    pub(super) fn new(people: &Arc<People>, network: Hash) -> Self {
+    pub(super) fn new(
+        people: &Arc<People>,
+        network: Hash,
+        (voters, learners, organisations): (u64, u64, usize),
+    ) -> Self {
         Self {
             people: Arc::clone(people),
             network,
@@ -94,6 +102,7 @@ impl Model {
             epochs: BTreeMap::new(),
             grants: BTreeMap::new(),
             last: BTreeMap::new(),
+            network_of_nodes: Nodes::founded(voters, learners, organisations),
         }
     }
 
@@ -184,6 +193,9 @@ impl Model {
             }
             ("abac", "replace") => self.replace(who, &body.args, time),
             ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
+            ("msp", "join_node") => self.network_of_nodes.join(who, &first),
+            ("msp", "set_node_role") => self.network_of_nodes.set_role(who, &first),
+            ("msp", "attest") => self.network_of_nodes.attest(who, &first),
             ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default()),
             (chaincode, function) => panic!("the model does not know {chaincode} {function}"),
         }

@@ -41,7 +41,8 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
     let mut claims = claims(world);
     claims.sort_by_key(|(height, ..)| *height);
     let mut claims = claims.into_iter().peekable();
-    let mut model = Model::new(&world.people, world.network);
+    let mut model =
+        Model::new(&world.people, world.network, (world.plan.voters, world.plan.learners, world.plan.organisations));
     let (mut time, mut checks) = (0, 0);
     for height in 0..=world.blocks.len() as u64 {
         if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {

@@ -174,7 +174,9 @@ impl World {
         self.coverage.fault(fault);
         self.stop(id, power_fails);
         let soon = self.random.faults.percent(50);
-        let delay = self.random.faults.between(2, if soon { 100 } else { 8_000 }) * MILLISECOND;
+        let long = self.random.faults.percent(8);
+        let (short_max, long_max) = (if soon { 100 } else { 8_000 }, 30_000);
+        let delay = self.random.faults.between(2, if long { long_max } else { short_max }) * MILLISECOND;
         self.schedule(delay, Event::Start { node: id });
     }
 

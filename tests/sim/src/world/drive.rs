@@ -6,6 +6,8 @@ use crate::invariant::{Check, Violation};
 use crate::node::{Running, Verdict};
 use bytes::Bytes;
 use ledger_raft::{Input, PeerMessage, RaftKind, Role, RoleChange};
+use ledger_replica::catch_up::Behind;
+use ledger_replica::conductor::Happened;
 use ledger_replica::{Circumstances, Effect, Event, Now, WAIT_MAX, Work};
 use ledger_storage::block_store::StoreError;
 
@@ -35,12 +37,11 @@ impl World {
         for event in events {
             self.step(id, event)?;
         }
-        let desired = self.desired.clone();
         let Some(running) = self.running(id) else { return Ok(()) };
         let full = running.disk_full;
-        if running.desired != desired {
-            running.desired = desired.clone();
-            self.step(id, Event::Wanted(desired))?;
+        if std::mem::take(&mut running.wants_others) {
+            let wanted = running.wanted.clone();
+            self.step(id, Event::Wanted(wanted))?;
         }
         self.step(id, Event::Time { full })?;
         self.begin_write(id)?;
@@ -78,8 +79,10 @@ impl World {
                 self.note(format_args!("n{id} drops {transaction:?}: {code}"));
             }
             Effect::Refused { input, reason } => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
-            Effect::Behind { first_index, .. } => return self.behind(id, first_index),
             Effect::Ignored { from, reason } => self.note(format_args!("n{id} ignores a message of n{from}: {reason}")),
+            Effect::Behind { from, first_index } => {
+                return self.conduct(id, Happened::Behind(Behind { from, first_index }));
+            }
             Effect::Failed(reason) => return self.failed(id, &reason.to_string()),
         }
         Ok(())
@@ -124,6 +127,7 @@ impl World {
             let (commit, reject) = (raft.commit, if raft.reject { " refused" } else { "" });
             match kind {
                 RaftKind::VoteResponse if !raft.reject => {
+                    self.invariants.informed_votes.votes(id)?;
                     self.invariants.election_safety.votes(id, term, to)?;
                     self.forgets(id);
                 }
@@ -162,7 +166,8 @@ impl World {
             return Ok(());
         }
         let message = PeerMessage::decode(bytes).unwrap();
-        self.input(to, Input::Message { from, message })
+        let withheld = self.running(to).is_some_and(|running| running.ballot.withholds(&message));
+        if withheld { Ok(()) } else { self.input(to, Input::Message { from, message }) }
     }
 
     /// The work of a process at its own time.
@@ -181,7 +186,11 @@ impl World {
             Timer::Reads => self.reads(id, |reads, now, out| reads.time(now, out)),
             Timer::Stream(stream) => self.tend(id, stream),
             Timer::TurnOver(stream) => self.turn_over(id, stream),
-            Timer::CatchUp => self.fetch(id),
+            Timer::Fetch => self.fetch(id),
+            Timer::Conduct => self.conduct(id, Happened::Waited),
+            Timer::Answered(peer) => self.answered_question(id, peer),
+            Timer::Look => self.looked(id, None),
+            Timer::Attest => self.attest(id),
             Timer::Housekeeping => self.keep_house(id),
         }
     }

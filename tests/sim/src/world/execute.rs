@@ -1,12 +1,16 @@
 //! Committed blocks are executed, observed and answered: the execute thread of a node.
 
+use super::start::wanted;
 use super::{Block, World};
 use crate::invariant::{Check, Executed};
+use crate::people::organisation_of;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Ledger, Outcome};
+use ledger::{Ledger, Outcome, governance};
 use ledger_hash::Hash;
 use ledger_raft::Input;
+use ledger_replica::Executor;
+use ledger_replica::witness::seen;
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
 
@@ -30,12 +34,33 @@ impl World {
     pub(super) fn execute_all(&mut self, id: u64, entries: &[Entry]) -> Check {
         let Some(executor) = self.running(id).map(|running| Arc::clone(&running.executor)) else { return Ok(()) };
         for entry in entries {
-            self.executed(id, &executor, entry)?;
-            self.tell(id)?;
-            self.reads(id, |reads, now, out| reads.executed(now, entry.index, out))?;
+            self.execute_one(id, &executor, entry)?;
         }
         executor.look_at_deadline();
         self.catch_up(id)
+    }
+
+    /// Executes a block, and tells everybody whom it concerns.
+    pub(super) fn execute_one(&mut self, id: u64, executor: &Executor, entry: &Entry) -> Check {
+        self.executed(id, executor, entry)?;
+        self.tell(id)?;
+        self.reads(id, |reads, now, out| reads.executed(now, entry.index, out))
+    }
+
+    /// A node takes note of what it has executed.
+    fn take_note(&mut self, id: u64, outcome: &Outcome) {
+        let me = format!("{}/node{id}", organisation_of(id, self.plan.organisations));
+        let Some(running) = self.running(id) else { return };
+        let (attestations, ordinary) = seen(outcome);
+        attestations.iter().filter(|seen| seen.by == me).for_each(|own| running.said.note(&own.attest));
+        if ordinary {
+            running.ordinary = outcome.header.height;
+        }
+        let governed = outcome.events.iter().any(|emitted| emitted.event.chaincode == governance::NAME);
+        if governed {
+            running.wanted = wanted(&running.ledger);
+            running.wants_others = true;
+        }
     }
 
     /// Checks what a node has executed, and keeps it if no other node was as far.
@@ -57,13 +82,18 @@ impl World {
                 self.invariants.state_agreement.same(id, &block.outcome, outcome)?;
             }
         }
+        self.take_note(id, outcome);
         self.invariants.executed(&Executed { node: id, outcome, transactions: &transactions }, first)?;
         if first {
             for result in &outcome.results {
                 *self.coverage.verdicts.entry(result.code()).or_default() += 1;
             }
             self.coverage.blocks += 1;
-            self.members.push(ledger.members().unwrap_or_default());
+            let members = ledger.members().unwrap_or_default();
+            self.records = governance::nodes(&**ledger.state()).unwrap();
+            let before = self.newest_members().clone();
+            self.invariants.members.executed(&before, &members, &self.records)?;
+            self.members.push(members);
             self.blocks.push(Block { entry: entry.clone(), outcome: outcome.clone() });
         }
         Ok(())

@@ -28,7 +28,7 @@ impl World {
     pub(super) fn forge(&mut self) -> Option<Bytes> {
         let random = &mut self.random.faults;
         let service = random.pick(&SERVICES)?.to_string();
-        let person = random.pick(&self.people.all)?;
+        let person = random.pick(self.people.persons())?;
         let now = EPOCH + self.now;
         let call = match random.below(4) {
             0 => Call::Release { service },

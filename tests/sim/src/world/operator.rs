@@ -1,10 +1,14 @@
 //! The operator of the network takes out broken nodes, and puts new ones in their place.
 
-use super::{Event, World, clock};
+use super::{Event, World, address, clock};
+use crate::client::Call;
 use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Node;
+use crate::people::organisation_of;
+use ledger::governance::NodeRole;
+use ledger_raft::Desired;
 use ledger_storage::segment::{Found, LogPosition, scan};
 
 /// A node whose disk is lost, and the new one that takes its place.
@@ -73,7 +77,6 @@ impl World {
         }
         self.replacement = Some(Replacement { lost, new });
         self.note(format_args!("n{new} takes the place of n{lost}"));
-        self.schedule(200 * MILLISECOND, Event::Operator);
     }
 
     /// A new machine, with a number that nobody had.
@@ -89,16 +92,51 @@ impl World {
         new
     }
 
-    /// Looks whether a replacement is complete.
+    /// Looks whether a replacement is complete, and takes the next step towards what is wanted.
     pub(super) fn operate(&mut self) -> Check {
-        let Some(Replacement { lost, new }) = self.replacement else { return Ok(()) };
-        if self.is_settled() {
+        self.schedule(300 * MILLISECOND, Event::Operator);
+        if let Some(Replacement { lost, new }) = self.replacement.filter(|_| self.is_settled()) {
             self.note(format_args!("n{new} has taken the place of n{lost}"));
             self.replacement = None;
-        } else {
-            self.schedule(300 * MILLISECOND, Event::Operator);
+        }
+        let (operating, turn) = self.operating;
+        if operating.is_some_and(|client| !self.clients[client].orders.is_empty()) {
+            return Ok(());
+        }
+        if let Some((person, call)) = self.next_order(turn) {
+            self.note(format_args!("{person} is asked for {call:?}"));
+            self.operating = (Some(self.employ_for(&person, vec![call], true)), turn + 1);
         }
         Ok(())
+    }
+
+    /// The next transaction towards the wanted members, and who signs it. One at a time, so that a new node gets the
+    /// number that it is known by here.
+    fn next_order(&self, turn: usize) -> Option<(String, Call)> {
+        let organisations = self.plan.organisations;
+        let Desired { voters, learners } = &self.desired;
+        let role = |id: &u64| self.records.iter().find(|record| record.id == *id).map(|record| record.role);
+        let own_admin = |id: u64| format!("{}/admin", organisation_of(id, organisations));
+        if let Some(new) = voters.union(learners).find(|id| role(id).is_none()) {
+            let node = format!("{}/node{new}", organisation_of(*new, organisations));
+            return Some((node, Call::Join { address: address(*new) }));
+        }
+        if let Some(id) = voters.iter().find(|id| role(id) != Some(NodeRole::Voter)) {
+            // A vote needs the approval of most organisations: each of them says the same in its turn.
+            return Some((format!("Org{}/admin", 1 + turn % 3), Call::SetRole { id: *id, role: "voter" }));
+        }
+        if let Some(id) = learners.iter().find(|id| role(id) != Some(NodeRole::Learner)) {
+            return Some((own_admin(*id), Call::SetRole { id: *id, role: "learner" }));
+        }
+        let present = self.records.iter().filter(|record| record.role != NodeRole::Removed).map(|record| record.id);
+        let gone = present.filter(|id| !voters.contains(id) && !learners.contains(id)).min()?;
+        Some((own_admin(gone), Call::SetRole { id: gone, role: "removed" }))
+    }
+
+    /// Do the records on the ledger say what the operator wants?
+    pub(crate) fn is_recorded(&self) -> bool {
+        let (voters, learners) = ledger::governance::desired(&self.records);
+        voters == self.desired.voters && learners == self.desired.learners
     }
 
     /// Are the members what the operator wants?

@@ -6,14 +6,18 @@ use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Client, Keeping, Running, open_blocks};
-use ledger::{Chaincode, Registry};
+use ledger::{Chaincode, Ledger, Registry, governance};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
+use ledger_raft::Desired;
 use ledger_rejection::Rejection;
 use ledger_replica::gateway::{Shares, Turns};
+use ledger_replica::catch_up::{Ballot, Look};
+use ledger_replica::conductor::Conductor;
 use ledger_replica::opening::Opening;
+use ledger_replica::witness::Said;
 use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Waiters};
-use ledger_storage::block_store::{BlockStore, StoreError};
+use ledger_storage::block_store::StoreError;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
 use ledger_storage::snapshot::Snapshots;
@@ -22,12 +26,14 @@ use std::sync::{Arc, mpsc};
 
 /// The node that is broken when it ends for no reason that was injected.
 const UNEXPLAINED: &str = "a node ends only for a reason";
+/// Ticks without a leader after which a node stands for election.
+const ELECTION_TICKS: usize = 20;
 
 impl World {
     /// Switches a node on.
     pub(super) fn start(&mut self, id: u64) -> Check {
         let abac = self.access_control();
-        let (seed, salt) = (self.random.nodes.number(), self.random.nodes.number());
+        let salt = self.random.nodes.number();
         let waits_for_disk = self.random.nodes.percent(70);
         let Some(node) = self.nodes.get_mut(&id).filter(|node| !node.lost && node.up.is_none()) else { return Ok(()) };
         let store = match open_blocks(node, self.network, self.plan.segment_bytes, salt) {
@@ -72,14 +78,24 @@ impl World {
             self.observe(id, &ledger, entry, outcome)?;
         }
         let tip = ledger.tip().height;
-        let replica = self.replica(id, seed, &store, &executor, &waiters)?;
+        let ballot = Ballot::default();
+        let members = ledger.members().unwrap();
         self.invariants.log_matching.look(id, &store)?;
         let last = store.last_index();
+        let attested = governance::attestations(&**ledger.state()).unwrap();
+        let mut said = Said::default();
+        for own in attested.iter().filter(|record| record.id == id) {
+            said.note(&own.latest.attest);
+            own.snapshot.iter().for_each(|snapshot| said.note(&snapshot.attest));
+        }
+        let (asked, election_time) = (self.asked_by(id, &ledger), ELECTION_TICKS as u64 * self.plan.tick);
+        let look = Look::new((self.now, id), members.voters, last, asked.len(), election_time, ballot.clone());
         let running = Running {
-            replica: Some(replica),
+            replica: None,
             executor,
             waiters,
-            desired: self.desired.clone(),
+            wanted: wanted(&ledger),
+            wants_others: false,
             reads: Reads::new(tip),
             retries: Retries::default(),
             shares: Shares::new(PLACES),
@@ -90,7 +106,7 @@ impl World {
             waiting: BTreeMap::new(),
             store,
             snapshots,
-            ledger,
+            ledger: Arc::clone(&ledger),
             flushing: false,
             waits_for_disk,
             inbox: VecDeque::new(),
@@ -100,7 +116,15 @@ impl World {
             reads_at: u64::MAX,
             behind: Vec::new(),
             disk_full: false,
-            catch_up_to: 0,
+            conductor: Conductor::new(id, ledger),
+            look,
+            look_at: 0,
+            heard: Vec::new(),
+            begun: false,
+            ballot,
+            fetching: None,
+            said,
+            ordinary: tip,
             leading: false,
         };
         if let Some(node) = self.nodes.get_mut(&id) {
@@ -108,9 +132,10 @@ impl World {
         }
         self.note(format_args!("n{id} starts at height {tip}, log up to {last}"));
         let housekeeping = self.random.nodes.below(self.plan.state_flush);
-        self.schedule_timer(id, 1, Timer::Turn);
         self.schedule_timer(id, housekeeping, Timer::Housekeeping);
-        Ok(())
+        let attest = self.random.nodes.below(2 * SECOND);
+        self.schedule_timer(id, attest, Timer::Attest);
+        self.ask_all(id, &asked)
     }
 
     /// A node does not start on the log that it finds.
@@ -188,17 +213,12 @@ impl World {
     }
 
     /// A new replica that goes on from what is executed.
-    pub(super) fn replica(
-        &self,
-        id: u64,
-        seed: u64,
-        store: &Arc<BlockStore>,
-        executor: &Arc<Executor>,
-        waiters: &Arc<Waiters<Client>>,
-    ) -> Result<Replica<Client>, Violation> {
-        let settings = Settings { id, seed, tick: self.plan.tick, election_ticks: 20, data_wait: 200 * MILLISECOND };
+    pub(super) fn replica(&self, id: u64, seed: u64, running: &Running) -> Result<Replica<Client>, Violation> {
+        let settings =
+            Settings { id, seed, tick: self.plan.tick, election_ticks: ELECTION_TICKS, data_wait: 200 * MILLISECOND };
+        let Running { store, executor, waiters, wanted, .. } = running;
         let (store, executor, waiters) = (Arc::clone(store), Arc::clone(executor), Arc::clone(waiters));
-        Replica::start(&settings, store, executor, waiters, self.desired.clone())
+        Replica::start(&settings, store, executor, waiters, wanted.clone())
             .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))
     }
 
@@ -220,6 +240,12 @@ impl World {
         let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
         Some((tip.height, tip.hash, tip.digest))
     }
+}
+
+/// The members that a ledger wants.
+pub(super) fn wanted(ledger: &Ledger) -> Desired {
+    let (voters, learners) = governance::desired(&governance::nodes(&**ledger.state()).unwrap());
+    Desired { voters, learners }
 }
 
 fn does_not_start(id: u64, fault: &Rejection) -> Violation {

@@ -1,0 +1,70 @@
+//! What a node attests, and when: the newest block that holds anything but attestations, and each of its snapshots.
+
+use ledger::governance::{self, Attest, Attestation};
+use ledger::{Ledger, Outcome};
+use ledger_rejection::Rejection;
+use ledger_storage::snapshot::Snapshots;
+
+/// The name of the event that an attestation causes; its subject is the node, `ORGANISATION/NAME`.
+const EVENT: &str = "attested";
+
+/// An attestation that was executed.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Seen {
+    /// Who signed it, `ORGANISATION/NAME`.
+    pub by: String,
+    /// What it says.
+    pub attest: Attest,
+}
+
+/// The attestations of a block, and whether it holds anything else.
+pub fn seen(outcome: &Outcome) -> (Vec<Seen>, bool) {
+    let events = outcome.events.iter().map(|emitted| &emitted.event);
+    let attested = events.filter(|event| event.chaincode == governance::NAME && event.name == EVENT);
+    let count = attested.clone().count();
+    let read = attested.filter_map(|event| {
+        let Attestation { attest, .. } = serde_json::from_slice(&event.payload).ok()?;
+        Some(Seen { by: event.subject.clone(), attest })
+    });
+    (read.collect(), outcome.results.len() > count)
+}
+
+/// What a node has attested.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Said {
+    /// The greatest height.
+    pub height: u64,
+    /// The greatest height of a snapshot.
+    pub snapshot: u64,
+}
+
+impl Said {
+    /// Takes note of an attestation of the node itself.
+    pub fn note(&mut self, attest: &Attest) {
+        self.height = self.height.max(attest.height);
+        self.snapshot = self.snapshot.max(attest.content.map_or(0, |_| attest.height));
+    }
+
+    /// The snapshot that the node attests now, if it is new.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn snapshot_due(&self, ledger: &Ledger, snapshots: &Snapshots) -> Result<Option<Attest>, Rejection> {
+        let Some(snapshot) = snapshots.newest() else { return Ok(None) };
+        let (height, content) = (snapshot.manifest().height, snapshot.content());
+        let seal = ledger.seal(height)?.filter(|_| height > self.snapshot);
+        Ok(seal.map(|seal| Attest { height, hash: seal.hash, digest: seal.digest, content: Some(content) }))
+    }
+
+    /// The block that the node attests now. `ordinary`: the newest that holds anything but attestations. A network in
+    /// which nothing happens attests nothing.
+    pub fn block_due(&self, ledger: &Ledger, ordinary: u64) -> Option<Attest> {
+        let tip = ledger.tip();
+        (ordinary > self.height).then_some(Attest {
+            height: tip.height,
+            hash: tip.hash,
+            digest: tip.digest,
+            content: None,
+        })
+    }
+}
