@@ -306,7 +306,7 @@ impl World {
             (3, Some(learner), _) => {
                 self.desired.learners.remove(&learner);
             }
-            (4, ..) if self.nodes.len() < NODES_MAX => {
+            (4, ..) if self.nodes.len() < NODES_MAX && self.may_come(None) => {
                 let new = self.newcomer();
                 self.desired.learners.insert(new);
             }

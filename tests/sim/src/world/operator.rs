@@ -10,6 +10,7 @@ use crate::people::organisation_of;
 use ledger::governance::NodeRole;
 use ledger_raft::Desired;
 use ledger_storage::segment::{Found, LogPosition, scan};
+use std::collections::BTreeSet;
 
 /// A node whose disk is lost, and the new one that takes its place.
 #[derive(Clone, Copy, Debug)]
@@ -31,7 +32,10 @@ impl World {
             replica.is_some_and(|replica| replica.status().membership == *members)
         });
         let settled = self.replacement.is_none() && self.is_settled() && healthy && known;
-        settled && members.voters.len() >= 3 && (members.voters.contains(&id) || members.learners.contains(&id))
+        settled
+            && self.may_come(Some(id))
+            && members.voters.len() >= 3
+            && (members.voters.contains(&id) || members.learners.contains(&id))
     }
 
     /// A bit flips in what a node had on its disk for sure; it must find out when it starts again.
@@ -77,6 +81,14 @@ impl World {
         }
         self.replacement = Some(Replacement { lost, new });
         self.note(format_args!("n{new} takes the place of n{lost}"));
+    }
+
+    /// Could a new node catch up, without this one? Where old blocks are dropped it needs a snapshot that nodes of two
+    /// organisations attest; those of one that has no other node are locked out.
+    pub(super) fn may_come(&self, without: Option<u64>) -> bool {
+        let present = self.desired.voters.union(&self.desired.learners).filter(|id| Some(**id) != without);
+        let organisations: BTreeSet<String> = present.map(|id| organisation_of(*id, self.plan.organisations)).collect();
+        !self.plan.faults.contains(&Fault::Pruning) || organisations.len() > 1
     }
 
     /// A new machine, with a number that nobody had.
