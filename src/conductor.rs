@@ -50,9 +50,9 @@ impl Conductor {
         }
         let hearing = self.catch_up.hear_out(open);
         let running = async move {
-            let fatal = Arc::clone(&self.catch_up.shared);
+            let fate = self.catch_up.shared.fate.clone();
             if let Err(reason) = self.run(next).await {
-                (fatal.fatal)(reason);
+                fate.fail(reason);
             }
         };
         Ok(tokio::spawn(async move {
@@ -84,7 +84,7 @@ impl Conductor {
                     Happened::Waited
                 }
                 Next::StartAgain => {
-                    (self.catch_up.shared.start_again)();
+                    self.catch_up.shared.fate.start_again();
                     return Ok(());
                 }
             };

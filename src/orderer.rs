@@ -40,7 +40,6 @@ use execute::Execute;
 use inbox::Inbox;
 use ledger::Ledger;
 use ledger_raft::{Input, RoleChange, Status};
-use ledger_rejection::Rejection;
 use ledger_replica::catch_up::Behind;
 use ledger_replica::{Executor, Replica};
 use ledger_storage::block_store::{BlockStore, StoreError};

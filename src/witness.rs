@@ -20,13 +20,13 @@ use crate::instance::Fate;
 use crate::peers::{Dialer, Directory};
 use crate::signer::Author;
 use judge::{Finding, Judge};
-use ledger::governance::{self, Attest};
-use ledger::{Admission, Ledger, Outcome};
-use ledger_raft::{Input, Lane};
+use ledger::governance;
+use ledger::{Ledger, Outcome};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Observer;
 pub(crate) use ledger_replica::witness::Seen;
 use ledger_replica::witness::{Said, seen};
+use ledger_storage::snapshot::Snapshots;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -138,27 +138,15 @@ impl Testimony {
     }
 
     fn attest_tip(&self, memory: &Memory) -> Result<(), Rejection> {
-        let (ledger, snapshots) = (&self.shared.ledger, &self.shared.snapshots);
+        let (ledger, snapshots) = (&self.author.ledger, &self.snapshots);
         let height = snapshots.newest().map_or(0, |snapshot| snapshot.manifest().height);
-        self.shared.witness.snapshot.store(height, Ordering::Relaxed);
+        self.witness.snapshot.store(height, Ordering::Relaxed);
         if let Some(attest) = memory.said.snapshot_due(ledger, snapshots)? {
-            self.attest(&attest)?;
+            self.author.submit("attest", &attest)?;
         }
-        match memory.said.block_due(ledger, self.shared.witness.ordinary.load(Ordering::Relaxed)) {
-            Some(attest) => self.attest(&attest),
+        match memory.said.block_due(ledger, self.witness.ordinary.load(Ordering::Relaxed)) {
+            Some(attest) => self.author.submit("attest", &attest),
             None => Ok(()),
-        }
-    }
-
-    fn attest(&self, attest: &Attest) -> Result<(), Rejection> {
-        let argument = serde_json::to_vec(attest).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        let signed = self.signer.sign(governance::NAME, "attest", vec![Bytes::from(argument)])?;
-        let admission = self.shared.ledger.admit(signed.encoded().clone(), self.shared.clock.now());
-        match admission.map_err(|refusal| refusal.rejection)? {
-            Admission::New(transaction) => {
-                self.seat.input(Input::Submit { lane: Lane::Data, transaction: transaction.encoded().clone() })
-            }
-            Admission::Known(..) => Ok(()),
         }
     }
 

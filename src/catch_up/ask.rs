@@ -65,7 +65,7 @@ impl CatchUp {
                     heard = open.hear() => heard,
                 };
                 if let Err(lost) = heard {
-                    return (shared.fatal)(lost);
+                    return shared.fate.fail(lost);
                 }
             }
         }
