@@ -1,7 +1,7 @@
 //! Catching up: blocks and snapshots from other nodes, for a node that lacks more than replication brings.
 //!
-//! What is fetched, from whom, and whom the node believes is decided by [`ledger_replica::catch_up`]. Here are the
-//! connections and the threads that do it.
+//! [`ledger_replica::catch_up`] decides which blocks are fetched, and which nodes are believed. Here are the connections
+//! and the threads that do it.
 //!
 //! ```text
 //! catch_up     carries out what the machine says
@@ -62,7 +62,7 @@ pub(crate) struct CatchUp {
     pub stopping: watch::Receiver<bool>,
 }
 
-/// What is open while it fetches.
+/// The open stream while it fetches.
 struct Fetching {
     stream: Option<(Streaming<BlockEntries>, String)>,
     told: Instant,

@@ -24,7 +24,7 @@ pub(crate) struct Conductor {
     order: Order,
     catch_up: CatchUp,
     machine: conductor::Conductor,
-    /// What the orderer said last about being behind.
+    /// The orderer's last report of being behind.
     behind: watch::Receiver<Option<Behind>>,
 }
 
@@ -39,7 +39,7 @@ impl Conductor {
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
     ///
     /// # Errors
-    /// What keeps an engine from starting; a voter that has lost its blocks.
+    /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(mut self) -> Result<JoinHandle<()>, Rejection> {
         let Order { tick_ms, election_ticks, .. } = self.order;
         let (offers, open) = self.catch_up.look(Duration::from_millis(tick_ms.saturating_mul(election_ticks))).await?;
@@ -93,7 +93,7 @@ impl Conductor {
         Ok(())
     }
 
-    /// What the orderer says about being behind; nothing if the node stops.
+    /// The orderer's next report of being behind; nothing if the node stops.
     async fn hear_of_behind(&mut self) -> Option<Behind> {
         let mut stopping = self.catch_up.stopping.clone();
         tokio::select! {

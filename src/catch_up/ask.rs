@@ -22,7 +22,7 @@ pub(super) struct Contact {
     pub(super) channel: Channel,
 }
 
-/// What one node has.
+/// The blocks of one node.
 pub(super) type Offer = ledger_replica::catch_up::Offer<Contact>;
 
 /// The answers as they come; none from who refuses, is silent, or is of another network.
@@ -150,7 +150,7 @@ pub(super) async fn all(answers: Answers) -> Vec<Offer> {
     answers.filter_map(|answer| async move { answer }).collect().await
 }
 
-/// What a node has; none if it is of another network.
+/// The blocks of a node; none if it is of another network.
 async fn offer(who: Who, peer: Contact, network: Hash) -> Result<Option<Offer>, String> {
     let answer = PeerClient::new(peer.channel.clone()).chain(ChainRequest {}).await;
     let chain: ChainResponse = answer.map_err(|status| status.message().to_owned())?.into_inner();

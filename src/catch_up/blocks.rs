@@ -38,7 +38,7 @@ pub(super) async fn block_hash(peer: &Contact, height: u64) -> Result<Option<Has
     Ok(Hash::from_slice(&answer.block_hash))
 }
 
-/// What another node answers, unless it is silent for too long.
+/// The answer of another node, unless it is silent for too long.
 pub(super) async fn in_time<T>(answer: impl Future<Output = T>) -> Result<T, Rejection> {
     let silence = Duration::from_micros(SILENCE_MAX);
     tokio::time::timeout(silence, answer)

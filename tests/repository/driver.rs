@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 /// Only a machine has these.
 const MACHINERY: [&str; 7] = ["std::thread", "std::time", "std::fs", "std::net", "tokio", "Instant", "SystemTime"];
-/// Whoever names these drives the engine itself.
+/// A source that names these drives the engine itself.
 const DRIVING: [&str; 14] = [
     "Engine::",
     "EngineConfig",

@@ -7,11 +7,11 @@
 //!   offer      what the others have
 //! ```
 //!
-//! **Whom to believe.** A follower believes its leader, as Raft does. A node that asks around would believe whoever
-//! answers, so it asks for more: blocks are taken from a node of the own organisation, or from the leader that the engine
-//! named; blocks of any other node are taken if a node of a third organisation, or of the own, has the same block hash at
-//! the end of each batch (the hash covers everything before it). Where nobody confirms, nothing is pulled: the leader's
-//! replication brings the blocks, slower. Snapshots: see [`crate::trust`].
+//! **Which answers to believe.** A follower believes its leader, as Raft does. A node that asks around would believe
+//! any answer, so it asks for more. It takes blocks from a node of the own organisation, or from the leader that the
+//! engine named. It takes blocks of any other node if a node of a third organisation, or of the own, has the same block
+//! hash at the end of each batch. The hash covers everything before it. Where nobody confirms, nothing is pulled: the
+//! leader's replication brings the blocks, slower. Snapshots: see [`crate::trust`].
 //!
 //! **A full disk** ends nothing: the machine waits, and stores again what it was about to store.
 
@@ -39,7 +39,7 @@ use std::sync::Arc;
 /// Time in which the next message, or a confirmation, must come, microseconds.
 pub const SILENCE_MAX: u64 = 5_000_000;
 
-/// What the engine said when it could not go on.
+/// The engine's report when it could not go on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Behind {
     /// The leader that said so.
@@ -48,7 +48,7 @@ pub struct Behind {
     pub first_index: u64,
 }
 
-/// What came of catching up.
+/// The outcome of catching up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Caught {
     /// The node has what it could get; replication brings the rest.
@@ -90,7 +90,7 @@ pub enum Todo<P> {
     Fetch {
         /// From this node.
         peer: P,
-        /// What is fetched.
+        /// The manifest of the snapshot.
         manifest: Manifest,
         /// Decides about it.
         trial: Trial,
@@ -105,9 +105,9 @@ pub enum Todo<P> {
     Failed(Rejection),
 }
 
-/// What came of it.
+/// The outcome of the last thing.
 pub enum Got<P> {
-    /// What the others have.
+    /// The blocks of the others.
     Offers(Vec<Offer<P>>),
     /// A message of the stream; none at its end.
     Blocks(Result<Option<Vec<Entry>>, Rejection>),
@@ -152,14 +152,14 @@ enum Part<P> {
 /// Blocks from one node.
 struct Pull<P> {
     from: Offer<P>,
-    /// Who must agree: nobody if the node is believed by itself.
+    /// The nodes that must agree: nobody if the node is believed by itself.
     confirming: Vec<Offer<P>>,
     /// How many of them were asked about the batch.
     asked: usize,
     /// Beyond what the others have, nobody confirms.
     limit: u64,
     batch: Batch,
-    /// What is being stored.
+    /// The batch that is being stored.
     taken: Option<Arc<Batch>>,
     /// The stream has ended.
     ended: bool,

@@ -5,7 +5,7 @@
 //!    └────────────────────────────────────────────────────────▲
 //! ```
 //!
-//! What an engine wrote is durable before the next one begins, as that takes everything in the log for durable. With a
+//! Everything that an engine wrote is durable before the next one begins, as that takes everything in the log for durable. With a
 //! full disk the node waits for room: nothing of it was acknowledged, and nothing that was acknowledged is lost.
 
 use crate::catch_up::{Behind, Caught, Holding, is_far_behind, is_known};
@@ -18,7 +18,7 @@ use std::sync::Arc;
 /// Pause before an engine starts again that had nothing to fetch: another leader may still have the blocks.
 const RETRY_PAUSE: u64 = 500_000;
 
-/// What happened.
+/// Something that happened.
 #[derive(Debug)]
 pub enum Happened {
     /// The question of the start is answered as far as it must be: see [`crate::catch_up::Look`].
@@ -29,7 +29,7 @@ pub enum Happened {
     Ended,
     /// The log was flushed, or not.
     Flushed(Result<(), StoreError>),
-    /// What came of catching up.
+    /// The outcome of catching up.
     Caught(Caught),
     /// The pause is over.
     Waited,
@@ -80,7 +80,7 @@ impl Conductor {
     /// Takes what happened, and says the next thing to do.
     ///
     /// # Errors
-    /// What the node cannot go on with: its disk, or that it was removed.
+    /// A reason why the node cannot go on: its disk, or that it was removed.
     pub fn step(&mut self, happened: Happened) -> Result<Next, Rejection> {
         Ok(match (self.phase, happened) {
             (Phase::Looking, Happened::Looked(offers)) => {

@@ -1,4 +1,4 @@
-//! What a node attests, and when: the newest block that holds anything but attestations, and each of its snapshots.
+//! The attestations of a node, and their time: the newest block that holds anything but attestations, and each of its snapshots.
 
 use ledger::governance::{self, Attest, Attestation};
 use ledger::{Ledger, Outcome};
@@ -11,9 +11,9 @@ const EVENT: &str = "attested";
 /// An attestation that was executed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Seen {
-    /// Who signed it, `ORGANISATION/NAME`.
+    /// Its signer, `ORGANISATION/NAME`.
     pub by: String,
-    /// What it says.
+    /// The statement.
     pub attest: Attest,
 }
 
@@ -29,7 +29,7 @@ pub fn seen(outcome: &Outcome) -> (Vec<Seen>, bool) {
     (read.collect(), outcome.results.len() > count)
 }
 
-/// What a node has attested.
+/// The heights that a node has attested.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Said {
     /// The greatest height.

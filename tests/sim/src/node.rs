@@ -118,15 +118,15 @@ pub struct Running {
     pub look: Look,
     /// When that goes on although nobody answers.
     pub look_at: u64,
-    /// What was heard before the first engine.
+    /// The answers before the first engine.
     pub heard: Vec<Holding>,
     /// The first engine has started, or blocks are fetched before.
     pub begun: bool,
     /// Withholds votes.
     pub ballot: Ballot,
-    /// What is fetched from peers.
+    /// The machine that fetches from peers.
     pub fetching: Option<Fetching>,
-    /// What the node has attested.
+    /// The heights that the node has attested.
     pub said: Said,
     /// Height of the newest block that holds anything but attestations.
     pub ordinary: u64,

@@ -91,8 +91,8 @@ impl Batch {
         Ok(())
     }
 
-    /// Makes the blocks durable as committed. What the log has already stays: entries of the same index and term are the
-    /// same (Raft §5.3, log matching), and what follows them may have been acknowledged.
+    /// Makes the blocks durable as committed. Blocks that the log has already stay: entries of the same index and term are
+    /// the same (Raft §5.3, log matching). Blocks behind them may have been acknowledged.
     ///
     /// # Errors
     /// As [`BlockStore::flush`]. With a full disk it can be done again.

@@ -1,14 +1,14 @@
 //! The question with which a node starts: what do the others have, and what do they know it to have had?
 //!
-//! **What it protects.** A voter that has lost blocks which it acknowledged must not vote: with its vote the others could
+//! **Its purpose.** A voter that has lost blocks which it acknowledged must not vote: with its vote the others could
 //! elect a leader that lacks what was promised. It cannot tell by itself; the leader and the attestations can.
 //!
-//! **How long it takes.** Who refuses a connection has answered. Who is silent is waited for until [`ASK_TIME_MAX`] as
-//! long as a majority of the voters has not been heard, for then nothing can be ordered anyway, or if there is nothing
-//! in the log, which looks like a lost disk. Otherwise silence costs [`PATIENCE`], and ordering begins while the question
-//! is still open. Until it is closed this node gives no vote, nor does it ask for any, as its own election timeout is
-//! longer; what it acknowledges it has on its disk. An answer that comes in that time and says that blocks were lost ends
-//! the node as it would have before.
+//! **How long it takes.** A node that refuses a connection has answered. The node waits for silent ones until
+//! [`ASK_TIME_MAX`] as long as a majority of the voters has not been heard, for then nothing can be ordered anyway. So it
+//! does if there is nothing in the log, which looks like a lost disk. Otherwise silence costs [`PATIENCE`], and ordering
+//! begins while the question is still open. Until it is closed this node gives no vote. It asks for none either, as its own
+//! election timeout is longer. Everything that it acknowledges is on its disk. An answer that comes in that time and says
+//! that blocks were lost ends the node as it would have before.
 
 use super::{Holding, Who};
 use crate::REJOIN;
@@ -52,7 +52,7 @@ pub enum Stage {
     Closed,
 }
 
-/// What happened.
+/// An answer, or the lack of one.
 #[derive(Clone, Copy, Debug)]
 pub enum Heard<'a> {
     /// A node has answered.
@@ -145,7 +145,7 @@ impl Look {
         }
     }
 
-    /// Are those that were heard, with this node, a majority of the voters? Who does not vote needs nobody.
+    /// Are those that were heard, with this node, a majority of the voters? A node without a vote needs nobody.
     fn is_enough(&self) -> bool {
         let known = self.voters.iter().filter(|voter| **voter == self.me || self.heard.contains(voter)).count();
         self.last > 0 && (!self.voters.contains(&self.me) || known > self.voters.len() / 2)

@@ -1,4 +1,4 @@
-//! What the other nodes have.
+//! The blocks and snapshots of the other nodes.
 
 use crate::REJOIN;
 use ledger::Ledger;
@@ -24,7 +24,7 @@ pub struct Who {
     pub vouched: bool,
 }
 
-/// What a node says that it has.
+/// The blocks that a node says it has, and its snapshot.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Holding {
     /// Its newest block that is committed and durable.
@@ -33,25 +33,25 @@ pub struct Holding {
     pub first_height: u64,
     /// Its newest snapshot; 0 if it has none.
     pub snapshot_height: u64,
-    /// What it knows the asking node to have had.
+    /// The height that it knows the asking node to have had.
     pub yours: u64,
     /// It knows the asking node as a voter.
     pub you_vote: bool,
 }
 
-/// What one node has, and how to reach it.
+/// The blocks of one node, and how to reach it.
 #[derive(Clone, Debug)]
 pub struct Offer<P> {
     /// The node.
     pub who: Who,
-    /// What it has.
+    /// Its blocks.
     pub has: Holding,
     /// For further questions.
     pub peer: P,
 }
 
 impl Holding {
-    /// What a node with these stores tells the node `asking`. `status`: how ordering stands there, if it does.
+    /// The answer of a node with these stores to the node `asking`. `status`: how ordering stands there, if it does.
     pub fn of(
         (ledger, store, snapshots): (&Ledger, &BlockStore, &Snapshots),
         status: Option<&Status>,

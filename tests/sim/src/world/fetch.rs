@@ -1,5 +1,5 @@
-//! What the conductor and the machine that catches up want done: engines end and start, blocks and snapshots come from
-//! peers. What they decide is in `ledger_replica`.
+//! Carries out what the conductor and the machine that catches up say: engines end and start, blocks and snapshots come
+//! from peers. `ledger_replica` decides.
 
 use super::{Event as Happening, Timer, World};
 use crate::clock::MILLISECOND;
@@ -34,7 +34,7 @@ pub(crate) struct Contact {
 /// A node that catches up.
 pub struct Fetching {
     machine: CatchUp<Contact>,
-    /// What is to be done next.
+    /// The next thing to do.
     todo: Option<Todo<Contact>>,
     /// The peer of the open stream, and the block that comes next in it.
     stream: Option<(Contact, u64)>,

@@ -42,7 +42,7 @@ impl World {
         Some(node.up.is_some())
     }
 
-    /// What a node tells another about what it has.
+    /// The answer of a node about its blocks.
     pub(super) fn holding(&self, peer: u64, asking: u64) -> Option<Holding> {
         let running = self.nodes.get(&peer)?.up.as_ref()?;
         let status = running.replica.as_ref().map(ledger_replica::Replica::status);
@@ -110,7 +110,7 @@ impl World {
         Ok(())
     }
 
-    /// What those answer that are asked while a node catches up.
+    /// The answers of those that are asked while a node catches up.
     pub(super) fn offers(&mut self, id: u64) -> Vec<Offer<Contact>> {
         let Some(ledger) = self.running(id).map(|running| Arc::clone(&running.ledger)) else { return Vec::new() };
         let asked = self.asked_by(id, &ledger);
