@@ -1,6 +1,6 @@
 //! The layers of access control: each knows only those below it, and rules are named in their own layer only.
 
-use crate::sources::{code, files, read, root};
+use crate::sources::{code, files, product, read, root};
 use std::path::Path;
 
 /// The layers of `crates/abac`, from the lowest: modules that stand side by side, each a file and perhaps a folder.
@@ -55,9 +55,8 @@ fn a_rule_is_named_where_it_is_declared_and_in_its_layer_only() {
         if relative.starts_with(DECLARES) || relative.starts_with(KNOWS) || relative.contains("tests") {
             continue;
         }
-        let text = read(&path);
-        let product = text.split("#[cfg(test)]\n#[expect").next().unwrap_or_default();
-        let named = code(product).find(|line| line.contains("Mode::Open") || line.contains("Mode::Exclusive"));
+        let text = product(&path);
+        let named = code(&text).find(|line| line.contains("Mode::Open") || line.contains("Mode::Exclusive"));
         assert!(named.is_none(), "{relative} names a rule; read the service's capabilities instead: {named:?}");
     }
 }

@@ -4,6 +4,7 @@
 
 mod access;
 mod architecture;
+mod codes;
 mod documents;
 mod driver;
 mod events;

@@ -1,7 +1,6 @@
 //! Kinds of routes: each is a file and its line in one table, and nothing else of the bridge names one.
 
-use crate::sources::{code, files, read, root};
-use std::path::Path;
+use crate::sources::{code, files, product, read, root};
 
 const SOURCES: &str = "crates/ros-bridge/src";
 const ROUTES: &str = "crates/ros-bridge/src/route";
@@ -12,16 +11,6 @@ fn modules() -> Vec<String> {
     let table = read(&root().join(TABLE));
     let paths = table.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':'));
     paths.filter_map(|path| path.strip_suffix("::KIND")).map(str::to_owned).collect()
-}
-
-/// The source of a file, before its tests.
-fn product(path: &Path) -> String {
-    let text = read(path);
-    text.split("#[cfg(test)]\nmod tests")
-        .next()
-        .and_then(|text| text.split("#[cfg(test)]\n#[expect").next())
-        .unwrap_or("")
-        .to_owned()
 }
 
 /// The text of a field of the kind that a file declares.

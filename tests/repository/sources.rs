@@ -35,6 +35,12 @@ pub(crate) fn files(directory: &Path, ending: &str) -> Vec<PathBuf> {
     found
 }
 
+/// The text of a Rust file without the tests at its end.
+pub(crate) fn product(path: &Path) -> String {
+    let text = read(path);
+    text.split("\nmod tests {").next().unwrap_or_default().to_owned()
+}
+
 /// The lines of a Rust file that are code.
 pub(crate) fn code(text: &str) -> impl Iterator<Item = &str> {
     text.lines().filter(|line| !line.trim_start().starts_with("//"))
