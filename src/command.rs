@@ -8,6 +8,7 @@ use crate::{demo, dev, join, memory, setup, telemetry, verify};
 use clap::{Parser, Subcommand};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
+use std::ffi::OsString;
 use std::future::Future;
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -67,8 +68,13 @@ struct WithConfig {
 
 /// Runs the command line with a node that has these chaincodes; the whole of `main`.
 pub fn run(builder: NodeBuilder) -> ExitCode {
+    run_with(builder, std::env::args_os())
+}
+
+/// As [`run`], with another command line than that of the process; the name of the program comes first.
+pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let _known = memory::give_back();
-    let arguments = match Arguments::try_parse() {
+    let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
         Err(error) => {
             let _closed = error.print();

@@ -76,6 +76,6 @@ mod verify;
 mod waiters;
 mod witness;
 
-pub use command::run;
+pub use command::{run, run_with};
 pub use host::{Host, Node, NodeBuilder};
 pub use instance::Ended;

@@ -1,7 +1,6 @@
 //! Says on the ledger which rules of execution this node speaks, so that the network can activate newer ones.
 
 use crate::signer::Author;
-use ledger::Rules;
 use ledger::governance::{self, NodeRole, Speaks};
 use ledger_rejection::Rejection;
 use std::time::Duration;
@@ -39,7 +38,7 @@ impl Telling {
         let nodes = governance::nodes(&**ledger.state())?;
         let own = nodes.iter().find(|node| node.id == self.me && node.role != NodeRole::Removed);
         let Some(own) = own else { return Ok(false) };
-        let newest = Rules::NEWEST.number();
+        let newest = ledger.registry().newest().number();
         let known = own.speaks.as_ref().map_or(ledger.rules().number(), |speaks| speaks.newest);
         if known == newest {
             return Ok(true);

@@ -7,7 +7,7 @@ use crate::config::Config;
 use crate::instance::{Ended, Instance, Prepared};
 use crate::join::{advised, nothing_here};
 use crate::stores::Stores;
-use ledger::{Chaincode, Ledger, Registry};
+use ledger::{Chaincode, Ledger, Registry, Rules};
 use ledger_abac::AccessControl;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
@@ -29,6 +29,14 @@ impl NodeBuilder {
         if let Err(fault) = self.registry.install(Arc::new(chaincode)) {
             self.faults.push(fault);
         }
+        self
+    }
+
+    /// The node speaks no newer rules of execution than these, as an older release does. Without this it speaks all that
+    /// there are.
+    #[must_use]
+    pub fn rules_up_to(mut self, newest: Rules) -> Self {
+        self.registry.speak_up_to(newest);
         self
     }
 

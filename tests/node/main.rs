@@ -33,6 +33,7 @@ mod leadership;
 mod members;
 mod messages;
 mod network;
+mod older;
 mod overload;
 mod power;
 mod readers;

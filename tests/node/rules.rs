@@ -7,7 +7,7 @@ use ledger_identity::Role;
 use serde_json::Value;
 
 /// Founds the network as an older release did.
-fn older(fleet: &Fleet) {
+pub(crate) fn older(fleet: &Fleet) {
     let [newest, first] = [Rules::NEWEST, Rules::FIRST].map(|rules| format!("\"rules\": {rules}"));
     for node in &fleet.nodes {
         let path = node.data.join("genesis.json");
@@ -18,7 +18,7 @@ fn older(fleet: &Fleet) {
 }
 
 /// The output of `network rules`, once it comes and this holds.
-async fn rules(ctl: &Ctl, what: &str, holds: impl Fn(&Value) -> bool) -> Value {
+pub(crate) async fn rules(ctl: &Ctl, what: &str, holds: impl Fn(&Value) -> bool) -> Value {
     until(what, || async {
         let ran = ctl.run(&["network", "rules", "-o", "json"]);
         (ran.code == 0).then(|| ran.json()).filter(&holds)

@@ -67,7 +67,12 @@ impl NodePlace {
 
     /// Starts the node.
     pub fn start(&self) -> Process {
-        Process::start(&self.name, &self.logs, self.command())
+        self.start_as(self.command())
+    }
+
+    /// Starts another program in the node's place.
+    pub fn start_as(&self, command: Command) -> Process {
+        Process::start(&self.name, &self.logs, command)
     }
 
     /// Adds settings to the configuration: TOML sections, or settings of the top level before any section.

@@ -94,7 +94,7 @@ impl Genesis {
                 "genesis is not usable: this release does not speak the rules that the network was founded with";
             return Err(Rejection::new(Code::UnknownRules, message)
                 .found(format!("rules {}", genesis.rules))
-                .wanted(Rules::spoken())
+                .wanted(Rules::NEWEST.and_older())
                 .next("install the release of ledgerd that the other nodes of the network run"));
         }
         let names: BTreeSet<_> = genesis.organisations.iter().map(|o| o.name.as_str()).collect();

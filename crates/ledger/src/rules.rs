@@ -57,9 +57,9 @@ impl Rules {
         self.0 >= 3
     }
 
-    /// The rules that this release speaks, in words.
-    pub fn spoken() -> String {
-        match (Self::FIRST.0, Self::NEWEST.0) {
+    /// These and all older ones that this release speaks, in words.
+    pub fn and_older(self) -> String {
+        match (Self::FIRST.0, self.0) {
             (first, newest) if first == newest => format!("rules {first}"),
             (first, newest) => format!("rules {first} to {newest}"),
         }

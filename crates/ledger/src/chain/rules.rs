@@ -11,8 +11,8 @@ impl Ledger {
     /// the next block, which it then refuses, the rules of the last one.
     pub fn rules(&self) -> Rules {
         let (height, schedule) = (self.tip().height, self.schedule());
-        let spoken = |height| Rules::find(schedule.number_at(height));
-        spoken(height + 1).or_else(|| spoken(height)).unwrap_or(Rules::NEWEST)
+        let spoken = |height| self.registry.speaks(schedule.number_at(height));
+        spoken(height + 1).or_else(|| spoken(height)).unwrap_or(self.registry.newest())
     }
 
     /// The rules that are to be activated after the next block, if the organisations have decided so.
@@ -26,14 +26,14 @@ impl Ledger {
     /// [`Code::UnknownRules`].
     pub(super) fn rules_of(&self, height: u64) -> Result<Rules, Rejection> {
         let number = self.schedule().number_at(height);
-        Rules::find(number).ok_or_else(|| self.unknown(Activation { number, height }))
+        self.registry.speaks(number).ok_or_else(|| self.unknown(Activation { number, height }))
     }
 
     /// Reads from the state which rules were activated, and warns of those that this release does not speak.
     pub(super) fn reload_rules(&self) -> Result<(), Rejection> {
         let schedule = Schedule::new(self.founded, governance::activations(&*self.state)?);
         *self.schedule.write().unwrap_or_else(PoisonError::into_inner) = schedule;
-        if let Some(pending) = self.pending_rules().filter(|pending| Rules::find(pending.number).is_none()) {
+        if let Some(pending) = self.pending_rules().filter(|pending| self.registry.speaks(pending.number).is_none()) {
             let reason = self.unknown(pending);
             tracing::warn!(%reason, "this node is going to stop");
         }
@@ -56,7 +56,7 @@ impl Ledger {
         );
         Rejection::new(Code::UnknownRules, message)
             .found(format!("rules {number} from block {height} on"))
-            .wanted(Rules::spoken())
+            .wanted(self.registry.newest().and_older())
             .next(format!("install {release}, and start the node again with its data as it is"))
     }
 }

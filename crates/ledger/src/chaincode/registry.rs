@@ -3,6 +3,7 @@
 use super::approval::check_ordinary;
 use super::context::{Context, Environment, run};
 use super::{Chaincode, Foretold};
+use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
@@ -11,16 +12,39 @@ use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// The chaincodes that a node has installed, by name. Every node of a network needs the same ones.
-#[derive(Clone, Default)]
+/// The chaincodes that a node has installed, by name, and the rules that it executes them by. Every node of a network needs
+/// the same chaincodes.
+#[derive(Clone)]
 pub struct Registry {
     chaincodes: BTreeMap<&'static str, Arc<dyn Chaincode>>,
+    newest: Rules,
+}
+
+impl Default for Registry {
+    fn default() -> Self {
+        Self { chaincodes: BTreeMap::new(), newest: Rules::NEWEST }
+    }
 }
 
 impl Registry {
     /// Nothing installed.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// Speaks no newer rules than these: the node is as one of an older release.
+    pub fn speak_up_to(&mut self, newest: Rules) {
+        self.newest = newest;
+    }
+
+    /// The newest rules that the node speaks.
+    pub fn newest(&self) -> Rules {
+        self.newest
+    }
+
+    /// The rules of a number, if the node speaks them.
+    pub(crate) fn speaks(&self, number: u32) -> Option<Rules> {
+        Rules::find(number).filter(|rules| *rules <= self.newest)
     }
 
     /// Installs a chaincode.

@@ -3,9 +3,13 @@ use bytes::Bytes;
 use ledger::block::Payload;
 use ledger::governance::{NodeRecord, RulesOverview, Speaks};
 use ledger::{Activation, Rules};
+use ledger::{Chaincode, Context};
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
+use ledger_rejection::Rejection;
 use ledger_storage::entry::{Entry, EntryKind};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
 
 fn speaks(newest: u32) -> String {
     format!(r#"{{"newest":{newest},"release":"9.0.0"}}"#)
@@ -102,11 +106,84 @@ fn a_node_that_does_not_speak_the_rules_of_the_next_block_stops_and_says_which_r
     let refused = network.ledger.apply(&next(&network)).unwrap_err();
     assert_eq!(refused.code, Code::UnknownRules);
     assert_eq!(refused.found, format!("rules {unknown} from block {} on", height + 1));
-    assert_eq!(refused.wanted, Rules::spoken());
+    assert_eq!(refused.wanted, Rules::NEWEST.and_older());
     assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
     assert_eq!(network.ledger.tip().height, height, "nothing was executed");
     let again = network.open_again();
     assert_eq!(again.err().map(|reason| reason.code), Some(Code::UnknownRules), "nor does it start");
+}
+
+#[test]
+fn a_ledger_that_speaks_less_goes_on_under_the_rules_that_it_speaks_and_stops_before_others() {
+    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+    let old = network.open_older(Rules::FIRST);
+    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    let height = network.ledger.tip().height + 4;
+    let wish = format!(r#"{{"number":3,"height":{height}}}"#);
+    assert!(is_executed(network.admin(1, "activate_rules", &[&wish])));
+    while network.ledger.tip().height < height {
+        network.block(&[]);
+    }
+    for block in &network.blocks {
+        let Err(refused) = old.apply(block) else { continue };
+        assert_eq!((refused.code, refused.wanted.as_str()), (Code::UnknownRules, "rules 2"));
+        assert!(refused.next.contains("ledgerd 9.0.0, which Org1/node1 runs"), "{refused}");
+    }
+    assert_eq!(old.tip().height, height - 1);
+}
+
+/// By height, the rules that a chaincode of a node saw.
+#[derive(Clone, Default)]
+struct Seen(Arc<Mutex<BTreeMap<u64, u32>>>);
+
+impl Chaincode for Seen {
+    fn name(&self) -> &'static str {
+        "seen"
+    }
+
+    fn invoke(&self, _: &mut Context<'_>, _: &str, _: &[Bytes]) -> Result<Bytes, Rejection> {
+        Ok(Bytes::new())
+    }
+
+    fn begin_block(&self, ctx: &mut Context<'_>) {
+        let before = self.0.lock().unwrap().insert(ctx.height(), ctx.rules().number());
+        assert!(before.is_none_or(|before| before == ctx.rules().number()), "executed again by other rules");
+    }
+}
+
+#[test]
+fn every_node_executes_every_block_by_the_rules_of_its_height_whenever_it_starts_again() {
+    for ahead in 1..6 {
+        let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+        network.node(1, "speak", &[&speaks(3)]).unwrap();
+        let height = network.ledger.tip().height + ahead;
+        let wish = format!(r#"{{"number":3,"height":{height}}}"#);
+        assert!(is_executed(network.admin(1, "activate_rules", &[&wish])));
+        let height = network.ledger.pending_rules().map_or(network.ledger.tip().height + 1, |pending| pending.height);
+        while network.ledger.tip().height < height + 3 {
+            network.block(&[]);
+        }
+        // A node that starts again after each block: from its state, or from nothing.
+        for restart in 0..network.blocks.len() {
+            for keeps_its_state in [true, false] {
+                let seen = Seen::default();
+                let state = Network::no_state();
+                let first = network.open_beside(&state, seen.clone());
+                network.blocks[..restart].iter().for_each(|block| drop(first.apply(block).unwrap()));
+                let state = if keeps_its_state { state } else { Network::no_state() };
+                let again = network.open_beside(&state, seen.clone());
+                let reached = usize::try_from(again.tip().height).unwrap();
+                network.blocks[reached..].iter().for_each(|block| drop(again.apply(block).unwrap()));
+                assert_eq!(again.tip(), network.ledger.tip());
+                let seen = seen.0.lock().unwrap();
+                let wanted = network.blocks.iter().map(|block| (block.index, if block.index < height { 2 } else { 3 }));
+                assert!(
+                    seen.iter().map(|(height, number)| (*height, *number)).eq(wanted),
+                    "{seen:?}, wanted 3 from {height} on"
+                );
+            }
+        }
+    }
 }
 
 #[test]

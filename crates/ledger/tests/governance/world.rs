@@ -95,6 +95,8 @@ pub(crate) struct Network {
     nonce: u64,
     /// Events of the last block.
     pub(crate) events: Vec<Event>,
+    /// All blocks.
+    pub(crate) blocks: Vec<Entry>,
 }
 
 impl Network {
@@ -130,13 +132,37 @@ impl Network {
         let nodes =
             (1..).zip(&cas).map(|(number, ca)| ca.user(&format!("node{number}"), "node", KeyKind::Ed25519)).collect();
         let stores = (genesis, state, results);
-        Self { cas, admins, nodes, ledger, stores, time: START, nonce: 0, events: Vec::new() }
+        Self { cas, admins, nodes, ledger, stores, time: START, nonce: 0, events: Vec::new(), blocks: Vec::new() }
     }
 
     /// The ledger as it is after a restart.
     pub(crate) fn open_again(&self) -> Result<Ledger, Rejection> {
         let (genesis, state, results) = &self.stores;
         Ledger::open(genesis, registry(), Arc::clone(state), Arc::clone(results))
+    }
+
+    /// Another ledger of this network, from its beginning, that speaks no newer rules than these.
+    pub(crate) fn open_older(&self, newest: Rules) -> Ledger {
+        let mut registry = registry();
+        registry.speak_up_to(newest);
+        let state = State::open(Box::new(MemoryState::default())).unwrap();
+        Ledger::open(&self.stores.0, registry, Arc::new(state), Arc::new(ResultStore::in_memory())).unwrap()
+    }
+
+    /// The stores of a node that has nothing.
+    pub(crate) fn no_state() -> (Arc<State>, Arc<ResultStore>) {
+        (Arc::new(State::open(Box::new(MemoryState::default())).unwrap()), Arc::new(ResultStore::in_memory()))
+    }
+
+    /// The ledger of another node, which has one more chaincode.
+    pub(crate) fn open_beside(
+        &self,
+        (state, results): &(Arc<State>, Arc<ResultStore>),
+        chaincode: impl Chaincode + 'static,
+    ) -> Ledger {
+        let mut registry = registry();
+        registry.install(Arc::new(chaincode)).unwrap();
+        Ledger::open(&self.stores.0, registry, Arc::clone(state), Arc::clone(results)).unwrap()
     }
 
     pub(crate) fn sign(&mut self, by: &User, function: &str, args: &[&str]) -> Transaction {
@@ -165,6 +191,7 @@ impl Network {
         let data = Payload { time: self.time, transactions }.to_bytes();
         let entry = Entry { index: self.ledger.tip().height + 1, term: 1, kind: EntryKind::Normal, data };
         let outcome = self.ledger.apply(&entry).unwrap();
+        self.blocks.push(entry);
         self.events = outcome.events.into_iter().map(|emitted| emitted.event).collect();
         outcome.results.iter().map(ledger_storage::result::TransactionResult::outcome).collect()
     }
