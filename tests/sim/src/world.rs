@@ -6,8 +6,8 @@
 mod chaos;
 mod drive;
 mod execute;
-mod flood;
 mod fetch;
+mod flood;
 mod gateway;
 mod hostile;
 mod look;
