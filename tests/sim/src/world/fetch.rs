@@ -6,7 +6,7 @@ use crate::clock::MILLISECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::people::organisation_of;
-use bytes::Bytes;
+use ledger::block::Payload;
 use ledger_hash::Hash;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
@@ -198,8 +198,10 @@ impl World {
         let lies = may_lie && self.chaos && self.plan.faults.contains(&Fault::ForgedBlocks);
         if lies && self.random.faults.percent(40) {
             let normal = entries.iter_mut().rfind(|entry| entry.kind == EntryKind::Normal && !entry.data.is_empty());
-            if let Some(entry) = normal {
-                entry.data = Bytes::new();
+            let payload = normal.and_then(|entry| Some((Payload::from_bytes(entry.data.clone()).ok()?, entry)));
+            if let Some((mut payload, entry)) = payload {
+                payload.time += 1;
+                entry.data = payload.to_bytes();
                 self.coverage.fault(Fault::ForgedBlocks);
                 self.note(format_args!("n{peer} forges a block for n{id}"));
             }
