@@ -75,7 +75,7 @@ impl EnrolmentService {
     ///
     /// # Errors
     /// [`Code::CaElsewhere`], [`Code::NotFound`] if the name is not registered, [`Code::WrongRole`],
-    /// [`Code::Overloaded`] soon after the last certificate, and why the ledger cannot be asked.
+    /// [`Code::LimitExceeded`] soon after the last certificate, and why the ledger cannot be asked.
     pub(crate) async fn renew_for(
         &self,
         caller: Arc<Identity>,

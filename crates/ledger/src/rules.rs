@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data |
+//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble |
 //!
 //! ```
 //! use ledger::Rules;
@@ -54,6 +54,12 @@ impl Rules {
     /// Is a proposal any call that needs approval, by a quorum that stands on the ledger? Before, it is one of four
     /// actions, and more than half of the organisations must agree.
     pub(crate) const fn proposes_calls(self) -> bool {
+        self.0 >= 3
+    }
+
+    /// Does a refusal by a chaincode always speak of the call? Before, it could have a code of a node's own trouble, with
+    /// which clients try again.
+    pub(crate) const fn refuses_calls_only(self) -> bool {
         self.0 >= 3
     }
 

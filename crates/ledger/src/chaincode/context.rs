@@ -6,7 +6,7 @@ use crate::rules::Rules;
 use bytes::{BufMut, Bytes, BytesMut};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
+use ledger_rejection::{Class, Code, Rejection};
 use ledger_storage::result::Event;
 use ledger_storage::state::Overlay;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -50,6 +50,14 @@ impl Environment<'_> {
             .found(format!("{} bytes", answer.len()))
             .wanted(format!("at most {max} bytes"))
             .next("ask with a query: a call that only reads needs no transaction"))
+    }
+
+    /// A code that speaks of a node, such as [`Code::Overloaded`], tells clients to try again: no verdict on a call.
+    pub(super) fn speaks_of_the_call(&self, mut refused: Rejection) -> Rejection {
+        if self.rules.refuses_calls_only() && refused.code.class() == Class::Unreachable {
+            refused.code = Code::Refused;
+        }
+        refused
     }
 }
 

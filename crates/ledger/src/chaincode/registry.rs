@@ -133,7 +133,8 @@ impl Registry {
         let callee = environment.registry.find(chaincode)?;
         check_ordinary(callee, function)?;
         run((environment, None), callee.name(), 0, overlay, events, |ctx| {
-            let answer = callee.invoke(ctx, function, args)?;
+            let answer =
+                callee.invoke(ctx, function, args).map_err(|refused| environment.speaks_of_the_call(refused))?;
             environment.check_answer(&answer)?;
             Ok(answer)
         })

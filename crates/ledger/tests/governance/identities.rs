@@ -212,13 +212,13 @@ fn a_renewal_needs_a_good_certificate_and_comes_at_most_once_a_minute() {
     assert_eq!(code(&renewed(&mut network, &salma)), Code::Revoked, "it has none");
     by_secret(&mut network, &salma).unwrap();
     let (next, other) = (member(&network, "Salma"), member(&network, "Salma"));
-    assert_eq!(code(&renewed(&mut network, &next)), Code::Overloaded);
+    assert_eq!(code(&renewed(&mut network, &next)), Code::LimitExceeded);
     network.time += RENEWAL_PAUSE;
     assert_eq!(certificate(renewed(&mut network, &next)), next.certificate);
     // The answer was lost: the same key asks again.
     let again = network.cas[0].certify("Salma", "member", &next);
     assert_eq!(certificate(renewed(&mut network, &again)), next.certificate);
-    assert_eq!(code(&renewed(&mut network, &other)), Code::Overloaded);
+    assert_eq!(code(&renewed(&mut network, &other)), Code::LimitExceeded);
     network.admin(1, "revoke_identity", &[r#"{"name":"Salma"}"#]).unwrap();
     network.time += RENEWAL_PAUSE;
     assert_eq!(code(&renewed(&mut network, &other)), Code::Revoked);

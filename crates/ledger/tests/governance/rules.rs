@@ -220,3 +220,18 @@ fn a_transaction_answers_with_little_under_the_newest_rules_and_a_query_with_mor
         network.ledger.query(&caller, network.time, "listener", "echo", std::slice::from_ref(&much)).unwrap();
     assert_eq!(answer, much);
 }
+
+#[test]
+fn a_chaincode_never_refuses_with_a_code_of_a_nodes_own_trouble_under_the_newest_rules() {
+    let mut network = Network::founded_with(Rules::FIRST, 1, 1);
+    network.node(1, "speak", &[&speaks(3)]).unwrap();
+    let member = network.cas[0].user("Salma", "member", KeyKind::Ed25519);
+    let refused = |network: &mut Network| {
+        let call = network.sign_for("listener", &member, "overload", &[]);
+        network.block(&[&call]).remove(0).unwrap_err()
+    };
+    assert_eq!(refused(&mut network).code, Code::Overloaded, "clients would try again until their deadline");
+    assert!(is_executed(network.admin(1, "activate_rules", &[&activate(3)])));
+    let refused = refused(&mut network);
+    assert_eq!((refused.code, refused.message.as_str()), (Code::Refused, "as the test asked"));
+}

@@ -39,6 +39,7 @@ impl Chaincode for Listener {
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match (function, args) {
             ("echo", [text]) => Ok(text.clone()),
+            ("overload", []) => Err(Rejection::new(Code::Overloaded, "as the test asked")),
             ("arm", []) => {
                 ctx.put(b"armed", "yes");
                 Ok(Bytes::new())

@@ -12,6 +12,7 @@ use super::{
     CERTIFICATES_MAX, ENROLMENT_REPEAT_MAX, IdentityRecord, IssuedCertificate, LocalSecret, RENEWAL_PAUSE, Use, find,
     is_revoked, write,
 };
+use crate::Rules;
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
@@ -189,12 +190,13 @@ fn check_renewal(ctx: &Context<'_>, record: &IdentityRecord, holder: &Identity) 
     let same = |der: &Bytes| {
         Certificate::parse(der).is_ok_and(|earlier| earlier.public_key_info == holder.public_key.to_spki())
     };
-    der.filter(same).map(Some).ok_or_else(|| too_soon(&record.name))
+    der.filter(same).map(Some).ok_or_else(|| too_soon(ctx.rules(), &record.name))
 }
 
 /// The refusal of a renewal that comes too soon after the last one.
-fn too_soon(name: &str) -> Rejection {
-    Rejection::new(Code::Overloaded, format!("{name} has received a certificate just now"))
+fn too_soon(rules: Rules, name: &str) -> Rejection {
+    let code = if rules.refuses_calls_only() { Code::LimitExceeded } else { Code::Overloaded };
+    Rejection::new(code, format!("{name} has received a certificate just now"))
         .wanted(format!("a renewal at most once in {} s", RENEWAL_PAUSE / 1_000_000))
         .next("use that certificate, or try again in a minute")
 }
