@@ -14,7 +14,6 @@
 //! changes.
 
 pub(crate) mod backup;
-pub(crate) mod durable;
 mod issue;
 pub(crate) mod operator;
 mod place;

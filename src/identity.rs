@@ -4,7 +4,6 @@
 //! ledger that knows neither it nor, perhaps, its organisation: until then it believes `node.json`, which `ledgerd
 //! join` wrote.
 
-use crate::ca::durable;
 use crate::clock::wall;
 use crate::peers::{Member, Part};
 use ledger::Ledger;
@@ -59,7 +58,7 @@ impl Joined {
         if !path.exists() {
             return Ok(None);
         }
-        serde_json::from_slice(&durable::read(&path, JOINED_BYTES_MAX)?).map(Some).map_err(|error| {
+        serde_json::from_slice(&ledger_durable::read(&path, JOINED_BYTES_MAX)?).map(Some).map_err(|error| {
             Rejection::new(Code::BadFile, format!("{} cannot be read", path.display()))
                 .found(error.to_string())
                 .next("restore it from a copy, or join anew with another data directory")

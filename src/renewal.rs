@@ -3,7 +3,6 @@
 //!
 //! Others know the node by its organisation and name, so that a renewal changes nothing on the ledger.
 
-use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::pem;
 use crate::clock::wall;
 use crate::enrolment::{Authorities, EnrolmentService, lock};
@@ -11,6 +10,7 @@ use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use ledger::Ledger;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Credentials, Renewal, renewal_due};
+use ledger_durable::{PUBLIC_MODE, SECRET_MODE};
 use ledger_identity::Identity;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msps, Usage};
@@ -148,9 +148,9 @@ pub(crate) fn store(data: &Path, before: &TlsIdentity, after: &TlsIdentity) -> R
     let (before, after) = (before.own(), after.own());
     let (certificate, key) = (data.join(CERTIFICATE_FILE), data.join(KEY_FILE));
     let [old_key, new_key] = [&before, &after].map(|own| own.key.to_pkcs8_pem());
-    durable::stage(&key, format!("{old_key}{new_key}").as_bytes(), SECRET_MODE)?.publish()?;
-    durable::stage(&certificate, pem(&after.chain).as_bytes(), PUBLIC_MODE)?.publish()?;
-    durable::stage(&key, new_key.as_bytes(), SECRET_MODE)?.publish()
+    ledger_durable::replace(&key, format!("{old_key}{new_key}").as_bytes(), SECRET_MODE)?;
+    ledger_durable::replace(&certificate, pem(&after.chain).as_bytes(), PUBLIC_MODE)?;
+    ledger_durable::replace(&key, new_key.as_bytes(), SECRET_MODE)
 }
 
 /// First and last valid moment of the certificate, microseconds since the UNIX epoch.

@@ -3,9 +3,9 @@
 //! The key is PKCS #8 encrypted as PKCS #5 says (PBES2: scrypt, AES-256-CBC), which `openssl pkey -in FILE` reads too.
 //! The registry is on the ledger, and key and root never change: a copy that was made once stays good.
 
-use super::durable::{self, SECRET_MODE};
 use super::place::ROOT_BYTES_MAX;
 use super::{CertificateAuthority, pem as certificates};
+use ledger_durable::SECRET_MODE;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::{KEY_BYTES_MAX, SigningKey};
@@ -50,8 +50,8 @@ pub(crate) fn write(authority: &CertificateAuthority, passphrase: &str, path: &P
     let section = pem::Pem::new(KEY_SECTION, encrypted.as_bytes());
     let key = pem::encode_config(&section, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF));
     let text = format!("{ORGANISATION}{}\n{key}{}", authority.organisation(), certificates(&[authority.root()]));
-    durable::create(path, text.as_bytes(), SECRET_MODE)?;
-    durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
+    ledger_durable::create(path, text.as_bytes(), SECRET_MODE)?;
+    ledger_durable::sync_directory(path.parent().unwrap_or_else(|| Path::new(".")))
 }
 
 /// Reads a backup.
@@ -64,8 +64,8 @@ pub(crate) fn read(path: &Path, passphrase: &str) -> Result<Backup, Rejection> {
             .found(found)
             .wanted("a file that ledgerd ca backup has written, and its passphrase")
     };
-    let text =
-        String::from_utf8(durable::read(path, BACKUP_BYTES_MAX)?).map_err(|_| bad("bytes that are no text".into()))?;
+    let text = String::from_utf8(ledger_durable::read(path, BACKUP_BYTES_MAX)?)
+        .map_err(|_| bad("bytes that are no text".into()))?;
     let organisation = text
         .lines()
         .find_map(|line| line.strip_prefix(ORGANISATION))

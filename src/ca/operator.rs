@@ -3,7 +3,7 @@
 
 use super::backup::{self, Backup};
 use super::place::carried;
-use super::{CertificateAuthority, DIRECTORY, durable};
+use super::{CertificateAuthority, DIRECTORY};
 use crate::config::Config;
 use crate::enrolment::given_up_file;
 use crate::host::CERTIFICATE_FILE;
@@ -123,7 +123,7 @@ impl Backing {
         let own = Own::read(&config.data)?;
         let authority = open(&config.data, &own, self.organisation.as_deref())?;
         if fs::symlink_metadata(&self.file).is_ok() {
-            return Err(durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()));
+            return Err(ledger_durable::failed("write", &self.file, &io::ErrorKind::AlreadyExists.into()));
         }
         backup::write(&authority, &self.passphrase(true)?, &self.file)?;
         Ok(format!(
@@ -145,7 +145,7 @@ impl Backing {
             backup
         };
         let directory = config.data.join(DIRECTORY).join(&organisation);
-        durable::create_directory(&config.data.join(DIRECTORY))?;
+        ledger_durable::create_directory(&config.data.join(DIRECTORY))?;
         let authority = CertificateAuthority::install(&directory, &organisation, &key, &root)?;
         let _absent = fs::remove_file(given_up_file(&config.data, &organisation));
         Ok(format!(
@@ -159,7 +159,7 @@ impl Backing {
     /// The passphrase; for a new one it is asked for twice.
     fn passphrase(&self, new: bool) -> Result<String, Rejection> {
         if let Some(path) = &self.passphrase_file {
-            let text = durable::read(path, FILE_BYTES_MAX)?;
+            let text = ledger_durable::read(path, FILE_BYTES_MAX)?;
             let text = String::from_utf8_lossy(&text);
             return Ok(text.lines().next().unwrap_or_default().to_owned());
         }
@@ -232,8 +232,8 @@ fn give_up(data: &Path, organisation: &str) -> Result<String, Rejection> {
             .next("move the directory to a safe place first, if this node shall not carry the CA any more"));
     }
     let mark = given_up_file(data, organisation);
-    durable::create_directory(&data.join(DIRECTORY))?;
-    durable::stage(&mark, b"", durable::SECRET_MODE)?.publish()?;
+    ledger_durable::create_directory(&data.join(DIRECTORY))?;
+    ledger_durable::replace(&mark, b"", ledger_durable::SECRET_MODE)?;
     Ok(format!(
         "the CA of {organisation} is given up at this node; the ledger learns it when the node runs\n\n\
          Other nodes that carry it go on issuing: ledgerctl ca status. If none does, nobody can enrol or renew any more."
@@ -253,14 +253,14 @@ struct Own {
 
 impl Own {
     fn read(data: &Path) -> Result<Self, Rejection> {
-        let (genesis, _) = Genesis::from_bytes(&durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
+        let (genesis, _) = Genesis::from_bytes(&ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
         let path = data.join(CERTIFICATE_FILE);
         let bad = |found: String| {
             Rejection::new(Code::BadFile, format!("{} is not usable", path.display()))
                 .found(found)
                 .wanted("the node's certificate and the root above it")
         };
-        let text = durable::read(&path, FILE_BYTES_MAX)?;
+        let text = ledger_durable::read(&path, FILE_BYTES_MAX)?;
         let chain = CertificateDer::pem_slice_iter(&text).collect::<Result<Vec<_>, _>>();
         let chain = chain.map_err(|error| bad(error.to_string()))?;
         let (Some(own), Some(root)) = (chain.first(), chain.last()) else {

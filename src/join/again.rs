@@ -7,7 +7,6 @@
 //! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
 
 use super::{Records, enter};
-use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::identity::{JOINED_FILE, Joined};
@@ -16,6 +15,7 @@ use crate::witness::DIVERGED_FILE;
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::{Client, Credentials, Options};
+use ledger_durable::PUBLIC_MODE;
 use ledger_hash::Hash;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use ledger_identity::{Identity, Role};
@@ -56,7 +56,7 @@ pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<S
             .next("stop the node, and check which users may write the directory")
     })?;
     let (genesis, network) = Genesis::from_bytes(
-        &durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
+        &ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)
             .map_err(|refused| refused.next(super::way_back(config, &config.member.node)))?,
     )?;
     let joined = Joined::load(data)?;
@@ -104,7 +104,7 @@ pub(crate) async fn rejoin(options: &RejoinOptions, config: &Config) -> Result<S
         bootstrap: reached.0,
         ca: reached.1,
     };
-    durable::stage(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?.publish()?;
+    ledger_durable::replace(&data.join(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
     Ok(format!(
         "node {0} is node {id} of network {1:?} now, a learner\n\
          set aside  {2}, for whoever looks into the damage; of no use to the node\n\n\
@@ -167,13 +167,12 @@ async fn reachable(client: &Client, msps: &Msps, own_address: &str) -> Result<(V
 fn set_aside(data: &Path) -> Result<PathBuf, Rejection> {
     let free = (1..u32::MAX).map(|number| data.join(format!("damaged-{number}"))).find(|path| !path.exists());
     let aside = free.ok_or_else(|| Rejection::new(Code::BadFile, format!("{} is full of names", data.display())))?;
-    durable::create_directory(&aside)?;
+    ledger_durable::create_directory(&aside)?;
     for name in SET_ASIDE {
         let from = data.join(name);
         if fs::symlink_metadata(&from).is_ok() {
-            fs::rename(&from, aside.join(name)).map_err(|error| durable::failed("move", &from, &error))?;
+            ledger_durable::rename(&from, &aside.join(name))?;
         }
     }
-    durable::sync_directory(data)?;
     Ok(aside)
 }

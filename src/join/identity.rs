@@ -1,7 +1,6 @@
 //! The certificate of a node that joins: from the CA of its organisation, or from one that is founded here.
 
 use super::place::Place;
-use crate::ca::durable::{self, PUBLIC_MODE, SECRET_MODE};
 use crate::ca::{self, CertificateAuthority, pem};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
@@ -13,6 +12,7 @@ use ledger::network::FoundingOrganisation;
 use ledger_api::Enrolment;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::token::JoinToken;
+use ledger_durable::{PUBLIC_MODE, SECRET_MODE};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::{KEY_BYTES_MAX, KeyKind, SigningKey};
@@ -70,7 +70,7 @@ pub(super) fn founded(place: &Place, token: &JoinToken, config: &Config, now: u6
     }
     let directory = authority(place.path(ca::DIRECTORY), token);
     if fs::symlink_metadata(&directory).is_ok() {
-        fs::remove_dir_all(&directory).map_err(|error| durable::failed("remove", &directory, &error))?;
+        fs::remove_dir_all(&directory).map_err(|error| ledger_durable::failed("remove", &directory, &error))?;
     }
     let mut authority = CertificateAuthority::create(&directory, &token.organisation, KeyKind::Ed25519, now)?;
     authority.set_days(config.ca.certificate_days, config.ca.secret_days);
@@ -127,12 +127,12 @@ fn authority(authorities: PathBuf, token: &JoinToken) -> PathBuf {
 fn key(place: &Place) -> Result<SigningKey, Rejection> {
     let path = place.path(KEY_FILE);
     if fs::symlink_metadata(&path).is_ok() {
-        let text = durable::read(&path, KEY_BYTES_MAX)?;
+        let text = ledger_durable::read(&path, KEY_BYTES_MAX)?;
         return SigningKey::from_pkcs8_pem(&String::from_utf8_lossy(&text))
             .map_err(|error| Rejection::new(Code::BadFile, format!("{}: {error}", path.display())));
     }
     let key = new_key()?;
-    durable::stage(&path, key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?.publish()?;
+    ledger_durable::replace(&path, key.to_pkcs8_pem().as_bytes(), SECRET_MODE)?;
     Ok(key)
 }
 
@@ -142,5 +142,5 @@ fn new_key() -> Result<SigningKey, Rejection> {
 }
 
 fn write_certificate(place: &Place, identity: &TlsIdentity) -> Result<(), Rejection> {
-    durable::stage(&place.path(CERTIFICATE_FILE), pem(&identity.own().chain).as_bytes(), PUBLIC_MODE)?.publish()
+    ledger_durable::replace(&place.path(CERTIFICATE_FILE), pem(&identity.own().chain).as_bytes(), PUBLIC_MODE)
 }

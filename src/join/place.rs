@@ -1,12 +1,12 @@
 //! The directory of a node that joins: beside the data directory until the network has accepted the node.
 
-use crate::ca::durable::{self, PUBLIC_MODE};
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::identity::{JOINED_FILE, Joined};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::renewal_due;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::token::JoinToken;
+use ledger_durable::PUBLIC_MODE;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msp, Msps, Usage};
@@ -52,7 +52,7 @@ impl Place {
             beside.push(staged);
             PathBuf::from(beside)
         };
-        durable::create_directory(&current)?;
+        ledger_durable::create_directory(&current)?;
         Ok(Self { current, data: data.to_owned() })
     }
 
@@ -70,7 +70,7 @@ impl Place {
     }
 
     pub(super) fn keep_genesis(&self, document: &[u8]) -> Result<(), Rejection> {
-        durable::stage(&self.path(GENESIS_FILE), document, PUBLIC_MODE)?.publish()
+        ledger_durable::replace(&self.path(GENESIS_FILE), document, PUBLIC_MODE)
     }
 
     /// The node's certificate and key, if both are there and belong together.
@@ -83,27 +83,30 @@ impl Place {
     pub(super) fn id_before(&self, present: u64) -> Result<u64, Rejection> {
         let path = self.path(BEFORE_FILE);
         if fs::symlink_metadata(&path).is_ok() {
-            let noted = durable::read(&path, NUMBER_BYTES_MAX)?;
+            let noted = ledger_durable::read(&path, NUMBER_BYTES_MAX)?;
             return String::from_utf8_lossy(&noted).trim().parse().map_err(|_| {
                 Rejection::new(Code::BadFile, format!("{} holds no number", path.display()))
                     .next(format!("remove {} and join anew", self.current.display()))
             });
         }
-        durable::stage(&path, present.to_string().as_bytes(), PUBLIC_MODE)?.publish()?;
+        ledger_durable::replace(&path, present.to_string().as_bytes(), PUBLIC_MODE)?;
         Ok(present)
     }
 
     /// The node has joined: all that is prepared becomes its data directory.
     pub(super) fn finish(&self, joined: &Joined) -> Result<(), Rejection> {
-        durable::stage(&self.path(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?.publish()?;
+        ledger_durable::replace(&self.path(JOINED_FILE), &joined.to_bytes()?, PUBLIC_MODE)?;
         if self.current.parent() == Some(&self.data) {
             return move_out(&self.current, &self.data);
         }
         if fs::symlink_metadata(&self.data).is_ok() {
-            return Err(durable::failed("make directory", &self.data, &std::io::ErrorKind::AlreadyExists.into()));
+            return Err(ledger_durable::failed(
+                "make directory",
+                &self.data,
+                &std::io::ErrorKind::AlreadyExists.into(),
+            ));
         }
-        fs::rename(&self.current, &self.data).map_err(|error| durable::failed("make directory", &self.data, &error))?;
-        durable::sync_directory(self.data.parent().unwrap_or_else(|| Path::new(".")))?;
+        ledger_durable::rename(&self.current, &self.data)?;
         forget_noted(&self.data);
         Ok(())
     }
@@ -119,7 +122,7 @@ impl Place {
                 ))
                 .next("choose another directory with --data or the setting data; nothing is ever overwritten")
         };
-        let document = durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)
+        let document = ledger_durable::read(&self.path(GENESIS_FILE), GENESIS_BYTES_MAX)
             .map_err(|_| other("something else than a node's data".into()))?;
         let (genesis, network) = Genesis::from_bytes(&document)?;
         if network != token.network {
@@ -177,7 +180,7 @@ fn is_free(data: &Path) -> bool {
 /// Moves what was prepared inside of the data directory to its place. `node.json` goes first: with it there, the next
 /// try moves the rest; `genesis.json` last: without it no node starts.
 fn move_out(inside: &Path, data: &Path) -> Result<(), Rejection> {
-    let failed = |error: std::io::Error| durable::failed("move", inside, &error);
+    let failed = |error: std::io::Error| ledger_durable::failed("move", inside, &error);
     let mut names = Vec::new();
     for entry in fs::read_dir(inside).map_err(failed)? {
         names.push(entry.map_err(failed)?.file_name());
@@ -188,10 +191,9 @@ fn move_out(inside: &Path, data: &Path) -> Result<(), Rejection> {
         _ => 1,
     });
     for name in names {
-        fs::rename(inside.join(&name), data.join(&name)).map_err(failed)?;
-        durable::sync_directory(data)?;
+        ledger_durable::rename(&inside.join(&name), &data.join(&name))?;
     }
     fs::remove_dir(inside).map_err(failed)?;
     forget_noted(data);
-    durable::sync_directory(data)
+    ledger_durable::sync_directory(data)
 }

@@ -1,6 +1,6 @@
 //! Identities made beside a CA, before its node runs: admins of a network for playing, robots of the demo.
 
-use crate::ca::{self, CertificateAuthority, durable};
+use crate::ca::{self, CertificateAuthority};
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::Context;
 use ledger_identity::Role;
@@ -27,7 +27,7 @@ pub fn issue(
     node: &str,
     now: u64,
 ) -> Result<Context, Rejection> {
-    let (genesis, network) = Genesis::from_bytes(&durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
+    let (genesis, network) = Genesis::from_bytes(&ledger_durable::read(&data.join(GENESIS_FILE), GENESIS_BYTES_MAX)?)?;
     let mut msps = Msps::new();
     for founder in &genesis.organisations {
         msps.insert(Msp::new(&founder.name, &founder.roots, &founder.intermediates)?)?;

@@ -6,18 +6,20 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 19] = [
+const LAYERS: [(&str, &[&str]); 20] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // "Did you mean": of names, not of a ledger.
     ("nearest", &[]),
-    ("ledger-settings", &["ledger-rejection", "nearest"]),
+    // Files that survive a crash whole.
+    ("ledger-durable", &["ledger-rejection"]),
+    ("ledger-settings", &["ledger-durable", "ledger-rejection", "nearest"]),
     // The deliberate bugs of the mutation check.
     ("ledger-mutation", &[]),
     // Keys and certificates: no file, no chain.
     ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
     // Files: no signature, no chaincode.
-    ("ledger-storage", &["ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
+    ("ledger-storage", &["ledger-durable", "ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
     ("ledger", &["ledger", "ledger-hash", "ledger-identity", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
     ("ledger-raft", &["ledger", "ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
     // Decides, and does nothing: what drives the engine in a node and in the simulation.
@@ -48,7 +50,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
             "nearest",
         ],
     ),
-    ("ledger-api", &["ledger", "ledger-hash", "ledger-identity", "ledger-rejection", "nearest"]),
+    ("ledger-api", &["ledger", "ledger-durable", "ledger-hash", "ledger-identity", "ledger-rejection", "nearest"]),
     // Messages by their definitions: nothing of a ledger.
     ("ros-message", &["nearest"]),
     (
@@ -85,6 +87,7 @@ const LAYERS: [(&str, &[&str]); 19] = [
             "ledger",
             "ledger-abac",
             "ledger-api",
+            "ledger-durable",
             "ledger-hash",
             "ledger-identity",
             "ledger-raft",

@@ -2,8 +2,6 @@
 
 use crate::Fault;
 use ledger_rejection::{Code, Rejection};
-use std::fs::File;
-use std::io::Read;
 use std::ops::{Range, RangeInclusive};
 use std::path::Path;
 use toml::Spanned;
@@ -22,24 +20,20 @@ const VALUE_CHARS_MAX: usize = 80;
 /// One fault: [`Code::BadFile`] for a file that cannot be read or is too large, [`Code::BadConfiguration`] if it is not
 /// UTF-8.
 pub fn load(path: &Path) -> Result<String, Vec<Fault>> {
-    let whole = |code, message: &str, found: String| {
-        let rejection = Rejection::new(code, message)
-            .found(found)
-            .wanted(format!("TOML in UTF-8, at most {FILE_BYTES_MAX} bytes"))
-            .next("give the path of a configuration with --config; docs/operations.md and docs/bridge.md list all settings");
-        vec![Fault { file: path.to_owned(), line: None, rejection }]
-    };
-    let mut content = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(FILE_BYTES_MAX as u64 + 1).read_to_end(&mut content))
-        .map_err(|error| whole(Code::BadFile, "cannot read the file", error.to_string()))?;
-    if content.len() > FILE_BYTES_MAX {
-        return Err(whole(Code::BadFile, "the file is too large", format!("more than {FILE_BYTES_MAX} bytes")));
-    }
+    let whole = |rejection| vec![Fault { file: path.to_owned(), line: None, rejection }];
+    let content = ledger_durable::read(path, FILE_BYTES_MAX).map_err(|mut rejection| {
+        if rejection.code == Code::BadFile {
+            rejection.next = "give the path of a configuration with --config; \
+                              docs/operations.md and docs/bridge.md list all settings"
+                .into();
+        }
+        whole(rejection)
+    })?;
     String::from_utf8(content).map_err(|error| {
         let at = error.utf8_error().valid_up_to();
         let found = format!("{:#04x?} at byte {at}", error.as_bytes().get(at));
-        whole(Code::BadConfiguration, "the file is not text", found)
+        let rejection = Rejection::new(Code::BadConfiguration, "the file is not text").found(found);
+        whole(rejection.wanted("TOML in UTF-8"))
     })
 }
 

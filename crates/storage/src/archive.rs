@@ -14,6 +14,7 @@ mod segments;
 use crate::disk::RealDisk;
 use crate::layout::{BLOCKS_DIRECTORY, GENESIS_FILE, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY};
 use crate::results::ResultStore;
+use ledger_durable::PUBLIC_MODE;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use segments::{Copied, Upto, copy_segments};
@@ -116,8 +117,8 @@ fn put_genesis(genesis: &[u8], to: &Path, network: Hash, network_of: NetworkOf<'
                 .next("archive into a directory of its own"))
         }
         Err(error) if error.kind() == ErrorKind::NotFound => {
-            let put = fs::create_dir_all(to).and_then(|()| put_file(&mut io::Cursor::new(genesis), to, GENESIS_FILE));
-            put.map_err(|error| unusable("write", &path, &error))
+            fs::create_dir_all(to).map_err(|error| unusable("write", &path, &error))?;
+            ledger_durable::replace(&path, genesis, PUBLIC_MODE)
         }
         Err(error) => Err(unusable("read", &path, &error)),
     }
@@ -141,10 +142,9 @@ fn put_snapshot(data: &Path, to: &Path, first: u64) -> Result<Option<u64>, Rejec
             .next(format!("wait until the node has written a snapshot into {}", source.display())));
     };
     let name = snapshot_name(height);
-    let put = fs::create_dir_all(&target)
-        .and_then(|()| File::open(source.join(&name)))
-        .and_then(|mut file| put_file(&mut file, &target, &name));
-    put.map_err(|error| unusable("copy", &source.join(&name), &error))?;
+    let opened = fs::create_dir_all(&target).and_then(|()| File::open(source.join(&name)));
+    let mut content = opened.map_err(|error| unusable("copy", &source.join(&name), &error))?;
+    ledger_durable::stage_from(&target.join(&name), &mut content, PUBLIC_MODE)?.publish()?;
     Ok(Some(height))
 }
 
@@ -171,19 +171,6 @@ pub fn oldest_snapshot(directory: &Path, first: u64) -> Result<Option<u64>, Reje
 /// Name of the file of a snapshot.
 pub fn snapshot_name(height: u64) -> String {
     format!("{height:020}.snap")
-}
-
-/// Writes a file so that it is there as a whole or not at all.
-fn put_file(content: &mut dyn io::Read, directory: &Path, name: &str) -> io::Result<()> {
-    let part = directory.join(format!("{name}.part"));
-    let mut file = File::create(&part)?;
-    let written = io::copy(content, &mut file).and_then(|_| file.sync_all());
-    if let Err(error) = written {
-        let _ = fs::remove_file(&part);
-        return Err(error);
-    }
-    fs::rename(&part, directory.join(name))?;
-    File::open(directory)?.sync_all()
 }
 
 fn unusable(operation: &str, path: &Path, error: &io::Error) -> Rejection {

@@ -4,13 +4,14 @@
 //! Where the file system knows no such step, the old one waits as `.NAME.old` in between: whatever a crash leaves
 //! behind, [`finish_replacement`] sees one complete context. One program at a time does this: see [`super::lock`].
 
+use ledger_durable::SECRET_MODE;
 use ledger_rejection::{Code, Rejection};
 use rustix::fs::{CWD, RenameFlags, renameat_with};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
-use std::fs::{self, DirBuilder, File, OpenOptions};
-use std::io::{ErrorKind, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::fs::{self, DirBuilder, File};
+use std::io::{ErrorKind, Read};
+use std::os::unix::fs::{DirBuilderExt, PermissionsExt};
 use std::path::Path;
 
 pub(super) const SETTINGS: &str = "context.toml";
@@ -22,8 +23,6 @@ pub(super) const NODES: &str = "nodes.json";
 
 /// Largest file of a context that is read, in bytes.
 const FILE_BYTES_MAX: u64 = 4 * 1024 * 1024;
-/// Readable by their owner only. The files are small and few: no exception for those that are not secret.
-const FILE_MODE: u32 = 0o600;
 const DIRECTORY_MODE: u32 = 0o700;
 /// The permissions of others.
 const OTHERS: u32 = 0o077;
@@ -63,7 +62,7 @@ pub(super) fn read_secret(path: &Path) -> Result<String, Rejection> {
         let mode = metadata.permissions().mode() & 0o777;
         if mode & OTHERS != 0 {
             return Err(bad_file(path, format!("mode {mode:04o}: others can read or change the key"))
-                .wanted(format!("mode {FILE_MODE:04o}"))
+                .wanted(format!("mode {SECRET_MODE:04o}"))
                 .next(format!("chmod 600 {}, and enrol again if somebody may have read it", path.display())));
         }
     }
@@ -120,22 +119,23 @@ pub(super) fn replace_directory(contexts: &Path, name: &str, files: &[(&str, Str
         remove_directory(leftover)?;
     }
     DirBuilder::new().mode(DIRECTORY_MODE).create(&new).map_err(at(&new))?;
-    let written = files.iter().try_for_each(|(file, content)| write_new(&new.join(file), content));
-    if let Err(refused) = written.and_then(|()| sync_directory(&new)) {
+    let written = files
+        .iter()
+        .try_for_each(|(file, content)| ledger_durable::create(&new.join(file), content.as_bytes(), SECRET_MODE));
+    if let Err(refused) = written.and_then(|()| ledger_durable::sync_directory(&new)) {
         // A full disk gets back what the half of a context took.
         let _kept = remove_directory(&new);
-        return Err(refused);
+        return Err(advised(refused));
     }
     if current.exists() {
         // Other programs see the one or the other, never none.
         if renameat_with(CWD, &new, CWD, &current, RenameFlags::EXCHANGE).is_ok() {
-            sync_directory(contexts)?;
+            ledger_durable::sync_directory(contexts).map_err(advised)?;
             return remove_directory(&new);
         }
-        fs::rename(&current, &old).map_err(at(&current))?;
+        ledger_durable::rename(&current, &old).map_err(advised)?;
     }
-    fs::rename(&new, &current).map_err(at(&current))?;
-    sync_directory(contexts)?;
+    ledger_durable::rename(&new, &current).map_err(advised)?;
     remove_directory(&old)
 }
 
@@ -147,34 +147,12 @@ pub(super) fn replace_file(directory: &Path, name: &str, content: &str) -> Resul
 
 /// As [`replace_file`], in a directory that must exist: one that was removed meanwhile does not come back.
 pub(super) fn replace_file_in(directory: &Path, name: &str, content: &str) -> Result<(), Rejection> {
-    let (new, path) = (directory.join(format!(".{name}.new")), directory.join(name));
-    match fs::remove_file(&new) {
-        Err(error) if error.kind() != ErrorKind::NotFound => return Err(unwritable(&new, &error)),
-        _ => {}
-    }
-    write_new(&new, content).inspect_err(|_| {
-        let _gone = fs::remove_file(&new);
-    })?;
-    fs::rename(&new, &path).map_err(|error| unwritable(&path, &error))?;
-    sync_directory(directory)
+    ledger_durable::replace(&directory.join(name), content.as_bytes(), SECRET_MODE).map_err(advised)
 }
 
-/// Creates a file that must not exist, private from its first moment, and syncs it.
-fn write_new(path: &Path, content: &str) -> Result<(), Rejection> {
-    OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(FILE_MODE)
-        .open(path)
-        .and_then(|mut file| {
-            file.write_all(content.as_bytes())?;
-            file.sync_all()
-        })
-        .map_err(|error| unwritable(path, &error))
-}
-
+/// Makes a directory, and those above it.
 pub(super) fn create_directories(path: &Path) -> Result<(), Rejection> {
-    DirBuilder::new().recursive(true).mode(DIRECTORY_MODE).create(path).map_err(|error| unwritable(path, &error))
+    ledger_durable::create_directory(path).map_err(advised)
 }
 
 pub(super) fn remove_directory(path: &Path) -> Result<(), Rejection> {
@@ -184,13 +162,14 @@ pub(super) fn remove_directory(path: &Path) -> Result<(), Rejection> {
     }
 }
 
-fn sync_directory(path: &Path) -> Result<(), Rejection> {
-    File::open(path).and_then(|directory| directory.sync_all()).map_err(|error| unwritable(path, &error))
-}
-
-pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
-    Rejection::new(Code::BadFile, format!("cannot write {}", path.display()))
-        .found(error.to_string())
+/// The same refusal with the advice for contexts.
+fn advised(refused: Rejection) -> Rejection {
+    Rejection { code: Code::BadFile, ..refused }
         .wanted("a place to store a context")
         .next("check the owner and the free space of the directory, or set LEDGERD_HOME to another")
+}
+
+/// A failed operation on the files of contexts.
+pub(super) fn unwritable(path: &Path, error: &std::io::Error) -> Rejection {
+    advised(ledger_durable::failed("write", path, error))
 }

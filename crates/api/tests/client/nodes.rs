@@ -106,7 +106,7 @@ async fn a_context_that_cannot_be_written_is_used_all_the_same() {
     let home = stored(&authority.context(&[&first]));
     let directory = home.path().join("contexts/Salma");
     // Root may write everywhere; but nobody writes a file where a directory is.
-    fs::create_dir(directory.join(".nodes.json.new")).unwrap();
+    fs::create_dir(directory.join("nodes.json.new")).unwrap();
     let client = Client::connect(&load(&home)).await.unwrap();
     client.invoke("abac", "acquire", Vec::new()).await.unwrap();
     first.stop().await;
