@@ -461,7 +461,7 @@ async fn only_who_has_a_good_certificate_renews_it_and_gets_the_same_name_and_ro
     let renewed = renew(Some(Arc::clone(&good))).await;
     let identity = f.chain.ledger.msps().verify(&renewed.certificate, &[], NOW).unwrap();
     assert_eq!((identity.id(), identity.role), (good.id(), Role::Admin));
-    assert_eq!(code(renew(Some(Arc::clone(&good))).await.verdict), Code::Overloaded, "just now");
+    assert_eq!(code(renew(Some(Arc::clone(&good))).await.verdict), Code::LimitExceeded, "just now");
     f.admin(1, "revoke_identity", r#"{"name":"Admin"}"#).unwrap();
     assert_eq!(code(renew(Some(good)).await.verdict), Code::Revoked);
 }
