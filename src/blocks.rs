@@ -25,13 +25,13 @@ const RECENT_BYTES_MAX: usize = 4 * 1024 * 1024;
 pub(crate) struct Blocks {
     ledger: Arc<Ledger>,
     store: Arc<BlockStore>,
-    recent: RwLock<Recent>,
+    recent: RwLock<Newest>,
     head: watch::Sender<u64>,
     interests: Arc<Interests>,
 }
 
 #[derive(Default)]
-struct Recent {
+struct Newest {
     outcomes: VecDeque<Arc<Outcome>>,
     bytes: usize,
 }
@@ -111,7 +111,7 @@ impl Blocks {
         let Some(result) = self.ledger.result_of(&entry)? else { return Ok(None) };
         let previous = match height {
             1 => self.ledger.network(),
-            _ => match self.ledger.seal(height - 1)? {
+            _ => match self.ledger.block_hashes(height - 1)? {
                 Some(before) => before.hash,
                 None => return Ok(None),
             },

@@ -59,7 +59,7 @@ impl Housekeeping {
         bells: Arc<Bells>,
     ) -> io::Result<Self> {
         let (store, room) = (Arc::clone(&pruner.store), Arc::clone(space));
-        let mut keeper = Keeper {
+        let mut storer = Storer {
             space: Arc::clone(space),
             pruner,
             flushed: Instant::now(),
@@ -70,9 +70,9 @@ impl Housekeeping {
         let own = Arc::clone(&bells);
         let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
             while own.storing.wait(PAUSE, FLUSH_PERIOD) {
-                keeper.round();
+                storer.round();
             }
-            keeper.flush();
+            storer.flush();
         })?;
         let own = Arc::clone(&bells);
         let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
@@ -98,7 +98,7 @@ impl Housekeeping {
 }
 
 /// Stores results and world state.
-struct Keeper {
+struct Storer {
     space: Arc<Space>,
     pruner: Pruner,
     flushed: Instant,
@@ -107,7 +107,7 @@ struct Keeper {
     dropping: Trouble,
 }
 
-impl Keeper {
+impl Storer {
     fn round(&mut self) {
         let pending = self.pruner.ledger.pending_bytes();
         if pending > PENDING_BYTES_MAX || (pending > 0 && self.flushed.elapsed() >= FLUSH_PERIOD) {

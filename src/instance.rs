@@ -31,7 +31,7 @@ use crate::identity::{Joined, own_membership, removed};
 use crate::join::check_member;
 use crate::orderer::{Executed, Seat, Shared};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
-use crate::renewal::{self, Keeper};
+use crate::renewal::{self, Renewer};
 use crate::retention::Pruner;
 use crate::scrub::Scrub;
 use crate::signer::{Author, Signer};
@@ -100,7 +100,7 @@ pub(crate) struct Prepared {
     joined: Option<Joined>,
     order: Order,
     ballot: Ballot,
-    keeper: Keeper,
+    renewer: Renewer,
     registrar: EnrolmentService,
     housekeeping: Housekeeping,
 }
@@ -286,7 +286,7 @@ impl Prepared {
         let housekeeping = wired.housekeeping(pruner(&stores, config)).map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
         let enrolment = wired.enrolment((host, &papers), (&stores, document), &trust);
-        let keeper = Keeper {
+        let renewer = Renewer {
             data: config.data.clone(),
             identity: papers.identity.clone(),
             ledger: Arc::clone(&stores.ledger),
@@ -302,7 +302,7 @@ impl Prepared {
             members: Arc::clone(&wired.members),
         };
         let (joined, order, registrar) = (standing.joined, config.order.clone(), enrolment);
-        Ok((Self { wired, joined, order, ballot, keeper, registrar, housekeeping }, services))
+        Ok((Self { wired, joined, order, ballot, renewer, registrar, housekeeping }, services))
     }
 
     /// Starts the engine, which asks the other nodes first. Its services must be served by now: others that start at the same
@@ -311,7 +311,7 @@ impl Prepared {
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
-        let Self { wired, joined, order, ballot, keeper, registrar, housekeeping } = self;
+        let Self { wired, joined, order, ballot, renewer, registrar, housekeeping } = self;
         let Wired { view, shared, dialer, testimony, seen, fate, .. } = wired;
         let (id, seat) = (view.me.id, Arc::clone(&view.seat));
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
@@ -331,7 +331,7 @@ impl Prepared {
         let ended = fate.subscribe();
         let belonging = async move { fate.fail(removed(me, members).await) };
         let beside = [
-            tokio::spawn(keeper.keep()),
+            tokio::spawn(renewer.keep()),
             tokio::spawn(testimony.run(seen)),
             tokio::spawn(belonging),
             tokio::spawn(telling.run()),

@@ -31,7 +31,7 @@ use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Credentials, Enrolment, Options};
 use ledger_rejection::{Code, Rejection};
-use place::Place;
+use place::JoinDirectory;
 use serde::Deserialize;
 use std::io::ErrorKind;
 use std::net::TcpListener;
@@ -84,7 +84,7 @@ pub(crate) async fn join(options: &JoinOptions) -> Result<String, Rejection> {
     check_own(config, &token)?;
     let before = Some(config.member.address.as_str()).filter(|before| !before.is_empty());
     let address = public_address(address.or(before), &config.listen, "ledgerd join TOKEN")?;
-    let place = Place::open(&config.data, &token)?;
+    let place = JoinDirectory::open(&config.data, &token)?;
     if place.is_joined() {
         return come_back(&place, &token, options, config).await;
     }
@@ -229,7 +229,7 @@ struct Records {
 
 /// Submits `msp join_node` as the new node; answers with its number.
 async fn join_node(
-    place: &Place,
+    place: &JoinDirectory,
     token: &JoinToken,
     node: &str,
     address: &str,
@@ -291,7 +291,7 @@ async fn enter(
 /// The node has joined before: what is to be done is told again, and a certificate that is running out, or has, is
 /// replaced with the token's secret.
 async fn come_back(
-    place: &Place,
+    place: &JoinDirectory,
     token: &JoinToken,
     options: &JoinOptions,
     config: &Config,

@@ -27,7 +27,7 @@ const LOOK_MAX: Duration = Duration::from_secs(3600);
 const RETRY_PAUSE: (Duration, Duration) = (Duration::from_secs(5), LOOK_MAX);
 
 /// The task that keeps a node's certificate fresh.
-pub(crate) struct Keeper {
+pub(crate) struct Renewer {
     /// The node's data directory.
     pub data: PathBuf,
     /// Its certificate and key, shared with all that shows them.
@@ -42,7 +42,7 @@ pub(crate) struct Keeper {
     pub others: Box<dyn Fn() -> Vec<String> + Send + Sync>,
 }
 
-impl Keeper {
+impl Renewer {
     /// Renews whenever it is time. Never ends.
     pub(crate) async fn keep(self) {
         let mut failed = false;

@@ -32,7 +32,7 @@ impl Pruner {
         if self.retention == Retention::Forever {
             return Ok(());
         }
-        let time_of = |height| self.ledger.seal(height).ok().flatten().map(|seal| seal.time);
+        let time_of = |height| self.ledger.block_hashes(height).ok().flatten().map(|block| block.time);
         let keep_from = self.retention.keep_from(&Kept {
             finished: &self.store.finished(),
             oldest_snapshot: self.snapshots.oldest().map(|snapshot| snapshot.manifest().height),

@@ -3,7 +3,7 @@
 use ledger_api::v1::{SubmitResponse, Verdict};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
-use ledger_replica::gateway::Place;
+use ledger_replica::gateway::InFlight;
 use ledger_replica::{Answer, Executed, Waiter};
 use ledger_storage::result::TransactionResult;
 use tokio::sync::mpsc;
@@ -17,7 +17,7 @@ pub(crate) struct Client {
     /// The client's stream, or the call that waits for one answer.
     pub answers: mpsc::UnboundedSender<Result<SubmitResponse, Status>>,
     /// Bounds how many can wait.
-    pub place: Place,
+    pub place: InFlight,
 }
 
 impl Waiter for Client {

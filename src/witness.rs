@@ -156,7 +156,7 @@ impl Testimony {
             return;
         }
         // What is not kept any more, or not yet executed, is not judged.
-        let Ok(Some(own)) = self.author.ledger.seal(attest.height) else { return };
+        let Ok(Some(own)) = self.author.ledger.block_hashes(attest.height) else { return };
         let agrees = own.digest == attest.digest && own.hash == attest.hash;
         let finding = memory.judge.judge(&by, attest.height, agrees, self.directory.members().len());
         *self.witness.differing.lock().unwrap_or_else(PoisonError::into_inner) = memory.judge.describe();

@@ -114,8 +114,8 @@ impl Source {
         let (digest, hash) = if height == tip.height {
             (tip.digest, tip.hash)
         } else {
-            match self.shared.ledger.seal(height).map_err(|fault| to_status(&fault))? {
-                Some(seal) => (seal.digest, seal.hash),
+            match self.shared.ledger.block_hashes(height).map_err(|fault| to_status(&fault))? {
+                Some(block) => (block.digest, block.hash),
                 None => return Ok(DigestResponse::default()),
             }
         };

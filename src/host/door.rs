@@ -57,11 +57,11 @@ pub(crate) struct Caller {
 pub(super) struct Connection {
     stream: TlsStream<TcpStream>,
     caller: Caller,
-    place: Place,
+    staying: Staying,
 }
 
-/// The place of an established connection.
-enum Place {
+/// An established connection as it is counted.
+enum Staying {
     Member(Stay<Named>),
     /// With the end of its time.
     Stranger(Stay<IpAddr>, Pin<Box<Sleep>>),
@@ -199,17 +199,17 @@ async fn handshake(
     let identity = client_identity(stream.get_ref().1.peer_certificates(), served.trust.as_ref())
         .map_err(|refusal| refusal.to_string())?;
     let caller = Caller { identity: identity.map(Arc::new), source };
-    let place = match &caller.identity {
+    let staying = match &caller.identity {
         Some(identity) => {
             places.sources.note(network_of(source));
-            Place::Member(served.members.enter(Named(Arc::clone(identity))).0)
+            Staying::Member(served.members.enter(Named(Arc::clone(identity))).0)
         }
-        None => Place::Stranger(places.stranger(network_of(source)), Box::pin(sleep(STRANGER_TIME_MAX))),
+        None => Staying::Stranger(places.stranger(network_of(source)), Box::pin(sleep(STRANGER_TIME_MAX))),
     };
-    Ok((served, Connection { stream, caller, place }))
+    Ok((served, Connection { stream, caller, staying }))
 }
 
-impl Place {
+impl Staying {
     /// Ready once the connection has to end.
     fn poll_over(&mut self, context: &mut Context<'_>) -> Poll<()> {
         match self {
@@ -262,8 +262,8 @@ impl Connected for Connection {
 
 impl AsyncRead for Connection {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, buf: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        let Self { stream, place, .. } = self.get_mut();
-        if place.poll_over(cx).is_ready() {
+        let Self { stream, staying, .. } = self.get_mut();
+        if staying.poll_over(cx).is_ready() {
             let reason = "the connection has lost its place: its certificate was revoked, or others have come";
             return Poll::Ready(Err(io::Error::new(io::ErrorKind::ConnectionAborted, reason)));
         }

@@ -38,8 +38,8 @@ pub(super) struct Ledgers {
     served: watch::Sender<BTreeMap<Hash, Served>>,
 }
 
-/// The place of a ledger behind the listener; it is free again once this is dropped.
-pub(super) struct Place {
+/// A ledger that the listener serves; its network is free again once this is dropped.
+pub(super) struct Listed {
     network: Hash,
     ledgers: Ledgers,
 }
@@ -54,7 +54,7 @@ impl Ledgers {
         network: Hash,
         tls: Arc<ServerConfig>,
         (trust, members): (Arc<dyn TrustSource>, Arc<Members>),
-    ) -> Result<(Place, Incoming, Incoming), Rejection> {
+    ) -> Result<(Listed, Incoming, Incoming), Rejection> {
         let (members_established, of_members) = mpsc::channel(ESTABLISHED_MAX);
         let (strangers_established, of_strangers) = mpsc::channel(ESTABLISHED_MAX);
         let served = Served { tls, trust, members, members_established, strangers_established };
@@ -71,8 +71,8 @@ impl Ledgers {
                 .wanted("one node of each network")
                 .next("give this node a listener of its own"));
         }
-        let place = Place { network, ledgers: self.clone() };
-        Ok((place, ReceiverStream::new(of_members), ReceiverStream::new(of_strangers)))
+        let listed = Listed { network, ledgers: self.clone() };
+        Ok((listed, ReceiverStream::new(of_members), ReceiverStream::new(of_strangers)))
     }
 
     /// The ledger that a client means: the only one, or the one whose network it names.
@@ -91,7 +91,7 @@ impl Ledgers {
     }
 }
 
-impl Drop for Place {
+impl Drop for Listed {
     fn drop(&mut self) {
         self.ledgers.served.send_modify(|served| drop(served.remove(&self.network)));
     }

@@ -2,7 +2,7 @@
 
 use super::Host;
 use super::door::Members;
-use super::ledgers::Place;
+use super::ledgers::Listed;
 use crate::config::Limits;
 use crate::enrolment::EnrolmentService;
 use crate::gateway::GatewayService;
@@ -58,7 +58,7 @@ pub(crate) struct Services {
 
 /// A server that runs.
 pub(super) struct Serving {
-    place: Place,
+    listed: Listed,
     server: JoinHandle<()>,
     stop: watch::Sender<bool>,
 }
@@ -79,7 +79,7 @@ impl Host {
         let Services { gateway, enrolment, peer, trust, members } = services;
         let server_tls = server_config(identity, Arc::clone(&trust))
             .map_err(|error| Rejection::new(Code::BadFile, error.to_string()))?;
-        let (place, of_members, of_strangers) = self.ledgers.enter(network, Arc::new(server_tls), (trust, members))?;
+        let (listed, of_members, of_strangers) = self.ledgers.enter(network, Arc::new(server_tls), (trust, members))?;
         // More than is accepted: what is a little too large gets an answer that says so.
         let message_bytes_max = count(limits.payload_bytes_max).max(PAYLOAD_BYTES_MAX) + MESSAGE_EXTRA_BYTES;
         let (gateway, enrolment, peer) = (Arc::new(gateway), Arc::new(enrolment), Arc::new(peer));
@@ -112,7 +112,7 @@ impl Host {
                 tracing::error!(%error, "the server ended");
             }
         });
-        Ok(Serving { place, server, stop })
+        Ok(Serving { listed, server, stop })
     }
 }
 
@@ -144,8 +144,8 @@ impl Serving {
 
     /// No new calls; open ones have [`STOP_TIME_MAX`] to end.
     pub(super) async fn stop(self) {
-        let Self { place, mut server, stop } = self;
-        drop(place);
+        let Self { listed, mut server, stop } = self;
+        drop(listed);
         stop.send_replace(true);
         if tokio::time::timeout(STOP_TIME_MAX, &mut server).await.is_err() {
             server.abort();

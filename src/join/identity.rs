@@ -1,6 +1,6 @@
 //! The certificate of a node that joins: from the CA of its organisation, or from one that is founded here.
 
-use super::place::Place;
+use super::place::JoinDirectory;
 use crate::ca::{self, CertificateAuthority, pem};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
@@ -25,7 +25,7 @@ use std::path::PathBuf;
 /// A node of an organisation of the network: its CA certifies the key for the token's secret. The same key may come
 /// again with the same secret, because an answer can be lost.
 pub(super) async fn enrolled(
-    place: &Place,
+    place: &JoinDirectory,
     token: &JoinToken,
     enrolment: &Enrolment,
 ) -> Result<TlsIdentity, Rejection> {
@@ -38,7 +38,7 @@ pub(super) async fn enrolled(
 }
 
 /// A node that is there already receives another certificate, for a new key.
-pub(super) async fn replaced(place: &Place, token: &JoinToken, enrolment: &Enrolment) -> Result<(), Rejection> {
+pub(super) async fn replaced(place: &JoinDirectory, token: &JoinToken, enrolment: &Enrolment) -> Result<(), Rejection> {
     let Some(before) = place.identity() else {
         let identity = enrol(token, enrolment, key(place)?).await?;
         return write_certificate(place, &identity);
@@ -64,7 +64,12 @@ async fn enrol(token: &JoinToken, enrolment: &Enrolment, key: SigningKey) -> Res
 
 /// The first node of a new organisation: its CA is founded here. Until there is a certificate nobody has seen the CA,
 /// so that one of which a crash left a part is founded anew.
-pub(super) fn founded(place: &Place, token: &JoinToken, config: &Config, now: u64) -> Result<TlsIdentity, Rejection> {
+pub(super) fn founded(
+    place: &JoinDirectory,
+    token: &JoinToken,
+    config: &Config,
+    now: u64,
+) -> Result<TlsIdentity, Rejection> {
     if let Some(identity) = place.identity() {
         return Ok(identity);
     }
@@ -85,7 +90,7 @@ pub(super) fn founded(place: &Place, token: &JoinToken, config: &Config, now: u6
 }
 
 /// The request of the new organisation, signed with the key of its invitation.
-pub(super) fn signed_join(place: &Place, token: &JoinToken, address: &str) -> Result<Bytes, Rejection> {
+pub(super) fn signed_join(place: &JoinDirectory, token: &JoinToken, address: &str) -> Result<Bytes, Rejection> {
     let seed = hex::decode(&token.secret).ok().and_then(|seed| seed.try_into().ok()).ok_or_else(|| {
         Rejection::new(Code::BadArgument, "the token's secret is not usable")
             .wanted("64 hexadecimal digits")
@@ -124,7 +129,7 @@ fn authority(authorities: PathBuf, token: &JoinToken) -> PathBuf {
 }
 
 /// The node's key: the one of an earlier try, or a new one.
-fn key(place: &Place) -> Result<SigningKey, Rejection> {
+fn key(place: &JoinDirectory) -> Result<SigningKey, Rejection> {
     let path = place.path(KEY_FILE);
     if fs::symlink_metadata(&path).is_ok() {
         let text = ledger_durable::read(&path, KEY_BYTES_MAX)?;
@@ -141,6 +146,6 @@ fn new_key() -> Result<SigningKey, Rejection> {
         .map_err(|error| Rejection::new(Code::Internal, error.to_string()))
 }
 
-fn write_certificate(place: &Place, identity: &TlsIdentity) -> Result<(), Rejection> {
+fn write_certificate(place: &JoinDirectory, identity: &TlsIdentity) -> Result<(), Rejection> {
     ledger_durable::replace(&place.path(CERTIFICATE_FILE), pem(&identity.own().chain).as_bytes(), PUBLIC_MODE)
 }

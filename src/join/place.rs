@@ -26,13 +26,13 @@ const STAGED: &str = ".joining-";
 const LOST_AND_FOUND: &str = "lost+found";
 
 /// Where a node's files are while it joins, and where they go.
-pub(super) struct Place {
+pub(super) struct JoinDirectory {
     /// The directory that is in use now.
     current: PathBuf,
     data: PathBuf,
 }
 
-impl Place {
+impl JoinDirectory {
     /// The data directory if it exists, else the directory that an earlier try left, else a new one.
     pub(super) fn open(data: &Path, token: &JoinToken) -> Result<Self, Rejection> {
         // Another token for the same node goes on with the same key, a token for another node does not.

@@ -51,7 +51,7 @@ async fn search(ledger: &Ledger, dialer: &Dialer, member: &Member, noticed: u64)
 }
 
 async fn same_digest(ledger: &Ledger, peer: &mut PeerClient<Channel>, height: u64) -> Result<Option<bool>, String> {
-    let Some(own) = ledger.seal(height).map_err(|fault| fault.message)? else { return Ok(None) };
+    let Some(own) = ledger.block_hashes(height).map_err(|fault| fault.message)? else { return Ok(None) };
     let answer = peer.digest(DigestRequest { height }).await.map_err(|status| status.message().to_owned())?;
     let digest = answer.into_inner().digest;
     Ok((!digest.is_empty()).then(|| digest == own.digest.0[..]))

@@ -82,7 +82,7 @@ pub struct Outcome {
 
 /// The link of a block to those before it, and to their effects.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Seal {
+pub struct BlockHashes {
     /// Block time, microseconds since the UNIX epoch.
     pub time: u64,
     /// Hash of the header.
@@ -353,13 +353,13 @@ impl Ledger {
     ///
     /// # Errors
     /// A fault of the store.
-    pub fn seal(&self, height: u64) -> Result<Option<Seal>, Rejection> {
+    pub fn block_hashes(&self, height: u64) -> Result<Option<BlockHashes>, Rejection> {
         if height == 0 {
             let (hash, digest) = (self.genesis.hash(), self.genesis.digest());
-            return Ok(Some(Seal { time: self.genesis.time, hash, digest }));
+            return Ok(Some(BlockHashes { time: self.genesis.time, hash, digest }));
         }
         let stored = self.results.get(height)?;
-        Ok(stored.map(|stored| Seal { time: stored.time(), hash: stored.hash(), digest: stored.digest() }))
+        Ok(stored.map(|stored| BlockHashes { time: stored.time(), hash: stored.hash(), digest: stored.digest() }))
     }
 
     /// The results of executed blocks.

@@ -58,7 +58,7 @@ pub mod verify;
 mod window;
 pub mod writes;
 
-pub use chain::{Admission, Ground, Ledger, Outcome, Refusal, Seal, Step, TransactionRecord};
+pub use chain::{Admission, BlockHashes, Ground, Ledger, Outcome, Refusal, Step, TransactionRecord};
 pub use chaincode::{
     ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, Chaincode, Context, Environment, Foretold, NotAQuorum, Quorum,
     Registry, Revocation,

@@ -40,7 +40,7 @@ pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Sta
 pub use interface::{Input, Lane, Output, Role, RoleChange};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
-    Behind, CONTEXT_BYTES_MAX, ENTRIES_MAX, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
+    CONTEXT_BYTES_MAX, ENTRIES_MAX, LogBegin, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
     Transactions, WireEntry,
 };
 pub use queue::{

@@ -54,7 +54,7 @@ pub enum PeerMessage {
     Returned(Transactions),
     /// From the leader: what you need next was dropped here; fetch it from whoever has it.
     #[prost(message, tag = "4")]
-    Behind(Behind),
+    Behind(LogBegin),
 }
 
 impl PeerMessage {
@@ -72,7 +72,7 @@ struct Envelope {
 
 /// Where the sender's log begins.
 #[derive(Clone, Copy, PartialEq, Eq, prost::Message)]
-pub struct Behind {
+pub struct LogBegin {
     /// Height of its oldest block.
     #[prost(uint64, tag = "1")]
     pub first_index: u64,

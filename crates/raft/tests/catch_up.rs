@@ -4,7 +4,7 @@
 mod cluster;
 
 use cluster::{Cluster, Faults};
-use ledger_raft::{Behind, Engine, EngineConfig, EngineError, Input, Lane, Membership, PeerMessage, Role};
+use ledger_raft::{Engine, EngineConfig, EngineError, Input, Lane, LogBegin, Membership, PeerMessage, Role};
 use ledger_rejection::Code;
 use ledger_storage::block_store::{Base, BlockStore, Options};
 use ledger_storage::disk::SimDisk;
@@ -133,7 +133,7 @@ fn only_the_leader_is_believed_and_only_by_a_node_that_is_behind() {
     let leader = cluster.elect();
     order(&mut cluster, 10);
     let other = 1 + leader % 3;
-    let behind = |first_index| PeerMessage::Behind(Behind { first_index });
+    let behind = |first_index| PeerMessage::Behind(LogBegin { first_index });
     cluster.input(4, Input::Message { from: other, message: behind(1000) });
     cluster.input(4, Input::Message { from: leader, message: behind(5) });
     cluster.input(4, Input::Message { from: leader, message: behind(0) });

@@ -23,5 +23,5 @@ pub use desk::{Desk, Job, Looked};
 pub use entrance::{Call, Entrance, Turned};
 pub use held::Item;
 pub use line::{Arrived, Ticket};
-pub use share::{Place, Share, Shares};
+pub use share::{InFlight, Share, Shares};
 pub use turns::{Turn, Turns};

@@ -52,8 +52,8 @@ impl Said {
     pub fn snapshot_due(&self, ledger: &Ledger, snapshots: &Snapshots) -> Result<Option<Attest>, Rejection> {
         let Some(snapshot) = snapshots.newest() else { return Ok(None) };
         let (height, content) = (snapshot.manifest().height, snapshot.content());
-        let seal = ledger.seal(height)?.filter(|_| height > self.snapshot);
-        Ok(seal.map(|seal| Attest { height, hash: seal.hash, digest: seal.digest, content: Some(content) }))
+        let block = ledger.block_hashes(height)?.filter(|_| height > self.snapshot);
+        Ok(block.map(|block| Attest { height, hash: block.hash, digest: block.digest, content: Some(content) }))
     }
 
     /// The block that the node attests now. `ordinary`: the newest that holds anything but attestations. A network in

@@ -32,7 +32,7 @@ use std::sync::{Arc, Mutex, MutexGuard};
 
 use ahead::{Ahead, Marks};
 use files::Files;
-use oldest::{Oldest, Place};
+use oldest::{Beginning, Oldest};
 use state::{Staged, State};
 use writer::{Failure, Writer, Written, lock};
 
@@ -116,7 +116,7 @@ impl BlockStore {
         let found = recovery::recover(disk.as_ref(), &network, cache_bytes)?;
         let mut oldest = Oldest::read(Arc::clone(&disk))?;
         // A store that is made now begins with its first segment, whenever that comes.
-        let begins = found.segments.front().map_or(Place { sequence: 1, first_index: 1 }, |segment| Place {
+        let begins = found.segments.front().map_or(Beginning { sequence: 1, first_index: 1 }, |segment| Beginning {
             sequence: segment.sequence,
             first_index: segment.first_index,
         });

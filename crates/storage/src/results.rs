@@ -48,7 +48,7 @@ pub struct ResultStore {
     network: Hash,
     /// A result goes from `recent` into a file, where it is noted before it leaves `recent`: whoever looks into
     /// `recent` first and into `files` then finds it.
-    recent: Mutex<Recent>,
+    recent: Mutex<Unwritten>,
     files: RwLock<Files>,
     /// Held while files are written.
     writing: Mutex<Writing>,
@@ -69,7 +69,7 @@ struct Files {
     open: Option<Open>,
 }
 
-struct Recent {
+struct Unwritten {
     /// Results that are not in a file yet.
     pending: VecDeque<Arc<Pending>>,
     /// Bytes in `pending`.
@@ -106,7 +106,7 @@ impl ResultStore {
         open: Option<Open>,
     ) -> Self {
         let files = Files { finished, open };
-        let recent = Mutex::new(Recent { pending: VecDeque::new(), bytes: 0, next: files.next() });
+        let recent = Mutex::new(Unwritten { pending: VecDeque::new(), bytes: 0, next: files.next() });
         Self { disk, blocks: None, network, recent, files: RwLock::new(files), writing: Mutex::default() }
     }
 
@@ -283,7 +283,7 @@ impl ResultStore {
         }
     }
 
-    fn recent(&self) -> MutexGuard<'_, Recent> {
+    fn recent(&self) -> MutexGuard<'_, Unwritten> {
         self.recent.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
@@ -303,7 +303,7 @@ struct Located {
     file: Option<Arc<dyn DiskFile>>,
 }
 
-impl Recent {
+impl Unwritten {
     fn locate(&self, height: u64) -> Option<Arc<Pending>> {
         let number = height.checked_sub(self.pending.front()?.height)?;
         self.pending.get(usize::try_from(number).ok()?).map(Arc::clone)

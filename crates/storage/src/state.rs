@@ -83,10 +83,10 @@ pub struct State {
     store: Box<dyn Store>,
     /// The values of some keys in the store. Changed only under a lock of `recent`.
     cache: Cache,
-    recent: RwLock<Recent>,
+    recent: RwLock<Unstored>,
 }
 
-struct Recent {
+struct Unstored {
     /// Writes since the newest layer was closed.
     dirty: WriteSet,
     /// Bytes in `dirty`, for [`State::dirty_bytes`].
@@ -126,7 +126,7 @@ impl State {
             return Err(Rejection::new(Code::Corrupt, "the world state was not filled from its snapshot to the end")
                 .next("delete the directories state/ and results/; the node fills them again"));
         }
-        let recent = Recent { dirty: BTreeMap::new(), bytes: 0, layers: VecDeque::new(), stored: tip.clone(), tip };
+        let recent = Unstored { dirty: BTreeMap::new(), bytes: 0, layers: VecDeque::new(), stored: tip.clone(), tip };
         Ok(Self { store, cache: Cache::default(), recent: RwLock::new(recent) })
     }
 
@@ -219,11 +219,11 @@ impl State {
         self.store.range(b"", Some(after.unwrap_or(WORLD_BEGINS)), limit)
     }
 
-    fn read(&self) -> RwLockReadGuard<'_, Recent> {
+    fn read(&self) -> RwLockReadGuard<'_, Unstored> {
         self.recent.read().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn write(&self) -> RwLockWriteGuard<'_, Recent> {
+    fn write(&self) -> RwLockWriteGuard<'_, Unstored> {
         self.recent.write().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -240,7 +240,7 @@ impl Filled<'_> {
     }
 }
 
-impl Recent {
+impl Unstored {
     /// Closes the layer that blocks were written to.
     fn close(&mut self, cut: bool) {
         let Some(tip) = self.tip.clone() else { return };

@@ -16,7 +16,7 @@ use ledger_raft::{Desired, Lane};
 use ledger_rejection::Code;
 use ledger_replica::catch_up::{Ballot, Holding, Look};
 use ledger_replica::conductor::Conductor;
-use ledger_replica::gateway::{Desk, Job, Place, Share, Shares, Turn, Turns};
+use ledger_replica::gateway::{Desk, InFlight, Job, Share, Shares, Turn, Turns};
 use ledger_replica::witness::Said;
 use ledger_replica::{Answer as Told, Asker, Event, Executor, Reads, Replica, Retries, Waiter, Waiters};
 use ledger_storage::block_store::BlockStore;
@@ -168,7 +168,7 @@ pub struct Client {
     /// The newest height that anybody had been told when it asked.
     pub told: u64,
     /// Its place among those in flight.
-    pub place: Place,
+    pub place: InFlight,
     /// Which of those that came to this node it is.
     pub number: u64,
     /// Its answer.

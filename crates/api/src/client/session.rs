@@ -101,7 +101,7 @@ impl Session {
             nodes: Arc::new(nodes),
         });
         let answers = session.install(1, opened);
-        let keeper = Keeper { session: Arc::downgrade(&session), complaints };
+        let keeper = Reconnector { session: Arc::downgrade(&session), complaints };
         tokio::spawn(keeper.run(answers));
         tokio::spawn(sweep(Arc::downgrade(&session)));
         Ok(session)
@@ -248,7 +248,7 @@ impl Session {
 }
 
 /// Owns the connection as long as anybody has the client.
-struct Keeper {
+struct Reconnector {
     session: Weak<Session>,
     complaints: watch::Receiver<u64>,
 }
@@ -265,7 +265,7 @@ impl From<Rejection> for End {
     }
 }
 
-impl Keeper {
+impl Reconnector {
     async fn run(mut self, mut answers: Streaming<SubmitResponse>) {
         for number in 1.. {
             let since = Instant::now();

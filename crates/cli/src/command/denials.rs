@@ -25,12 +25,12 @@ impl Denials {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let denials =
             Session::open(global).await?.client.denials(u32::try_from(self.limit).unwrap_or(u32::MAX)).await?;
-        output.show(&List(denials.into_iter().map(Denial::from).collect()))
+        output.show(&Shown(denials.into_iter().map(Denial::from).collect()))
     }
 }
 
 #[derive(Serialize)]
-struct List(Vec<Denial>);
+struct Shown(Vec<Denial>);
 
 #[derive(Serialize)]
 struct Denial {
@@ -64,7 +64,7 @@ impl From<v1::Denial> for Denial {
     }
 }
 
-impl Facts for List {
+impl Facts for Shown {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.0.is_empty() {
             return writeln!(out, "nothing was refused");
@@ -103,7 +103,7 @@ mod tests {
             count: 3,
         };
         let mut out = Vec::new();
-        List(vec![denial.into()]).text(&mut out).unwrap();
+        Shown(vec![denial.into()]).text(&mut out).unwrap();
         let text = String::from_utf8(out).unwrap();
         for part in ["Org1/Farhad", "abac acquire Husky", "LGR-3001", "3 ", "may not acquire"] {
             assert!(text.contains(part), "{part:?} in {text}");

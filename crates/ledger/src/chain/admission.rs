@@ -259,8 +259,8 @@ impl Ledger {
         if first <= 1 {
             return Ok(true);
         }
-        let seal = self.seal(first)?;
-        Ok(seal.is_some_and(|seal| seal.time < not_after.saturating_sub(NOT_AFTER_AHEAD_MAX)))
+        let block = self.block_hashes(first)?;
+        Ok(block.is_some_and(|block| block.time < not_after.saturating_sub(NOT_AFTER_AHEAD_MAX)))
     }
 
     /// Checks the signatures of transactions that are about to be admitted: together they cost a third of what each

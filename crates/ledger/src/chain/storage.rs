@@ -76,7 +76,7 @@ impl Ledger {
             return false;
         }
         let period = every.saturating_mul(SNAPSHOT_TIME_PER_BLOCK).min(NOT_AFTER_AHEAD_MAX);
-        match self.seal(tip.height - every) {
+        match self.block_hashes(tip.height - every) {
             Ok(Some(before)) => before.time / period != tip.time / period,
             // What is not kept any more is older than the longest period.
             Ok(None) => true,

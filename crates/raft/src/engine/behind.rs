@@ -6,7 +6,7 @@
 
 use super::Engine;
 use crate::interface::Output;
-use crate::message::{Behind, PeerMessage, RaftKind, RaftMessage};
+use crate::message::{LogBegin, PeerMessage, RaftKind, RaftMessage};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use raft::StateRole;
@@ -34,7 +34,7 @@ impl Engine {
         behind.sort_unstable();
         for to in behind {
             tracing::debug!(to, first_index, "a peer needs blocks that were dropped");
-            out.push(Output::Send { to, message: PeerMessage::Behind(Behind { first_index }) });
+            out.push(Output::Send { to, message: PeerMessage::Behind(LogBegin { first_index }) });
         }
     }
 

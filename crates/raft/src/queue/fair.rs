@@ -23,7 +23,7 @@ pub(super) const LATE_TRANSACTIONS_MAX: usize = 128;
 #[derive(Debug)]
 pub(crate) struct Queue {
     /// In the order in which it will be taken.
-    items: BTreeMap<Place, Waiting>,
+    items: BTreeMap<Rank, Waiting>,
     /// Creators of what waits.
     creators: BTreeMap<Hash, Backlog>,
     /// Virtual time: the tag of what was taken last.
@@ -37,7 +37,7 @@ pub(crate) struct Queue {
 
 /// A place in the order: by tag, then as they came.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-struct Place {
+struct Rank {
     tag: u64,
     number: u64,
 }
@@ -90,7 +90,7 @@ impl Queue {
         backlog.transactions += 1;
         backlog.end = tag + cost(&waiting.transaction) as u64;
         self.bytes += bytes;
-        self.items.insert(Place { tag, number: self.next }, waiting);
+        self.items.insert(Rank { tag, number: self.next }, waiting);
         self.next += 1;
         refused
     }
@@ -160,7 +160,7 @@ impl Queue {
         share
     }
 
-    fn remove(&mut self, place: Place) -> Option<Waiting> {
+    fn remove(&mut self, place: Rank) -> Option<Waiting> {
         let waiting = self.items.remove(&place)?;
         self.bytes -= waiting.transaction.len();
         let creator = creator(&waiting.transaction);

@@ -2,7 +2,7 @@
 
 use super::admission::answer_to;
 use super::line::{Arrived, Ticket};
-use super::share::{Place, Share};
+use super::share::{InFlight, Share};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Ground, Ledger, Refusal};
@@ -49,7 +49,7 @@ impl Entrance<'_> {
         call: Call,
         share: &Arc<Share>,
         room: impl FnOnce(&dyn Fn() -> bool) -> Result<(), Rejection>,
-        client: impl FnOnce(Place) -> C,
+        client: impl FnOnce(InFlight) -> C,
     ) -> Result<Arrived<C>, Turned> {
         let Call { encoded, min_height, first_attempt } = call;
         let turned = |refusal: Box<Refusal>| Turned { reason: answer_to(&refusal, first_attempt), refusal };

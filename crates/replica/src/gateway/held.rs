@@ -137,14 +137,14 @@ impl<C> Held<C> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::gateway::{Place, Shares, Ticket};
+    use crate::gateway::{InFlight, Shares, Ticket};
     use ledger::transaction::{Body, Transaction};
     use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
 
     /// One stream, and the number of questions that it asked and that are not answered.
     struct Stream {
-        held: Held<Place>,
+        held: Held<InFlight>,
         shares: Shares,
         key: SigningKey,
         questions: usize,
@@ -156,7 +156,7 @@ mod tests {
             Self { held: Held::default(), shares: Shares::new(1000), key, questions: 0 }
         }
 
-        fn call(&self, lane: Lane, function: &str, service: &'static str) -> Arrived<Place> {
+        fn call(&self, lane: Lane, function: &str, service: &'static str) -> Arrived<InFlight> {
             let body = Body {
                 network: vec![1; 32].into(),
                 creator: vec![2; 32].into(),

@@ -140,7 +140,7 @@ fn subject<C>(arrived: &Arrived<C>) -> (&str, &str, Option<&Bytes>) {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::gateway::{Place, Shares};
+    use crate::gateway::{InFlight, Shares};
     use ledger::transaction::Body;
     use ledger_identity::key::{KeyKind, SigningKey};
     use ring::rand::SystemRandom;
@@ -148,7 +148,7 @@ mod tests {
     const DATA_WAIT_MAX: u64 = 100_000;
 
     struct Stream {
-        line: Line<Place>,
+        line: Line<InFlight>,
         shares: Shares,
         key: SigningKey,
     }

@@ -51,7 +51,7 @@ struct Used {
 }
 
 /// A place among the transactions in flight, until it is dropped.
-pub struct Place {
+pub struct InFlight {
     share: Arc<Share>,
     lane: Lane,
     bytes: usize,
@@ -114,7 +114,7 @@ impl Share {
     ///
     /// # Errors
     /// [`Code::Overloaded`] beyond the identity's share, [`Code::ShuttingDown`].
-    pub fn place(self: &Arc<Self>, lane: Lane, bytes: usize) -> Result<Place, Rejection> {
+    pub fn place(self: &Arc<Self>, lane: Lane, bytes: usize) -> Result<InFlight, Rejection> {
         let used = self.used(lane);
         let (transactions, held) = (used.transactions.load(Ordering::Relaxed), used.bytes.load(Ordering::Relaxed));
         let free = self.places.free.load(Ordering::Relaxed);
@@ -137,7 +137,7 @@ impl Share {
         }
         used.transactions.fetch_add(1, Ordering::Relaxed);
         used.bytes.fetch_add(bytes, Ordering::Relaxed);
-        Ok(Place { share: Arc::clone(self), lane, bytes })
+        Ok(InFlight { share: Arc::clone(self), lane, bytes })
     }
 
     fn overloaded(&self) -> Rejection {
@@ -160,14 +160,14 @@ impl Places {
     }
 }
 
-impl Place {
+impl InFlight {
     /// The name of the identity, e.g. `Org1/Salma`.
     pub fn name(&self) -> &str {
         &self.share.name
     }
 }
 
-impl Drop for Place {
+impl Drop for InFlight {
     fn drop(&mut self) {
         let used = self.share.used(self.lane);
         used.transactions.fetch_sub(1, Ordering::Relaxed);
@@ -182,7 +182,7 @@ impl Drop for Place {
 mod tests {
     use super::*;
 
-    fn fill(share: &Arc<Share>, lane: Lane) -> Vec<Place> {
+    fn fill(share: &Arc<Share>, lane: Lane) -> Vec<InFlight> {
         std::iter::from_fn(|| share.place(lane, 100).ok()).collect()
     }
 

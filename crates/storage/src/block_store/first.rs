@@ -4,7 +4,7 @@ use std::io::ErrorKind;
 use std::sync::Arc;
 
 use super::files::StoredSegment;
-use super::oldest::Place;
+use super::oldest::Beginning;
 use super::state::{Staged, State};
 use super::writer::{Failure, lock};
 use super::{Base, BlockStore, StoreError};
@@ -48,7 +48,7 @@ impl BlockStore {
             (state.drop_before(keep_from), state.index.base().index + 1, state.segments.front().cloned())
         };
         if let Some(oldest) = oldest {
-            let place = Place { sequence: oldest.sequence, first_index: oldest.first_index };
+            let place = Beginning { sequence: oldest.sequence, first_index: oldest.first_index };
             dropping.note(place).map_err(|error| self.state().poison(error))?;
         }
         for segment in dropped {
@@ -88,7 +88,7 @@ impl BlockStore {
             Err(Failure::Fatal(error)) => return Err(self.state().poison(error)),
         };
         drop(writer);
-        let place = Place { sequence: segment.sequence, first_index: segment.first_index };
+        let place = Beginning { sequence: segment.sequence, first_index: segment.first_index };
         dropping.note(place).map_err(|error| self.state().poison(error))?;
         for void in self.state().begin_after(base, hard_state, segment) {
             self.remove(&void)?;

@@ -35,7 +35,7 @@ const SLOTS: [u64; 2] = [0, 4096];
 
 /// The segment with which the log begins.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Place {
+pub(super) struct Beginning {
     pub(super) sequence: u32,
     pub(super) first_index: u64,
 }
@@ -43,7 +43,7 @@ pub(super) struct Place {
 /// The file. Used by one at a time.
 pub(super) struct Oldest {
     disk: Arc<dyn Disk>,
-    noted: Option<Place>,
+    noted: Option<Beginning>,
     /// The slot that holds it.
     slot: usize,
 }
@@ -59,7 +59,7 @@ impl Oldest {
     }
 
     /// Notes that the log begins with this segment from now on.
-    pub(super) fn note(&mut self, place: Place) -> Result<(), StoreError> {
+    pub(super) fn note(&mut self, place: Beginning) -> Result<(), StoreError> {
         if self.noted.is_some_and(|noted| noted.sequence >= place.sequence) {
             return Ok(());
         }
@@ -107,7 +107,7 @@ pub fn check_oldest(disk: &dyn Disk, scan: &Scan<'_>) -> Result<(), StoreError> 
 }
 
 /// The valid slot with the higher sequence; none if there is no file.
-fn read(disk: &dyn Disk) -> Result<Option<(Place, usize)>, StoreError> {
+fn read(disk: &dyn Disk) -> Result<Option<(Beginning, usize)>, StoreError> {
     let file = match disk.open(FILE) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Ok(None),
         file => file.map_err(|error| StoreError::io("open", FILE, error))?,
@@ -120,12 +120,12 @@ fn read(disk: &dyn Disk) -> Result<Option<(Place, usize)>, StoreError> {
         found = found.max(place.map(|place| (place.sequence, place.first_index, slot)));
     }
     match found {
-        Some((sequence, first_index, slot)) => Ok(Some((Place { sequence, first_index }, slot))),
+        Some((sequence, first_index, slot)) => Ok(Some((Beginning { sequence, first_index }, slot))),
         None => Err(StoreError::corrupt(FILE, 0, "neither of its slots can be read", 0)),
     }
 }
 
-fn encode(place: Place) -> Vec<u8> {
+fn encode(place: Beginning) -> Vec<u8> {
     let mut bytes = MAGIC.to_vec();
     bytes.extend(place.sequence.to_le_bytes());
     bytes.extend(place.first_index.to_le_bytes());
@@ -133,14 +133,14 @@ fn encode(place: Place) -> Vec<u8> {
     bytes
 }
 
-fn decode(bytes: &[u8]) -> Option<Place> {
+fn decode(bytes: &[u8]) -> Option<Beginning> {
     let (body, crc) = bytes.split_last_chunk::<4>()?;
     if bytes.len() != SLOT_BYTES || crc32c::crc32c(body).to_le_bytes() != *crc {
         return None;
     }
     let (sequence, first_index) = body.strip_prefix(MAGIC)?.split_first_chunk::<4>()?;
     let first_index = first_index.first_chunk::<8>()?;
-    Some(Place { sequence: u32::from_le_bytes(*sequence), first_index: u64::from_le_bytes(*first_index) })
+    Some(Beginning { sequence: u32::from_le_bytes(*sequence), first_index: u64::from_le_bytes(*first_index) })
 }
 
 #[cfg(test)]
@@ -149,8 +149,8 @@ mod tests {
     use super::*;
     use crate::disk::RealDisk;
 
-    fn place(sequence: u32) -> Place {
-        Place { sequence, first_index: u64::from(sequence) * 100 }
+    fn place(sequence: u32) -> Beginning {
+        Beginning { sequence, first_index: u64::from(sequence) * 100 }
     }
 
     #[test]

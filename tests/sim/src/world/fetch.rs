@@ -217,7 +217,7 @@ impl World {
         let tip = from.ledger.tip();
         Ok(match height == tip.height {
             true => Some(tip.hash),
-            false => from.ledger.seal(height)?.map(|seal| seal.hash),
+            false => from.ledger.block_hashes(height)?.map(|block| block.hash),
         })
     }
 
