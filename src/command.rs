@@ -74,6 +74,7 @@ pub fn run(builder: NodeBuilder) -> ExitCode {
 /// As [`run`], with another command line than that of the process; the name of the program comes first.
 pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     let _known = memory::give_back();
+    ledger_invariant::end_process();
     let arguments = match Arguments::try_parse_from(arguments) {
         Ok(arguments) => arguments,
         Err(error) => {

@@ -13,6 +13,7 @@ use crate::clock::Clock;
 use crate::retention::Pruner;
 use crate::space::Space;
 use crate::waiters::Waiters;
+use ledger_invariant::vital;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use std::io;
@@ -69,18 +70,22 @@ impl Housekeeping {
         };
         let own = Arc::clone(&bells);
         let storing = std::thread::Builder::new().name("store".into()).spawn(move || {
-            while own.storing.wait(PAUSE, FLUSH_PERIOD) {
-                storer.round();
-            }
-            storer.flush();
+            vital(|| {
+                while own.storing.wait(PAUSE, FLUSH_PERIOD) {
+                    storer.round();
+                }
+                storer.flush();
+            });
         })?;
         let own = Arc::clone(&bells);
         let rounds = std::thread::Builder::new().name("housekeeping".into()).spawn(move || {
-            let mut rounds = Rounds { space: room, waiters, clock, store, swept: None };
-            let mut next = PAUSE;
-            while own.rounds.wait(PAUSE, next) {
-                next = rounds.round();
-            }
+            vital(|| {
+                let mut rounds = Rounds { space: room, waiters, clock, store, swept: None };
+                let mut next = PAUSE;
+                while own.rounds.wait(PAUSE, next) {
+                    next = rounds.round();
+                }
+            });
         })?;
         Ok(Self { bells, threads: vec![rounds, storing] })
     }

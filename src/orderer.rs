@@ -39,6 +39,7 @@ use crate::waiters::{Client, Waiters};
 use execute::Execute;
 use inbox::Inbox;
 use ledger::Ledger;
+use ledger_invariant::vital;
 use ledger_raft::{Input, RoleChange, Status};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::{Executor, Replica};
@@ -150,8 +151,10 @@ impl Orderer {
         let order = Order::new(replica, shared, execute.clone(), &blocks, Arc::clone(&status), role);
         let (inputs, applied) = (Arc::clone(&inbox), Arc::clone(&inbox));
         let threads = vec![
-            std::thread::Builder::new().name("execute".into()).spawn(move || execute.run(&blocks, &applied))?,
-            std::thread::Builder::new().name("order".into()).spawn(move || order.run(&inputs))?,
+            std::thread::Builder::new()
+                .name("execute".into())
+                .spawn(move || vital(|| execute.run(&blocks, &applied)))?,
+            std::thread::Builder::new().name("order".into()).spawn(move || vital(|| order.run(&inputs)))?,
         ];
         Ok(Self { handle: Handle { inbox, status, role: roles }, threads })
     }

@@ -4,6 +4,7 @@ use super::Shared;
 use super::inbox::Inbox;
 use crate::housekeeping::PENDING_BYTES_MAX;
 use ledger::{Ledger, Outcome};
+use ledger_invariant::invariant;
 use ledger_raft::Input;
 use ledger_replica::{Observer, in_turns};
 use ledger_storage::entry::Entry;
@@ -82,7 +83,11 @@ impl Given {
     /// So many are executed. A thread that sees it sees their writes.
     fn remove(&self, blocks: usize) {
         let before = self.0.fetch_sub(blocks, Ordering::Release);
-        assert!(before >= blocks, "{blocks} blocks were executed, and {before} were given");
+        invariant!(
+            before >= blocks,
+            "executed blocks were given",
+            "{blocks} blocks were executed, {before} were given"
+        );
     }
 
     fn is_empty(&self) -> bool {

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 20] = [
+const LAYERS: [(&str, &[&str]); 21] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // "Did you mean": of names, not of a ledger.
@@ -16,12 +16,31 @@ const LAYERS: [(&str, &[&str]); 20] = [
     ("ledger-settings", &["ledger-durable", "ledger-rejection", "nearest"]),
     // The deliberate bugs of the mutation check.
     ("ledger-mutation", &[]),
+    // What ends a process whose memory contradicts itself.
+    ("ledger-invariant", &[]),
     // Keys and certificates: no file, no chain.
     ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
     // Files: no signature, no chaincode.
-    ("ledger-storage", &["ledger-durable", "ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
-    ("ledger", &["ledger", "ledger-hash", "ledger-identity", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
-    ("ledger-raft", &["ledger", "ledger-hash", "ledger-mutation", "ledger-rejection", "ledger-storage"]),
+    (
+        "ledger-storage",
+        &["ledger-durable", "ledger-hash", "ledger-invariant", "ledger-mutation", "ledger-rejection", "ledger-storage"],
+    ),
+    (
+        "ledger",
+        &[
+            "ledger",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-invariant",
+            "ledger-mutation",
+            "ledger-rejection",
+            "ledger-storage",
+        ],
+    ),
+    (
+        "ledger-raft",
+        &["ledger", "ledger-hash", "ledger-invariant", "ledger-mutation", "ledger-rejection", "ledger-storage"],
+    ),
     // Decides, and does nothing: what drives the engine in a node and in the simulation.
     (
         "ledger-replica",
@@ -29,6 +48,7 @@ const LAYERS: [(&str, &[&str]); 20] = [
             "ledger",
             "ledger-hash",
             "ledger-identity",
+            "ledger-invariant",
             "ledger-mutation",
             "ledger-raft",
             "ledger-rejection",
@@ -61,6 +81,7 @@ const LAYERS: [(&str, &[&str]); 20] = [
             "ledger-contract",
             "ledger-hash",
             "ledger-identity",
+            "ledger-invariant",
             "ledger-rejection",
             "ledger-settings",
             "ros-message",
@@ -90,6 +111,7 @@ const LAYERS: [(&str, &[&str]); 20] = [
             "ledger-durable",
             "ledger-hash",
             "ledger-identity",
+            "ledger-invariant",
             "ledger-raft",
             "ledger-rejection",
             "ledger-replica",

@@ -8,6 +8,7 @@ mod codes;
 mod documents;
 mod driver;
 mod events;
+mod invariants;
 mod keys;
 mod layers;
 mod links;

@@ -41,6 +41,8 @@
 mod actions;
 mod arguments;
 mod contract;
+#[cfg(test)]
+mod fixture;
 mod policy;
 mod records;
 mod rules;

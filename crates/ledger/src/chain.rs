@@ -209,8 +209,9 @@ impl Ledger {
             verified: &|leaf| self.verified.take(leaf),
             window: &self.window,
         };
-        let Execution { tip, header, result, foretold, transactions, ids, writes } =
-            executor.execute(&previous, entry)?;
+        let execution = executor.execute(&previous, entry)?;
+        execution.check(&previous);
+        let Execution { tip, header, result, foretold, transactions, ids, writes } = execution;
         let changed_organisations = writes
             .range::<[u8], _>((Bound::Included(ORGANISATION_KEYS), Bound::Unbounded))
             .next()

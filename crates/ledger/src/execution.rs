@@ -1,5 +1,7 @@
 //! The execution of one block: a function of the block and the state before it, the same on every node.
 
+mod check;
+
 use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
 use crate::chaincode::{Environment, Registry};
 use crate::governance::{self, MEMBERS_KEY, certificate_key, found, members_record};

@@ -5,6 +5,7 @@ mod behind;
 mod config;
 mod guard;
 mod logger;
+mod promises;
 mod pump;
 mod request;
 mod status;
@@ -23,6 +24,7 @@ use ledger::members::Membership;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger_storage::entry::EntryKind;
+use promises::Promised;
 use raft::{RawNode, StateRole};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -106,6 +108,8 @@ pub struct Engine {
     reads: u64,
     /// Wall-clock time of this step, microseconds.
     now: u64,
+    /// As of the last step.
+    promised: Promised,
     /// Set once the store has failed.
     failed: bool,
 }
@@ -180,6 +184,7 @@ impl Engine {
             ticks: 0,
             heard: BTreeMap::new(),
             reads: 0,
+            promised: Promised::NONE,
             failed: false,
             config,
         };
@@ -220,6 +225,9 @@ impl Engine {
             self.fail(reason, out);
         }
         self.draw_timeout();
+        if !self.failed {
+            self.keep_promises();
+        }
     }
 
     fn fail(&mut self, reason: Rejection, out: &mut Vec<Output>) {

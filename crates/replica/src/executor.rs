@@ -1,6 +1,7 @@
 //! Execution: applies committed blocks, and tells everybody whom it concerns.
 
 use ledger::{Ledger, Outcome};
+use ledger_invariant::{costly_invariant, invariant};
 use ledger_rejection::Rejection;
 use ledger_storage::entry::Entry;
 use std::sync::Arc;
@@ -44,8 +45,14 @@ impl Executor {
     /// As [`Ledger::apply`]: the node must stop then.
     pub fn execute(&self, entry: &Entry) -> Result<Arc<Outcome>, Rejection> {
         let outcome = Arc::new(self.ledger.apply(entry)?);
-        assert_eq!(outcome.header.height, entry.index, "a block was executed at another height");
-        debug_assert_eq!(self.ledger.tip().height, entry.index, "the ledger stands at the block that it has executed");
+        let (wanted, executed) = (entry.index, outcome.header.height);
+        invariant!(executed == wanted, "a block is executed at its own height", "block {wanted} at {executed}");
+        costly_invariant!(
+            self.ledger.tip().height == wanted,
+            "the ledger stands at the block that it has executed",
+            "it stands at {} after block {wanted}",
+            self.ledger.tip().height
+        );
         for observer in &self.observers {
             observer.executed(&outcome, &self.ledger);
         }

@@ -8,6 +8,7 @@
 //! A question or its answer may be lost when the leader changes. Then it is asked again, within a bounded time. Once the
 //! height is known, this node must execute up to it.
 
+use ledger_invariant::{costly_invariant, invariant};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
@@ -123,7 +124,8 @@ impl<A: Asker> Reads<A> {
 
     /// This node has executed a block.
     pub fn executed(&mut self, now: u64, height: u64, out: &mut Vec<ReadEffect<A>>) {
-        debug_assert!(height >= self.executed, "block {height} after {}", self.executed);
+        let before = self.executed;
+        costly_invariant!(height >= before, "executed heights only grow", "block {height} after {before}");
         self.executed = self.executed.max(height);
         self.reach(now, out);
     }
@@ -161,7 +163,8 @@ impl<A: Asker> Reads<A> {
 
     /// Asks for all that wait.
     fn begin(&mut self, now: u64, out: &mut Vec<ReadEffect<A>>) {
-        assert!(self.served.is_empty(), "one question at a time");
+        let served = self.served.len();
+        invariant!(served == 0, "one question is asked at a time", "{served} wait for an earlier one");
         self.waiting.retain(|asker| !asker.is_gone());
         if self.waiting.is_empty() {
             self.stage = Stage::Quiet;
@@ -202,10 +205,11 @@ impl<A: Asker> Reads<A> {
 
     /// The question has come to an end.
     fn tell(&mut self, now: u64, known: &Known, out: &mut Vec<ReadEffect<A>>) {
-        assert!(
-            known.as_ref().is_ok_and(|height| *height <= self.executed) || known.is_err(),
-            "the state of height {} is called current at {known:?}",
-            self.executed
+        let executed = self.executed;
+        invariant!(
+            known.as_ref().is_ok_and(|height| *height <= executed) || known.is_err(),
+            "a state is called current when it is executed",
+            "state {executed}, called current at {known:?}"
         );
         out.extend(self.served.drain(..).map(|asker| ReadEffect::Tell { asker, known: known.clone() }));
         let next = self.asked.saturating_add(BETWEEN_QUESTIONS);

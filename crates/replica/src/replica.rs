@@ -10,6 +10,7 @@ use crate::ticks::Ticks;
 use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
+use ledger_invariant::invariant;
 use ledger_raft::{Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Status};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, StoreError};
@@ -245,9 +246,10 @@ impl<W: Waiter> Replica<W> {
     pub fn work(&mut self, circumstances: Circumstances) -> Option<Work> {
         let entries = std::mem::take(&mut self.committed);
         let (first, last) = (entries.first()?.index, entries.last()?.index);
-        assert!(
+        invariant!(
             first == self.given + 1 && last == self.given + entries.len() as u64,
-            "blocks {first} to {last} are to be executed after block {}",
+            "blocks are executed in order, without a gap",
+            "blocks {first} to {last} after block {}",
             self.given
         );
         self.given = last;

@@ -5,6 +5,7 @@ use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Outcome, TransactionRecord};
 use ledger_hash::Hash;
+use ledger_invariant::{costly_invariant, invariant};
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
@@ -108,7 +109,8 @@ impl<W: Waiter> Waiters<W> {
             encoded: encoded.clone(),
             waiters: Vec::with_capacity(1),
         });
-        assert!(waiting.number <= number, "numbers grow: {} was given before {number}", waiting.number);
+        let before = waiting.number;
+        invariant!(before <= number, "numbers of waiting transactions grow", "{number} after {before}");
         waiting.waiters.push((now, waiter));
     }
 
@@ -133,7 +135,12 @@ impl<W: Waiter> Waiters<W> {
         let mut all: Vec<_> = waiting.map(|waiting| (waiting.number, waiting.lane, waiting.encoded.clone())).collect();
         drop(table);
         all.sort_unstable_by_key(|(number, ..)| *number);
-        debug_assert!(all.is_sorted_by(|(one, ..), (next, ..)| one < next), "each number was given once");
+        costly_invariant!(
+            all.is_sorted_by(|(one, ..), (next, ..)| one < next),
+            "each number is given to one waiting transaction",
+            "{:?}",
+            all.iter().map(|(number, ..)| number).collect::<Vec<_>>()
+        );
         all.into_iter().map(|(_, lane, encoded)| (lane, encoded)).collect()
     }
 
@@ -144,9 +151,10 @@ impl<W: Waiter> Waiters<W> {
     /// nothing; or it was ordered too early, while another copy may still be executed.
     pub fn resolve(&self, outcome: &Outcome, ledger: &Ledger) {
         let (transactions, results) = (outcome.transactions.len(), outcome.results.len());
-        assert!(
+        invariant!(
             outcome.ids.len() == transactions && results == transactions,
-            "block {} has {transactions} transactions, {} ids and {results} verdicts",
+            "each transaction of a block has one id and one verdict",
+            "block {} with {transactions} transactions, {} ids and {results} verdicts",
             outcome.header.height,
             outcome.ids.len()
         );

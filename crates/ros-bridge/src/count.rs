@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use hdrhistogram::Histogram;
+use ledger_invariant::costly_invariant;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 
@@ -194,7 +195,7 @@ impl Complaint {
 pub(crate) fn line(refused: &Rejection) -> String {
     let Rejection { code, message, found, wanted, .. } = refused;
     let detail = |label: &str, text: &str| if text.is_empty() { String::new() } else { format!("; {label} {text}") };
-    debug_assert!(*code != Code::Ok, "a refusal has a code");
+    costly_invariant!(*code != Code::Ok, "a refusal has a code", "{message}");
     format!("{code} {message}{}{}", detail("found", found), detail("wanted", wanted))
 }
 

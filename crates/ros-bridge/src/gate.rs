@@ -92,6 +92,8 @@ pub struct Gate {
     not_before: u64,
     /// The last driver of the robot since its last stop.
     driver: Option<Driver>,
+    /// The contradiction that was found here.
+    fault: Option<String>,
 }
 
 /// The record of a grant.
@@ -144,11 +146,16 @@ impl Gate {
             signed_since: now.wall,
             not_before: 0,
             driver: None,
+            fault: None,
         }
     }
 
     /// Takes the service as the ledger describes it now, and the grants that stand.
     pub fn describe(&mut self, service: &Service, grants: &[Grant]) {
+        if self.fault.is_some() {
+            return;
+        }
+        let before = self.epoch;
         let age_us = service.max_age_ms.saturating_mul(1000);
         let own_us = self.settings.max_age.map_or(u64::MAX, |age| u64::try_from(age.as_micros()).unwrap_or(u64::MAX));
         self.rules = Some(Rules {
@@ -168,6 +175,30 @@ impl Gate {
             .take(HOLDERS_MAX)
             .map(|grant| (grant.holder.clone(), Holding::of(grant)))
             .collect();
+        self.check_epochs(before);
+    }
+
+    /// The contradiction that this gate found in itself. Nothing passes any more then: the robot is to be stopped, and after that
+    /// the process is to end. To end it at once, as other broken invariants do, would leave the robot moving.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
+    }
+
+    /// States that something holds; else the gate is closed for ever.
+    fn must_hold(&mut self, holds: bool, found: impl FnOnce() -> String) -> bool {
+        if !holds {
+            self.fault.get_or_insert_with(found);
+            self.rules = None;
+        }
+        holds
+    }
+
+    /// Epochs only grow, and no holder has one that was not given.
+    fn check_epochs(&mut self, before: u64) {
+        let (epoch, newest) = (self.epoch, self.holders.values().map(|holding| holding.epoch).max().unwrap_or(0));
+        self.must_hold(epoch >= before && newest <= epoch, || {
+            format!("epoch {epoch} of the service after {before}, the newest grant has {newest}")
+        });
     }
 
     /// Forgets the description: nothing passes until there is a new one.
@@ -222,8 +253,23 @@ impl Gate {
             return Err(Refused::StaleSequence);
         }
         let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
+        let before = self.sequences.reached(&name);
         if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
             return Err(Refused::TooManyPublishers);
+        }
+        let reached = self.sequences.reached(&name);
+        let held = self.holders.get(&name).map(|holding| holding.epoch);
+        let newest = self.epoch;
+        let is_theirs = held == Some(call.epoch) || (publishing == Publishing::Policy && call.epoch == 0);
+        let is_newest = fencing == Fencing::PerHolder || call.epoch == newest;
+        let grows = reached > before || reached.map(|(_, seq)| seq) > before.map(|(_, seq)| seq);
+        if !self.must_hold(is_theirs && is_newest && grows, || {
+            format!(
+                "a message of {name} in epoch {}, who holds {held:?} of {newest}, reached {reached:?} after {before:?}",
+                call.epoch
+            )
+        }) {
+            return Err(Refused::NoService);
         }
         if is_command {
             self.driver = Some(Driver { identity: creator, until: now.steady.saturating_add(lease_us) });
@@ -251,8 +297,9 @@ impl Gate {
         if self.newest_alone() || self.holders.len() >= HOLDERS_MAX {
             self.holders.clear();
         }
-        self.epoch = grant.epoch;
+        let before = std::mem::replace(&mut self.epoch, grant.epoch);
         self.holders.insert(grant.holder.clone(), Holding::of(grant));
+        self.check_epochs(before);
         Ok(())
     }
 
@@ -289,7 +336,9 @@ impl Gate {
         let side_by_side = self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing == Fencing::PerHolder);
         let is_newest = released.epoch >= self.epoch || side_by_side;
         if is_newest {
-            self.epoch = self.epoch.max(released.epoch);
+            let before = self.epoch;
+            self.epoch = before.max(released.epoch);
+            self.check_epochs(before);
             self.driver = None;
             self.not_before = self.not_before.max(block_time);
         }

@@ -25,6 +25,7 @@ pub use store::Store;
 use self::cache::Cache;
 use bytes::Bytes;
 use ledger_hash::Hash;
+use ledger_invariant::invariant;
 use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -51,6 +52,16 @@ pub struct Tip {
 const TIP_KEY: &[u8] = b"\0tip";
 
 impl Tip {
+    /// States that this one is the next.
+    fn check(&self, before: &Self) {
+        let (height, after) = (self.height, before.height);
+        invariant!(height == after + 1, "heights have no gap", "block {height} after {after}");
+        let (term, earlier) = (self.term, before.term);
+        invariant!(term >= earlier, "terms of blocks only grow", "term {term} after {earlier} at height {height}");
+        let (time, earlier) = (self.time, before.time);
+        invariant!(time >= earlier, "block time never goes back", "{time} after {earlier} at height {height}");
+    }
+
     fn to_bytes(&self) -> Bytes {
         let mut bytes = Vec::with_capacity(88);
         for number in [self.height, self.term, self.time] {
@@ -167,6 +178,9 @@ impl State {
     /// this block.
     pub fn commit(&self, writes: WriteSet, tip: Tip, cut: bool) {
         let mut recent = self.write();
+        if let Some(before) = &recent.tip {
+            tip.check(before);
+        }
         for (key, value) in writes {
             recent.bytes += key.len() + value.as_ref().map_or(0, Bytes::len) + 64;
             recent.dirty.insert(key, value);

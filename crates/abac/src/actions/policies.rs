@@ -5,7 +5,7 @@ use crate::arguments::{Arguments, shown};
 use crate::policy::POLICY_BYTES_MAX;
 use crate::policy::decider::Decider;
 use crate::policy::defaults::Defaults;
-use crate::policy::texts::{DEFAULT_ID, POLICIES_MAX, hash, own};
+use crate::policy::texts::{self, DEFAULT_ID, POLICIES_MAX, hash, own};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
@@ -28,12 +28,14 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
     let organisation = &robots::admin(ctx, "change policies")?.organisation;
     let id = args.text(1, "ID")?;
     let key = store::policy_key(organisation, id);
+    let before = own(ctx, organisation)?;
+    texts::check(ctx, organisation, &before);
     let change = match (args.text(0, "put or remove")?, args.has(2)) {
         ("put", true) => {
             check_id(id)?;
             let text = args.document(2, "TEXT", DOCUMENT_BYTES_MAX)?;
             decider.check(ctx, text)?;
-            if ctx.get(&key).is_none() && own(ctx, organisation)?.len() >= POLICIES_MAX {
+            if ctx.get(&key).is_none() && before.len() >= POLICIES_MAX {
                 return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has too many policies"))
                     .found(format!("{POLICIES_MAX} policies"))
                     .wanted(format!("at most {POLICIES_MAX}"))

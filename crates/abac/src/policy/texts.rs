@@ -46,6 +46,22 @@ pub(crate) fn own(ctx: &Context<'_>, organisation: &str) -> Result<Texts, Reject
         .collect()
 }
 
+/// States that policies and the version that names them agree: decisions are remembered under that version, so one that
+/// names other policies would keep an old decision in force.
+pub(crate) fn check(ctx: &mut Context<'_>, organisation: &str, own: &Texts) {
+    let wanted = (!own.is_empty()).then(|| hash(own).0.to_vec());
+    let found = ctx.get(&store::version_key(organisation)).map(|version| version.to_vec());
+    if found != wanted {
+        let shown = |version: Option<Vec<u8>>| version.map_or_else(|| "none".to_owned(), hex::encode);
+        ctx.contradicted(
+            Rejection::new(Code::Corrupt, format!("the policies of {organisation} and their version do not agree"))
+                .found(format!("version {}", shown(found)))
+                .wanted(format!("version {} for {} policies", shown(wanted), own.len()))
+                .next("stop the node and delete its state directory; it is rebuilt from the blocks"),
+        );
+    }
+}
+
 /// Every part is preceded by its length, so that no two sets have the same bytes.
 pub(crate) fn hash(texts: &Texts) -> Hash {
     let mut parts: Vec<Vec<u8>> = Vec::with_capacity(texts.len() * 4);
@@ -54,4 +70,46 @@ pub(crate) fn hash(texts: &Texts) -> Hash {
         parts.push(part.as_bytes().to_vec());
     }
     Hash::of(&parts.iter().map(Vec::as_slice).collect::<Vec<_>>())
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::fixture::block;
+
+    /// Changes the state as a fault of the program would, and says what becomes of the block.
+    fn checked(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection> {
+        block(|ctx| {
+            body(ctx);
+            let own = own(ctx, "Org2").unwrap();
+            check(ctx, "Org2", &own);
+        })
+    }
+
+    fn put(ctx: &mut Context<'_>) {
+        ctx.put(&store::policy_key("Org2", "p"), b"permit(principal, action, resource);".to_vec());
+    }
+
+    fn name_them(ctx: &mut Context<'_>) {
+        let named = hash(&own(ctx, "Org2").unwrap()).0.to_vec();
+        ctx.put(&store::version_key("Org2"), named);
+    }
+
+    #[test]
+    fn policies_that_their_version_does_not_name_stop_the_node() {
+        assert!(checked(|_| ()).is_ok(), "none, and no version");
+        let named = |ctx: &mut Context<'_>| {
+            put(ctx);
+            name_them(ctx);
+        };
+        assert!(checked(named).is_ok());
+        let older = |ctx: &mut Context<'_>| {
+            name_them(ctx);
+            put(ctx);
+        };
+        assert_eq!(checked(older).unwrap_err().code, Code::Corrupt, "a version of what was there before");
+        assert_eq!(checked(put).unwrap_err().code, Code::Corrupt, "no version");
+        assert_eq!(checked(name_them).unwrap_err().code, Code::Corrupt, "a version of none");
+    }
 }

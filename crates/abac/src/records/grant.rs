@@ -7,7 +7,8 @@
 //! and removed with it, and only here.
 
 use super::principal::Principal;
-use super::store;
+use super::robot::Robot;
+use super::{service, store};
 use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::{Grant, Reason};
@@ -79,7 +80,23 @@ pub(crate) fn newest_epoch(ctx: &Context<'_>, service: &str) -> Result<u64, Reje
 /// Writes a grant that is not there, and its index keys.
 pub(crate) fn put(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Rejection> {
     check(ctx, holding, None);
+    check_offered(ctx, &holding.grant.service)?;
     write(ctx, holding)
+}
+
+/// A service that is granted is one of a registered robot: what ends with a robot is found by its services.
+fn check_offered(ctx: &mut Context<'_>, id: &str) -> Result<(), Rejection> {
+    let robot: Option<Robot> = store::read(ctx, &store::robot_key(service::split(id).0))?;
+    let offers = robot.as_ref().is_some_and(|robot| robot.services.iter().any(|one| robot.service_id(one) == id));
+    if !offers {
+        ctx.contradicted(
+            Rejection::new(Code::Corrupt, format!("{id} is granted, and no robot offers it"))
+                .found(robot.map_or_else(|| "no robot".to_owned(), |robot| format!("robot {}", robot.name)))
+                .wanted("a registered robot with that service")
+                .next("stop the node and delete its state directory; it is rebuilt from the blocks"),
+        );
+    }
+    Ok(())
 }
 
 fn write(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Rejection> {
@@ -153,13 +170,13 @@ fn certificate_key(holding: &Holding) -> Vec<u8> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::{Environment, Registry};
-    use ledger_contract::Mode;
+    use crate::fixture::block;
+    use crate::records::robot;
+    use crate::records::service::Service;
+    use ledger_contract::{Direction, Mode};
     use ledger_hash::Hash;
     use ledger_identity::Role;
-    use ledger_storage::state::{MemoryState, Overlay};
     use std::collections::BTreeMap;
-    use std::sync::Arc;
 
     fn holding(expires: u64) -> Holding {
         let grant = Grant {
@@ -185,36 +202,48 @@ mod tests {
         Holding { grant, principal, ending: None }
     }
 
+    /// The robot of the service.
+    fn register(ctx: &mut Context<'_>) {
+        let service = Service {
+            topic: "/cmd_vel".to_owned(),
+            type_name: "geometry_msgs/msg/Twist".to_owned(),
+            mode: Mode::Exclusive,
+            direction: Direction::Command,
+            max_age_ms: 1,
+            lease_ms: 1,
+            lease_ms_max: 1,
+            stop_hex: None,
+        };
+        let mut robot = Robot {
+            name: "Turtlebot4".to_owned(),
+            organisation: "Org2".to_owned(),
+            attribute_required: String::new(),
+            trusted: Vec::new(),
+            services: vec![service],
+            version: Hash::ZERO,
+        };
+        robot::write(ctx, &mut robot).unwrap();
+    }
+
     /// A change that only a fault of the program would make, and its name.
     type Break = (&'static str, fn(&mut Context<'_>));
-
-    /// The end of a block that does this.
-    fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection> {
-        let registry = Registry::new();
-        let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
-        let rules = ledger::Rules::NEWEST;
-        let environment =
-            Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction };
-        let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
-        body(&mut Context::new(environment, "abac", &mut overlay, &mut events));
-        overlay.finish().map(drop)
-    }
 
     #[test]
     fn a_grant_is_written_moved_and_removed_with_its_index_keys() {
         block(|ctx| {
+            register(ctx);
             put(ctx, &holding(5)).unwrap();
             replace(ctx, &holding(5), &holding(9)).unwrap();
             assert_eq!(ctx.range(b"due/", 9).len(), 1);
             remove(ctx, &holding(9));
-            assert!(ctx.range(b"", 9).is_empty());
+            assert_eq!(ctx.range(b"", 9).len(), 1, "the robot");
         })
         .unwrap();
     }
 
     #[test]
     fn a_grant_that_does_not_agree_with_its_index_keys_stops_the_node() {
-        let breaks: [Break; 5] = [
+        let breaks: [Break; 6] = [
             ("a grant is given twice", |ctx| put(ctx, &holding(5)).unwrap()),
             ("it is not found when it is due", |ctx| {
                 ctx.delete(&due_key(&holding(5)));
@@ -225,6 +254,11 @@ mod tests {
                 replace(ctx, &holding(5), &holding(9)).unwrap();
             }),
             ("it is another than was read", |ctx| replace(ctx, &holding(7), &holding(9)).unwrap()),
+            ("its robot is not registered", |ctx| {
+                remove(ctx, &holding(5));
+                ctx.delete(&store::robot_key("Turtlebot4"));
+                put(ctx, &holding(5)).unwrap();
+            }),
             ("it ends twice", |ctx| {
                 remove(ctx, &holding(5));
                 remove(ctx, &holding(5));
@@ -232,6 +266,7 @@ mod tests {
         ];
         for (name, broken) in breaks {
             let fault = block(|ctx| {
+                register(ctx);
                 put(ctx, &holding(5)).unwrap();
                 broken(ctx);
             });

@@ -12,6 +12,7 @@ use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
 use crate::message::{ENTRIES_MAX, PeerMessage, RaftMessage};
 use ledger::block::Payload;
 use ledger::members::MembershipChange;
+use ledger_invariant::invariant;
 use ledger_mutation::{Mutation, active};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::{Entry, EntryKind, HardState};
@@ -114,6 +115,12 @@ impl Engine {
             }
             drop(self.queues.take(cut));
             let index = self.raw.raft.raft_log.last_index();
+            let before = self.own.back().map_or(0, |block| block.index);
+            invariant!(
+                before < index,
+                "each block of a leader has a height of its own",
+                "block {index} after {before}"
+            );
             self.own.push_back(OwnBlock { index, bytes });
             self.ahead.proposed(index, cut.cost);
             self.last_time = time;
@@ -168,7 +175,15 @@ impl Engine {
         let Some(next) = self.membership.after(entry) else { return };
         let Ok(change) = MembershipChange::from_bytes(&entry.data) else { return };
         match self.raw.apply_conf_change(&change_into_raft(&change)) {
-            Ok(state) => assert_eq!(membership(&state), next, "members at height {} differ", entry.index),
+            Ok(state) => {
+                let found = membership(&state);
+                let height = entry.index;
+                invariant!(
+                    found == next,
+                    "engine and ledger know the same members",
+                    "{found:?} and {next:?} at {height}"
+                );
+            }
             Err(error) => {
                 tracing::error!(height = entry.index, %error, "change of members refused by the engine");
                 return;
@@ -264,6 +279,8 @@ impl Engine {
         }
         if let Some(number) = done {
             self.raw.on_persist_ready(number);
+            let (told, durable) = (self.raw.raft.raft_log.persisted, self.store.durable_index());
+            invariant!(told <= durable, "acknowledged blocks are on the disk", "block {told}, the disk has {durable}");
             self.advance_applied();
         }
     }

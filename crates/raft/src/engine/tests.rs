@@ -1,6 +1,7 @@
 //! The inside of the engine: progress of peers, and the decisions that the crate would have made.
 
 mod learners;
+mod promises;
 
 use super::*;
 use crate::Lane;
@@ -249,6 +250,7 @@ fn nothing_that_promises_goes_out_before_it_is_on_disk() {
     engine.step(0, append, &mut out);
     assert!(!out.iter().any(|output| matches!(output, Output::Send { .. })), "found {out:?}");
     out.clear();
+    engine.store.flush().unwrap();
     engine.step(0, Input::Persisted { ready }, &mut out);
     assert_eq!(sent(&out), [RaftKind::VoteResponse]);
     out.clear();
@@ -292,6 +294,7 @@ fn a_leader_alone_counts_its_entry_only_when_it_is_on_disk() {
     let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
     let ready = *ready;
     out.clear();
+    engine.store.flush().unwrap();
     engine.step(0, Input::Persisted { ready }, &mut out);
     assert!(matches!(&out[..], [Output::Commit(entries)] if entries.len() == 1), "found {out:?}");
 }
@@ -306,6 +309,7 @@ fn a_commit_reaches_a_learner_at_once_although_nothing_follows() {
     let Some(Output::Flush { ready }) = out.last() else { panic!("found {out:?}") };
     let ready = *ready;
     out.clear();
+    engine.store.flush().unwrap();
     engine.step(0, Input::Persisted { ready }, &mut out);
     let commit = out.iter().find_map(|output| match output {
         Output::Send { to: 9, message: PeerMessage::Raft(message) } => Some(message.commit),
@@ -337,7 +341,7 @@ fn timeouts_come_from_the_seed_alone() {
 #[test]
 fn a_node_far_behind_does_not_stand_for_election_but_votes() {
     let mut engine = follower();
-    engine.applied = 0;
+    (engine.applied, engine.promised) = (0, Promised::NONE);
     engine.raw.raft.raft_log.committed = 1;
     let due = |engine: &Engine| engine.may_campaign();
     assert!(due(&engine), "one block is not far");

@@ -5,6 +5,7 @@ use crate::waiters::Waiter;
 use bytes::Bytes;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
+use ledger_invariant::invariant;
 use ledger_raft::{Input, Output, PeerMessage, Role};
 use ledger_rejection::{Code, Rejection};
 
@@ -30,7 +31,8 @@ impl<W: Waiter> Replica<W> {
                     let delay = if self.engine.is_voter() { 0 } else { LEARNER_WRITE_DELAY };
                     self.flush_due = now.elapsed.saturating_add(delay);
                 }
-                assert!(self.flush.is_none_or(|before| before < ready), "flush {ready} after {:?}", self.flush);
+                let before = self.flush.unwrap_or(0);
+                invariant!(before < ready, "numbers of flushes grow", "flush {ready} after {before}");
                 self.flush = Some(ready);
             }
             Output::Commit(entries) => self.committed.extend(entries),

@@ -28,6 +28,11 @@ impl Sequences {
         self.last.get(publisher).is_none_or(|last| anew(last) || first_seq > last.seq)
     }
 
+    /// Epoch and number of the last message of a publisher.
+    pub(super) fn reached(&self, publisher: &str) -> Option<(u64, u64)> {
+        self.last.get(publisher).map(|last| (last.epoch, last.seq))
+    }
+
     /// Takes note of a message that passed. False if there is no room: then it must not pass.
     pub(super) fn note(&mut self, publisher: &str, epoch: u64, last_seq: u64, not_after: u64, now: u64) -> bool {
         if let Some(last) = self.last.get_mut(publisher) {

@@ -1,6 +1,8 @@
 //! Each rule of the gate has a test that fails without it.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
+mod faults;
+
 use crate::fixture::{NONE, NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
 use bytes::Bytes;
 use ledger::transaction::Transaction;

@@ -12,6 +12,7 @@ use std::{
 
 use futures::{FutureExt, StreamExt, future::BoxFuture};
 use ledger_api::{Subscription, v1::Delivery};
+use ledger_invariant::broken;
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
 use tokio::time::{sleep_until, timeout};
@@ -199,7 +200,10 @@ impl FromLedger {
             ..Subscription::default()
         });
         let mut graph_ended = std::pin::pin!(self.outlet.matched().clone().ended());
-        loop {
+        let fault = loop {
+            if let Some(found) = self.gate.fault() {
+                break Some(found.to_owned());
+            }
             // Others have their turn, also while events come without an end.
             tokio::task::consume_budget().await;
             // By the clock, before anything else is looked at: a flood of events must not put off a stop.
@@ -209,10 +213,10 @@ impl FromLedger {
             let stop_due = self.stop_due();
             tokio::select! {
                 biased;
-                () = stopped(&mut stop) => break,
+                () = stopped(&mut stop) => break None,
                 () = &mut graph_ended => {
                     tracing::error!(service = self.route.service, "THE LOCAL GRAPH IS LOST: the robot cannot be reached");
-                    break;
+                    break None;
                 }
                 // The next turn stops the robot.
                 () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
@@ -232,14 +236,17 @@ impl FromLedger {
                     }
                 }
             }
-        }
+        };
         if self.gate.is_moving() {
-            self.halt("shutdown").await;
+            self.halt(if fault.is_some() { "fault" } else { "shutdown" }).await;
         }
         if !self.outlet.flush(FLUSH_MAX).await {
             tracing::warn!(service = self.route.service, "not every subscriber confirmed the last messages");
         }
         tokio::time::sleep(LINGER).await;
+        if let Some(found) = fault {
+            broken("a message that passes the gate is its holder's, and newer than the last", format_args!("{found}"));
+        }
     }
 
     /// The time at which the robot must stop, and why, unless the ledger gives a sign of life or of the lease before.

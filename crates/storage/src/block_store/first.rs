@@ -9,6 +9,7 @@ use super::state::{Staged, State};
 use super::writer::{Failure, lock};
 use super::{Base, BlockStore, StoreError};
 use crate::entry::HardState;
+use ledger_invariant::invariant;
 
 /// A segment that is finished: no entry is written to it any more.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -121,6 +122,8 @@ impl State {
             dropped.extend(self.segments.pop_front());
         }
         if let Some(oldest) = self.segments.front().filter(|_| !dropped.is_empty()) {
+            let first = oldest.first_index;
+            invariant!(first <= settled + 1, "dropped blocks are committed and durable", "up to {first}, of {settled}");
             self.index.drop_before(oldest.first_index, oldest.sequence);
             self.recent.drop_before(oldest.first_index);
         }
@@ -142,6 +145,14 @@ impl State {
         hard_state: HardState,
         segment: Arc<StoredSegment>,
     ) -> Vec<Arc<StoredSegment>> {
+        let (before, after) = (self.hard_state.term, hard_state.term);
+        invariant!(after >= before, "a log that begins anew keeps the term", "term {after} after {before}");
+        let (base_index, committed) = (base.index, self.committed);
+        invariant!(
+            base_index >= committed,
+            "a committed block stays",
+            "a log after {base_index}, committed {committed}"
+        );
         self.index = super::index::LogIndex::new(base);
         self.recent.clear();
         self.staged = Staged::default();

@@ -11,6 +11,7 @@ use super::writer::{Placed, Written};
 use super::{STAGED_BYTES_MAX, StoreError};
 use crate::entry::{Entry, HardState};
 use crate::segment::ENTRY_BYTES_MAX;
+use ledger_invariant::invariant;
 
 pub(super) struct State {
     pub(super) index: LogIndex,
@@ -80,12 +81,31 @@ impl State {
             }
         }
         let last = entries.last().map_or(self.index.last(), |entry| entry.index);
-        hard_state.map_or(Ok(()), |new| check_hard_state(&self.hard_state, new, last))
+        let Some(new) = hard_state else { return Ok(()) };
+        check_hard_state(&self.hard_state, new, last)?;
+        self.check_promises(new)
+    }
+
+    /// A vote is given once in a term, and what is committed stays so. An orderer that does otherwise forgets what it has
+    /// promised to others.
+    fn check_promises(&self, new: &HardState) -> Result<(), String> {
+        let HardState { term, vote, commit } = self.hard_state;
+        if new.term == term && vote != 0 && new.vote != vote {
+            return Err(format!("a vote for {} follows one for {vote} in term {term}", new.vote));
+        }
+        if new.commit < commit {
+            return Err(format!("the hard state calls {} committed, the one before {commit}", new.commit));
+        }
+        Ok(())
     }
 
     pub(super) fn stage(&mut self, entry: Entry) {
         self.superseded_from =
             if entry.index <= self.index.last() { self.superseded_from.min(entry.index) } else { self.superseded_from };
+        let (index, last) = (entry.index, self.index.last());
+        invariant!(index <= last + 1, "the log has no gap", "block {index} after {last}");
+        let committed = self.committed;
+        invariant!(index > committed, "a committed block is not superseded", "block {index}, committed {committed}");
         self.index.append(entry.index, entry.term);
         self.recent.append(entry.clone());
         self.staged.push(entry);
@@ -101,7 +121,9 @@ impl State {
                 return Err(format!("entry {index} was written, the log on disk ended at {}", self.index.durable()));
             }
         }
-        self.recent.trim(self.index.durable());
+        let (durable, last) = (self.index.durable(), self.index.last());
+        invariant!(durable <= last, "durable blocks were written", "block {durable}, the log ends at {last}");
+        self.recent.trim(durable);
         Ok(())
     }
 

@@ -149,13 +149,21 @@ fn what_is_committed_is_never_superseded() {
 #[test]
 fn broken_rules_of_the_log_poison_the_store() {
     type Rule = fn(&BlockStore) -> Result<(), StoreError>;
-    let break_rule: [Rule; 4] = [
+    let break_rule: [Rule; 6] = [
         |store| store.append(&[plain(2, 1)], None),
         |store| store.append(&[plain(2, 3), plain(3, 2)], None),
         |store| store.append(&[], Some(&HardState { term: 2, vote: 0, commit: 2 })),
         |store| {
             store.set_committed(2);
             store.append(&[], None)
+        },
+        |store| {
+            store.append(&[], Some(&HardState { term: 2, vote: 1, commit: 0 })).unwrap();
+            store.append(&[], Some(&HardState { term: 2, vote: 3, commit: 0 }))
+        },
+        |store| {
+            store.append(&[], Some(&HardState { term: 2, vote: 0, commit: 1 })).unwrap();
+            store.append(&[], Some(&HardState { term: 2, vote: 0, commit: 0 }))
         },
     ];
     for rule in break_rule {
