@@ -3,6 +3,7 @@
 //! Everybody is let in. If that is one too many, the one that has stood there longest leaves. It is one of the same name if
 //! that name has too many, and else one of the name with the most. So somebody who crowds in pushes itself out.
 
+use ledger_invariant::invariant;
 use std::collections::{BTreeMap, HashMap};
 use std::future::poll_fn;
 use std::hash::Hash;
@@ -70,7 +71,8 @@ impl<N: Clone + Eq + Hash> Crowd<N> {
         standing.next += 1;
         *standing.counts.entry(name.clone()).or_default() += 1;
         standing.guests.insert(number, Guest { name, _stay: stay });
-        assert!(standing.guests.len() <= self.all_max.max(1), "more stand at the door than there are places");
+        let (guests, places) = (standing.guests.len(), self.all_max.max(1));
+        invariant!(guests <= places, "no more stand at the door than there are places", "{guests} of {places}");
         (Stay { crowd: Arc::clone(self), number, told, over: false }, leaves)
     }
 

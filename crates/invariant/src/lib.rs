@@ -3,7 +3,7 @@
 //! An invariant is a statement about this program, never about what others send: a peer, a client or a damaged disk is
 //! answered with a refusal. Where a statement is false the memory of the process is not to be believed any more. So the
 //! process ends at once, before a lock is poisoned or an answer is given, and says what it found. The disk is the truth:
-//! the next start reads it and checks it.
+//! the next start reads it and checks it. Ledgers that share a process share its memory, so all of them end.
 //!
 //! [`invariant!`] costs a comparison and stays on everywhere. [`costly_invariant!`] is for what must look at more than a
 //! few values: it is on in debug builds, so in tests and in the simulation.
@@ -30,8 +30,8 @@ pub const EXIT_CODE: i32 = 70;
 /// How the panic of a broken invariant begins.
 const BROKEN: &str = "an invariant does not hold: ";
 
-/// States that something holds: `invariant!(HOLDS, "the invariant as a sentence", "found {values}")`. The last part is put into words
-/// only if it does not hold.
+/// States that something holds: `invariant!(HOLDS, "the invariant as a sentence", "{values} that were found")`. The last
+/// part is put into words only if it does not hold.
 #[macro_export]
 macro_rules! invariant {
     ($holds:expr, $invariant:literal, $($found:tt)+) => {

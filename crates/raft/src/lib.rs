@@ -24,8 +24,8 @@
 //!   Messages may be lost, repeated and reordered.
 //!
 //! The `raft` crate panics when its invariants are broken (a committed entry lost, a disk that forgot), and so does the
-//! engine when a step took back a promise (`engine/promises.rs`). The process ends then, and the disk is the truth. Messages of peers cannot reach those panics: see
-//! `engine/guard.rs`.
+//! engine when a step took back a promise (`engine/promises.rs`). The process ends then, and the disk is the truth.
+//! Messages of peers cannot reach those panics: see `engine/guard.rs`.
 //!
 //! Only `engine`, `log` and `message` name the `raft` crate, so that it can be replaced.
 

@@ -28,6 +28,7 @@ use crate::trust::{Attested, Trial};
 use batch::End;
 use ledger::Ledger;
 use ledger_hash::Hash;
+use ledger_invariant::invariant;
 use ledger_mutation::Mutation;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{Base, BlockStore};
@@ -361,7 +362,7 @@ impl<P: Clone> CatchUp<P> {
         let Some(pull) = self.pull() else { return self.astray() };
         pull.taken = None;
         let end = pull.batch.end().height;
-        assert_eq!(reached, end, "fetched blocks were executed up to their end");
+        invariant!(reached == end, "fetched blocks are executed up to their end", "block {reached} of {end}");
         match pull.ended || end >= pull.limit {
             true => self.next_offer(),
             false => Todo::More,

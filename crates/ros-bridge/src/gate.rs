@@ -178,8 +178,8 @@ impl Gate {
         self.check_epochs(before);
     }
 
-    /// The contradiction that this gate found in itself. Nothing passes any more then: the robot is to be stopped, and after that
-    /// the process is to end. To end it at once, as other broken invariants do, would leave the robot moving.
+    /// The contradiction that this gate found in itself. Nothing passes any more then: the robot is to be stopped, and after
+    /// that the process is to end. To end it at once, as other broken invariants do, would leave the robot moving.
     pub fn fault(&self) -> Option<&str> {
         self.fault.as_deref()
     }

@@ -6,6 +6,7 @@
 use super::line::Arrived;
 use crate::reads::Known;
 use ledger::Refusal;
+use ledger_invariant::invariant;
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use std::collections::VecDeque;
@@ -89,7 +90,12 @@ impl<C> Held<C> {
 
     /// The answer to the question that was under way.
     pub(super) fn answered(&mut self, known: Known) {
-        assert!(self.asked && self.known.is_none(), "an answer to a question that nobody asked");
+        let (asked, known_before) = (self.asked, &self.known);
+        invariant!(
+            asked && known_before.is_none(),
+            "an answer follows a question, and is used before the next",
+            "{known:?} after {known_before:?}, asked: {asked}"
+        );
         self.asked = false;
         self.known = Some(known);
     }

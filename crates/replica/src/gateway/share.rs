@@ -3,6 +3,7 @@
 //! A place is held from a transaction's arrival to its verdict. An identity holds at most as many as are free, so that there
 //! are always some for others. The lanes count apart: who fills the data lane can still release.
 
+use ledger_invariant::invariant;
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
@@ -172,8 +173,8 @@ impl Drop for InFlight {
         let used = self.share.used(self.lane);
         used.transactions.fetch_sub(1, Ordering::Relaxed);
         used.bytes.fetch_sub(self.bytes, Ordering::Relaxed);
-        let free = self.share.places.free.fetch_add(1, Ordering::Relaxed);
-        debug_assert!(free < self.share.places.max, "a place came back that nobody had");
+        let (free, max) = (self.share.places.free.fetch_add(1, Ordering::Relaxed), self.share.places.max);
+        invariant!(free < max, "a place that comes back was taken", "{free} of {max} were free");
     }
 }
 

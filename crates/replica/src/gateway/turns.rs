@@ -4,6 +4,7 @@
 //! turns, however many connections each has. Only so many of an identity hold a turn or stand in the queue of all. Its others
 //! wait behind those.
 
+use ledger_invariant::invariant;
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use std::collections::{HashMap, VecDeque};
@@ -142,7 +143,8 @@ impl<T> Queue<T> {
         }
         let (next, waiter) = self.waiting.pop_front()?;
         self.held.push(next.number);
-        assert!(self.held.len() <= self.turns, "{} have a turn of {}", self.held.len(), self.turns);
+        let (held, turns) = (self.held.len(), self.turns);
+        invariant!(held <= turns, "no more have a turn than there are turns", "{held} of {turns}");
         Some(waiter)
     }
 }
