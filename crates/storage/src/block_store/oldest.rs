@@ -46,6 +46,8 @@ pub(super) struct Oldest {
     noted: Option<Beginning>,
     /// The slot that holds it.
     slot: usize,
+    /// It is on the disk for sure. A process that ended between a write and its sync leaves it in the page cache alone.
+    durable: bool,
 }
 
 impl Oldest {
@@ -55,15 +57,22 @@ impl Oldest {
     /// [`StoreError::Corrupt`] if no slot of it can be read.
     pub(super) fn read(disk: Arc<dyn Disk>) -> Result<Self, StoreError> {
         let (noted, slot) = read(disk.as_ref())?.map_or((None, 1), |(place, slot)| (Some(place), slot));
-        Ok(Self { disk, noted, slot })
+        Ok(Self { disk, noted, slot, durable: false })
     }
 
     /// Notes that the log begins with this segment from now on.
     pub(super) fn note(&mut self, place: Beginning) -> Result<(), StoreError> {
-        if self.noted.is_some_and(|noted| noted.sequence >= place.sequence) {
-            return Ok(());
+        if let Some(noted) = self.noted.filter(|_| !self.durable) {
+            // Where it stands: the other slot is all that a crash in the middle of this leaves for sure.
+            self.write(noted, self.slot)?;
         }
-        let slot = 1 - self.slot;
+        if self.noted.is_none_or(|noted| noted.sequence < place.sequence) {
+            self.write(place, 1 - self.slot)?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, place: Beginning, slot: usize) -> Result<(), StoreError> {
         let offset = SLOTS.get(slot).copied().unwrap_or_default();
         let write = |file: &Arc<dyn DiskFile>| file.write_at(&encode(place), offset).and_then(|()| file.sync_data());
         let written = match self.disk.open(FILE) {
@@ -71,7 +80,7 @@ impl Oldest {
             file => file.and_then(|file| write(&file)),
         };
         written.map_err(|error| disk_error("write", FILE, SLOT_BYTES as u64, error))?;
-        (self.noted, self.slot) = (Some(place), slot);
+        (self.noted, self.slot, self.durable) = (Some(place), slot, true);
         Ok(())
     }
 
@@ -147,7 +156,7 @@ fn decode(bytes: &[u8]) -> Option<Beginning> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::disk::RealDisk;
+    use crate::disk::{RealDisk, SimDisk};
 
     fn place(sequence: u32) -> Beginning {
         Beginning { sequence, first_index: u64::from(sequence) * 100 }
@@ -171,5 +180,42 @@ mod tests {
         assert_eq!(read(disk.as_ref()).unwrap().unwrap(), (place(5), 0));
         file.write_at(&[0xff], 9).unwrap();
         assert!(matches!(read(disk.as_ref()), Err(StoreError::Corrupt { .. })));
+    }
+
+    #[test]
+    fn what_a_killed_process_has_written_and_not_synced_is_made_durable_before_older_segments_go() {
+        for seed in 0..64 {
+            let disk = SimDisk::new(seed);
+            let shared: Arc<dyn Disk> = Arc::new(disk.clone());
+            let mut oldest = Oldest::read(Arc::clone(&shared)).unwrap();
+            [1, 2].into_iter().for_each(|sequence| oldest.note(place(sequence)).unwrap());
+            disk.fail_sync(1);
+            oldest.note(place(3)).unwrap_err();
+            disk.kill();
+            let mut again = Oldest::read(Arc::clone(&shared)).unwrap();
+            assert_eq!(again.noted, Some(place(3)), "it stands in the page cache");
+            again.note(place(3)).unwrap();
+            disk.crash();
+            assert_eq!(read(&disk).unwrap().unwrap().0, place(3), "seed {seed}");
+        }
+    }
+
+    #[test]
+    fn a_crash_in_the_middle_leaves_the_place_before_or_after_whatever_a_killed_process_left() {
+        for (seed, next) in (0..64).flat_map(|seed| [(seed, 3), (seed, 4)]) {
+            let disk = SimDisk::new(seed);
+            let shared: Arc<dyn Disk> = Arc::new(disk.clone());
+            let mut oldest = Oldest::read(Arc::clone(&shared)).unwrap();
+            [1, 2].into_iter().for_each(|sequence| oldest.note(place(sequence)).unwrap());
+            disk.fail_sync(1);
+            oldest.note(place(3)).unwrap_err();
+            disk.kill();
+            let mut again = Oldest::read(Arc::clone(&shared)).unwrap();
+            disk.fail_sync(1 + seed % 2);
+            let _cut_off = again.note(place(next));
+            disk.crash();
+            let found = read(&disk).unwrap().unwrap().0;
+            assert!(found.sequence >= 2, "seed {seed}: {found:?}, but the first segment is gone");
+        }
     }
 }
