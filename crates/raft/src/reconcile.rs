@@ -12,7 +12,8 @@ use std::cmp::Reverse;
 use std::collections::BTreeSet;
 
 /// How far behind the newest committed block a node may be to become a voter, in blocks: what replication brings within
-/// a moment. Further back, its missing vote would hold up commits.
+/// a moment. Further back, its missing vote would hold up commits. One that needs blocks which the leader has dropped
+/// is no voter yet either: replication does not bring it on.
 pub const PROMOTION_LAG_MAX: u64 = 1000;
 
 /// The members that the ledger wants. A node in neither set shall not be a member; one in both shall vote.
@@ -98,7 +99,9 @@ fn can_order(status: &Status, voters: &BTreeSet<u64>) -> bool {
 }
 
 fn is_ready(status: &Status, node: u64) -> bool {
-    let caught_up = |peer: &PeerStatus| peer.matched > 0 && peer.matched + PROMOTION_LAG_MAX >= status.commit;
+    let near =
+        |peer: &PeerStatus| peer.matched + PROMOTION_LAG_MAX >= status.commit && peer.matched + 1 >= status.first;
+    let caught_up = |peer: &PeerStatus| peer.matched > 0 && near(peer);
     peer(status, node).is_some_and(|peer| peer.recently_active && caught_up(peer))
 }
 

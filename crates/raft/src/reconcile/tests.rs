@@ -80,6 +80,18 @@ fn a_new_voter_comes_in_as_a_learner_and_is_promoted_when_it_has_caught_up() {
 }
 
 #[test]
+fn a_node_that_needs_blocks_which_the_leader_has_dropped_is_no_voter_yet_and_counts_in_no_majority() {
+    let mut status = Status { first: 4900, ..leader(&[1], &[2]) };
+    peer_mut(&mut status, 2).matched = 4898;
+    assert_eq!(next_step(&desired(&[1, 2], &[]), &status), None, "block 4899 is gone");
+    peer_mut(&mut status, 2).matched = 4899;
+    assert_eq!(next_step(&desired(&[1, 2], &[]), &status), changes(&[Change::AddVoter(2)]));
+    let mut status = Status { first: 4900, ..leader(&[1, 2, 3], &[]) };
+    peer_mut(&mut status, 2).matched = 4000;
+    assert_eq!(next_step(&desired(&[1, 2], &[3]), &status), None, "2 and 1 alone could not order");
+}
+
+#[test]
 fn a_node_of_which_nothing_is_known_is_not_caught_up_however_short_the_chain() {
     let mut status = leader(&[1], &[2]);
     (status.commit, peer_mut(&mut status, 2).matched) = (3, 0);
