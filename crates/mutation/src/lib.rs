@@ -56,6 +56,8 @@ pub enum Mutation {
     KeepARemovedVoter,
     /// The first block after a snapshot is executed twice.
     ApplyTwiceAfterASnapshot,
+    /// A node executes the block at which newer rules begin by the older ones.
+    OlderRulesAtTheActivation,
 }
 
 /// Is this bug turned on?

@@ -76,6 +76,10 @@ faults! {
     Snapshot "snapshot taken";
     /// A node gives another blocks that nobody has ordered.
     ForgedBlocks "forged block offered";
+    /// Newer rules of execution come into force.
+    Activation "newer rules activated";
+    /// A node does not speak the rules of the next block, and stops.
+    Outdated "stopped before newer rules";
     /// A member orders what no honest gateway would let through.
     Hostile "hostile transaction";
     /// A client sends much at once, over many streams, and waits for nothing.

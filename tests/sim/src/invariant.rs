@@ -20,6 +20,7 @@ mod log_matching;
 mod members;
 mod refused_is_final;
 mod revoked;
+mod rules_by_height;
 mod snapshot_trust;
 mod state_agreement;
 
@@ -40,12 +41,13 @@ pub use log_matching::LogMatching;
 pub use members::MembersFollowTheLedger;
 pub use refused_is_final::RefusedIsFinal;
 pub use revoked::RevokedStaysRevoked;
+pub use rules_by_height::RulesByHeight;
 pub use snapshot_trust::SnapshotsAreAttested;
 pub use state_agreement::StateAgreement;
 
 use crate::people::People;
-use ledger::Outcome;
 use ledger::transaction::Transaction;
+use ledger::{Outcome, Rules};
 use std::fmt;
 use std::sync::Arc;
 
@@ -112,6 +114,8 @@ pub struct Invariants {
     pub committed: CommittedIsImmutable,
     /// A transaction that was refused for good is not executed.
     pub refused_is_final: RefusedIsFinal,
+    /// A block has the rules of its height.
+    pub rules_by_height: RulesByHeight,
     /// Every later call sees the answers that were given.
     pub answered_is_seen: AnsweredIsSeen,
     /// A flood keeps nobody out.
@@ -128,7 +132,7 @@ pub struct Invariants {
 
 impl Invariants {
     /// Before anything has happened.
-    pub fn new(people: &Arc<People>) -> Self {
+    pub fn new(people: &Arc<People>, founded: Rules) -> Self {
         Self {
             election_safety: ElectionSafety::default(),
             log_matching: LogMatching::default(),
@@ -143,6 +147,7 @@ impl Invariants {
             revoked: RevokedStaysRevoked::new(Arc::clone(people)),
             committed: CommittedIsImmutable::default(),
             refused_is_final: RefusedIsFinal::default(),
+            rules_by_height: RulesByHeight::new(founded.number()),
             answered_is_seen: AnsweredIsSeen::default(),
             fair_share: FairShare,
             in_order: InOrder::default(),

@@ -1,16 +1,18 @@
 //! One node: the real replica, block store and ledger on a simulated disk. The node's threads are events in virtual time.
 
 mod open;
+mod seen_rules;
 mod shelf;
 
 pub use open::{Keeping, open_blocks};
+pub use seen_rules::SeenRules;
 pub use shelf::Shelf;
 
 use crate::clock::Clock;
 use crate::coverage::Fault;
 use crate::world::Fetching;
 use bytes::Bytes;
-use ledger::Ledger;
+use ledger::{Ledger, Rules};
 use ledger_hash::Hash;
 use ledger_raft::{Desired, Lane};
 use ledger_rejection::Code;
@@ -58,6 +60,10 @@ pub struct Node {
     pub saved: u64,
     /// Power fails in the middle of its next write.
     pub tear: bool,
+    /// The newest rules that its release speaks.
+    pub speaks: Rules,
+    /// The rules that its calls saw.
+    pub rules: SeenRules,
 }
 
 /// The process of a node.
@@ -343,6 +349,8 @@ impl Node {
             keep: None,
             saved: 0,
             tear: false,
+            speaks: Rules::NEWEST,
+            rules: SeenRules::default(),
         }
     }
 }

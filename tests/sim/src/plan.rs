@@ -3,6 +3,7 @@
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::random::Random;
+use ledger::Rules;
 use std::collections::BTreeSet;
 
 /// The circumstances of one run. Times in microseconds.
@@ -40,6 +41,8 @@ pub struct Plan {
     pub network: NetworkPlan,
     /// Longest time of an ordinary flush of the log.
     pub disk_max: u64,
+    /// The network is founded with the oldest rules, some nodes speak no others yet, and newer ones are activated.
+    pub activates: bool,
 }
 
 /// The network's treatment of messages.
@@ -63,6 +66,11 @@ pub struct NetworkPlan {
 pub const HEAL_MAX: u64 = 90 * SECOND;
 
 impl Plan {
+    /// The rules that the network is founded with.
+    pub fn rules(&self) -> Rules {
+        if self.activates { Rules::FIRST } else { Rules::NEWEST }
+    }
+
     /// The plan of a seed.
     pub fn new(seed: u64) -> Self {
         let mut random = Random::new(seed, "plan");
@@ -100,6 +108,7 @@ impl Plan {
             prepares: random.percent(60),
             state_flush: random.between(100 * MILLISECOND, 3 * SECOND),
             disk_max: if faults.contains(&Fault::SlowDisk) { random.between(5, 60) * MILLISECOND } else { MILLISECOND },
+            activates: random.percent(40),
             network,
             faults,
         }

@@ -157,6 +157,8 @@ pub struct World {
     pub records: Vec<NodeRecord>,
     /// The client that does what the operator wants, and how many did before.
     pub(crate) operating: (Option<usize>, usize),
+    /// The height from which on the organisations want newer rules, once they have thought of one.
+    pub(crate) activation: Option<u64>,
     pub(crate) access: Option<Arc<dyn Chaincode>>,
     /// A member forges a copy of the next transaction that it hears of.
     pub(crate) forges_next: bool,
@@ -202,6 +204,9 @@ impl World {
             if plan.faults.contains(&Fault::Pruning) {
                 node.keep = Some(random.faults.between(5, 60));
             }
+            if plan.activates && random.nodes.percent(60) {
+                node.speaks = Rules::FIRST;
+            }
             nodes.insert(id, node);
         }
         let mut world = Self {
@@ -209,7 +214,7 @@ impl World {
             people: Arc::clone(people),
             nodes,
             history: History::default(),
-            invariants: Invariants::new(people),
+            invariants: Invariants::new(people, plan.rules()),
             coverage,
             trace: Trace::new(keep_text),
             blocks: Vec::new(),
@@ -224,6 +229,7 @@ impl World {
             records: Vec::new(),
             operating: (None, 0),
             desired: Desired { voters: (1..=voters).collect(), learners: (voters + 1..=all).collect() },
+            activation: None,
             access: None,
             forges_next: false,
             queue: BTreeMap::new(),
@@ -379,7 +385,7 @@ fn found(plan: &Plan, people: &People, seed: u64) -> (Bytes, Hash) {
         voter: id <= plan.voters,
     });
     let genesis = Genesis {
-        rules: Rules::NEWEST.number(),
+        rules: plan.rules().number(),
         label: "simulated".into(),
         created: EPOCH - SECOND,
         salt: Hash::of(&[&seed.to_be_bytes()]),

@@ -1,4 +1,4 @@
-//! Would the simulation notice? Twenty deliberate bugs, one at a time: each must be caught within a bounded number of
+//! Would the simulation notice? Deliberate bugs, one at a time: each must be caught within a bounded number of
 //! seeds, by the promises that it breaks.
 //!
 //! `cargo test --release -p ledgerd-sim --features mutations --test mutations`
@@ -135,4 +135,29 @@ fn a_removed_member_that_keeps_its_vote_is_noticed() {
 #[test]
 fn a_block_that_is_executed_twice_after_a_snapshot_is_noticed() {
     caught(Mutation::ApplyTwiceAfterASnapshot, &["a node ends only for a reason"]);
+}
+
+#[test]
+fn messages_that_overtake_control_are_noticed() {
+    caught(Mutation::DataOvertakesControl, &["no call overtakes another"]);
+}
+
+#[test]
+fn a_call_that_overtakes_one_that_is_held_is_noticed() {
+    caught(Mutation::OvertakeWhatIsHeld, &["no call overtakes another"]);
+}
+
+#[test]
+fn an_identity_that_uses_a_gateway_alone_is_noticed() {
+    caught(Mutation::IgnoreTheShare, &["nobody is kept out"]);
+}
+
+#[test]
+fn a_deadline_that_is_forgotten_is_noticed() {
+    caught(Mutation::ForgetADeadline, &["everybody is answered"]);
+}
+
+#[test]
+fn a_block_that_is_executed_by_older_rules_is_noticed() {
+    caught(Mutation::OlderRulesAtTheActivation, &["rules by height"]);
 }

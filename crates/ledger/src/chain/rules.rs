@@ -3,6 +3,7 @@
 use super::Ledger;
 use crate::governance::{self, NodeRecord};
 use crate::rules::{Activation, Rules, Schedule};
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use std::sync::{PoisonError, RwLockReadGuard};
 
@@ -25,7 +26,8 @@ impl Ledger {
     /// # Errors
     /// [`Code::UnknownRules`].
     pub(super) fn rules_of(&self, height: u64) -> Result<Rules, Rejection> {
-        let number = self.schedule().number_at(height);
+        let late = u64::from(active(Mutation::OlderRulesAtTheActivation));
+        let number = self.schedule().number_at(height - late);
         self.registry.speaks(number).ok_or_else(|| self.unknown(Activation { number, height }))
     }
 

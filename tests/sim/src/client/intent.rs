@@ -63,6 +63,18 @@ pub enum Call {
         /// Its serial number.
         serial: String,
     },
+    /// To say which rules a node speaks.
+    Speak {
+        /// The newest.
+        newest: u32,
+    },
+    /// To activate rules.
+    Activate {
+        /// Their number.
+        number: u32,
+        /// Their first block.
+        height: u64,
+    },
     /// To come in as a node.
     Join {
         /// The address of the node.
@@ -96,6 +108,12 @@ impl Call {
             Self::Setup { open } => ("abac", "replace", robots(*open).iter().map(|robot| text(robot)).collect()),
             Self::Put(policy) => ("abac", "policy", vec![text("put"), text(policy.id()), text(&policy.text())]),
             Self::Remove(policy) => ("abac", "policy", vec![text("remove"), text(policy.id())]),
+            Self::Speak { newest } => {
+                ("msp", "speak", vec![text(&format!(r#"{{"newest":{newest},"release":"9.0.0"}}"#))])
+            }
+            Self::Activate { number, height } => {
+                ("msp", "activate_rules", vec![text(&format!(r#"{{"number":{number},"height":{height}}}"#))])
+            }
             Self::Join { address } => ("msp", "join_node", vec![text(&format!(r#"{{"address":"{address}"}}"#))]),
             Self::SetRole { id, role } => {
                 ("msp", "set_node_role", vec![text(&format!(r#"{{"id":{id},"role":"{role}"}}"#))])

@@ -4,8 +4,10 @@ mod grants;
 mod network;
 
 use crate::people::{People, Person};
+use crate::plan::Plan;
 use crate::policy::{Asked, Policy, Says};
 use bytes::Bytes;
+use ledger::members::Membership;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger_hash::Hash;
 use ledger_identity::Role;
@@ -86,11 +88,7 @@ impl From<Code> for Judged {
 type Verdict = Result<Judged, Code>;
 
 impl Model {
-    pub(super) fn new(
-        people: &Arc<People>,
-        network: Hash,
-        (voters, learners, organisations): (u64, u64, usize),
-    ) -> Self {
+    pub(super) fn new(people: &Arc<People>, network: Hash, plan: &Plan) -> Self {
         Self {
             people: Arc::clone(people),
             network,
@@ -102,8 +100,13 @@ impl Model {
             epochs: BTreeMap::new(),
             grants: BTreeMap::new(),
             last: BTreeMap::new(),
-            network_of_nodes: Nodes::founded(voters, learners, organisations),
+            network_of_nodes: Nodes::founded(plan.rules(), plan.voters, plan.learners, plan.organisations),
         }
+    }
+
+    /// What follows is executed in the block of this height, or judged by its rules.
+    pub(super) fn next(&mut self, height: u64, members: &Membership) {
+        self.network_of_nodes.next(height, members);
     }
 
     /// A block begins: what is due ends.
@@ -195,6 +198,8 @@ impl Model {
             ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
             ("msp", "join_node") => self.network_of_nodes.join(who, &first),
             ("msp", "set_node_role") => self.network_of_nodes.set_role(who, &first),
+            ("msp", "speak") => self.network_of_nodes.speak(who, &first),
+            ("msp", "activate_rules") => self.network_of_nodes.activate(who, &first),
             ("msp", "attest") => self.network_of_nodes.attest(who, &first),
             ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default()),
             (chaincode, function) => panic!("the model does not know {chaincode} {function}"),

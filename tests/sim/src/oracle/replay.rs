@@ -41,8 +41,7 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
     let mut claims = claims(world);
     claims.sort_by_key(|(height, ..)| *height);
     let mut claims = claims.into_iter().peekable();
-    let mut model =
-        Model::new(&world.people, world.network, (world.plan.voters, world.plan.learners, world.plan.organisations));
+    let mut model = Model::new(&world.people, world.network, &world.plan);
     let (mut time, mut checks) = (0, 0);
     for height in 0..=world.blocks.len() as u64 {
         if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {
@@ -70,6 +69,8 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
                 checks += 1;
             }
         }
+        let members = world.members.get(height as usize).unwrap_or(world.newest_members());
+        model.next(height + 1, members);
         while let Some((_, judged_at, claim)) = claims.next_if(|(of, ..)| *of == height) {
             check(&model, height, judged_at, &claim)?;
             checks += 1;

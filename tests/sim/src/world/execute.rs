@@ -2,6 +2,7 @@
 
 use super::start::wanted;
 use super::{Block, World};
+use crate::coverage::Fault;
 use crate::invariant::{Check, Executed};
 use crate::people::organisation_of;
 use bytes::Bytes;
@@ -83,12 +84,17 @@ impl World {
             }
         }
         self.take_note(id, outcome);
+        let number = self.nodes.get(&id).and_then(|node| node.rules.take(height));
+        self.invariants.rules_by_height.executed(id, height, number)?;
         self.invariants.executed(&Executed { node: id, outcome, transactions: &transactions }, first)?;
         if first {
             for result in &outcome.results {
                 *self.coverage.verdicts.entry(result.code()).or_default() += 1;
             }
             self.coverage.blocks += 1;
+            if self.invariants.rules_by_height.decided(outcome) {
+                self.coverage.fault(Fault::Activation);
+            }
             let members = ledger.members().unwrap_or_default();
             self.records = governance::nodes(&**ledger.state()).unwrap();
             let before = self.newest_members().clone();

@@ -17,6 +17,7 @@ use ledger_replica::trust::{Attested, Trial, attestations};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::snapshot::{Manifest, Snapshot};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Most blocks of one message of a peer.
@@ -318,13 +319,25 @@ impl World {
         Ok(())
     }
 
+    /// Are nodes of two organisations as far as this? An organisation whose nodes are all behind what the others keep finds
+    /// no snapshot that two attest, so a careful operator waits.
+    fn may_drop(&self, keep_from: u64) -> bool {
+        let far = self.nodes.values().filter(|node| !node.lost && node.saved >= keep_from);
+        let organisations: BTreeSet<_> = far.map(|node| organisation_of(node.id, self.plan.organisations)).collect();
+        organisations.len() >= self.plan.organisations.min(2)
+    }
+
     /// Drops old blocks, as far as the node's own world state does not need them.
     pub(super) fn prune(&mut self, id: u64) -> Check {
-        let Some(node) = self.nodes.get_mut(&id) else { return Ok(()) };
+        let Some(node) = self.nodes.get(&id) else { return Ok(()) };
         let (Some(keep), Some(running)) = (node.keep, node.up.as_ref()) else { return Ok(()) };
         let before = running.store.first_index();
         let oldest = running.snapshots.oldest().map_or(0, |snapshot| snapshot.manifest().height);
         let keep_from = node.saved.saturating_sub(keep).min(oldest + 1);
+        if !self.may_drop(keep_from) {
+            return Ok(());
+        }
+        let Some(running) = self.running(id) else { return Ok(()) };
         if let Err(fault) = running.ledger.prune_results(keep_from) {
             return self.failed(id, &fault.to_string());
         }

@@ -7,6 +7,7 @@ use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::Node;
 use crate::people::organisation_of;
+use ledger::Rules;
 use ledger::governance::NodeRole;
 use ledger_raft::Desired;
 use ledger_storage::segment::{Found, LogPosition, scan};
@@ -71,8 +72,12 @@ impl World {
         Err(Violation::new("damage is refused", format!("node {id} starts with a damaged {file}")))
     }
 
-    /// Puts a new node in the place of one that is lost.
+    /// Puts a new node in the place of one that is lost, if that was still wanted.
     pub(super) fn replace(&mut self, lost: u64) {
+        let Desired { voters, learners } = &self.desired;
+        if !voters.contains(&lost) && !learners.contains(&lost) {
+            return;
+        }
         let new = self.newcomer();
         if self.desired.voters.remove(&lost) {
             self.desired.voters.insert(new);
@@ -111,11 +116,12 @@ impl World {
             self.note(format_args!("n{new} has taken the place of n{lost}"));
             self.replacement = None;
         }
+        self.release()?;
         let (operating, turn) = self.operating;
         if operating.is_some_and(|client| !self.clients[client].orders.is_empty()) {
             return Ok(());
         }
-        if let Some((person, call)) = self.next_order(turn) {
+        if let Some((person, call)) = self.next_order(turn).or_else(|| self.next_rules(turn)) {
             self.note(format_args!("{person} is asked for {call:?}"));
             self.operating = (Some(self.employ_for(&person, vec![call], true)), turn + 1);
         }
@@ -143,6 +149,33 @@ impl World {
         let present = self.records.iter().filter(|record| record.role != NodeRole::Removed).map(|record| record.id);
         let gone = present.filter(|id| !voters.contains(id) && !learners.contains(id)).min()?;
         Some((own_admin(gone), Call::SetRole { id: gone, role: "removed" }))
+    }
+
+    /// Now and then, a newer release is installed on a node. Learners may have to wait until they stop.
+    fn release(&mut self) -> Check {
+        let older = |id: &u64| self.nodes.get(id).is_some_and(|node| node.up.is_some() && node.speaks != Rules::NEWEST);
+        let Some(id) = self.desired.voters.iter().copied().find(older) else { return Ok(()) };
+        if self.random.nodes.percent(10) { self.upgrade(id) } else { Ok(()) }
+    }
+
+    /// The next transaction towards newer rules: the nodes say that they speak them, then the organisations activate them.
+    fn next_rules(&mut self, turn: usize) -> Option<(String, Call)> {
+        let (number, height) = (Rules::NEWEST.number(), self.blocks.len() as u64);
+        let newest = self.invariants.rules_by_height.newest();
+        if newest == number || !self.is_settled() {
+            return None;
+        }
+        let silent = self.records.iter().find(|record| {
+            let speaks = record.speaks.as_ref().is_some_and(|speaks| speaks.newest == number);
+            let newer = self.nodes.get(&record.id).is_some_and(|node| node.speaks == Rules::NEWEST);
+            record.role != NodeRole::Removed && !speaks && newer
+        });
+        if let Some(record) = silent {
+            return Some((record.full_name(), Call::Speak { newest: number }));
+        }
+        let ahead = self.random.nodes.between(2, 40);
+        let height = *self.activation.get_or_insert(height + ahead);
+        Some((format!("Org{}/admin", 1 + turn % 3), Call::Activate { number, height }))
     }
 
     /// Do the records on the ledger say what the operator wants?

@@ -6,11 +6,11 @@ use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Client, Keeping, Running, open_blocks};
-use ledger::{Chaincode, Ledger, Registry, governance};
+use ledger::{Chaincode, Ledger, Registry, Rules, governance};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
 use ledger_raft::Desired;
-use ledger_rejection::Rejection;
+use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Ballot, Look};
 use ledger_replica::conductor::Conductor;
 use ledger_replica::gateway::{Shares, Turns};
@@ -58,6 +58,8 @@ impl World {
         let snapshots = Arc::new(snapshots.map_err(|fault| does_not_start(id, &fault))?);
         let mut registry = Registry::new();
         registry.install(abac).unwrap();
+        registry.install(Arc::new(node.rules.clone())).unwrap();
+        registry.speak_up_to(node.speaks);
         let mut keeping = Keeping { node, network: self.network, replayed: Vec::new() };
         let opening = Opening {
             genesis: &self.genesis,
@@ -66,7 +68,14 @@ impl World {
             snapshots: &snapshots,
             diverged: false,
         };
-        let ledger = opening.open(&mut keeping).map_err(|fault| does_not_start(id, &fault))?;
+        let ledger = match opening.open(&mut keeping) {
+            Ok(ledger) => ledger,
+            Err(fault) if fault.code == Code::UnknownRules => {
+                let height = self.invariants.rules_by_height.newest_from();
+                return self.outdated(id, height, &fault);
+            }
+            Err(fault) => return Err(does_not_start(id, &fault)),
+        };
         let Keeping { node, replayed, .. } = keeping;
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
@@ -199,16 +208,44 @@ impl World {
         Ok(())
     }
 
+    /// A node stops before a block whose rules it does not speak. Somebody installs a newer release there.
+    fn outdated(&mut self, id: u64, height: u64, fault: &Rejection) -> Check {
+        let Some(node) = self.nodes.get(&id) else { return Ok(()) };
+        self.invariants.rules_by_height.stopped(id, height, node.speaks.number())?;
+        self.note(format_args!("n{id} stops: {fault}"));
+        self.coverage.fault(Fault::Outdated);
+        self.upgrade(id)
+    }
+
+    /// A node gets the newest release.
+    pub(super) fn upgrade(&mut self, id: u64) -> Check {
+        self.stop(id, false);
+        if let Some(node) = self.nodes.get_mut(&id) {
+            node.speaks = Rules::NEWEST;
+        }
+        let delay = self.random.nodes.between(10, 3_000) * MILLISECOND;
+        self.schedule(delay, Event::Start { node: id });
+        Ok(())
+    }
+
     /// A node executes a block.
     pub(super) fn executed(&mut self, id: u64, executor: &Executor, entry: &Entry) -> Check {
         #[cfg(feature = "mutations")]
         if let Some(node) = self.nodes.get(&id) {
             ledger_mutation::set_wall_clock(node.clock.wall(self.now));
         }
+        if self.running(id).is_none() {
+            // It has stopped before an earlier one of these blocks.
+            return Ok(());
+        }
         let index = entry.index;
-        let outcome = executor
-            .execute(entry)
-            .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot execute block {index}: {fault}")))?;
+        let outcome = match executor.execute(entry) {
+            Ok(outcome) => outcome,
+            Err(fault) if fault.code == Code::UnknownRules => return self.outdated(id, index, &fault),
+            Err(fault) => {
+                return Err(Violation::new(UNEXPLAINED, format!("node {id} cannot execute block {index}: {fault}")));
+            }
+        };
         self.observe(id, executor.ledger(), entry, &outcome)
     }
 

@@ -2,6 +2,8 @@
 
 use super::{Judged, Person, Verdict};
 use crate::people::organisation_of;
+use ledger::members::Membership;
+use ledger::{Activation, Rules};
 use ledger_identity::Role;
 use ledger_rejection::Code;
 use serde::Deserialize;
@@ -19,6 +21,14 @@ pub(super) struct Nodes {
     proposed: BTreeMap<(u64, String), BTreeSet<String>>,
     /// Greatest height that a node has attested, and of a snapshot.
     attested: BTreeMap<String, (u64, u64)>,
+    /// The newest rules that a node said it speaks.
+    speaks: BTreeMap<u64, u32>,
+    /// The rules that the network was founded with, and those that followed.
+    rules: Vec<Activation>,
+    /// The organisations that want an activation.
+    wanted: BTreeMap<(u32, Option<u64>), BTreeSet<String>>,
+    /// The next block, and the members before it.
+    next: (u64, Membership),
 }
 
 #[derive(Deserialize)]
@@ -28,19 +38,94 @@ struct SetRole {
 }
 
 #[derive(Deserialize)]
+struct Speaks {
+    newest: u32,
+}
+
+#[derive(Deserialize)]
+struct Activate {
+    number: u32,
+    height: Option<u64>,
+}
+
+#[derive(Deserialize)]
 struct Attest {
     height: u64,
     content: Option<String>,
 }
 
 impl Nodes {
-    pub(super) fn founded(voters: u64, learners: u64, organisations: usize) -> Self {
+    pub(super) fn founded(rules: Rules, voters: u64, learners: u64, organisations: usize) -> Self {
         let node = |id| {
             let role = if id <= voters { "voter" } else { "learner" };
             (id, (format!("{}/node{id}", organisation_of(id, organisations)), role.to_owned()))
         };
         let nodes = (1..=voters + learners).map(node).collect();
-        Self { nodes, proposed: BTreeMap::new(), attested: BTreeMap::new() }
+        Self {
+            nodes,
+            proposed: BTreeMap::new(),
+            attested: BTreeMap::new(),
+            speaks: BTreeMap::new(),
+            rules: vec![Activation { number: rules.number(), height: 0 }],
+            wanted: BTreeMap::new(),
+            next: (1, Membership::new(1..=voters, voters + 1..=voters + learners)),
+        }
+    }
+
+    /// What follows is executed in the block of this height, or judged by its rules.
+    pub(super) fn next(&mut self, height: u64, members: &Membership) {
+        let before = self.active();
+        self.next = (height, members.clone());
+        if self.active() != before {
+            // Newer rules count admins, and nobody wrote down who they were.
+            self.proposed.values_mut().for_each(BTreeSet::clear);
+        }
+    }
+
+    fn active(&self) -> u32 {
+        let reached = self.rules.iter().rfind(|activation| activation.height <= self.next.0);
+        reached.map_or(0, |activation| activation.number)
+    }
+
+    fn pending(&self) -> Option<u32> {
+        self.rules.last().map(|last| last.number).filter(|number| *number > self.active())
+    }
+
+    fn speaks(&self, id: u64) -> u32 {
+        self.speaks.get(&id).copied().unwrap_or(self.active())
+    }
+
+    pub(super) fn speak(&mut self, who: &Person, argument: &str) -> Verdict {
+        let Speaks { newest } = serde_json::from_str(argument).map_err(|_| Code::BadArgument)?;
+        let own = self.nodes.iter().find(|(_, (name, role))| *name == who.id() && role != "removed");
+        let (id, _) = own.ok_or(Code::NotAMember)?;
+        self.speaks.insert(*id, newest);
+        Ok(Code::Ok.into())
+    }
+
+    pub(super) fn activate(&mut self, who: &Person, argument: &str) -> Verdict {
+        let Activate { number, height } = serde_json::from_str(argument).map_err(|_| Code::BadArgument)?;
+        if who.identity.role != Role::Admin {
+            return Err(Code::NotAdmin);
+        }
+        if number <= self.active() {
+            return Err(Code::BadArgument);
+        }
+        if self.pending().is_some() {
+            return Err(Code::AlreadyExists);
+        }
+        let votes = |id: &u64, role: &str| role == "voter" || self.next.1.is_voter(*id);
+        if self.nodes.iter().any(|(id, (_, role))| votes(id, role) && self.speaks(*id) < number) {
+            return Err(Code::RulesNotSpoken);
+        }
+        let approvals = self.wanted.entry((number, height)).or_default();
+        approvals.insert(who.identity.organisation.clone());
+        if approvals.len() >= APPROVALS_MIN {
+            self.wanted.clear();
+            let next = self.next.0 + 1;
+            self.rules.push(Activation { number, height: height.map_or(next, |height| height.max(next)) });
+        }
+        Ok(Code::Ok.into())
     }
 
     fn present(&self, name: &str) -> bool {
@@ -63,6 +148,9 @@ impl Nodes {
         let (name, before) = self.nodes.get(&id).cloned().ok_or(Code::NotFound)?;
         if before == "removed" && role != "removed" {
             return Err(Code::NotAMember);
+        }
+        if role == "voter" && self.pending().is_some_and(|number| self.speaks(id) < number) {
+            return Err(Code::RulesNotSpoken);
         }
         let voters = self.nodes.values().filter(|(_, role)| role == "voter").count();
         if role != "voter" && before == "voter" && voters == 1 {
