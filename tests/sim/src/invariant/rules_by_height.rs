@@ -5,7 +5,7 @@ use ledger::{Activation, Outcome};
 
 const NAME: &str = "rules by height";
 
-/// What was decided so far.
+/// The activations that were decided so far.
 pub struct RulesByHeight {
     founded: u32,
     activations: Vec<Activation>,

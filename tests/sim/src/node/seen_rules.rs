@@ -6,7 +6,7 @@ use ledger_rejection::Rejection;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
-/// By height, the number of the rules of a block; what was looked at is forgotten.
+/// By height, the number of the rules of a block; forgotten once it was looked at.
 #[derive(Clone, Default)]
 pub struct SeenRules(Arc<Mutex<BTreeMap<u64, u32>>>);
 

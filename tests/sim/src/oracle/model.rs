@@ -104,7 +104,7 @@ impl Model {
         }
     }
 
-    /// What follows is executed in the block of this height, or judged by its rules.
+    /// Later calls are executed in the block of this height, or judged by its rules.
     pub(super) fn next(&mut self, height: u64, members: &Membership) {
         self.network_of_nodes.next(height, members);
     }

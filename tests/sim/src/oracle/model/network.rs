@@ -72,7 +72,7 @@ impl Nodes {
         }
     }
 
-    /// What follows is executed in the block of this height, or judged by its rules.
+    /// Later calls are executed in the block of this height, or judged by its rules.
     pub(super) fn next(&mut self, height: u64, members: &Membership) {
         let before = self.active();
         self.next = (height, members.clone());
