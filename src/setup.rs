@@ -172,11 +172,7 @@ fn fill(plan: &NetworkPlan, staged: &[TempDir], now: u64) -> Result<Founded, Rej
             directory: node.data.join(inside),
             fingerprint: authority.fingerprint(),
         });
-        organisations.push(FoundingOrganisation {
-            name: name.clone(),
-            roots: vec![Bytes::copy_from_slice(authority.root())],
-            intermediates: Vec::new(),
-        });
+        organisations.push(FoundingOrganisation::below(name, Bytes::copy_from_slice(authority.root())));
         authorities.insert(name, authority);
     }
     let mut salt = Hash::ZERO;

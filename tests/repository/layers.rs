@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 21] = [
+const LAYERS: [(&str, &[&str]); 22] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // "Did you mean": of names, not of a ledger.
@@ -20,6 +20,8 @@ const LAYERS: [(&str, &[&str]); 21] = [
     ("ledger-invariant", &[]),
     // Keys and certificates: no file, no chain.
     ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
+    // For tests only.
+    ("testkit", &["ledger-identity"]),
     // Files: no signature, no chaincode.
     (
         "ledger-storage",
@@ -35,11 +37,20 @@ const LAYERS: [(&str, &[&str]); 21] = [
             "ledger-mutation",
             "ledger-rejection",
             "ledger-storage",
+            "testkit",
         ],
     ),
     (
         "ledger-raft",
-        &["ledger", "ledger-hash", "ledger-invariant", "ledger-mutation", "ledger-rejection", "ledger-storage"],
+        &[
+            "ledger",
+            "ledger-hash",
+            "ledger-invariant",
+            "ledger-mutation",
+            "ledger-rejection",
+            "ledger-storage",
+            "testkit",
+        ],
     ),
     // Decides, and does nothing: what drives the engine in a node and in the simulation.
     (
@@ -53,6 +64,7 @@ const LAYERS: [(&str, &[&str]); 21] = [
             "ledger-raft",
             "ledger-rejection",
             "ledger-storage",
+            "testkit",
         ],
     ),
     // What the chaincode and its clients say to each other: data, and nothing that decides.
@@ -68,6 +80,7 @@ const LAYERS: [(&str, &[&str]); 21] = [
             "ledger-rejection",
             "ledger-storage",
             "nearest",
+            "testkit",
         ],
     ),
     ("ledger-api", &["ledger", "ledger-durable", "ledger-hash", "ledger-identity", "ledger-rejection", "nearest"]),
@@ -119,6 +132,7 @@ const LAYERS: [(&str, &[&str]); 21] = [
             "ledger-storage",
             "ros-bridge",
             "ros-message",
+            "testkit",
         ],
     ),
     (
@@ -138,6 +152,7 @@ const LAYERS: [(&str, &[&str]); 21] = [
             "ledger-rejection",
             "ledger-replica",
             "ledger-storage",
+            "testkit",
         ],
     ),
 ];
@@ -190,6 +205,20 @@ fn dependencies_point_one_way() {
             .unwrap_or_else(|| panic!("{name} has no manifest"));
         for used in dependencies(manifest).into_keys().filter(|used| ours.contains(used)) {
             assert!(allowed.contains(&used), "{name} may not use {used}");
+        }
+    }
+}
+
+#[test]
+fn no_product_is_built_from_the_testkit() {
+    for (path, manifest) in manifests() {
+        // The simulator is itself a test.
+        if name(&manifest) == "ledgerd-sim" {
+            continue;
+        }
+        for kind in ["dependencies", "build-dependencies"] {
+            let used = manifest.get(kind).and_then(Value::as_table).is_some_and(|used| used.contains_key("testkit"));
+            assert!(!used, "{}: the testkit belongs into [dev-dependencies]", path.display());
         }
     }
 }

@@ -2,6 +2,7 @@
 
 use std::future::Future;
 use std::time::{Duration, Instant};
+use testkit::Random;
 
 /// Far longer than anything here takes, also on a loaded machine: reaching it means that it never happens.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -32,8 +33,8 @@ pub fn eventually<T>(what: &str, mut look: impl FnMut() -> Option<T>) -> T {
     }
 }
 
-/// Random numbers from a seed (splitmix64), so that the faults of a failed test can be told.
-pub struct Dice(u64);
+/// Random numbers from a seed, so that the faults of a failed test can be told.
+pub struct Dice(Random);
 
 impl Dice {
     /// The seed in `LEDGERD_TEST_SEED`, else a new one; printed either way.
@@ -44,16 +45,12 @@ impl Dice {
             now.as_nanos() as u64
         });
         println!("{test}: LEDGERD_TEST_SEED={seed}");
-        Self(seed)
+        Self(Random::seeded(seed))
     }
 
     /// A number below `limit`.
     pub fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        (z ^ (z >> 31)) % limit
+        self.0.below(limit)
     }
 
     /// So many random bytes.

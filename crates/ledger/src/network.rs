@@ -47,6 +47,13 @@ pub struct FoundingOrganisation {
     pub intermediates: Vec<Bytes>,
 }
 
+impl FoundingOrganisation {
+    /// An organisation with one root and no intermediates.
+    pub fn below(name: &str, root: Bytes) -> Self {
+        Self { name: name.to_owned(), roots: vec![root], intermediates: Vec::new() }
+    }
+}
+
 /// A founding node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -9,9 +9,10 @@
 
 mod cluster;
 
-use cluster::{CALM, Cluster, Faults, Random};
+use cluster::{CALM, Cluster, Faults};
 use ledger_raft::{Change, Desired, Input, Lane, Membership, MembershipChange, Role};
 use std::collections::BTreeSet;
+use testkit::Random;
 
 const SEEDS: u64 = 60;
 

@@ -19,9 +19,8 @@ use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::ResultStore;
 use ledger_storage::state::{MemoryState, State};
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
-use ring::rand::SystemRandom;
 use std::sync::{Arc, mpsc};
+use testkit::{Ca, User};
 
 /// 2030-01-01, in microseconds since the UNIX epoch.
 const EPOCH: u64 = 1_893_456_000_000_000;
@@ -92,8 +91,10 @@ struct Node {
 
 impl Node {
     fn new() -> Self {
-        let (ca, certificate, key) = authority();
-        let organisation = FoundingOrganisation { name: "Org1".into(), roots: vec![ca], intermediates: Vec::new() };
+        let ca = Ca::new("org1-ca");
+        let User { key, certificate } = ca.user("Salma", "member", KeyKind::Ed25519);
+        let ca = ca.root();
+        let organisation = FoundingOrganisation::below("Org1", ca);
         let node = |id: u64| FoundingNode {
             id,
             name: format!("node{id}"),
@@ -220,27 +221,6 @@ impl Node {
     }
 }
 
-/// A CA's certificate, and somebody's certificate with its key.
-fn authority() -> (Bytes, Bytes, SigningKey) {
-    let params = |name: &str, unit: &str| {
-        let mut params = CertificateParams::default();
-        params.distinguished_name = rcgen::DistinguishedName::new();
-        params.distinguished_name.push(DnType::CommonName, name);
-        params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
-        params.not_before = rcgen::date_time_ymd(2029, 1, 1);
-        params.not_after = rcgen::date_time_ymd(2031, 1, 1);
-        params
-    };
-    let mut root = params("org1-ca", "ca");
-    root.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    root.key_usages = vec![KeyUsagePurpose::KeyCertSign];
-    let ca = CertifiedIssuer::self_signed(root, KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap()).unwrap();
-    let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-    let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
-    let certificate = params("Salma", "member").signed_by(&public, &ca).unwrap();
-    (Bytes::copy_from_slice(ca.der()), Bytes::copy_from_slice(certificate.der()), key)
-}
-
 #[test]
 fn a_client_is_answered_when_its_block_is_on_the_disk_and_executed() {
     let mut node = Node::new();
@@ -329,7 +309,7 @@ fn what_waits_is_submitted_again_in_the_order_in_which_it_came() {
 fn the_verdict_on_a_forged_copy_answers_nobody() {
     let mut node = Node::new();
     let transaction = node.transaction("note");
-    let stranger = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+    let stranger = testkit::key(KeyKind::Ed25519);
     let forged = Transaction::sign(transaction.body(), &stranger).unwrap();
     let forged = forged.with_certificate(node.certificate.clone()).unwrap();
     assert_eq!(forged.id(), transaction.id());

@@ -1,18 +1,17 @@
 //! Which attestations make a snapshot believed.
 
-#![expect(clippy::unwrap_used, reason = "tests")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use bytes::Bytes;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger_hash::Hash;
-use ledger_identity::key::{KeyKind, SigningKey};
+use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::{Identity, Role};
 use ledger_rejection::Code;
 use ledger_replica::trust::{Attested, Claim};
-use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
-use ring::rand::SystemRandom;
 use std::collections::BTreeMap;
+use testkit::{Ca, User};
 
 const NOW: u64 = 1_900_000_000_000_000;
 const CONTENT: Hash = Hash([7; 32]);
@@ -20,47 +19,23 @@ const CONTENT: Hash = Hash([7; 32]);
 /// Three organisations.
 struct World {
     network: Hash,
-    authorities: BTreeMap<&'static str, CertifiedIssuer<'static, KeyPair>>,
+    authorities: BTreeMap<&'static str, Ca>,
     msps: Msps,
-}
-
-struct Node {
-    key: SigningKey,
-    certificate: Bytes,
-}
-
-fn params(name: &str, unit: &str) -> CertificateParams {
-    let mut params = CertificateParams::default();
-    params.distinguished_name = rcgen::DistinguishedName::new();
-    params.distinguished_name.push(DnType::CommonName, name);
-    params.distinguished_name.push(DnType::OrganizationalUnitName, unit);
-    params.not_before = rcgen::date_time_ymd(2029, 1, 1);
-    params.not_after = rcgen::date_time_ymd(2031, 1, 1);
-    params
 }
 
 impl World {
     fn new() -> Self {
         let (mut authorities, mut msps) = (BTreeMap::new(), Msps::new());
         for name in ["Org1", "Org2", "Org3"] {
-            let mut root = params(&format!("{name}-ca"), "ca");
-            root.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-            root.key_usages = vec![KeyUsagePurpose::KeyCertSign];
-            let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
-            let authority = CertifiedIssuer::self_signed(root, key).unwrap();
-            let root = Bytes::copy_from_slice(authority.der());
-            msps.insert(Msp::new(name, &[root], &[] as &[Bytes]).unwrap()).unwrap();
+            let authority = Ca::new(&format!("{name}-ca"));
+            msps.insert(Msp::new(name, &[authority.root()], &[] as &[Bytes]).unwrap()).unwrap();
             authorities.insert(name, authority);
         }
         Self { network: Hash::of(&[b"fleet"]), authorities, msps }
     }
 
-    fn node(&self, organisation: &str, role: Role) -> Node {
-        let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
-        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
-        let params = params(&format!("a-{role}"), &role.to_string());
-        let certificate = params.signed_by(&public, self.authorities.get(organisation).unwrap()).unwrap();
-        Node { key, certificate: Bytes::copy_from_slice(certificate.der()) }
+    fn node(&self, organisation: &str, role: Role) -> User {
+        self.authorities[organisation].user(&format!("a-{role}"), role.as_str(), KeyKind::Ed25519)
     }
 
     fn claim(&self) -> Claim {
@@ -76,7 +51,7 @@ impl World {
         msps
     }
 
-    fn attest(&self, node: &Node, function: &str, statement: &str) -> Attested {
+    fn attest(&self, node: &User, function: &str, statement: &str) -> Attested {
         let body = Body {
             network: Bytes::copy_from_slice(&self.network.0),
             creator: Bytes::copy_from_slice(&Hash::of(&[&node.certificate]).0),
@@ -142,7 +117,7 @@ fn only_what_a_node_signed_about_this_snapshot_counts() {
     assert!(by(world.attest(&member, "attest", &right), &nobody).is_empty(), "not a node");
     let foreign = Attested { certificate: two.certificate.clone(), ..world.attest(&one, "attest", &right) };
     assert!(by(foreign, &nobody).is_empty(), "somebody else's certificate");
-    let stolen = Node { key: one.key, certificate: two.certificate };
+    let stolen = User { key: one.key, certificate: two.certificate };
     assert!(by(world.attest(&stolen, "attest", &right), &nobody).is_empty(), "somebody else's key");
     assert!(by(Attested::default(), &nobody).is_empty());
 }

@@ -25,7 +25,7 @@
 //! | [`node`], [`links`], [`clock`] | machines, network, time |
 //! | [`client`], [`people`], [`policy`] | who wants what, and who they are |
 //! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
-//! | [`run`], [`trace`], [`random`] | one seed from beginning to end |
+//! | [`run`], [`trace`] | one seed from beginning to end |
 
 #![expect(
     clippy::unwrap_used,
@@ -45,7 +45,6 @@ pub mod oracle;
 pub mod people;
 pub mod plan;
 pub mod policy;
-pub mod random;
 pub mod run;
 pub mod trace;
 pub mod world;

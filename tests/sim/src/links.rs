@@ -2,8 +2,8 @@
 
 use crate::coverage::{Coverage, Fault};
 use crate::plan::NetworkPlan;
-use crate::random::Random;
 use std::collections::{BTreeMap, BTreeSet};
+use testkit::Random;
 
 /// Links between nodes.
 pub struct Links {

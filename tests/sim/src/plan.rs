@@ -2,9 +2,9 @@
 
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
-use crate::random::Random;
 use ledger::Rules;
 use std::collections::BTreeSet;
+use testkit::Random;
 
 /// The circumstances of one run. Times in microseconds.
 #[derive(Clone, Debug)]

@@ -29,7 +29,6 @@ use crate::links::Links;
 use crate::node::{Answer, Node, Reply, Request};
 use crate::people::{People, organisation_of};
 use crate::plan::Plan;
-use crate::random::Random;
 use crate::trace::Trace;
 use bytes::Bytes;
 use ledger::governance::NodeRecord;
@@ -41,6 +40,7 @@ use ledger_raft::Desired;
 use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use testkit::Random;
 
 /// Events that are scheduled in one run before it is given up: something goes round in circles.
 const EVENTS_MAX: u64 = 30_000_000;

@@ -6,8 +6,6 @@
 //! of networks cannot be changed either.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests stop at the first surprise")]
 
-#[path = "../../../ledger/tests/authority/mod.rs"]
-mod authority;
 mod chain;
 mod defaults;
 mod story;

@@ -1,17 +1,17 @@
 //! Two organisations, their people and nodes, and a chain that grows by what they sign.
 
-use crate::authority::{Ca, User};
 use crate::chain::{self, Block, Chain};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger::block::Payload;
-use ledger::network::{FoundingNode, Genesis};
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
 use ledger_storage::entry::{Entry, EntryKind};
 use serde_json::Value;
+use testkit::{Ca, User};
 
 /// 2030-01-01, in microseconds since the UNIX epoch.
 pub(crate) const START: u64 = 1_893_456_000_000_000;
@@ -51,7 +51,9 @@ impl Teller {
             created: START,
             salt: Hash::of(&[b"story"]),
             snapshot_every: 100,
-            organisations: vec![cas[0].organisation("Org1"), cas[1].organisation("Org2")],
+            organisations: [("Org1", &cas[0]), ("Org2", &cas[1])]
+                .map(|(name, ca)| FoundingOrganisation::below(name, ca.root()))
+                .to_vec(),
             nodes: vec![node(1), node(2)],
         };
         let genesis = genesis.to_bytes().unwrap();

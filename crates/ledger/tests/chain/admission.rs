@@ -1,6 +1,6 @@
 //! The answers that a node may give about a transaction that it would refuse.
 
-use crate::world::{NOW, SECOND, User, World, block, codes};
+use crate::world::{Caller, NOW, SECOND, User, World, block, codes};
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger::{Admission, Ground, Ledger, Refusal, Step};
 use ledger_hash::Hash;

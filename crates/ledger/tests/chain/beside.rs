@@ -1,6 +1,6 @@
 //! Results that are kept beside their blocks: shorter, and the same for every reader.
 
-use crate::world::{NOW, SECOND, User, World, entry};
+use crate::world::{Caller, NOW, SECOND, User, World, entry};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_hash::Hash;

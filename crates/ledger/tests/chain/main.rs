@@ -1,9 +1,6 @@
 //! The rules of execution: each test fails if its rule is taken away.
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
-#[path = "../authority/mod.rs"]
-mod authority;
-
 mod admission;
 mod archive;
 mod beside;
@@ -21,7 +18,7 @@ use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind};
-use world::{NOW, SECOND, World, block, codes, entry, note};
+use world::{Caller, NOW, SECOND, World, block, codes, entry, note};
 
 #[test]
 fn a_signed_call_is_executed_and_answered() {

@@ -1,6 +1,6 @@
 //! Results beside the chain: kept, found, cut, dropped, and what decides about duplicates.
 
-use crate::world::{NOW, SECOND, User, World, block, codes, entry};
+use crate::world::{Caller, NOW, SECOND, User, World, block, codes, entry};
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
 use ledger_hash::Hash;

@@ -1,6 +1,6 @@
 //! Snapshots: the same bytes on every node, and a ledger that goes on from them as the others do.
 
-use crate::world::{NOW, SECOND, SNAPSHOT_EVERY, User, World, codes, entry};
+use crate::world::{Caller, NOW, SECOND, SNAPSHOT_EVERY, User, World, codes, entry};
 use ledger::Ledger;
 use ledger::transaction::{Body, Transaction};
 use ledger_identity::key::KeyKind;

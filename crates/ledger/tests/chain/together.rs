@@ -1,6 +1,6 @@
 //! Signatures that are checked together: the same verdicts as if each were checked alone.
 
-use crate::world::{NOW, User, World, block, codes, entry};
+use crate::world::{Caller, NOW, User, World, block, codes, entry};
 use ledger::transaction::Transaction;
 use ledger::{Admission, Ledger};
 use ledger_identity::key::KeyKind;

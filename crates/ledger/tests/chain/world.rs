@@ -1,9 +1,8 @@
 //! A network of two organisations, and a node's ledger without a node.
 
-pub(crate) use crate::authority::{Ca, User};
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::network::{FoundingNode, Genesis};
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Foretold, Ledger, Outcome, Registry, Revocation, Rules};
 use ledger_hash::Hash;
@@ -16,6 +15,7 @@ use ledger_storage::state::{MemoryState, SledStore, State};
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+pub(crate) use testkit::{Ca, User};
 
 /// 2030-01-01, in microseconds since the UNIX epoch.
 pub(crate) const NOW: u64 = 1_893_456_000_000_000;
@@ -26,8 +26,14 @@ pub(crate) const SNAPSHOT_EVERY: u64 = 10;
 
 static NONCE: AtomicU64 = AtomicU64::new(1);
 
-impl User {
-    pub(crate) fn body(&self, network: Hash, function: &str, args: &[&str]) -> Body {
+/// Calls the chaincode of these tests.
+pub(crate) trait Caller {
+    fn body(&self, network: Hash, function: &str, args: &[&str]) -> Body;
+    fn sign(&self, body: &Body) -> Transaction;
+}
+
+impl Caller for User {
+    fn body(&self, network: Hash, function: &str, args: &[&str]) -> Body {
         let nonce = [&NONCE.fetch_add(1, Ordering::Relaxed).to_be_bytes()[..], &[0; 8]].concat();
         Body {
             network: Bytes::copy_from_slice(&network.0),
@@ -40,7 +46,7 @@ impl User {
         }
     }
 
-    pub(crate) fn sign(&self, body: &Body) -> Transaction {
+    fn sign(&self, body: &Body) -> Transaction {
         Transaction::sign(body, &self.key).unwrap().with_certificate(self.certificate.clone()).unwrap()
     }
 }
@@ -138,7 +144,9 @@ impl World {
             created: NOW - SECOND,
             salt: Hash::ZERO,
             snapshot_every: SNAPSHOT_EVERY,
-            organisations: vec![org1.organisation("Org1"), org2.organisation("Org2")],
+            organisations: [("Org1", &org1), ("Org2", &org2)]
+                .map(|(name, ca)| FoundingOrganisation::below(name, ca.root()))
+                .to_vec(),
             nodes: vec![FoundingNode {
                 id: 1,
                 name: "node1".into(),

@@ -4,6 +4,7 @@
 use crate::world::{DAY, Network, START, User};
 use bytes::Bytes;
 use ledger::governance::{Decision, JoinOrganisation};
+use ledger::network::FoundingOrganisation;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_rejection::Rejection;
 use serde_json::json;
@@ -335,7 +336,7 @@ impl Run {
                 break;
             }
         }
-        let founding = self.network.cas[organisation - 1].organisation(&name(organisation));
+        let founding = FoundingOrganisation::below(&name(organisation), self.network.cas[organisation - 1].root());
         let network = self.network.ledger.network();
         let join = JoinOrganisation::sign(&network, founding, "back", "back:7450", &key);
         self.network.node(1, "join_organisation", &[&serde_json::to_string(&join).unwrap()]).unwrap();

@@ -38,7 +38,7 @@ fn an_invited_organisation_joins_and_its_node_after_it() {
     let beta = Ca::new("beta-ca");
     let argument = invite(&network, "Beta");
     let id = waiting(network.admin(1, "invite_organisation", &[&argument]));
-    let join = signed(&network, beta.organisation("Beta"));
+    let join = signed(&network, FoundingOrganisation::below("Beta", beta.root()));
     let node = beta.user("node1", "node", KeyKind::Ed25519);
     assert_eq!(code(&carry(&mut network, &join)), Code::NotInvited, "not approved yet");
     assert!(is_executed(network.admin(2, "approve", &[&id])));
@@ -64,16 +64,27 @@ fn whoever_carries_a_request_cannot_change_it() {
     let argument = invite(&network, "Beta");
     assert!(is_executed(network.admin(1, "invite_organisation", &[&argument])));
     let (beta, mallory) = (Ca::new("beta-ca"), Ca::new("beta-ca"));
-    let good = signed(&network, beta.organisation("Beta"));
+    let good = signed(&network, FoundingOrganisation::below("Beta", beta.root()));
     let change = |change: &dyn Fn(&mut JoinOrganisation)| {
         let mut changed = good.clone();
         change(&mut changed);
         changed
     };
-    let other_network = JoinOrganisation::sign(&Hash::ZERO, beta.organisation("Beta"), "node1", "beta:7450", &key());
+    let other_network = JoinOrganisation::sign(
+        &Hash::ZERO,
+        FoundingOrganisation::below("Beta", beta.root()),
+        "node1",
+        "beta:7450",
+        &key(),
+    );
     let other_key = SigningKey::from_seed(&[8; 32]).unwrap();
-    let other_key =
-        JoinOrganisation::sign(&network.ledger.network(), beta.organisation("Beta"), "node1", "beta:7450", &other_key);
+    let other_key = JoinOrganisation::sign(
+        &network.ledger.network(),
+        FoundingOrganisation::below("Beta", beta.root()),
+        "node1",
+        "beta:7450",
+        &other_key,
+    );
     for (what, join) in [
         ("roots", change(&|join| join.organisation.roots = vec![mallory.root()])),
         ("another root", change(&|join| join.organisation.roots.push(mallory.root()))),
@@ -98,7 +109,7 @@ fn an_invitation_ends_in_block_time_and_lasts_thirty_days_at_most() {
     let argument = invite(&network, "Beta");
     assert!(is_executed(network.admin(1, "invite_organisation", &[&argument])));
     network.time += DAY;
-    let join = signed(&network, Ca::new("beta-ca").organisation("Beta"));
+    let join = signed(&network, FoundingOrganisation::below("Beta", Ca::new("beta-ca").root()));
     assert_eq!(code(&carry(&mut network, &join)), Code::NotInvited);
     for expires in [network.time, network.time + 31 * DAY] {
         let argument = format!(r#"{{"name":"Beta","key":"{}","expires":{expires}}}"#, Hash::ZERO);
@@ -118,8 +129,8 @@ fn no_two_organisations_share_a_name_or_an_authority() {
     let argument = invite(&network, "Beta");
     let id = waiting(network.admin(1, "invite_organisation", &[&argument]));
     assert!(is_executed(network.admin(2, "approve", &[&id])));
-    let same_root = network.cas[0].organisation("Beta");
-    let same_name = Ca::new("org1-ca").organisation("Beta");
+    let same_root = FoundingOrganisation::below("Beta", network.cas[0].root());
+    let same_name = FoundingOrganisation::below("Beta", Ca::new("org1-ca").root());
     let no_root = FoundingOrganisation { roots: Vec::new(), ..same_root.clone() };
     let user = network.cas[0].user("Salma", "member", KeyKind::Ed25519);
     let no_authority = FoundingOrganisation { roots: vec![user.certificate], ..same_root.clone() };
@@ -193,9 +204,9 @@ fn a_former_name_comes_back_only_with_a_root_that_it_had() {
     let argument = invite(&network, "Org3");
     let id = waiting(network.admin(1, "invite_organisation", &[&argument]));
     assert!(is_executed(network.admin(2, "approve", &[&id])));
-    let stranger = signed(&network, Ca::new("org3-ca").organisation("Org3"));
+    let stranger = signed(&network, FoundingOrganisation::below("Org3", Ca::new("org3-ca").root()));
     assert_eq!(code(&carry(&mut network, &stranger)), Code::AlreadyExists);
-    let returns = signed(&network, network.cas[2].organisation("Org3"));
+    let returns = signed(&network, FoundingOrganisation::below("Org3", network.cas[2].root()));
     carry(&mut network, &returns).unwrap();
     assert_eq!(names(&network), ["Org1", "Org2", "Org3"]);
     let node: governance::NodeRecord = json(network.node(3, "join_node", &[r#"{"address":"node3:7450"}"#]));

@@ -1,10 +1,9 @@
 //! Organisations with their people and nodes, and a ledger that executes what they sign, a block a second.
 
-pub(crate) use crate::authority::{Ca, User};
 use bytes::Bytes;
 use ledger::block::Payload;
 use ledger::governance::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
-use ledger::network::{FoundingNode, Genesis};
+use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Ledger, Quorum, Registry, Rules};
 use ledger_hash::Hash;
@@ -18,6 +17,7 @@ use ledger_storage::state::{MemoryState, State};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use std::sync::Arc;
+pub(crate) use testkit::{Ca, User};
 
 /// 2030-01-01, in microseconds since the UNIX epoch.
 pub(crate) const START: u64 = 1_893_456_000_000_000;
@@ -122,7 +122,10 @@ impl Network {
             created: START,
             salt: Hash::ZERO,
             snapshot_every: 100,
-            organisations: (1..).zip(&cas).map(|(number, ca)| ca.organisation(&format!("Org{number}"))).collect(),
+            organisations: (1..)
+                .zip(&cas)
+                .map(|(number, ca)| FoundingOrganisation::below(&format!("Org{number}"), ca.root()))
+                .collect(),
             nodes: (0..organisations).map(node).collect(),
         };
         let genesis = genesis.to_bytes().unwrap();

@@ -31,7 +31,7 @@ impl Cluster {
     /// The disk is replaced by an empty one.
     pub fn lose_disk(&mut self, id: u64) {
         self.crash(id);
-        let disk = SimDisk::new(self.random.next());
+        let disk = SimDisk::new(self.random.number());
         let node = self.nodes.get_mut(&id).unwrap();
         node.disk = disk;
         node.state.clear();

@@ -12,30 +12,10 @@ use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+use testkit::Random;
 
 /// Units of virtual time in a tick.
 pub const TICK: u64 = 10;
-
-/// A splitmix64 sequence.
-pub struct Random(pub u64);
-
-impl Random {
-    pub fn next(&mut self) -> u64 {
-        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
-        let mut z = self.0;
-        z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-        z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-        z ^ (z >> 31)
-    }
-
-    pub fn below(&mut self, bound: u64) -> u64 {
-        self.next() % bound
-    }
-
-    pub fn percent(&mut self, chance: u64) -> bool {
-        self.below(100) < chance
-    }
-}
 
 /// The fate of a message in the network. Percent, and units of time.
 #[derive(Clone, Copy)]
@@ -115,7 +95,7 @@ impl Cluster {
         let mut cluster = Self {
             nodes: BTreeMap::new(),
             now: 1_000_000,
-            random: Random(seed),
+            random: Random::seeded(seed),
             faults: CALM,
             cut: BTreeSet::new(),
             chosen: Vec::new(),
@@ -142,7 +122,7 @@ impl Cluster {
     pub fn join(&mut self, id: u64) {
         let node = Node {
             id,
-            disk: SimDisk::new(self.random.next()),
+            disk: SimDisk::new(self.random.number()),
             up: None,
             start: 0,
             state: Vec::new(),
@@ -160,7 +140,7 @@ impl Cluster {
 
     pub fn start(&mut self, id: u64) {
         let (seed, salt, configure, genesis) =
-            (self.random.next(), self.random.next(), self.configure, self.genesis.clone());
+            (self.random.number(), self.random.number(), self.configure, self.genesis.clone());
         let segment_bytes = self.segment_bytes;
         let node = self.nodes.get_mut(&id).unwrap();
         assert!(node.up.is_none());

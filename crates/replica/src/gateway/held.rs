@@ -146,7 +146,6 @@ mod tests {
     use crate::gateway::{InFlight, Shares, Ticket};
     use ledger::transaction::{Body, Transaction};
     use ledger_identity::key::{KeyKind, SigningKey};
-    use ring::rand::SystemRandom;
 
     /// One stream, and the number of questions that it asked and that are not answered.
     struct Stream {
@@ -158,7 +157,7 @@ mod tests {
 
     impl Stream {
         fn new() -> Self {
-            let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+            let key = testkit::key(KeyKind::Ed25519);
             Self { held: Held::default(), shares: Shares::new(1000), key, questions: 0 }
         }
 

@@ -143,7 +143,6 @@ mod tests {
     use crate::gateway::{InFlight, Shares};
     use ledger::transaction::Body;
     use ledger_identity::key::{KeyKind, SigningKey};
-    use ring::rand::SystemRandom;
 
     const DATA_WAIT_MAX: u64 = 100_000;
 
@@ -155,7 +154,7 @@ mod tests {
 
     impl Stream {
         fn new() -> Self {
-            let key = SigningKey::generate(KeyKind::Ed25519, &SystemRandom::new()).unwrap();
+            let key = testkit::key(KeyKind::Ed25519);
             Self { line: Line::default(), shares: Shares::new(1000), key }
         }
 

@@ -8,6 +8,11 @@
 pub struct Random(u64);
 
 impl Random {
+    /// The sequence of a seed that serves one purpose.
+    pub fn seeded(seed: u64) -> Self {
+        Self(seed)
+    }
+
     /// The sequence of a purpose.
     pub fn new(seed: u64, purpose: &str) -> Self {
         // FNV-1a over the purpose, so that each has its own place in the sequence.

@@ -1,8 +1,7 @@
 //! An organisation's CA and the people and nodes to whom it gives certificates, valid from 2029 to 2031.
-#![allow(dead_code, clippy::allow_attributes, reason = "each test binary uses its own part")]
+#![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "a test that cannot make a certificate has failed")]
 
 use bytes::Bytes;
-use ledger::network::FoundingOrganisation;
 use ledger_identity::certificate::{ATTRIBUTES_OID, encode_attributes};
 use ledger_identity::key::{KeyKind, SigningKey};
 use rcgen::{
@@ -11,7 +10,7 @@ use rcgen::{
 use ring::rand::SystemRandom;
 
 /// An organisation's CA.
-pub(crate) struct Ca(CertifiedIssuer<'static, KeyPair>);
+pub struct Ca(CertifiedIssuer<'static, KeyPair>);
 
 fn params(name: &str, unit: &str) -> CertificateParams {
     let mut params = CertificateParams::default();
@@ -24,7 +23,8 @@ fn params(name: &str, unit: &str) -> CertificateParams {
 }
 
 impl Ca {
-    pub(crate) fn new(name: &str) -> Self {
+    /// A CA with a certificate that it signed itself.
+    pub fn new(name: &str) -> Self {
         let mut params = params(name, "ca");
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
@@ -32,16 +32,18 @@ impl Ca {
         Self(CertifiedIssuer::self_signed(params, key).unwrap())
     }
 
-    pub(crate) fn root(&self) -> Bytes {
+    /// Its certificate.
+    pub fn root(&self) -> Bytes {
         Bytes::copy_from_slice(self.0.der())
     }
 
-    pub(crate) fn user(&self, name: &str, unit: &str, kind: KeyKind) -> User {
+    /// Somebody with a key of that kind; the unit is the role.
+    pub fn user(&self, name: &str, unit: &str, kind: KeyKind) -> User {
         self.issue(params(name, unit), kind)
     }
 
     /// Somebody with attributes, each of them `true`.
-    pub(crate) fn user_with(&self, name: &str, unit: &str, attributes: &[&str]) -> User {
+    pub fn user_with(&self, name: &str, unit: &str, attributes: &[&str]) -> User {
         let attributes = attributes.iter().map(|name| ((*name).to_owned(), "true".to_owned())).collect();
         let extension = CustomExtension::from_oid_content(ATTRIBUTES_OID, encode_attributes(&attributes).unwrap());
         let mut params = params(name, unit);
@@ -50,14 +52,14 @@ impl Ca {
     }
 
     fn issue(&self, params: CertificateParams, kind: KeyKind) -> User {
-        let key = SigningKey::generate(kind, &SystemRandom::new()).unwrap();
+        let key = key(kind);
         let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
         let certificate = params.signed_by(&public, &self.0).unwrap();
         User { key, certificate: Bytes::copy_from_slice(certificate.der()) }
     }
 
     /// Another certificate for somebody's key.
-    pub(crate) fn certify(&self, name: &str, unit: &str, user: &User) -> User {
+    pub fn certify(&self, name: &str, unit: &str, user: &User) -> User {
         let public = rcgen::SubjectPublicKeyInfo::from_der(&user.key.public_key().to_spki()).unwrap();
         let mut params = params(name, unit);
         // Otherwise the serial number follows from the key.
@@ -69,17 +71,20 @@ impl Ca {
     }
 
     /// The key of the CA itself.
-    pub(crate) fn key(&self) -> SigningKey {
+    pub fn key(&self) -> SigningKey {
         SigningKey::from_pkcs8_der(&self.0.key().serialize_der()).unwrap()
-    }
-
-    pub(crate) fn organisation(&self, name: &str) -> FoundingOrganisation {
-        FoundingOrganisation { name: name.into(), roots: vec![self.root()], intermediates: Vec::new() }
     }
 }
 
 /// Somebody with a certificate and its key.
-pub(crate) struct User {
-    pub(crate) key: SigningKey,
-    pub(crate) certificate: Bytes,
+pub struct User {
+    /// The private key.
+    pub key: SigningKey,
+    /// The certificate, DER.
+    pub certificate: Bytes,
+}
+
+/// A new private key.
+pub fn key(kind: KeyKind) -> SigningKey {
+    SigningKey::generate(kind, &SystemRandom::new()).unwrap()
 }
