@@ -5,23 +5,20 @@
 //! there. Clients are told meanwhile that the node is behind.
 
 use crate::catch_up::CatchUp;
-use crate::config::Order;
-use crate::instance::count;
 use crate::orderer::Orderer;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::{self, Happened, Next};
-use ledger_replica::{Replica, Settings};
+use ledger_replica::{Replica, Settings, Timing};
 use ledger_storage::block_store::StoreError;
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
 
 /// Keeps an engine running.
 pub(crate) struct Conductor {
     id: u64,
-    order: Order,
+    timing: Timing,
     catch_up: CatchUp,
     machine: conductor::Conductor,
     /// The orderer's last report of being behind.
@@ -30,10 +27,10 @@ pub(crate) struct Conductor {
 
 impl Conductor {
     /// For the node with this id.
-    pub(crate) fn new(id: u64, order: Order, catch_up: CatchUp) -> Self {
+    pub(crate) fn new(id: u64, timing: Timing, catch_up: CatchUp) -> Self {
         let behind = catch_up.shared.behind.subscribe();
         let machine = conductor::Conductor::new(id, Arc::clone(&catch_up.shared.ledger));
-        Self { id, order, catch_up, machine, behind }
+        Self { id, timing, catch_up, machine, behind }
     }
 
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
@@ -41,8 +38,7 @@ impl Conductor {
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(mut self) -> Result<JoinHandle<()>, Rejection> {
-        let Order { tick_ms, election_ticks, .. } = self.order;
-        let (offers, open) = self.catch_up.look(Duration::from_millis(tick_ms.saturating_mul(election_ticks))).await?;
+        let (offers, open) = self.catch_up.look(self.timing.election_time()).await?;
         let mut next = self.machine.step(Happened::Looked(offers))?;
         if next == Next::Start {
             self.start_engine()?;
@@ -119,14 +115,7 @@ impl Conductor {
 
     fn start_engine(&self) -> Result<(), Rejection> {
         let shared = &self.catch_up.shared;
-        let Order { tick_ms, election_ticks, wait_ms, .. } = self.order;
-        let settings = Settings {
-            id: self.id,
-            seed: crate::random::number()?,
-            tick: tick_ms.saturating_mul(1000),
-            election_ticks: count(election_ticks),
-            data_wait: wait_ms.saturating_mul(1000),
-        };
+        let settings = Settings { id: self.id, seed: crate::random::number()?, timing: self.timing };
         let (store, executor, waiters) =
             (Arc::clone(&shared.store), Arc::clone(&shared.executor), Arc::clone(&shared.waiters));
         let replica = Replica::start(&settings, store, executor, waiters, shared.directory.desired())?;

@@ -8,9 +8,11 @@
 mod tests;
 
 use crate::ca::CertificateAuthority;
+use crate::instance::count;
 use ledger::block::PAYLOAD_BYTES_MAX;
 use ledger::transaction::TRANSACTION_BYTES_MAX;
 use ledger_hash::Hash;
+use ledger_replica::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
 use ledger_settings::{Reader, Section};
 use ledger_storage::retention::Retention;
 use std::path::{Path, PathBuf};
@@ -18,13 +20,9 @@ use tracing_subscriber::filter::LevelFilter;
 
 pub use ledger_settings::Fault;
 
-/// Longest time without a leader before a new one is elected, in milliseconds.
-const ELECTION_MS_MAX: u64 = 60_000;
 /// How `storage.retention` is written.
 const RETENTION: &str =
     "forever, an age of at least 10min such as 30d or 12h, or a size of at least 64MiB such as 20GiB";
-/// Shortest such time: below it a slow disk looks like a dead leader.
-const ELECTION_MS_MIN: u64 = 100;
 
 /// The configuration of a node.
 #[derive(Clone, Debug)]
@@ -146,13 +144,36 @@ impl Default for Config {
             member: MemberOf::default(),
             limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
-            order: Order { tick_ms: 50, election_ticks: 10, wait_ms: 200, attest_ms: 10_000 },
+            order: Order::default(),
             ca: Ca {
                 certificate_days: CertificateAuthority::CERTIFICATE_DAYS,
                 secret_days: CertificateAuthority::SECRET_DAYS,
             },
             log: Log::default(),
             bridge: None,
+        }
+    }
+}
+
+impl Default for Order {
+    fn default() -> Self {
+        let Timing { tick, election_ticks, data_wait } = Timing::default();
+        Self {
+            tick_ms: tick / 1000,
+            election_ticks: election_ticks as u64,
+            wait_ms: data_wait / 1000,
+            attest_ms: 10_000,
+        }
+    }
+}
+
+impl Order {
+    /// The times of the replica.
+    pub(crate) fn timing(&self) -> Timing {
+        Timing {
+            tick: self.tick_ms.saturating_mul(1000),
+            election_ticks: count(self.election_ticks),
+            data_wait: self.wait_ms.saturating_mul(1000),
         }
     }
 }
@@ -237,12 +258,14 @@ impl Config {
         log.read(root);
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
-        let election_ms = order.tick_ms.saturating_mul(order.election_ticks);
-        if !(ELECTION_MS_MIN..=ELECTION_MS_MAX).contains(&election_ms) {
+        let timing = order.timing();
+        if !timing.can_elect() {
+            let [found, least, most] =
+                [timing.election_time(), ELECTION_TIME_MIN, ELECTION_TIME_MAX].map(|us| us / 1000);
             root.conflict(
                 ["order.tick_ms", "order.election_ticks"],
-                format!("{} ms x {} ticks = {election_ms} ms", order.tick_ms, order.election_ticks),
-                format!("{ELECTION_MS_MIN} to {ELECTION_MS_MAX} ms until a new leader is elected"),
+                format!("{} ms x {} ticks = {found} ms", order.tick_ms, order.election_ticks),
+                format!("{least} to {most} ms until a new leader is elected"),
             );
         }
         let (payload, segment_mib) = (limits.payload_bytes_max, storage.segment_mib);

@@ -21,7 +21,7 @@ use crate::blocks::Blocks;
 use crate::catch_up::{Bootstrap, CatchUp, Source};
 use crate::clock::{Clock, wall};
 use crate::conductor::Conductor;
-use crate::config::{Config, Order, Profile};
+use crate::config::{Config, Profile};
 use crate::denials::Denials;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{Audience, Current, GatewayService, Looks, NodeView};
@@ -48,7 +48,7 @@ use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Ballot;
 use ledger_replica::gateway::Shares;
-use ledger_replica::{Executor, Observer, Retries};
+use ledger_replica::{Executor, Observer, Retries, Timing};
 use revocations::Revocations;
 use std::io;
 use std::sync::Arc;
@@ -98,7 +98,7 @@ struct Wired {
 pub(crate) struct Prepared {
     wired: Wired,
     joined: Option<Joined>,
-    order: Order,
+    timing: Timing,
     ballot: Ballot,
     renewer: Renewer,
     registrar: EnrolmentService,
@@ -254,7 +254,7 @@ impl Wired {
             shares: Shares::new(count(config.limits.in_flight_max)),
             looks: Looks::new(workers),
             retries: Retries::default(),
-            wait_max: config.order.wait_ms.saturating_mul(1000),
+            wait_max: config.order.timing().data_wait,
             audience,
             space,
             identity: papers.identity.clone(),
@@ -301,8 +301,8 @@ impl Prepared {
             trust,
             members: Arc::clone(&wired.members),
         };
-        let (joined, order, registrar) = (standing.joined, config.order.clone(), enrolment);
-        Ok((Self { wired, joined, order, ballot, renewer, registrar, housekeeping }, services))
+        let (joined, timing, registrar) = (standing.joined, config.order.timing(), enrolment);
+        Ok((Self { wired, joined, timing, ballot, renewer, registrar, housekeeping }, services))
     }
 
     /// Starts the engine, which asks the other nodes first. Its services must be served by now: others that start at the same
@@ -311,7 +311,7 @@ impl Prepared {
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
-        let Self { wired, joined, order, ballot, renewer, registrar, housekeeping } = self;
+        let Self { wired, joined, timing, ballot, renewer, registrar, housekeeping } = self;
         let Wired { view, shared, dialer, testimony, seen, fate, .. } = wired;
         let (id, seat) = (view.me.id, Arc::clone(&view.seat));
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
@@ -325,7 +325,7 @@ impl Prepared {
         };
         let store = Arc::clone(&shared.store);
         let catch_up = CatchUp { bootstrap, shared, seat, dialer, ballot, stopping };
-        let conductor = Conductor::new(id, order, catch_up).begin().await?;
+        let conductor = Conductor::new(id, timing, catch_up).begin().await?;
         let scrub = Scrub::start(store, fate.clone()).map_err(|error| no_thread(&error))?;
         let (me, members) = (view.me.clone(), view.directory.subscribe());
         let ended = fate.subscribe();

@@ -41,12 +41,12 @@ impl CatchUp {
     ///
     /// # Errors
     /// If this node votes and has lost what it promised to keep.
-    pub(crate) async fn look(&self, election_time: Duration) -> Result<(Vec<Holding>, Open), Rejection> {
+    pub(crate) async fn look(&self, election_time: u64) -> Result<(Vec<Holding>, Open), Rejection> {
         let members = self.shared.directory.members();
         let answers = self.question(&members);
         let voters = members.iter().filter(|member| member.votes()).map(|member| member.id).collect();
         let (last, asked) = (self.shared.store.last_index(), answers.len());
-        let look = Look::new((0, self.dialer.me), voters, last, asked, micros(election_time), self.ballot.clone());
+        let look = Look::new((0, self.dialer.me), voters, last, asked, election_time, self.ballot.clone());
         let (mut open, mut offers) = (Open { answers, look, asked: Instant::now() }, Vec::new());
         while open.look.stage() == Stage::Asking {
             offers.extend(open.hear().await?);

@@ -25,7 +25,7 @@ const DRIVING: [&str; 14] = [
 /// A folder that names these decides about calls itself: their lanes, their order, and refusals.
 const ADMITTING: [&str; 4] = ["admit_decoded(", ".urgent(", "Refusal::step", "fn take_late"];
 /// Times that the replica decides about.
-const TIMES: [&str; 9] = [
+const TIMES: [&str; 11] = [
     "WAIT_MAX",
     "WAIT_FOR_HEIGHT",
     "CONFIRM_TIME_MAX",
@@ -35,6 +35,8 @@ const TIMES: [&str; 9] = [
     "LAG_MIN",
     "ASK_TIME_MAX",
     "SILENCE_MAX",
+    "ELECTION_",
+    "WAIT_DATA",
 ];
 
 /// The files below a folder in which a line of code has one of these, and what it has.

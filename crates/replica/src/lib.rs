@@ -12,6 +12,8 @@
 //! | [`trust`] | whether a snapshot is believed |
 //! | [`witness`] | what a node attests, and when |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
+//! | `clock` | [`Clock`]: the time of a ledger, which never goes back |
+//! | `timing` | [`Timing`]: ticks, elections, and how long data waits |
 //! | `in_place` | which blocks the thread that orders executes itself |
 //! | [`gateway`] | calls that want to be ordered: shares, turns, lanes, admission |
 //! | `ticks` | when the thread that orders wakes up by itself |
@@ -46,6 +48,7 @@
 #![forbid(unsafe_code)]
 
 pub mod catch_up;
+mod clock;
 pub mod conductor;
 mod executor;
 pub mod gateway;
@@ -55,15 +58,18 @@ mod reads;
 mod replica;
 mod retries;
 mod ticks;
+mod timing;
 pub mod trust;
 mod waiters;
 pub mod witness;
 
+pub use clock::Clock;
 pub use executor::{Executor, Observer, in_turns};
 pub use in_place::Circumstances;
 pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};
 pub use replica::{Effect, Event, FULL_DISK_PAUSE, LEARNER_WRITE_DELAY, Now, Replica, Settings, Work};
 pub use retries::Retries;
+pub use timing::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
 pub use waiters::{Answer, Executed, WAIT_MAX, Waiter, Waiters};
 
 /// How a node comes back that must not go on as it is.

@@ -7,6 +7,7 @@ use crate::executor::Executor;
 use crate::in_place::{Circumstances, InPlace};
 use crate::reads::Known;
 use crate::ticks::Ticks;
+use crate::timing::Timing;
 use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
@@ -39,12 +40,8 @@ pub struct Settings {
     pub id: u64,
     /// Randomness: see [`EngineConfig::seed`].
     pub seed: u64,
-    /// Length of a tick, microseconds.
-    pub tick: u64,
-    /// Ticks without a leader after which a node stands for election.
-    pub election_ticks: usize,
-    /// Longest time that data waits for its block, microseconds.
-    pub data_wait: u64,
+    /// Its times.
+    pub timing: Timing,
 }
 
 /// An event.
@@ -189,16 +186,16 @@ impl<W: Waiter> Replica<W> {
         let given = executor.ledger().tip().height;
         let mut config = EngineConfig::new(settings.id, executor.ledger().members()?, settings.seed);
         config.applied = given;
-        config.election_tick = settings.election_ticks;
-        config.heartbeat_tick = (settings.election_ticks / 5).max(1);
-        config.data_wait_us = settings.data_wait;
+        config.election_tick = settings.timing.election_ticks;
+        config.heartbeat_tick = settings.timing.heartbeat_ticks();
+        config.data_wait_us = settings.timing.data_wait;
         let engine = Engine::new(config, store).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
         Ok(Self {
             engine,
             executor,
             waiters,
-            ticks: Ticks::every(settings.tick, 0),
+            ticks: Ticks::every(settings.timing.tick, 0),
             leading: false,
             committed: Vec::new(),
             given,

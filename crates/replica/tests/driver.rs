@@ -10,9 +10,11 @@ use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_raft::{Desired, Input, Lane, PeerMessage, Transactions};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::catch_up::Behind;
+use ledger_replica::conductor::{Conductor, Happened, Next};
 use ledger_replica::{
-    Answer, Circumstances, Effect, Event, Executor, FULL_DISK_PAUSE, Now, Replica, Settings, WAIT_MAX, Waiter, Waiters,
-    Work,
+    Answer, Circumstances, Effect, Event, Executor, FULL_DISK_PAUSE, Now, Replica, Settings, Timing, WAIT_MAX, Waiter,
+    Waiters, Work,
 };
 use ledger_storage::block_store::{BlockStore, Options, StoreError};
 use ledger_storage::disk::SimDisk;
@@ -123,7 +125,8 @@ impl Node {
         let ledger = Arc::new(Ledger::open(&genesis, registry, state, results).unwrap());
         let waiters = Arc::new(Waiters::default());
         let executor = Arc::new(Executor::new(ledger, vec![Arc::clone(&waiters) as _]));
-        let settings = Settings { id: 1, seed: 1, tick: TICK, election_ticks: 20, data_wait: 200_000 };
+        let settings =
+            Settings { id: 1, seed: 1, timing: Timing { tick: TICK, election_ticks: 20, ..Timing::default() } };
         let desired = Desired { voters: [1].into(), learners: [].into() };
         let replica =
             Replica::start(&settings, Arc::clone(&store), Arc::clone(&executor), Arc::clone(&waiters), desired);
@@ -347,4 +350,42 @@ fn a_lot_is_executed_by_the_other_thread_and_in_order() {
     let next = Entry { kind: EntryKind::Normal, ..entries.first().unwrap().clone() };
     assert_eq!(next.index, node.height() + 1);
     assert_eq!(node.replica.work(busy), None, "it is given once");
+}
+
+#[test]
+fn a_node_that_ends_its_engine_with_a_full_disk_waits_and_goes_on_when_there_is_room() {
+    let mut node = Node::new();
+    let mut conductor = Conductor::new(1, Arc::clone(node.executor.ledger()));
+    assert_eq!(conductor.step(Happened::Looked(Vec::new())), Ok(Next::Start));
+    let behind = Behind { from: 2, first_index: 9 };
+    assert_eq!(conductor.step(Happened::Behind(behind)), Ok(Next::End(behind)));
+    node.submit(1, "note");
+    node.disk.set_capacity(Some(node.disk.used_bytes()));
+    assert_eq!(conductor.step(Happened::Ended), Ok(Next::Flush));
+    let staged = node.store.last_index();
+    for _ in 0..3 {
+        let full = node.store.flush().map(drop);
+        assert!(matches!(full, Err(StoreError::DiskFull { .. })), "{full:?}");
+        assert_eq!(conductor.step(Happened::Flushed(full)), Ok(Next::Pause(FULL_DISK_PAUSE)));
+        assert_eq!(conductor.step(Happened::Behind(behind)), Ok(Next::Nothing), "it knows");
+        assert_eq!(conductor.step(Happened::Waited), Ok(Next::Flush));
+    }
+    node.disk.set_capacity(None);
+    let written = node.store.flush().map(drop);
+    assert_eq!(conductor.step(Happened::Flushed(written)), Ok(Next::CatchUp(Some(behind))));
+    assert_eq!(node.store.durable_index(), staged, "nothing that was staged is lost");
+}
+
+#[test]
+fn a_node_whose_disk_fails_while_its_engine_ends_does_not_go_on() {
+    let node = Node::new();
+    let mut conductor = Conductor::new(1, Arc::clone(node.executor.ledger()));
+    let behind = Behind { from: 2, first_index: 9 };
+    for happened in [Happened::Looked(Vec::new()), Happened::Behind(behind), Happened::Ended] {
+        conductor.step(happened).unwrap();
+    }
+    let broken =
+        StoreError::Io { operation: "write", file: "log".into(), source: Arc::new(std::io::Error::other("no answer")) };
+    let reason = conductor.step(Happened::Flushed(Err(broken))).unwrap_err();
+    assert_eq!(reason.code, Code::DiskFailed);
 }

@@ -1,7 +1,8 @@
 //! The clocks of a machine, in virtual time: the wall clock, which may be wrong and jump, and the monotonic one.
 //!
-//! A node makes of them a copy of the rule in `src/clock.rs` of the node: time that never goes back, not even behind
-//! the block time that it has seen. All times are in microseconds.
+//! A node makes of them the time of its ledger by the rule of the replica. All times are in microseconds.
+
+use ledger_replica as replica;
 
 /// Virtual time 0 as a wall clock shows it: 2030-01-01, in microseconds since the UNIX epoch.
 pub const EPOCH: u64 = 1_893_456_000_000_000;
@@ -11,22 +12,22 @@ pub const SECOND: u64 = 1_000_000;
 pub const MILLISECOND: u64 = 1_000;
 
 /// The clocks of one machine.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub struct Clock {
     /// How much the wall clock is ahead (or behind).
     offset: i64,
     /// By how many millionths it runs too fast (or slow).
     drift_ppm: i64,
-    /// Block time when the process was started, or what newer block time makes of it.
-    base: u64,
-    /// Monotonic time then.
+    /// The process's view of the time.
+    rule: replica::Clock,
+    /// Monotonic time when the process was started.
     started: u64,
 }
 
 impl Clock {
     /// A machine whose clock is wrong by `offset` and runs wrong by `drift_ppm`.
     pub fn new(offset: i64, drift_ppm: i64) -> Self {
-        Self { offset, drift_ppm, base: 0, started: 0 }
+        Self { offset, drift_ppm, rule: replica::Clock::of(0, 0), started: 0 }
     }
 
     /// Somebody sets the wall clock.
@@ -41,25 +42,27 @@ impl Clock {
 
     /// The process starts, with a state that has seen this block time.
     pub fn start(&mut self, virtual_now: u64, block_time: u64) {
-        self.base = block_time;
+        self.rule = replica::Clock::of(block_time, 0);
         self.started = self.monotonic(virtual_now);
     }
 
     /// The process has executed a block of this time.
     pub fn observe(&mut self, virtual_now: u64, block_time: u64) {
-        let elapsed = self.monotonic(virtual_now) - self.started;
-        self.base = block_time.saturating_sub(elapsed);
+        self.rule.observe(block_time, self.elapsed(virtual_now));
     }
 
     /// The process's view of the time, microseconds since the UNIX epoch.
     pub fn now(&self, virtual_now: u64) -> u64 {
-        let elapsed = self.monotonic(virtual_now) - self.started;
-        self.wall(virtual_now).max(self.base + elapsed)
+        self.rule.at(self.wall(virtual_now), self.elapsed(virtual_now))
     }
 
     /// The machine's clock.
     pub fn wall(&self, virtual_now: u64) -> u64 {
         (EPOCH + self.monotonic(virtual_now)).saturating_add_signed(self.offset)
+    }
+
+    fn elapsed(&self, virtual_now: u64) -> u64 {
+        self.monotonic(virtual_now) - self.started
     }
 
     fn monotonic(&self, virtual_now: u64) -> u64 {

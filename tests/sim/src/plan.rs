@@ -3,6 +3,7 @@
 use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use ledger::Rules;
+use ledger_replica::Timing;
 use std::collections::BTreeSet;
 use testkit::Random;
 
@@ -21,8 +22,8 @@ pub struct Plan {
     pub chaos: u64,
     /// Average time between two of those that happen at a moment (crashes, partitions …).
     pub between_faults: u64,
-    /// Length of a tick of the engine.
-    pub tick: u64,
+    /// The times of the nodes.
+    pub timing: Timing,
     /// All nodes share one set of caches of access control: faster, and less like real processes.
     pub shares_caches: bool,
     /// How many clients work.
@@ -99,7 +100,7 @@ impl Plan {
             organisations: random.between(2, 3) as usize,
             chaos: random.between(30 * SECOND, 90 * SECOND),
             between_faults: random.between(200 * MILLISECOND, 4 * SECOND),
-            tick: random.between(10, 25) * MILLISECOND,
+            timing: Timing { tick: random.between(20, 50) * MILLISECOND, ..Timing::default() },
             shares_caches: random.percent(70),
             clients: random.between(4, 8) as usize,
             think: random.between(100 * MILLISECOND, 800 * MILLISECOND),

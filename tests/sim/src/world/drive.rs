@@ -94,7 +94,7 @@ impl World {
 
     /// When the thread is to be woken, if nothing comes in before.
     fn sleep(&mut self, id: u64) {
-        let (now, tick) = (self.clocks(id), self.plan.tick);
+        let (now, tick) = (self.clocks(id), self.plan.timing.tick);
         let Some(running) = self.running(id) else { return };
         let Some(replica) = &running.replica else { return };
         // The write that it waits for is under way.

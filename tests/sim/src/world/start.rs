@@ -26,8 +26,6 @@ use std::sync::{Arc, mpsc};
 
 /// The node that is broken when it ends for no reason that was injected.
 const UNEXPLAINED: &str = "a node ends only for a reason";
-/// Ticks without a leader after which a node stands for election.
-const ELECTION_TICKS: usize = 20;
 
 impl World {
     /// Switches a node on.
@@ -97,7 +95,7 @@ impl World {
             said.note(&own.latest.attest);
             own.snapshot.iter().for_each(|snapshot| said.note(&snapshot.attest));
         }
-        let (asked, election_time) = (self.asked_by(id, &ledger), ELECTION_TICKS as u64 * self.plan.tick);
+        let (asked, election_time) = (self.asked_by(id, &ledger), self.plan.timing.election_time());
         let look = Look::new((self.now, id), members.voters, last, asked.len(), election_time, ballot.clone());
         let running = Running {
             replica: None,
@@ -251,8 +249,7 @@ impl World {
 
     /// A new replica that goes on from what is executed.
     pub(super) fn replica(&self, id: u64, seed: u64, running: &Running) -> Result<Replica<Client>, Violation> {
-        let settings =
-            Settings { id, seed, tick: self.plan.tick, election_ticks: ELECTION_TICKS, data_wait: 200 * MILLISECOND };
+        let settings = Settings { id, seed, timing: self.plan.timing };
         let Running { store, executor, waiters, wanted, .. } = running;
         let (store, executor, waiters) = (Arc::clone(store), Arc::clone(executor), Arc::clone(waiters));
         Replica::start(&settings, store, executor, waiters, wanted.clone())

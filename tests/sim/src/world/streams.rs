@@ -17,8 +17,6 @@ pub(super) const PLACES: usize = 64;
 pub(super) const WORKERS: usize = 2;
 /// Bytes of a transaction at most.
 const PAYLOAD_BYTES_MAX: u64 = 1 << 20;
-/// Longest time that data waits, microseconds.
-const WAIT_DATA_MAX: u64 = 200_000;
 /// Transactions that are looked at in one turn while others wait.
 const LOOKS_MAX: usize = 4;
 /// Time that a look takes, microseconds.
@@ -147,7 +145,7 @@ impl World {
 
     /// A stream has a turn: it looks at some of what waits.
     fn look(&mut self, id: u64, number: u64) -> Check {
-        let now = self.clocks(id);
+        let (now, wait_max) = (self.clocks(id), self.plan.timing.data_wait);
         let Some(Running { streams, ledger, waiters, retries, judged: held, .. }) = self.running(id) else {
             return Ok(());
         };
@@ -156,7 +154,7 @@ impl World {
         let Some(stream) = streams.get_mut(&number) else { return Ok(()) };
         let Some(Looking { job, alone, passed, .. }) = stream.turn else { return Ok(()) };
         let who = stream.share.name().to_owned();
-        let node = Admitting { ledger, waiters, retries, now, wait_max: WAIT_DATA_MAX };
+        let node = Admitting { ledger, waiters, retries, now, wait_max };
         let (mut decisions, mut looks) = (Vec::new(), 0);
         stream.desk.begin(job, &node, |decision| decisions.push(decision));
         stream.desk.work(job, &node, |looked| {
