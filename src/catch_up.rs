@@ -28,6 +28,7 @@ use ledger_api::v1::BlockEntries;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{self, ASK_TIME_MAX, Ballot, Batch, Behind, Caught, Got, Todo};
+use ledger_replica::space::Wrote;
 use ledger_storage::snapshot::Snapshot;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -113,7 +114,7 @@ impl CatchUp {
                 Got::TakenIn(taken)
             }
             Todo::Manifest { peer } => Got::Manifest(snapshot::manifest(&peer).await),
-            Todo::Fetch { peer, manifest, trial } => Got::Snapshot(self.fetch(&peer, manifest, trial).await),
+            Todo::Fetch { peer, manifest, trial } => self.fetch(&peer, manifest, trial).await,
             Todo::Install(snapshot) => Got::Installed(self.install(snapshot).await),
             Todo::Pause(time) => {
                 self.pause(time).await;
@@ -128,11 +129,8 @@ impl CatchUp {
         let (shared, batch) = (Arc::clone(&self.shared), Arc::clone(batch));
         let taken = tokio::task::spawn_blocking(move || {
             let taken = batch.take_in(&shared.store, &shared.executor, &shared.snapshots);
-            match &taken {
-                Ok(()) => shared.space.room(),
-                Err(fault) if fault.code == Code::DiskFull => drop(shared.space.no_room()),
-                Err(_) => {}
-            }
+            // The machine tries again by itself.
+            let _again = shared.space.wrote(Wrote::from(&taken));
             taken
         });
         taken.await.map_err(|_| Rejection::new(Code::Internal, "the execution of fetched blocks panicked"))?

@@ -42,6 +42,7 @@ use ledger::Ledger;
 use ledger_invariant::vital;
 use ledger_raft::{Input, RoleChange, Status};
 use ledger_replica::catch_up::Behind;
+use ledger_replica::space::Wrote;
 use ledger_replica::{Executor, Replica};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::snapshot::Snapshots;
@@ -99,13 +100,9 @@ impl Shared {
     /// As [`BlockStore::flush`]; [`StoreError::DiskFull`] if the reserve is used up.
     pub(crate) fn flush(&self) -> Result<(), StoreError> {
         loop {
-            match self.store.flush() {
-                Err(StoreError::DiskFull { .. }) if self.space.no_room() => {}
-                Ok(_) => {
-                    self.space.room();
-                    return Ok(());
-                }
-                Err(fault) => return Err(fault),
+            let written = self.store.flush().map(drop);
+            if !self.space.wrote(Wrote::from(&written)) {
+                return written;
             }
         }
     }

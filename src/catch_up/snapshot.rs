@@ -11,6 +11,7 @@ use bytes::Bytes;
 use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{SnapshotChunksRequest, SnapshotRequest};
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::catch_up::Got;
 use ledger_replica::trust::{ATTESTED_MAX, Attested, Trial};
 use ledger_storage::snapshot::{CHUNK_BYTES_MAX, MANIFEST_BYTES_MAX, Manifest, Snapshot, Snapshots};
 use std::sync::Arc;
@@ -43,30 +44,37 @@ fn client(peer: &Contact) -> PeerClient<Channel> {
 
 impl CatchUp {
     /// Fetches the chunks that are missing, and lets the trial conclude.
-    pub(super) async fn fetch(
-        &self,
-        peer: &Contact,
-        manifest: Manifest,
-        trial: Trial,
-    ) -> Result<Arc<Snapshot>, Rejection> {
-        let refused = |status: tonic::Status| ledger_api::from_status(&peer.address, &status);
+    pub(super) async fn fetch(&self, peer: &Contact, manifest: Manifest, trial: Trial) -> Got<Contact> {
         let (height, shared) = (manifest.height, Arc::clone(&self.shared));
         let (chunks, received) = mpsc::channel(AHEAD_MAX);
         let (wanted, from) = tokio::sync::oneshot::channel();
         let gathering =
             tokio::task::spawn_blocking(move || gather(&shared.snapshots, manifest, wanted, received, &trial));
-        if let Ok(Some(from)) = from.await {
-            let request = SnapshotChunksRequest { height, from_chunk: from };
-            let mut stream = in_time(client(peer).snapshot_chunks(request)).await?.map_err(refused)?.into_inner();
-            while let Some(chunk) = in_time(stream.message()).await?.map_err(refused)? {
-                // A receiver that is gone says why below.
-                if self.is_stopping() || chunks.send(chunk.data).await.is_err() {
-                    break;
-                }
+        if let Ok(Some(from_chunk)) = from.await
+            && let Err(refused) = self.chunks(peer, SnapshotChunksRequest { height, from_chunk }, chunks).await
+        {
+            return Got::Unfetched(refused);
+        }
+        let panicked = |_| Err(Rejection::new(Code::Internal, "a thread panicked with a snapshot"));
+        Got::Snapshot(gathering.await.unwrap_or_else(panicked))
+    }
+
+    /// Passes on the chunks that a peer sends. A fault is the peer's.
+    async fn chunks(
+        &self,
+        peer: &Contact,
+        request: SnapshotChunksRequest,
+        to: mpsc::Sender<Bytes>,
+    ) -> Result<(), Rejection> {
+        let refused = |status: tonic::Status| ledger_api::from_status(&peer.address, &status);
+        let mut stream = in_time(client(peer).snapshot_chunks(request)).await?.map_err(refused)?.into_inner();
+        while let Some(chunk) = in_time(stream.message()).await?.map_err(refused)? {
+            // A receiver that is gone says why itself.
+            if self.is_stopping() || to.send(chunk.data).await.is_err() {
+                break;
             }
         }
-        drop(chunks);
-        gathering.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with a snapshot"))?
+        Ok(())
     }
 }
 

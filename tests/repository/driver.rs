@@ -24,8 +24,8 @@ const DRIVING: [&str; 14] = [
 ];
 /// A folder that names these decides about calls itself: their lanes, their order, and refusals.
 const ADMITTING: [&str; 4] = ["admit_decoded(", ".urgent(", "Refusal::step", "fn take_late"];
-/// Times that the replica decides about.
-const TIMES: [&str; 11] = [
+/// Times and sizes that the replica decides about.
+const BOUNDS: [&str; 14] = [
     "WAIT_MAX",
     "WAIT_FOR_HEIGHT",
     "CONFIRM_TIME_MAX",
@@ -37,6 +37,9 @@ const TIMES: [&str; 11] = [
     "SILENCE_MAX",
     "ELECTION_",
     "WAIT_DATA",
+    "MESSAGES_FREE",
+    "ENDS_FREE",
+    "RESERVE_BYTES",
 ];
 
 /// The files below a folder in which a line of code has one of these, and what it has.
@@ -64,8 +67,8 @@ fn the_node_and_the_simulation_drive_the_replica_and_no_copy_of_it() {
         assert_eq!(having(folder, &words(&DRIVING)), [], "the replica does that");
         assert_eq!(having(folder, &words(&ADMITTING)), [], "the replica's gateway does that");
         assert!(!having(folder, &words(&["desk.work("])).is_empty(), "{folder} serves no desk");
-        let times: Vec<String> = TIMES.iter().map(|time| format!("const {time}")).collect();
-        assert_eq!(having(folder, &times), [], "the replica decides about that time");
+        let bounds: Vec<String> = BOUNDS.iter().map(|bound| format!("const {bound}")).collect();
+        assert_eq!(having(folder, &bounds), [], "the replica decides about that");
         assert!(!having(folder, &words(&["Replica::start"])).is_empty(), "{folder} starts no replica");
         assert!(!having(folder, &words(&["replica.step("])).is_empty(), "{folder} drives no replica");
     }

@@ -110,15 +110,17 @@ pub enum Todo<P> {
 pub enum Got<P> {
     /// The blocks of the others.
     Offers(Vec<Offer<P>>),
-    /// A message of the stream; none at its end.
+    /// A message of the stream; none at its end. A fault is the peer's.
     Blocks(Result<Option<Vec<Entry>>, Rejection>),
     /// The block hash, if the node has it.
     Hash(Result<Option<Hash>, Rejection>),
     /// The blocks are stored and executed.
     TakenIn(Result<(), Rejection>),
-    /// A manifest, and who attests it.
+    /// A manifest, and who attests it. A fault is the peer's.
     Manifest(Result<(Manifest, Vec<Attested>), Rejection>),
-    /// A snapshot that is believed.
+    /// The peer does not give the snapshot.
+    Unfetched(Rejection),
+    /// A snapshot that is believed. A fault is this node's, or the snapshot is not as it should be.
     Snapshot(Result<Arc<Snapshot>, Rejection>),
     /// The log begins after the snapshot.
     Installed(Result<(), Rejection>),
@@ -191,11 +193,9 @@ impl<P: Clone> CatchUp<P> {
             Got::Manifest(Ok((manifest, attested))) => self.tried(manifest, attested),
             Got::Snapshot(Ok(snapshot)) => Todo::Install(snapshot),
             Got::Installed(Ok(())) => Todo::Done(Caught::Snapshot),
-            Got::Blocks(Err(fault))
-            | Got::TakenIn(Err(fault))
-            | Got::Manifest(Err(fault))
-            | Got::Snapshot(Err(fault))
-            | Got::Installed(Err(fault)) => self.fault(&fault),
+            // Whatever code a peer gives it, that is its own affair: its disk may be damaged, or it lies.
+            Got::Blocks(Err(fault)) | Got::Manifest(Err(fault)) | Got::Unfetched(fault) => self.pass_over(&fault),
+            Got::TakenIn(Err(fault)) | Got::Snapshot(Err(fault)) | Got::Installed(Err(fault)) => self.fault(&fault),
         }
     }
 
@@ -405,11 +405,16 @@ impl<P: Clone> CatchUp<P> {
         }
     }
 
-    /// A fault of this node ends it; for one of the other node, the next is asked.
+    /// A fault that was found here. One of this node ends it; for one of the other node, the next is asked.
     fn fault(&mut self, fault: &Rejection) -> Todo<P> {
-        if matches!(fault.code, Code::Corrupt | Code::DiskFailed | Code::Internal | Code::Diverged) {
-            return Todo::Failed(fault.clone());
+        match fault.code {
+            Code::Corrupt | Code::DiskFailed | Code::Internal | Code::Diverged => Todo::Failed(fault.clone()),
+            _ => self.pass_over(fault),
         }
+    }
+
+    /// The peer does not help: the next one is asked.
+    fn pass_over(&mut self, fault: &Rejection) -> Todo<P> {
         match &self.part {
             Part::Blocks(pull) => {
                 let peer = pull.as_ref().map(|pull| pull.from.who.name.clone()).unwrap_or_default();

@@ -13,6 +13,7 @@
 //! | [`witness`] | what a node attests, and when |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `clock` | [`Clock`]: the time of a ledger, which never goes back |
+//! | [`space`] | what is accepted with the space that the disk has, and who says that it is full |
 //! | `timing` | [`Timing`]: ticks, elections, and how long data waits |
 //! | `in_place` | which blocks the thread that orders executes itself |
 //! | [`gateway`] | calls that want to be ordered: shares, turns, lanes, admission |
@@ -57,6 +58,7 @@ pub mod opening;
 mod reads;
 mod replica;
 mod retries;
+pub mod space;
 mod ticks;
 mod timing;
 pub mod trust;

@@ -10,7 +10,7 @@ use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_raft::{Desired, Input, Lane, PeerMessage, Transactions};
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::catch_up::Behind;
+use ledger_replica::catch_up::{Behind, CatchUp, Caught, Got, Holding, Offer, Todo, Who};
 use ledger_replica::conductor::{Conductor, Happened, Next};
 use ledger_replica::{
     Answer, Circumstances, Effect, Event, Executor, FULL_DISK_PAUSE, Now, Replica, Settings, Timing, WAIT_MAX, Waiter,
@@ -388,4 +388,27 @@ fn a_node_whose_disk_fails_while_its_engine_ends_does_not_go_on() {
         StoreError::Io { operation: "write", file: "log".into(), source: Arc::new(std::io::Error::other("no answer")) };
     let reason = conductor.step(Happened::Flushed(Err(broken))).unwrap_err();
     assert_eq!(reason.code, Code::DiskFailed);
+}
+
+#[test]
+fn a_peer_that_calls_its_own_disk_damaged_does_not_stop_a_node_that_catches_up() {
+    let node = Node::new();
+    let offer = |id: u64| {
+        let who = Who { id, organisation: "Org1".into(), name: format!("node{id}"), vouched: false };
+        let has = Holding { height: 50 + id, first_height: 1, snapshot_height: 50, ..Holding::default() };
+        Offer { who, has, peer: id }
+    };
+    let damaged = || Rejection::new(Code::Corrupt, "a block is damaged");
+    let behind = Behind { from: 2, first_index: 9 };
+    let mut machine = CatchUp::new(Arc::clone(node.executor.ledger()), "Org1".into(), Some(behind), None);
+    let opened = machine.step(Got::Offers(vec![offer(2), offer(3)]));
+    assert!(matches!(opened, Todo::Open { peer: 3, .. }), "the one with most blocks first");
+    let next = machine.step(Got::Blocks(Err(damaged())));
+    assert!(matches!(next, Todo::Open { peer: 2, .. }), "another node is asked");
+    let next = machine.step(Got::Blocks(Err(damaged())));
+    assert!(matches!(next, Todo::Manifest { peer: 2 | 3 }), "and then for snapshots");
+    assert!(matches!(machine.step(Got::Manifest(Err(damaged()))), Todo::Manifest { .. }));
+    assert!(matches!(machine.step(Got::Unfetched(damaged())), Todo::Done(Caught::Nothing)));
+    let own = machine.step(Got::TakenIn(Err(damaged())));
+    assert!(matches!(own, Todo::Failed(reason) if reason.code == Code::Corrupt), "its own disk does");
 }

@@ -1,9 +1,11 @@
 //! One node: the real replica, block store and ledger on a simulated disk. The node's threads are events in virtual time.
 
+mod ground;
 mod open;
 mod seen_rules;
 mod shelf;
 
+pub use ground::Ground;
 pub use open::{Keeping, open_blocks};
 pub use seen_rules::SeenRules;
 pub use shelf::Shelf;
@@ -19,9 +21,10 @@ use ledger_rejection::Code;
 use ledger_replica::catch_up::{Ballot, Holding, Look};
 use ledger_replica::conductor::Conductor;
 use ledger_replica::gateway::{Desk, InFlight, Job, Share, Shares, Turn, Turns};
+use ledger_replica::space::{Space, Wrote};
 use ledger_replica::witness::Said;
 use ledger_replica::{Answer as Told, Asker, Event, Executor, Reads, Replica, Retries, Waiter, Waiters};
-use ledger_storage::block_store::BlockStore;
+use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
 use ledger_storage::snapshot::Snapshots;
@@ -40,6 +43,8 @@ pub struct Node {
     pub results: SimDisk,
     /// The world state at some heights.
     pub snapshots: SimDisk,
+    /// The disk with its log, as it is measured.
+    pub ground: Ground,
     /// Its clocks.
     pub clock: Clock,
     /// The process.
@@ -116,8 +121,10 @@ pub struct Running {
     pub reads_at: u64,
     /// Requests that wait for a height.
     pub behind: Vec<(u64, Request)>,
-    /// The log cannot be written for lack of space.
-    pub disk_full: bool,
+    /// The judgement on the space that its disk has.
+    pub space: Space,
+    /// That disk.
+    pub ground: Ground,
     /// Decides when there is an engine.
     pub conductor: Conductor,
     /// The question with which the process has started.
@@ -319,6 +326,21 @@ impl Refused {
     }
 }
 
+impl Running {
+    /// Makes the log durable. A disk without room gets the reserve first.
+    ///
+    /// # Errors
+    /// As [`BlockStore::flush`].
+    pub fn write_log(&mut self) -> Result<u64, StoreError> {
+        loop {
+            let written = self.store.flush();
+            if !self.space.wrote(&mut self.ground, Wrote::from(&written)) {
+                return written;
+            }
+        }
+    }
+}
+
 impl Node {
     /// All its disks: the log, results, snapshots.
     pub fn disks(&self) -> [&SimDisk; 3] {
@@ -333,9 +355,11 @@ impl Node {
 
     /// A new machine with empty disks.
     pub fn new(id: u64, disk_seed: u64, clock: Clock) -> Self {
+        let disk = SimDisk::new(disk_seed);
         Self {
             id,
-            disk: SimDisk::new(disk_seed),
+            ground: Ground::of(&disk),
+            disk,
             shelf: Shelf::default(),
             results: SimDisk::new(disk_seed ^ 1),
             snapshots: SimDisk::new(disk_seed ^ 2),

@@ -172,6 +172,12 @@ impl SimDisk {
         self.inner().capacity_bytes = bytes;
     }
 
+    /// Bytes that still fit; none if there is no limit.
+    pub fn free_bytes(&self) -> Option<u64> {
+        let inner = self.inner();
+        inner.capacity_bytes.map(|capacity| capacity.saturating_sub(inner.used_bytes()))
+    }
+
     /// Calls `hook` at the start of every sync of a file, outside of any lock of the disk.
     pub fn before_sync(&self, hook: impl Fn() + Send + Sync + 'static) {
         self.inner().before_sync = Some(Arc::new(hook));

@@ -12,6 +12,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// Most machines of one run.
 const NODES_MAX: usize = 14;
 
+/// Most bytes that are left on a disk that somebody fills.
+const LEFT_MAX: u64 = 48 * 1024;
+
 /// The faults that happen at a moment; the others are rates.
 const AT_A_MOMENT: [Fault; 20] = [
     Fault::Clog,
@@ -250,8 +253,9 @@ impl World {
 
     fn fill(&mut self, id: u64) {
         let time = self.random.faults.between(300, 5_000) * MILLISECOND;
+        let left = if self.random.faults.percent(70) { 0 } else { self.random.faults.below(LEFT_MAX) };
         if let Some(node) = self.nodes.get_mut(&id) {
-            node.disks().iter().for_each(|disk| disk.set_capacity(Some(disk.used_bytes())));
+            node.disks().iter().for_each(|disk| disk.set_capacity(Some(disk.used_bytes() + left)));
             node.shelf.set_full(true);
         }
         self.schedule(time, Event::Undo(Undo::FullDisk(id)));

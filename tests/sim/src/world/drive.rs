@@ -38,7 +38,7 @@ impl World {
             self.step(id, event)?;
         }
         let Some(running) = self.running(id) else { return Ok(()) };
-        let full = running.disk_full;
+        let full = running.space.is_full();
         if std::mem::take(&mut running.wants_others) {
             let wanted = running.wanted.clone();
             self.step(id, Event::Wanted(wanted))?;
@@ -223,21 +223,20 @@ impl World {
         if !std::mem::take(&mut running.flushing) {
             return Ok(());
         }
-        let written = running.store.flush();
+        let room = !running.space.is_full();
+        let written = running.write_log();
+        let found_none = room && running.space.is_full();
         let inbox = std::mem::take(&mut running.inbox);
         match &written {
             Ok(durable) => {
-                running.disk_full = false;
                 self.invariants.acknowledged.flushed(id, &running.store);
                 self.note(format_args!("n{id} flushed, durable up to {durable}"));
             }
-            Err(StoreError::DiskFull { .. }) => {
-                if !std::mem::replace(&mut running.disk_full, true) {
-                    self.coverage.fault(Fault::FullDisk);
-                    self.note(format_args!("n{id} has no room"));
-                }
-            }
             Err(error) => self.note(format_args!("n{id} cannot flush: {error}")),
+        }
+        if found_none {
+            self.coverage.fault(Fault::FullDisk);
+            self.note(format_args!("n{id} has no room"));
         }
         self.step(id, Event::Written(written.map(drop)))?;
         self.execute_committed(id)?;
@@ -279,14 +278,19 @@ impl World {
         let now = self.now;
         self.schedule_timer(id, self.plan.state_flush, Timer::Housekeeping);
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
+        running.space.look(&mut running.ground);
+        let room = !running.space.is_full();
         // A full disk keeps it in memory; the blocks have it.
-        let kept = running.ledger.flush_up_to(running.store.durable_index(), Some(&running.snapshots));
+        let kept = match room {
+            true => running.ledger.flush_up_to(running.store.durable_index(), Some(&running.snapshots)),
+            false => Ok(()),
+        };
         let reached = running.ledger.state().stored().map_or(0, |tip| tip.height);
         if let Some(snapshot) = running.snapshots.newest() {
             let (height, content) = (snapshot.manifest().height, snapshot.content());
             self.invariants.state_agreement.snapshot(id, height, content)?;
         }
-        let prepared = if self.plan.prepares { running.store.prepare() } else { Ok(false) };
+        let prepared = if self.plan.prepares && room { running.store.prepare() } else { Ok(false) };
         running.waiters.sweep(now);
         match prepared {
             Ok(_) | Err(StoreError::DiskFull { .. }) => {}

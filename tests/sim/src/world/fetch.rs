@@ -13,6 +13,7 @@ use ledger_rejection::{Code, Rejection};
 use ledger_replica::Event;
 use ledger_replica::catch_up::{Batch, Behind, CatchUp, Got, Todo, install, store_holds};
 use ledger_replica::conductor::{Happened, Next};
+use ledger_replica::space::Wrote;
 use ledger_replica::trust::{Attested, Trial, attestations};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::{Entry, EntryKind};
@@ -104,7 +105,7 @@ impl World {
 
     fn flush_rest(&mut self, id: u64) -> Result<(), StoreError> {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
-        let written = running.store.flush().map(drop);
+        let written = running.write_log().map(drop);
         match &written {
             Ok(()) => self.invariants.acknowledged.flushed(id, &running.store),
             Err(StoreError::DiskFull { .. }) => self.coverage.full_at_end += 1,
@@ -142,7 +143,7 @@ impl World {
             }),
             Todo::Manifest { peer } => Got::Manifest(self.manifest(id, peer)),
             Todo::Fetch { peer, manifest, trial } => match self.receive(id, peer, manifest, &trial)? {
-                Some(got) => Got::Snapshot(got),
+                Some(got) => got,
                 // Power has failed.
                 None => return Ok(()),
             },
@@ -225,7 +226,10 @@ impl World {
     /// Stores blocks and executes them.
     fn take_in(&mut self, id: u64, batch: &Batch) -> Result<Result<(), Rejection>, Violation> {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(Ok(())) };
-        if let Err(fault) = batch.store(&running.store) {
+        let stored = batch.store(&running.store);
+        // The machine tries again by itself.
+        let _again = running.space.wrote(&mut running.ground, Wrote::from(&stored));
+        if let Err(fault) = stored {
             return Ok(Err(fault.into()));
         }
         let executor = Arc::clone(&running.executor);
@@ -267,24 +271,30 @@ impl World {
         peer: Contact,
         manifest: Manifest,
         trial: &Trial,
-    ) -> Result<Option<Result<Arc<Snapshot>, Rejection>>, Violation> {
+    ) -> Result<Option<Got<Contact>>, Violation> {
         if let Err(silent) = self.reach(id, peer) {
-            return Ok(Some(Err(silent)));
+            return Ok(Some(Got::Unfetched(silent)));
         }
         let from = self.nodes.get(&peer.id).and_then(|node| node.up.as_ref()?.snapshots.get(manifest.height));
         let Some(from) = from.filter(|from| from.content() == manifest.content()) else {
-            return Ok(Some(Err(Rejection::new(Code::NotFound, "the snapshot is not kept any more"))));
+            let gone = Rejection::new(Code::NotFound, "the snapshot is not kept any more");
+            return Ok(Some(Got::Unfetched(gone)));
         };
         let interrupted = self.random.nodes.percent(10);
         let Some(running) = self.running(id) else { return Ok(None) };
         let known = running.snapshots.get(manifest.height).filter(|known| known.content() == manifest.content());
         if let Some(known) = known {
-            return Ok(Some(Ok(known)));
+            return Ok(Some(Got::Snapshot(Ok(known))));
         }
+        let chunks: Result<Vec<_>, _> = (0..manifest.chunks.len()).map(|number| from.chunk(number)).collect();
+        let chunks = match chunks {
+            Ok(chunks) => chunks,
+            Err(damaged) => return Ok(Some(Got::Unfetched(damaged))),
+        };
         let fetched = (|| {
             let mut installer = running.snapshots.install(manifest)?;
             while let Some(number) = installer.wanted() {
-                installer.put(&from.chunk(number)?)?;
+                installer.put(chunks.get(number).map_or(&[][..], |chunk| chunk))?;
             }
             if interrupted { Ok(None) } else { trial.conclude(installer).map(Some) }
         })();
@@ -293,7 +303,7 @@ impl World {
             self.schedule(MILLISECOND, Happening::Start { node: id });
             return Ok(None);
         }
-        Ok(fetched.transpose())
+        Ok(fetched.transpose().map(Got::Snapshot))
     }
 
     fn install(&mut self, id: u64, snapshot: &Snapshot) -> Result<Result<(), Rejection>, Violation> {

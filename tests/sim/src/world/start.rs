@@ -15,6 +15,7 @@ use ledger_replica::catch_up::{Ballot, Look};
 use ledger_replica::conductor::Conductor;
 use ledger_replica::gateway::{Shares, Turns};
 use ledger_replica::opening::Opening;
+use ledger_replica::space::Space;
 use ledger_replica::witness::Said;
 use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Waiters};
 use ledger_storage::block_store::StoreError;
@@ -78,6 +79,7 @@ impl World {
         self.coverage.restarts += u64::from(node.start > 0);
         node.start += 1;
         node.clock.start(self.now, ledger.tip().time);
+        let mut ground = node.ground.clone();
         let ledger = Arc::new(ledger);
         let waiters = Arc::new(Waiters::default());
         let executor = Arc::new(Executor::new(Arc::clone(&ledger), vec![Arc::clone(&waiters) as _]));
@@ -122,7 +124,8 @@ impl World {
             turn_at: u64::MAX,
             reads_at: u64::MAX,
             behind: Vec::new(),
-            disk_full: false,
+            space: Space::of(String::new(), &mut ground),
+            ground,
             conductor: Conductor::new(id, ledger),
             look,
             look_at: 0,

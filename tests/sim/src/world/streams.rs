@@ -32,14 +32,15 @@ impl World {
         let share = running.shares.of(who);
         let entrance = Entrance { ledger: &running.ledger, payload_bytes_max: PAYLOAD_BYTES_MAX, elapsed: now };
         let call = Call { encoded, min_height: request.min_height, first_attempt };
-        let full = running.disk_full;
-        let room = |_ends: &dyn Fn() -> bool| match full {
-            true => Err(Rejection::new(Code::DiskFull, "no room")),
-            false => Ok(()),
-        };
         let number = self.invariants.in_order.arrives();
         let answers = running.answers.0.clone();
-        let entered = entrance.enter(call, &share, room, |place| Client { reply, told, place, number, answers });
+        let space = &running.space;
+        let entered = entrance.enter(
+            call,
+            &share,
+            |ends| space.check(ends),
+            |place| Client { reply, told, place, number, answers },
+        );
         match entered {
             Ok(arrived) => {
                 let lane = arrived.ticket.lane;
