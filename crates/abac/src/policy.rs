@@ -23,6 +23,8 @@ use cedar_policy::{
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
+use quick_cache::Weighter;
+use quick_cache::unsync::Cache;
 use std::collections::{BTreeMap, HashSet};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -38,7 +40,7 @@ const CHAIN_MAX: usize = 1024;
 /// stack would depend on the build and the processor.
 const STACK_BYTES: usize = 64 * 1024 * 1024;
 const _: () = assert!((CHAIN_MAX + 2 * NESTING_MAX) * 16 * 1024 * 2 < STACK_BYTES);
-/// Most parsed policy sets that are kept, and most bytes of their texts; when they are more, all are parsed anew.
+/// Most parsed policy sets that are kept, and most bytes of their texts.
 const PARSED_SETS_MAX: usize = 64;
 const PARSED_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Most questions that wait for the thread; more wait for their turn to wait.
@@ -273,7 +275,7 @@ struct Parsed {
 type Validators = BTreeMap<&'static str, Validator>;
 
 fn serve(queue: &Receiver<Job>, validators: &Validators) {
-    let mut parsed: BTreeMap<Hash, Parsed> = BTreeMap::new();
+    let mut parsed = Cache::with_weighter(PARSED_SETS_MAX, PARSED_BYTES_MAX as u64, ByText);
     while let Ok(job) = queue.recv() {
         // A caller that has given up waiting is no fault of ours.
         match job {
@@ -284,10 +286,13 @@ fn serve(queue: &Receiver<Job>, validators: &Validators) {
             }
             Job::Decide(question, texts, reply) => {
                 let outcome = catch_unwind(AssertUnwindSafe(|| {
-                    if let Some(texts) = texts {
-                        keep(&mut parsed, question.version, parse_all(&texts));
-                    }
-                    parsed.get(&question.version).map(|set| decide(set, &question))
+                    let Some(texts) = texts else {
+                        return parsed.get(&question.version).map(|set| decide(set, &question));
+                    };
+                    let set = parse_all(&texts);
+                    let answer = decide(&set, &question);
+                    parsed.insert(question.version, set);
+                    Some(answer)
                 }));
                 let decided = match outcome {
                     Ok(Some(answer)) => Ok(answer),
@@ -300,12 +305,13 @@ fn serve(queue: &Receiver<Job>, validators: &Validators) {
     }
 }
 
-fn keep(parsed: &mut BTreeMap<Hash, Parsed>, version: Hash, set: Parsed) {
-    let bytes: usize = parsed.values().map(|set| set.bytes).sum();
-    if parsed.len() >= PARSED_SETS_MAX || bytes + set.bytes > PARSED_BYTES_MAX {
-        parsed.clear();
+/// A set weighs as much as its texts, at least its share of the room, and at most half of it: every set can be kept.
+struct ByText;
+
+impl Weighter<Hash, Parsed> for ByText {
+    fn weight(&self, _version: &Hash, set: &Parsed) -> u64 {
+        set.bytes.clamp(PARSED_BYTES_MAX / PARSED_SETS_MAX, PARSED_BYTES_MAX / 2) as u64
     }
-    parsed.insert(version, set);
 }
 
 fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {

@@ -10,10 +10,10 @@ use ledger_identity::msp::{Msp, Msps};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::{Overlay, StateRead};
-use std::collections::HashMap;
+use quick_cache::unsync::Cache;
 use std::sync::{Arc, PoisonError, RwLock};
 
-/// Most identities kept in memory; beyond it the memory starts anew.
+/// Most identities kept in memory.
 const CACHED_MAX: usize = 10_000;
 
 /// Signatures that are checked together: more of them are hardly cheaper, and one that does not verify spoils it for
@@ -32,20 +32,20 @@ pub(crate) struct Identities {
 
 struct Trusted {
     msps: Arc<Msps>,
-    known: HashMap<Hash, Arc<Identity>>,
+    known: Cache<Hash, Arc<Identity>>,
 }
 
 impl Identities {
     /// Reads the organisations that the state holds.
     pub(crate) fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
-        let trusted = Trusted { msps: Arc::new(read_msps(state)?), known: HashMap::new() };
+        let trusted = Trusted { msps: Arc::new(read_msps(state)?), known: Cache::new(CACHED_MAX) };
         Ok(Self { trusted: RwLock::new(trusted) })
     }
 
     /// Reads the organisations again, after a block has changed them.
     pub(crate) fn reload(&self, state: &dyn StateRead) -> Result<(), Rejection> {
         let msps = Arc::new(read_msps(state)?);
-        *self.trusted.write().unwrap_or_else(PoisonError::into_inner) = Trusted { msps, known: HashMap::new() };
+        *self.trusted.write().unwrap_or_else(PoisonError::into_inner) = Trusted { msps, known: Cache::new(CACHED_MAX) };
         Ok(())
     }
 
@@ -111,9 +111,6 @@ impl Identities {
         let identity = Arc::new(msps.verify(der, &[], at)?);
         let mut trusted = self.trusted.write().unwrap_or_else(PoisonError::into_inner);
         if Arc::ptr_eq(&trusted.msps, &msps) {
-            if trusted.known.len() >= CACHED_MAX {
-                trusted.known.clear();
-            }
             trusted.known.insert(Hash(identity.fingerprint), Arc::clone(&identity));
         }
         Ok(identity)

@@ -8,10 +8,11 @@ use crate::records::service::Target;
 use ledger::Context;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
-use std::collections::BTreeMap;
+use quick_cache::unsync::Cache;
+use std::hash::Hasher;
 use std::sync::{Mutex, PoisonError};
 
-/// Most decisions that are remembered; when they are more, all are forgotten.
+/// Most decisions that are remembered.
 const DECISIONS_MAX: usize = 16 * 1024;
 
 /// A use of a service; each is an action of the schema.
@@ -24,7 +25,7 @@ pub(crate) enum Action {
 
 /// All that a decision depends on besides the time. Policies and robots go by hashes of their contents, so an
 /// answer stays true for ever, and one learned in a simulated call is true in an executed one.
-#[derive(PartialEq, Eq, PartialOrd, Ord)]
+#[derive(PartialEq, Eq)]
 struct Key {
     fingerprint: Hash,
     principal: String,
@@ -34,10 +35,21 @@ struct Key {
     action: Action,
 }
 
+/// Keys that are equal have equal parts; these are enough to tell most others apart, and quick to hash.
+impl std::hash::Hash for Key {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        for hash in [&self.fingerprint, &self.robot] {
+            state.write(hash.0.first_chunk::<8>().unwrap_or(&[0; 8]));
+        }
+        state.write(self.service.as_bytes());
+        state.write_u8(self.action as u8);
+    }
+}
+
 /// Asks policies. The memory saves time and never changes an answer.
 pub(crate) struct Decider {
     engine: Engine,
-    decisions: Mutex<BTreeMap<Key, Verdict>>,
+    decisions: Mutex<Cache<Key, Verdict>>,
     /// The objects of the questions, parsed before.
     pub(crate) records: Records,
 }
@@ -59,7 +71,11 @@ impl Decider {
     /// # Errors
     /// As [`Engine::start`].
     pub(crate) fn new() -> Result<Self, Rejection> {
-        Ok(Self { engine: Engine::start()?, decisions: Mutex::default(), records: Records::default() })
+        Ok(Self {
+            engine: Engine::start()?,
+            decisions: Mutex::new(Cache::new(DECISIONS_MAX)),
+            records: Records::default(),
+        })
     }
 
     /// Is this text acceptable as a policy?
@@ -144,11 +160,7 @@ impl Decider {
     }
 
     fn remember(&self, key: Key, verdict: Verdict) {
-        let mut decisions = self.decisions.lock().unwrap_or_else(PoisonError::into_inner);
-        if decisions.len() >= DECISIONS_MAX {
-            decisions.clear();
-        }
-        decisions.insert(key, verdict);
+        self.decisions.lock().unwrap_or_else(PoisonError::into_inner).insert(key, verdict);
     }
 }
 

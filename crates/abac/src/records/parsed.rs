@@ -6,24 +6,33 @@
 use bytes::Bytes;
 use ledger::Context;
 use ledger_rejection::Rejection;
-use std::collections::HashMap;
+use quick_cache::Weighter;
+use quick_cache::unsync::Cache;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Most bytes of keys and values that are remembered; when they are more, all are forgotten.
-const BYTES_MAX: usize = 4 * 1024 * 1024;
+/// Most bytes of keys and values that are remembered.
+const BYTES_MAX: u64 = 4 * 1024 * 1024;
+
+/// Bytes of a record that is expected; how many records there is room for follows from it.
+const RECORD_BYTES: u64 = 512;
 
 /// Values of one kind by their keys.
 pub(crate) struct Parsed<T>(Mutex<Known<T>>);
 
-struct Known<T> {
-    records: HashMap<Vec<u8>, (Bytes, Arc<T>)>,
-    /// Bytes of all keys and values.
-    bytes: usize,
+type Known<T> = Cache<Vec<u8>, (Bytes, Arc<T>), ByBytes>;
+
+/// A record weighs as much as its key and value.
+struct ByBytes;
+
+impl<T> Weighter<Vec<u8>, (Bytes, Arc<T>)> for ByBytes {
+    fn weight(&self, key: &Vec<u8>, (value, _): &(Bytes, Arc<T>)) -> u64 {
+        (key.len() + value.len()) as u64
+    }
 }
 
 impl<T> Default for Parsed<T> {
     fn default() -> Self {
-        Self(Mutex::new(Known { records: HashMap::new(), bytes: 0 }))
+        Self(Mutex::new(Cache::with_weighter((BYTES_MAX / RECORD_BYTES) as usize, BYTES_MAX, ByBytes)))
     }
 }
 
@@ -39,35 +48,18 @@ impl<T> Parsed<T> {
         parse: impl FnOnce(&[u8], &[u8]) -> Result<T, Rejection>,
     ) -> Result<Option<Arc<T>>, Rejection> {
         let Some(value) = ctx.get(key) else { return Ok(None) };
-        if let Some((bytes, record)) = self.lock().records.get(key)
+        if let Some((bytes, record)) = self.lock().get(key)
             && same(bytes, &value)
         {
             return Ok(Some(Arc::clone(record)));
         }
         let record = Arc::new(parse(key, &value)?);
-        self.lock().remember(key, value, Arc::clone(&record));
+        self.lock().insert(key.to_vec(), (value, Arc::clone(&record)));
         Ok(Some(record))
     }
 
     fn lock(&self) -> MutexGuard<'_, Known<T>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl<T> Known<T> {
-    fn remember(&mut self, key: &[u8], value: Bytes, record: Arc<T>) {
-        let bytes = key.len() + value.len();
-        if bytes > BYTES_MAX {
-            return;
-        }
-        if self.bytes + bytes > BYTES_MAX {
-            self.records.clear();
-            self.bytes = 0;
-        }
-        self.bytes += bytes;
-        if let Some((before, _)) = self.records.insert(key.to_vec(), (value, record)) {
-            self.bytes -= key.len() + before.len();
-        }
     }
 }
 
@@ -129,14 +121,14 @@ mod tests {
     fn memory_is_bounded() {
         in_context(|ctx| {
             let records = Parsed::default();
-            let value = vec![7; BYTES_MAX / 8];
+            let value = vec![7; (BYTES_MAX / 8) as usize];
             for number in 0..100u32 {
                 let key = number.to_be_bytes();
                 ctx.put(&key, value.clone());
                 records.read(ctx, &key, |_, value| Ok(value.len())).unwrap();
                 let known = records.lock();
-                let bytes: usize = known.records.iter().map(|(key, (value, _))| key.len() + value.len()).sum();
-                assert!(known.bytes == bytes && bytes <= BYTES_MAX, "{bytes}");
+                let bytes: usize = known.iter().map(|(key, (value, _))| key.len() + value.len()).sum();
+                assert!(bytes > 0 && bytes as u64 <= BYTES_MAX, "{bytes}");
             }
         });
     }

@@ -1,20 +1,18 @@
 //! The owners of signatures, by the robot's own check against the network's organisations.
 
-use std::{
-    collections::{BTreeSet, HashMap},
-    sync::Arc,
-};
+use std::{collections::BTreeSet, sync::Arc};
 
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
+use quick_cache::unsync::Cache;
 
 use super::Refused;
 use crate::service::Revoked;
 
-/// Most identities remembered; beyond it all are forgotten and shown anew.
+/// Most identities remembered; those that are forgotten are shown anew.
 const IDENTITIES_MAX: usize = 4096;
 /// Most revocations remembered; beyond it nothing passes any more, because one could be missing.
 const REVOKED_MAX: usize = 100_000;
@@ -23,14 +21,14 @@ const REVOKED_MAX: usize = 100_000;
 #[derive(Debug)]
 pub(super) struct Identities {
     msps: Arc<Msps>,
-    known: HashMap<Hash, Arc<Identity>>,
+    known: Cache<Hash, Arc<Identity>>,
     revoked: BTreeSet<Vec<u8>>,
     overflown: bool,
 }
 
 impl Identities {
     pub(super) fn new(msps: Arc<Msps>) -> Self {
-        Self { msps, known: HashMap::new(), revoked: BTreeSet::new(), overflown: false }
+        Self { msps, known: Cache::new(IDENTITIES_MAX), revoked: BTreeSet::new(), overflown: false }
     }
 
     /// The creator of a transaction, who signed it and is valid at `at` (microseconds) and not revoked.
@@ -50,9 +48,6 @@ impl Identities {
                     .find(|der| Hash::of(&[der]) == fingerprint)
                     .ok_or(Refused::UnknownCreator)?;
                 let identity = self.msps.verify(der, &[], at).map_err(|_| Refused::Untrusted)?;
-                if self.known.len() >= IDENTITIES_MAX {
-                    self.known.clear();
-                }
                 let identity = Arc::new(identity);
                 self.known.insert(fingerprint, Arc::clone(&identity));
                 identity
