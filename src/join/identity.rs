@@ -98,11 +98,7 @@ pub(super) fn signed_join(place: &JoinDirectory, token: &JoinToken, address: &st
     })?;
     let key = SigningKey::from_seed(&seed).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
     let authority = CertificateAuthority::open(&authority(place.path(ca::DIRECTORY), token))?;
-    let organisation = FoundingOrganisation {
-        name: token.organisation.clone(),
-        roots: vec![Bytes::copy_from_slice(authority.root())],
-        intermediates: Vec::new(),
-    };
+    let organisation = FoundingOrganisation::below(&token.organisation, Bytes::copy_from_slice(authority.root()));
     let join = JoinOrganisation::sign(&token.network, organisation, &token.node, address, &key);
     serde_json::to_vec(&join).map(Bytes::from).map_err(|error| Rejection::new(Code::Internal, error.to_string()))
 }

@@ -7,6 +7,7 @@ mod architecture;
 mod codes;
 mod documents;
 mod driver;
+mod enums;
 mod events;
 mod invariants;
 mod keys;

@@ -67,6 +67,7 @@ impl FromStr for KeyKind {
 
 /// Why a key cannot be made, read or used.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum KeyError {
     /// No such algorithm.
     #[error("found key kind {found:?}, wanted \"ed25519\" or \"p256\"")]
@@ -114,6 +115,7 @@ pub enum KeyError {
 
 /// Why a signature is refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum SignatureError {
     /// An Ed25519 signature has another length.
     #[error("found a signature of {found} bytes, wanted 64 bytes of Ed25519")]

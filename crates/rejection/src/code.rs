@@ -41,6 +41,7 @@ macro_rules! codes {
     ($($(#[$doc:meta])* $variant:ident = $number:literal $name:literal $class:ident;)*) => {
         /// A stable code: `LGR-` and a number of four digits, or [`Code::Ok`].
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        #[non_exhaustive]
         pub enum Code { $($(#[$doc])* $variant,)* }
 
         impl Code {

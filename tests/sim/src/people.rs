@@ -84,11 +84,7 @@ impl People {
         for (name, authority) in &authorities {
             let root = Bytes::copy_from_slice(authority.der());
             msps.insert(Msp::new(name, std::slice::from_ref(&root), &[] as &[Bytes]).unwrap()).unwrap();
-            organisations.push(FoundingOrganisation {
-                name: (*name).to_owned(),
-                roots: vec![root],
-                intermediates: Vec::new(),
-            });
+            organisations.push(FoundingOrganisation::below(name, root));
         }
         let mut all = Vec::new();
         for (organisation, name, role, attributes) in PEOPLE {

@@ -24,6 +24,7 @@ const CHAIN_BYTES_MAX: usize = (PRESENTED_MAX + 1) * CERTIFICATE_BYTES_MAX * 3 /
 
 /// Why our own certificate and key cannot be used.
 #[derive(Debug, Error)]
+#[non_exhaustive]
 pub enum TlsError {
     /// A file cannot be read.
     #[error("cannot read {what} {path:?}: {reason}; try checking the path and the permissions of the file")]

@@ -11,6 +11,7 @@ const PRINTABLE_CHARS_MAX: usize = 160;
 /// Why a certificate is refused. The text of each says what was found and what was wanted; [`IdentityError::remedy`]
 /// says what to do. Names that came from outside are escaped and cut, so that they cannot forge log lines.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum IdentityError {
     /// The bytes are not a usable X.509 version 3 certificate.
     #[error("the certificate is malformed: found {found}, wanted {wanted}")]
