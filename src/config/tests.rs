@@ -160,7 +160,7 @@ fn settings_that_do_not_go_together_are_both_named() {
 
 #[test]
 fn what_is_not_toml_is_told_with_its_line_and_the_rest_is_still_read() {
-    let told = faults("data = \n[limits]\nin_flight_ma = 5\n");
+    let told = faults("data = \n[limits]\nin_flight = 5\n");
     assert!(told[0].starts_with("ledgerd.toml:1: this is not TOML"), "{told:#?}");
     assert!(told.iter().any(|fault| fault.contains("limits.in_flight_max")), "{told:#?}");
 }

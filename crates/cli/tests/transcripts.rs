@@ -130,7 +130,7 @@ fn a_wrong_command_line_ends_with_64_and_says_what_is_meant() {
         (vec!["acquire", "Turtlebot4", "--for", "30"], "did you mean 30s?"),
         (vec!["enroll", "Salma"], "--ca-fingerprint"),
         (vec!["publish", "Turtlebot4/cmd_vel"], "--hex"),
-        (vec!["robot", "add", "T", "--attr-required", "T", "--service", "/c=a/msg/B,moed=open"], "did you mean mode?"),
+        (vec!["robot", "add", "T", "--attr-required", "T", "--service", "/c=a/msg/B,modus=open"], "did you mean mode?"),
         (vec!["status", "-o", "yaml"], "json"),
         (vec!["network", "invite"], "--organisation"),
         (vec!["network", "invite", "--node", "a", "--organisation", "B"], "cannot be used with"),

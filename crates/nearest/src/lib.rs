@@ -10,21 +10,23 @@
 /// Longest name that is compared, in bytes: the comparison costs the product of both lengths.
 const NAME_BYTES_MAX: usize = 256;
 
-/// The candidate that differs from `name` by the fewest edits, if that is few enough to be a slip. Upper and lower case
-/// are alike.
+/// The candidate that differs from `name` by the fewest edits, if they are a slip or `name` is most of its beginning.
+/// Upper and lower case are alike.
 pub fn nearest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     if name.len() > NAME_BYTES_MAX {
         return None;
     }
     let name = name.to_lowercase();
-    let slip_max = (name.chars().count() / 3).clamp(1, 4);
-    candidates
-        .into_iter()
-        .filter(|candidate| candidate.len() <= NAME_BYTES_MAX)
-        .map(|candidate| (strsim::osa_distance(&name, &candidate.to_lowercase()), candidate))
-        .filter(|(distance, _)| *distance <= slip_max)
-        .min()
-        .map(|(_, candidate)| candidate)
+    let letters = name.chars().count();
+    let slip_max = ((letters + 1) / 3).clamp(1, 4);
+    let edits = |candidate: &'a str| {
+        let known = candidate.to_lowercase();
+        let edits = strsim::osa_distance(&name, &known);
+        let begins = known.starts_with(&name) && edits <= letters;
+        (edits <= slip_max || begins).then_some((edits, candidate))
+    };
+    let short = candidates.into_iter().filter(|candidate| candidate.len() <= NAME_BYTES_MAX);
+    short.filter_map(edits).min().map(|(_, candidate)| candidate)
 }
 
 /// `did you mean "x"?`, or `otherwise` if nothing is near.
@@ -46,6 +48,15 @@ mod tests {
         assert_eq!(nearest("turtelbot4", robots), Some("Turtlebot4"));
         assert_eq!(nearest("Turtlebot", robots), Some("Turtlebot4"));
         assert_eq!(nearest("Spot", robots), None);
+        assert_eq!(nearest("modus", ["direction", "mode"]), Some("mode"));
+    }
+
+    #[test]
+    fn most_of_the_beginning_of_a_name_finds_it() {
+        let settings = ["in_flight_max", "infinite", "payload_bytes_max"];
+        assert_eq!(nearest("in_flight", settings), Some("in_flight_max"));
+        assert_eq!(nearest("in", settings), None);
+        assert_eq!(nearest("", settings), None);
     }
 
     #[test]

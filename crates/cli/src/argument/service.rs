@@ -71,7 +71,7 @@ mod tests {
             ("=a/msg/B", "TOPIC=TYPE"),
             ("/cmd_vel=", "TOPIC=TYPE"),
             ("/c=a/msg/B,mode=shared", "open or exclusive"),
-            ("/c=a/msg/B,moed=open", "did you mean mode?"),
+            ("/c=a/msg/B,modus=open", "did you mean mode?"),
             ("/c=a/msg/B,lease=10", "did you mean 10s?"),
             ("/c=a/msg/B,mode", "TOPIC=TYPE"),
             ("/c=a/msg/B,mode=open,mode=open", "given twice"),

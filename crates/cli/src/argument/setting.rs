@@ -216,7 +216,7 @@ mod tests {
     fn slips_are_refused_with_what_is_wanted() {
         for (texts, part) in [
             (&["mode"][..], "KEY=VALUE"),
-            (&["moed=open"], "did you mean mode?"),
+            (&["modus=open"], "did you mean mode?"),
             (&["mode=shared"], "open or exclusive"),
             (&["lease=10"], "did you mean 10s?"),
             (&["stop=0g"], "hexadecimal"),
