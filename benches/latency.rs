@@ -190,7 +190,7 @@ fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
         report::sides(&sides)
     };
     let quiet = compare("alone on the machine");
-    let _busy = Busy::on_every_processor();
+    let _busy = Busy::on_every_processor(|| {});
     serde_json::json!({ "alone": quiet, "contended": compare("contended") })
 }
 

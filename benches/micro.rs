@@ -14,6 +14,7 @@
 
 #[path = "micro/access.rs"]
 mod access;
+mod busy;
 #[path = "micro/chain.rs"]
 mod chain;
 mod founding;
@@ -50,7 +51,7 @@ use std::hint::{black_box, spin_loop};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
-use whole::Awake;
+use whole::awake;
 
 /// Block time from one block to the next, and how long commands may be executed: microseconds.
 const BLOCK_EVERY: u64 = 1000;
@@ -252,9 +253,9 @@ fn store(criterion: &mut Criterion) {
 /// processor that has fallen asleep meanwhile.
 fn store_after_pause(criterion: &mut Criterion) {
     let mut group = criterion.benchmark_group("write_after_pause");
-    for (name, awake) in [("asleep", false), ("awake", true)] {
+    for (name, keep_awake) in [("asleep", false), ("awake", true)] {
         let (_directory, store) = log();
-        let _awake = awake.then(Awake::start);
+        let _awake = keep_awake.then(awake);
         for pause in PAUSES_US {
             group.bench_function(BenchmarkId::new(name, pause), |bencher| {
                 let prepare = || {

@@ -1,22 +1,23 @@
-//! Others that want the processors, too.
+//! Threads that keep every processor busy.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread::{JoinHandle, available_parallelism, spawn};
 
-/// Threads at normal priority that do nothing and never stop; they end with it.
+/// A thread for each processor that does nothing and never stops; they end with it.
 pub(crate) struct Busy {
     stop: Arc<AtomicBool>,
     threads: Vec<JoinHandle<()>>,
 }
 
 impl Busy {
-    /// As many as there are processors.
-    pub(crate) fn on_every_processor() -> Self {
+    /// Each thread prepares itself first, for example by taking another priority.
+    pub(crate) fn on_every_processor(prepare: fn()) -> Self {
         let stop = Arc::new(AtomicBool::new(false));
         let thread = |_| {
             let stop = Arc::clone(&stop);
             spawn(move || {
+                prepare();
                 while !stop.load(Ordering::Relaxed) {
                     std::hint::spin_loop();
                 }

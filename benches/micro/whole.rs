@@ -5,16 +5,14 @@
 //! later. A bench of one part alone, over and over, shows neither.
 
 use crate::World;
+use crate::busy::Busy;
 use crate::founding::{ONE_VOTER, PAPER};
 use crate::network::{Network, Operator};
 use crate::ordering::{Engines, Ordered};
 use crate::report;
 use serde_json::json;
 use std::hint::spin_loop;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc;
-use std::thread::{JoinHandle, available_parallelism};
 use std::time::{Duration, Instant};
 use thread_priority::{
     NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
@@ -56,7 +54,7 @@ pub(crate) fn where_the_time_goes(smoke: bool) {
         // The node keeps processors awake for itself.
         whole.extend((0..samples).map(|_| bench.whole(0)));
         alone.extend((0..samples).map(|_| bench.whole(1)));
-        let awake = Awake::start();
+        let awake = awake();
         let known = bench.known();
         let cycle = median(&whole);
         let [sign, network, admit, hand_over, order, write, execute] = &mut parts;
@@ -210,32 +208,9 @@ impl Echo {
 }
 
 /// Keeps all processors awake, as a node does while something is in flight.
-pub(crate) struct Awake {
-    stop: Arc<AtomicBool>,
-    threads: Vec<JoinHandle<()>>,
-}
-
-impl Awake {
-    pub(crate) fn start() -> Self {
-        let stop = Arc::new(AtomicBool::new(false));
-        let thread = |_| {
-            let stop = Arc::clone(&stop);
-            std::thread::spawn(move || {
-                let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
-                set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, idle).unwrap();
-                while !stop.load(Ordering::Relaxed) {
-                    spin_loop();
-                }
-            })
-        };
-        let threads = (0..available_parallelism().map_or(1, usize::from)).map(thread).collect();
-        Self { stop, threads }
-    }
-}
-
-impl Drop for Awake {
-    fn drop(&mut self) {
-        self.stop.store(true, Ordering::Relaxed);
-        self.threads.drain(..).for_each(|thread| thread.join().unwrap());
-    }
+pub(crate) fn awake() -> Busy {
+    Busy::on_every_processor(|| {
+        let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
+        set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, idle).unwrap();
+    })
 }

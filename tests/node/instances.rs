@@ -42,6 +42,16 @@ async fn network(root: &Path, label: &str) -> (Node, Client) {
     (node, Client::connect(&admin).await.unwrap())
 }
 
+/// Two networks of one node each behind one listener.
+async fn two_networks(root: &Path) -> (Host, [(Node, Context); 2]) {
+    let host = Host::listen("127.0.0.1:0").await.unwrap();
+    let address = host.address().to_string();
+    let [(here, admin), (there, other)] = ["first", "second"].map(|label| founded(root, label, &address));
+    let first = Node::builder().start_on(&host, &here).await.unwrap();
+    let second = Node::builder().start_on(&host, &there).await.unwrap();
+    (host, [(first, admin), (second, other)])
+}
+
 /// A robot's description, as `setup` takes it.
 fn robot(name: &str) -> Vec<Bytes> {
     let service = serde_json::json!({"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"});
@@ -71,12 +81,7 @@ async fn two_ledgers_run_in_one_process_and_neither_notices_the_other() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn two_ledgers_behind_one_listener_each_serve_their_own_clients() {
     let root = tempfile::tempdir().unwrap();
-    let host = Host::listen("127.0.0.1:0").await.unwrap();
-    let address = host.address().to_string();
-    let ((here, admin), (there, other)) =
-        (founded(root.path(), "first", &address), founded(root.path(), "second", &address));
-    let first = Node::builder().start_on(&host, &here).await.unwrap();
-    let second = Node::builder().start_on(&host, &there).await.unwrap();
+    let (_host, [(first, admin), (second, other)]) = two_networks(root.path()).await;
 
     let (of_first, of_second) = (Client::connect(&admin).await.unwrap(), Client::connect(&other).await.unwrap());
     let husky = of_first.invoke("abac", "setup", robot("Husky")).await.unwrap();
@@ -94,12 +99,8 @@ async fn two_ledgers_behind_one_listener_each_serve_their_own_clients() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_listener_of_two_ledgers_refuses_a_client_that_names_neither() {
     let root = tempfile::tempdir().unwrap();
-    let host = Host::listen("127.0.0.1:0").await.unwrap();
-    let address = host.address().to_string();
-    let ((here, admin), (there, _)) =
-        (founded(root.path(), "first", &address), founded(root.path(), "second", &address));
-    let first = Node::builder().start_on(&host, &here).await.unwrap();
-    let second = Node::builder().start_on(&host, &there).await.unwrap();
+    let (host, [(first, admin), (second, _)]) = two_networks(root.path()).await;
+    let address = host.address();
 
     let stranger = Context { network: Hash::of(&[b"third"]), ..admin.clone() };
     let refused = Client::connect(&stranger).await.err().unwrap();
@@ -108,7 +109,7 @@ async fn a_listener_of_two_ledgers_refuses_a_client_that_names_neither() {
     assert_eq!(refused.wanted, format!("network {}", stranger.network));
 
     let authority = Hash::of(&[admin.msps.get("Org1").unwrap().roots().next().unwrap()]);
-    let unnamed = Enrolment::new(&address, authority);
+    let unnamed = Enrolment::new(address.to_string(), authority);
     let refused = unnamed.network().await.unwrap_err();
     assert_eq!(refused.message, format!("the process at {address} serves several networks, and the call names none"));
     let told = unnamed.into_network(admin.network).network().await.unwrap();

@@ -260,14 +260,7 @@ fn a_vote_before_everybody_has_answered_is_noticed() {
 
 #[test]
 fn members_that_no_transaction_wanted_are_noticed() {
-    let record = |id, role| NodeRecord {
-        id,
-        name: format!("node{id}"),
-        organisation: "Org1".into(),
-        address: format!("h:{id}"),
-        role,
-        speaks: None,
-    };
+    let record = |id, role| NodeRecord::new(id, ["Org1", &format!("node{id}")], &format!("h:{id}"), role);
     let mut members = MembersFollowTheLedger::default();
     let records = [record(1, NodeRole::Voter), record(2, NodeRole::Learner)];
     let one = Membership::new([1], []);

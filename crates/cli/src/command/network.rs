@@ -119,14 +119,7 @@ mod tests {
     use super::*;
 
     fn node(id: u64, organisation: &str, name: &str, role: NodeRole) -> NodeRecord {
-        NodeRecord {
-            id,
-            name: name.into(),
-            organisation: organisation.into(),
-            address: format!("{name}:1"),
-            role,
-            speaks: None,
-        }
+        NodeRecord::new(id, [organisation, name], &format!("{name}:1"), role)
     }
 
     #[test]

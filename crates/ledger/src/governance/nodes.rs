@@ -68,6 +68,12 @@ pub struct NodeRecord {
 }
 
 impl NodeRecord {
+    /// A node that has not said which rules it speaks.
+    pub fn new(id: u64, [organisation, name]: [&str; 2], address: &str, role: NodeRole) -> Self {
+        let [organisation, name, address] = [organisation, name, address].map(str::to_owned);
+        Self { id, name, organisation, address, role, speaks: None }
+    }
+
     /// The name that people see: `Org1/node1`.
     pub fn full_name(&self) -> String {
         format!("{}/{}", self.organisation, self.name)
@@ -98,13 +104,9 @@ pub fn desired<'a>(nodes: impl IntoIterator<Item = &'a NodeRecord>) -> (BTreeSet
 
 /// The records of the founding nodes, and the next id.
 pub(super) fn founding(genesis: &Genesis) -> (Vec<NodeRecord>, u64) {
-    let nodes = genesis.nodes.iter().map(|node| NodeRecord {
-        id: node.id,
-        name: node.name.clone(),
-        organisation: node.organisation.clone(),
-        address: node.address.clone(),
-        role: if node.voter { NodeRole::Voter } else { NodeRole::Learner },
-        speaks: None,
+    let nodes = genesis.nodes.iter().map(|node| {
+        let role = if node.voter { NodeRole::Voter } else { NodeRole::Learner };
+        NodeRecord::new(node.id, [&node.organisation, &node.name], &node.address, role)
     });
     (nodes.collect(), genesis.nodes.iter().map(|node| node.id).max().unwrap_or(0).saturating_add(1))
 }
@@ -180,14 +182,8 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         Some(before) => change_role(ctx, &nodes, before, NodeRole::Removed)?,
         None => check_room(caller, live())?,
     }
-    let node = NodeRecord {
-        id: store::next_number(ctx, NEXT_NODE)?,
-        name: caller.name.clone(),
-        organisation: caller.organisation.clone(),
-        address: join.address,
-        role: NodeRole::Learner,
-        speaks: None,
-    };
+    let id = store::next_number(ctx, NEXT_NODE)?;
+    let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, NodeRole::Learner);
     write(ctx, &node)?;
     ctx.emit("joined", &node.full_name(), json(&node)?);
     json(&node)
@@ -350,14 +346,7 @@ mod tests {
 
     #[test]
     fn what_is_desired_follows_from_the_records_alone() {
-        let node = |id, role| NodeRecord {
-            id,
-            name: format!("node{id}"),
-            organisation: "Org1".into(),
-            address: format!("h:{id}"),
-            role,
-            speaks: None,
-        };
+        let node = |id, role| NodeRecord::new(id, ["Org1", &format!("node{id}")], &format!("h:{id}"), role);
         let nodes = [
             node(4, NodeRole::Learner),
             node(1, NodeRole::Voter),
