@@ -7,7 +7,7 @@
 //! | `ca.key` | its private key, PKCS #8, mode 0600 |
 //! | `identities.json` | names that were registered at this machine, what is left of their secrets, and their certificates |
 //!
-//! The right to receive a certificate stands on the ledger ([`ledger::governance`]), where admins register names; so
+//! The right to receive a certificate stands on the ledger ([`ledger::msp`]), where admins register names; so
 //! any node that carries the key can issue. `identities.json` has what there was before: the first nodes, the first
 //! admin, and secrets made by `ledgerd admin-secret`. It is replaced as a whole and down to the disk before anything is
 //! answered, under the lock of the directory. So a running node and a command beside it do not lose each other's
@@ -32,7 +32,7 @@ pub(crate) use request::{make as request, public_key};
 pub use secret::PRESENTED_BYTES_MAX;
 
 use issue::Holder;
-use ledger::governance::CarryCa;
+use ledger::msp::CarryCa;
 use ledger_hash::Hash;
 use ledger_identity::certificate::{Certificate, encode_attributes};
 use ledger_identity::key::{KeyKind, PublicKey, SigningKey};

@@ -30,7 +30,7 @@ use crate::peers::{Directory, Member};
 use bytes::Bytes;
 use carrying::Offer;
 use ledger::Ledger;
-use ledger::governance::{self, CarrierRecord, NodeRole};
+use ledger::msp::{self, CarrierRecord, NodeRole};
 use ledger::network::Genesis;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::v1;
@@ -276,11 +276,11 @@ impl Shared {
     /// The nodes that carry the CA of an organisation, with their addresses.
     fn carriers(&self, organisation: &str) -> Vec<(CarrierRecord, String)> {
         let state = &**self.ledger.state();
-        let nodes = governance::nodes(state).unwrap_or_default();
-        let carriers = governance::carriers(state).unwrap_or_default();
+        let nodes = msp::nodes(state).unwrap_or_default();
+        let carriers = msp::carriers(state).unwrap_or_default();
         let own = carriers.into_iter().filter(|carrier| carrier.organisation == organisation);
         own.filter_map(|carrier| {
-            let of = |node: &&governance::NodeRecord| {
+            let of = |node: &&msp::NodeRecord| {
                 node.role != NodeRole::Removed
                     && node.organisation == carrier.node_organisation
                     && node.name == carrier.node

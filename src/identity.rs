@@ -7,7 +7,7 @@
 use crate::clock::wall;
 use crate::peers::{Member, Part};
 use ledger::Ledger;
-use ledger::governance::{self, NodeRole};
+use ledger::msp::{self, NodeRole};
 use ledger::network::Genesis;
 use ledger_api::tls::TlsIdentity;
 use ledger_hash::Hash;
@@ -92,7 +92,7 @@ pub(crate) fn own_membership(
     }
     let own = joined;
     let expected = own.map(|own| own.id).or_else(|| genesis.node(&organisation, &name).map(|node| node.id));
-    let records = governance::nodes(&**ledger.state())?;
+    let records = msp::nodes(&**ledger.state())?;
     if records.iter().any(|record| Some(record.id) == expected && record.role == NodeRole::Removed) {
         return Err(no_member(&format!("{organisation}/{name}")));
     }

@@ -25,7 +25,7 @@ use crate::config::{Config, MemberOf};
 use crate::identity::Joined;
 use crate::setup::{Settings, public_address};
 use bytes::Bytes;
-use ledger::governance::NAME as MSP;
+use ledger::msp::NAME as MSP;
 use ledger::network::Genesis;
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::token::{JoinKind, JoinToken};

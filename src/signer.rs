@@ -3,7 +3,7 @@
 use crate::clock::Clock;
 use crate::orderer::Seat;
 use bytes::Bytes;
-use ledger::governance;
+use ledger::msp;
 use ledger::transaction::{Body, NONCE_BYTES, Transaction};
 use ledger::{Admission, Ledger};
 use ledger_api::tls::TlsIdentity;
@@ -75,7 +75,7 @@ impl Author {
     pub(crate) fn submit(&self, function: &str, argument: &impl Serialize) -> Result<(), Rejection> {
         let argument =
             serde_json::to_vec(argument).map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
-        let signed = self.signer.sign(governance::NAME, function, vec![Bytes::from(argument)])?;
+        let signed = self.signer.sign(msp::NAME, function, vec![Bytes::from(argument)])?;
         let admission = self.ledger.admit(signed.encoded().clone(), self.signer.clock.now());
         match admission.map_err(|refusal| refusal.rejection)? {
             Admission::New(transaction) => {

@@ -1,7 +1,7 @@
 //! Says on the ledger which rules of execution this node speaks, so that the network can activate newer ones.
 
 use crate::signer::Author;
-use ledger::governance::{self, NodeRole, Speaks};
+use ledger::msp::{self, NodeRole, Speaks};
 use ledger_rejection::Rejection;
 use std::time::Duration;
 use tokio::time::{MissedTickBehavior, interval};
@@ -35,7 +35,7 @@ impl Telling {
     /// Submits what this node speaks, unless the ledger says so already.
     fn tell(&self) -> Result<bool, Rejection> {
         let ledger = &self.author.ledger;
-        let nodes = governance::nodes(&**ledger.state())?;
+        let nodes = msp::nodes(&**ledger.state())?;
         let own = nodes.iter().find(|node| node.id == self.me && node.role != NodeRole::Removed);
         let Some(own) = own else { return Ok(false) };
         let newest = ledger.registry().newest().number();

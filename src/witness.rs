@@ -20,7 +20,7 @@ use crate::instance::Fate;
 use crate::peers::{Dialer, Directory};
 use crate::signer::Author;
 use judge::{Finding, Judge};
-use ledger::governance;
+use ledger::msp;
 use ledger::{Ledger, Outcome};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Observer;
@@ -113,7 +113,7 @@ impl Testimony {
     pub(crate) async fn run(self, mut seen: mpsc::UnboundedReceiver<Seen>) {
         let mut memory = Memory::default();
         // What was attested before this node started counts as well.
-        for record in governance::attestations(&**self.author.ledger.state()).unwrap_or_default() {
+        for record in msp::attestations(&**self.author.ledger.state()).unwrap_or_default() {
             let by = format!("{}/{}", record.organisation, record.node);
             self.judge(&mut memory, Seen { by, attest: record.latest.attest }).await;
         }

@@ -2,7 +2,7 @@
 //!
 //! Guesses change nothing here: a secret has 128 random bits, and who guesses is slowed down where guesses come in.
 
-use ledger::governance::ENROLMENT_REPEAT_MAX;
+use ledger::msp::ENROLMENT_REPEAT_MAX;
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
 use ledger_rejection::{Code, Rejection};

@@ -2,7 +2,7 @@
 
 use super::place::{KEY_FILE, ROOT_FILE};
 use super::*;
-use ledger::governance::ENROLMENT_REPEAT_MAX;
+use ledger::msp::ENROLMENT_REPEAT_MAX;
 use ledger_identity::Identity;
 use ledger_identity::msp::{Msp, Msps, Usage};
 use rcgen::{BasicConstraints, CertificateParams, CustomExtension, DnType, IsCa, KeyPair};

@@ -2,7 +2,7 @@
 
 use crate::ca::{self, CertificateAuthority};
 use crate::peers::Member;
-use ledger::{Ledger, governance};
+use ledger::{Ledger, msp};
 use ledger_rejection::{Code, Rejection};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -92,7 +92,7 @@ impl Authorities {
     /// [`Code::BadFile`] with the directory and the remedy.
     pub(crate) fn check_carried(&self, ledger: &Ledger, me: &Member) -> Result<(), Rejection> {
         let given_up = self.given_up();
-        for carrier in governance::carriers(&**ledger.state())? {
+        for carrier in msp::carriers(&**ledger.state())? {
             let own = carrier.node_organisation == me.organisation && carrier.node == me.name;
             let organisation = &carrier.organisation;
             if !own || self.find(organisation).is_some() || given_up.contains(organisation) {

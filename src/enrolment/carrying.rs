@@ -7,7 +7,7 @@ use super::{EnrolmentService, Shared};
 use crate::ca::CertificateAuthority;
 use crate::ca::seal::{Delivery, Receiver};
 use bytes::Bytes;
-use ledger::governance::{self, NodeRole};
+use ledger::msp::{self, NodeRole};
 use ledger_api::v1;
 use ledger_hash::Hash;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
@@ -120,7 +120,7 @@ impl Shared {
         }
         let identity = self.ledger.msps().verify_for(Usage::Server, certificate, &[], (self.clock)())?;
         self.ledger.check_revoked(&identity)?;
-        let nodes = governance::nodes(&**self.ledger.state())?;
+        let nodes = msp::nodes(&**self.ledger.state())?;
         let present = nodes.iter().any(|record| {
             record.role != NodeRole::Removed
                 && record.organisation == *organisation

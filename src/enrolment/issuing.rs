@@ -10,7 +10,7 @@ use super::authorities::lock;
 use super::{EnrolmentService, Shared, printable};
 use crate::ca::{self, CertificateAuthority, PRESENTED_BYTES_MAX, secret};
 use bytes::Bytes;
-use ledger::governance::{self, Ground, IdentityRecord, RecordCertificate, Recorded};
+use ledger::msp::{self, Ground, IdentityRecord, RecordCertificate, Recorded};
 use ledger_api::v1;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
@@ -249,7 +249,7 @@ impl Shared {
 
     /// The registration of a name on the ledger.
     pub(super) fn record(&self, organisation: &str, name: &str) -> Result<Option<IdentityRecord>, Rejection> {
-        governance::identity(&**self.ledger.state(), organisation, name)
+        msp::identity(&**self.ledger.state(), organisation, name)
     }
 
     /// Does the secret open a registration that was made at this machine, and that nobody has cancelled since? Answers

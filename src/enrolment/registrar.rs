@@ -3,7 +3,7 @@
 
 use super::authorities::lock;
 use super::{EnrolmentService, Shared, json};
-use ledger::governance::{self, ADOPTED_MAX, CarryCa, IssuedCertificate, KnownIdentity, LocalSecret, UncarryCa};
+use ledger::msp::{self, ADOPTED_MAX, CarryCa, IssuedCertificate, KnownIdentity, LocalSecret, UncarryCa};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use std::time::Duration;
@@ -61,7 +61,7 @@ impl EnrolmentService {
 impl Shared {
     /// Does the ledger say that this node carries the CA?
     fn is_carrier(&self, organisation: &str) -> Result<bool, Rejection> {
-        let carriers = governance::carriers(&**self.ledger.state())?;
+        let carriers = msp::carriers(&**self.ledger.state())?;
         Ok(carriers.iter().any(|carrier| {
             carrier.organisation == organisation
                 && carrier.node_organisation == self.me.organisation

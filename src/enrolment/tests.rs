@@ -6,7 +6,7 @@ use crate::setup::{self, NetworkPlan, PlannedNode, PlannedOrganisation};
 use futures::FutureExt;
 use ledger::Registry;
 use ledger::block::Payload;
-use ledger::governance::{ENROLMENT_REPEAT_MAX, Identities, IdentityRecord};
+use ledger::msp::{ENROLMENT_REPEAT_MAX, Identities, IdentityRecord};
 use ledger::transaction::{Body, Transaction};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
@@ -411,7 +411,7 @@ async fn a_ca_that_is_put_into_the_directory_of_a_running_node_is_noticed() {
     assert!(!f.two.carries("Org1"));
     f.two.shared.authorities.look().unwrap();
     f.two.tell_carried("Org1").await.unwrap();
-    let carriers = governance::carriers(&**f.chain.ledger.state()).unwrap();
+    let carriers = msp::carriers(&**f.chain.ledger.state()).unwrap();
     assert!(carriers.iter().any(|carrier| carrier.full_name() == "Org1/node2"));
 }
 

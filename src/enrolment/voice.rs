@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use futures::future::BoxFuture;
-use ledger::governance::NAME as MSP;
+use ledger::msp::NAME as MSP;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Client, Credentials, Options};
 use ledger_hash::Hash;

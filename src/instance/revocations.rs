@@ -1,7 +1,7 @@
 //! Revoked certificates lose their connections, of every kind.
 
 use crate::host::Members;
-use ledger::governance::NAME;
+use ledger::msp::NAME;
 use ledger::{Ledger, Outcome};
 use ledger_replica::Observer;
 use std::sync::Arc;

@@ -7,7 +7,7 @@ use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::renewal;
 use crate::setup::NODE_KEY;
 use bytes::Bytes;
-use ledger::governance::JoinOrganisation;
+use ledger::msp::JoinOrganisation;
 use ledger::network::FoundingOrganisation;
 use ledger_api::Enrolment;
 use ledger_api::tls::TlsIdentity;

@@ -1,7 +1,7 @@
 //! The members of the network: the node records on the ledger, and their part in the ordering.
 
-use ledger::governance::{self, NodeRecord, NodeRole};
 use ledger::members::Membership;
+use ledger::msp::{self, NodeRecord, NodeRole};
 use ledger::{Ledger, Outcome};
 use ledger_raft::Desired;
 use ledger_replica::Observer;
@@ -82,7 +82,7 @@ impl Directory {
             tracing::error!(%fault, "cannot read the members of the network");
             Membership::default()
         });
-        let records = governance::nodes(&**ledger.state()).unwrap_or_else(|fault| {
+        let records = msp::nodes(&**ledger.state()).unwrap_or_else(|fault| {
             tracing::error!(%fault, "cannot read the wanted nodes of the network");
             Vec::new()
         });
@@ -143,7 +143,7 @@ impl Observer for Directory {
     fn executed(&self, outcome: &Arc<Outcome>, ledger: &Ledger) {
         let governed = || {
             let events = outcome.events.iter().map(|emitted| &emitted.event);
-            events.filter(|event| event.name != "attested").any(|event| event.chaincode == governance::NAME)
+            events.filter(|event| event.name != "attested").any(|event| event.chaincode == msp::NAME)
         };
         if outcome.kind == BlockKind::Membership || governed() {
             self.refresh(ledger);

@@ -3,7 +3,7 @@
 use crate::support::network::free_address;
 use crate::support::{Fleet, Process, connect, programs, until};
 use bytes::Bytes;
-use ledger::governance::InviteOrganisation;
+use ledger::msp::InviteOrganisation;
 use ledger_api::token::{JoinKind, JoinToken};
 use ledger_api::{Client, Context, Enrolment};
 use ledger_hash::Hash;

@@ -4,7 +4,7 @@
 use crate::join::{Newcomer, follows, id, token};
 use crate::support::network::register_robots;
 use crate::support::{Fleet, connect, until};
-use ledger::governance::Decision;
+use ledger::msp::Decision;
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
 use serde_json::json;

@@ -11,9 +11,9 @@ use crate::block::{Header, Payload, leaf};
 use crate::chaincode::{Context, Environment, Registry};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
-use crate::governance::{self, Governance, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::members::Membership;
+use crate::msp::{self, MspChaincode, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
 use crate::network::Genesis;
 use crate::rules::Schedule;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
@@ -118,7 +118,7 @@ impl Ledger {
         results: Arc<ResultStore>,
     ) -> Result<Self, Rejection> {
         let (founding, network) = Genesis::from_bytes(genesis_bytes)?;
-        registry.install(Arc::new(Governance))?;
+        registry.install(Arc::new(MspChaincode))?;
         let (first, writes, genesis) = genesis(&founding, network)?;
         if state.tip().is_none() {
             state.commit(writes, first.clone(), false);
@@ -135,7 +135,7 @@ impl Ledger {
             Ok(())
         })?;
         window.forget_before(tip.time);
-        let schedule = Schedule::new(founding.rules, governance::activations(&*state)?);
+        let schedule = Schedule::new(founding.rules, msp::activations(&*state)?);
         let ledger = Self {
             network,
             registry,
@@ -185,7 +185,7 @@ impl Ledger {
     /// # Errors
     /// A fault of the store; [`Code::Corrupt`] if the record cannot be read.
     pub fn members(&self) -> Result<Membership, Rejection> {
-        governance::members(&*self.state)
+        msp::members(&*self.state)
     }
 
     /// Executes the next block and makes its writes visible.

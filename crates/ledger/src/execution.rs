@@ -4,8 +4,8 @@ mod check;
 
 use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
 use crate::chaincode::{Environment, Registry};
-use crate::governance::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::identities::Identities;
+use crate::msp::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::network::Genesis;
 use crate::rules::Rules;
 use crate::transaction::Transaction;
@@ -106,7 +106,7 @@ impl Executor<'_> {
         events.shrink_to_fit();
 
         if kind == BlockKind::Membership
-            && let Some(members) = governance::members(&*self.state)?.after(entry)
+            && let Some(members) = msp::members(&*self.state)?.after(entry)
         {
             overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
         }

@@ -1,6 +1,6 @@
 //! The owners of signatures: certificates known to the ledger, verified once and remembered.
 
-use crate::governance::{self, certificate_key, revoked_key};
+use crate::msp::{self, certificate_key, revoked_key};
 use crate::transaction::Transaction;
 use bytes::Bytes;
 use ledger_hash::Hash;
@@ -158,7 +158,7 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
 
 fn read_msps(state: &dyn StateRead) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
-    for organisation in governance::organisations(state)? {
+    for organisation in msp::organisations(state)? {
         msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
     }
     Ok(msps)

@@ -9,7 +9,7 @@
 //! | [`block`], [`members`] | what a committed entry of the log means: transactions, or a change of the voters |
 //! | [`Ledger`] | the chain as far as it is executed: admission, applying blocks, queries, storing |
 //! | [`Chaincode`] | a program that every node executes; [`Context`] is all that it may know |
-//! | [`governance`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
+//! | [`msp`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
 //! | [`network`], [`Rules`] | the genesis; the numbers of the rules by which blocks are executed |
 //! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
 //! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
@@ -46,9 +46,9 @@ mod chain;
 mod chaincode;
 mod execution;
 mod foretold;
-pub mod governance;
 mod identities;
 pub mod members;
+pub mod msp;
 pub mod network;
 mod rules;
 pub mod transaction;

@@ -9,7 +9,7 @@
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
 use ledger::transaction::Transaction;
-use ledger::{Ledger, governance};
+use ledger::{Ledger, msp};
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::{Msp, Msps};
@@ -85,7 +85,7 @@ impl Claim {
             return Err(other("of another network"));
         }
         let statement = match (&*body.chaincode, &*body.function, &*body.args) {
-            (governance::NAME, "attest", [statement]) => read(statement)?,
+            (msp::NAME, "attest", [statement]) => read(statement)?,
             _ => return Err(other("no call of msp attest")),
         };
         if statement.height != self.height || statement.content != Some(self.content) {
@@ -241,7 +241,7 @@ pub fn attestations(
 ) -> Result<Vec<Attested>, Rejection> {
     let (height, content) = (snapshot.manifest().height, snapshot.content());
     let mut attested = Vec::new();
-    for record in governance::attestations(&**ledger.state())? {
+    for record in msp::attestations(&**ledger.state())? {
         let said = record.snapshot.filter(|said| said.attest.height == height && said.attest.content == Some(content));
         let Some(said) = said else { continue };
         let Some(place) = ledger.transaction(&said.transaction)? else { continue };

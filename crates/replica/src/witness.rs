@@ -1,6 +1,6 @@
 //! The attestations of a node, and their time: the newest block that holds anything but attestations, and each of its snapshots.
 
-use ledger::governance::{self, Attest, Attestation};
+use ledger::msp::{self, Attest, Attestation};
 use ledger::{Ledger, Outcome};
 use ledger_rejection::Rejection;
 use ledger_storage::snapshot::Snapshots;
@@ -20,7 +20,7 @@ pub struct Seen {
 /// The attestations of a block, and whether it holds anything else.
 pub fn seen(outcome: &Outcome) -> (Vec<Seen>, bool) {
     let events = outcome.events.iter().map(|emitted| &emitted.event);
-    let attested = events.filter(|event| event.chaincode == governance::NAME && event.name == EVENT);
+    let attested = events.filter(|event| event.chaincode == msp::NAME && event.name == EVENT);
     let count = attested.clone().count();
     let read = attested.filter_map(|event| {
         let Attestation { attest, .. } = serde_json::from_slice(&event.payload).ok()?;

@@ -5,8 +5,8 @@
 use bytes::Bytes;
 use ledger::Outcome;
 use ledger::block::Header;
-use ledger::governance::{NodeRecord, NodeRole};
 use ledger::members::Membership;
+use ledger::msp::{NodeRecord, NodeRole};
 use ledger::transaction::Transaction;
 use ledger_hash::Hash;
 use ledger_storage::block_store::{BlockStore, Options};

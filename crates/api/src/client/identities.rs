@@ -6,7 +6,7 @@ use super::session::Up;
 use crate::report::accepted;
 use crate::v1;
 use bytes::Bytes;
-use ledger::governance::{
+use ledger::msp::{
     CancelRegistration, Identities, IdentityRecord, ListIdentities, NAME as MSP, Register, RevokeIdentity,
     RevokedIdentity,
 };

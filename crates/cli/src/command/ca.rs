@@ -8,7 +8,7 @@ use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
-use ledger::governance::{CarrierRecord, NodeRecord, NodeRole, UncarryCa};
+use ledger::msp::{CarrierRecord, NodeRecord, NodeRole, UncarryCa};
 use ledger_api::{Client, Context, Options, v1};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};

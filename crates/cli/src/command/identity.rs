@@ -11,7 +11,7 @@ use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
-use ledger::governance::{IdentityRecord, IssuedCertificate};
+use ledger::msp::{IdentityRecord, IssuedCertificate};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};

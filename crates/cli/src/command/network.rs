@@ -16,7 +16,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 use crate::session::{MSP, Session};
 use bytes::Bytes;
-use ledger::governance::{NodeRecord, NodeRole, Nodes};
+use ledger::msp::{NodeRecord, NodeRole, Nodes};
 use ledger_api::Context;
 use ledger_api::context::msps_of;
 use ledger_rejection::{Code, Rejection};

@@ -1,7 +1,7 @@
 //! The rules by which blocks are executed: which number holds at which height, and what if this release lacks it.
 
 use super::Ledger;
-use crate::governance::{self, NodeRecord};
+use crate::msp::{self, NodeRecord};
 use crate::rules::{Activation, Rules, Schedule};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
@@ -33,7 +33,7 @@ impl Ledger {
 
     /// Reads from the state which rules were activated, and warns of those that this release does not speak.
     pub(super) fn reload_rules(&self) -> Result<(), Rejection> {
-        let schedule = Schedule::new(self.founded, governance::activations(&*self.state)?);
+        let schedule = Schedule::new(self.founded, msp::activations(&*self.state)?);
         *self.schedule.write().unwrap_or_else(PoisonError::into_inner) = schedule;
         if let Some(pending) = self.pending_rules().filter(|pending| self.registry.speaks(pending.number).is_none()) {
             let reason = self.unknown(pending);
@@ -49,7 +49,7 @@ impl Ledger {
     fn unknown(&self, Activation { number, height }: Activation) -> Rejection {
         let message =
             format!("this release of ledgerd does not speak rules {number}, by which block {height} is executed");
-        let nodes = governance::nodes(&*self.state).unwrap_or_default();
+        let nodes = msp::nodes(&*self.state).unwrap_or_default();
         let speaks =
             |node: &NodeRecord| Some((node.speaks.clone().filter(|it| it.newest >= number)?, node.full_name()));
         let release = nodes.iter().find_map(speaks).map_or_else(

@@ -1,7 +1,7 @@
 //! Functions that need approval: how many must agree before a call is executed, and the approvals that it has.
 
 use super::Chaincode;
-use crate::governance;
+use crate::msp;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
@@ -167,7 +167,7 @@ pub(crate) fn quorum_of<'a>(chaincode: &'a dyn Chaincode, function: &str) -> Res
 pub(super) fn check_ordinary(chaincode: &dyn Chaincode, function: &str) -> Result<(), Rejection> {
     let name = chaincode.name();
     let table = chaincode.needs_approval();
-    if name == governance::NAME || table.iter().all(|(needs, _)| *needs != function) {
+    if name == msp::NAME || table.iter().all(|(needs, _)| *needs != function) {
         return Ok(());
     }
     Err(Rejection::new(Code::NeedsApproval, format!("{name} {function} is not called directly: it needs approval"))

@@ -1,7 +1,7 @@
 //! The attestations of nodes about the chain, compared with the outcome of its blocks.
 
 use crate::chain::Outcome;
-use crate::governance::{self, Attest, Attestation};
+use crate::msp::{self, Attest, Attestation};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
@@ -76,7 +76,7 @@ impl Attested {
     /// # Errors
     /// [`Code::ChainInvalid`] for a snapshot that a node attested otherwise.
     pub(super) fn block(&mut self, outcome: &Outcome) -> Result<(), Rejection> {
-        let ours = |event: &&Event| event.chaincode == governance::NAME && event.name == "attested";
+        let ours = |event: &&Event| event.chaincode == msp::NAME && event.name == "attested";
         for event in outcome.events.iter().map(|emitted| &emitted.event).filter(ours) {
             let said: Attestation = serde_json::from_slice(&event.payload).map_err(|error| {
                 Rejection::new(Code::Internal, format!("the attestation of {} cannot be read: {error}", event.subject))

@@ -2,7 +2,7 @@
 
 use crate::REJOIN;
 use ledger::Ledger;
-use ledger::governance::{self, NodeRole};
+use ledger::msp::{self, NodeRole};
 use ledger_raft::Status;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
@@ -59,7 +59,7 @@ impl Holding {
     ) -> Self {
         let peers = status.into_iter().flat_map(|status| &status.peers);
         let acknowledged = peers.filter(|peer| peer.node == asking).map(|peer| peer.matched).max();
-        let attestations = governance::attestations(&**ledger.state()).unwrap_or_default();
+        let attestations = msp::attestations(&**ledger.state()).unwrap_or_default();
         let attested = attestations.iter().find(|said| said.id == asking).map(|said| said.latest.attest.height);
         Self {
             height: store_holds(store),
@@ -92,7 +92,7 @@ pub fn is_far_behind<'a>(ledger: &Ledger, offers: impl IntoIterator<Item = &'a H
 /// # Errors
 /// [`Code::NotAMember`] if it knows that this node was removed.
 pub fn is_known(ledger: &Ledger, me: u64) -> Result<bool, Rejection> {
-    let records = governance::nodes(&**ledger.state())?;
+    let records = msp::nodes(&**ledger.state())?;
     let Some(record) = records.iter().find(|record| record.id == me) else { return Ok(false) };
     // Who was removed belongs here until the ordering has let it go.
     if record.role != NodeRole::Removed || ledger.members()?.contains(me) {

@@ -1,8 +1,8 @@
 //! Members follow the ledger: whoever gets a vote was given it by transactions, and who was removed loses it.
 
 use super::{Check, Violation};
-use ledger::governance::{NodeRecord, NodeRole};
 use ledger::members::Membership;
+use ledger::msp::{NodeRecord, NodeRole};
 use std::collections::{BTreeMap, BTreeSet};
 
 const NAME: &str = "members follow the ledger";
@@ -40,7 +40,7 @@ impl MembersFollowTheLedger {
     /// # Errors
     /// The members in fact are others.
     pub fn at_rest(&self, members: &Membership, records: &[NodeRecord]) -> Check {
-        let (voters, learners) = ledger::governance::desired(records);
+        let (voters, learners) = ledger::msp::desired(records);
         if members.voters == voters && members.learners == learners && !members.is_joint() {
             return Ok(());
         }

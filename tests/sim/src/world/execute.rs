@@ -7,7 +7,7 @@ use crate::invariant::{Check, Executed};
 use crate::people::organisation_of;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
-use ledger::{Ledger, Outcome, governance};
+use ledger::{Ledger, Outcome, msp};
 use ledger_hash::Hash;
 use ledger_raft::Input;
 use ledger_replica::Executor;
@@ -57,7 +57,7 @@ impl World {
         if ordinary {
             running.ordinary = outcome.header.height;
         }
-        let governed = outcome.events.iter().any(|emitted| emitted.event.chaincode == governance::NAME);
+        let governed = outcome.events.iter().any(|emitted| emitted.event.chaincode == msp::NAME);
         if governed {
             running.wanted = wanted(&running.ledger);
             running.wants_others = true;
@@ -96,7 +96,7 @@ impl World {
                 self.coverage.fault(Fault::Activation);
             }
             let members = ledger.members().unwrap_or_default();
-            self.records = governance::nodes(&**ledger.state()).unwrap();
+            self.records = msp::nodes(&**ledger.state()).unwrap();
             let before = self.newest_members().clone();
             self.invariants.members.executed(&before, &members, &self.records)?;
             self.members.push(members);

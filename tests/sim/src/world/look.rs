@@ -3,7 +3,7 @@
 use super::{Contact, Timer, World};
 use crate::invariant::Check;
 use ledger::Ledger;
-use ledger::governance::{self, NodeRole};
+use ledger::msp::{self, NodeRole};
 use ledger_replica::catch_up::{Heard, Holding, Offer, Stage, Who};
 use ledger_replica::conductor::Happened;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use std::sync::Arc;
 impl World {
     /// Those that a node would ask, as far as its ledger knows them; a newcomer asks one that let it in as well.
     pub(super) fn asked_by(&mut self, id: u64, ledger: &Ledger) -> Vec<Who> {
-        let records = governance::nodes(&**ledger.state()).unwrap();
+        let records = msp::nodes(&**ledger.state()).unwrap();
         let members = ledger.members().unwrap();
         let present = |id: u64, role| role != NodeRole::Removed || members.contains(id);
         let mut asked: Vec<Who> = records

@@ -8,7 +8,7 @@ use crate::invariant::{Check, Violation};
 use crate::node::Node;
 use crate::people::organisation_of;
 use ledger::Rules;
-use ledger::governance::NodeRole;
+use ledger::msp::NodeRole;
 use ledger_raft::Desired;
 use ledger_storage::segment::{Found, LogPosition, scan};
 use std::collections::BTreeSet;
@@ -180,7 +180,7 @@ impl World {
 
     /// Do the records on the ledger say what the operator wants?
     pub(crate) fn is_recorded(&self) -> bool {
-        let (voters, learners) = ledger::governance::desired(&self.records);
+        let (voters, learners) = ledger::msp::desired(&self.records);
         voters == self.desired.voters && learners == self.desired.learners
     }
 

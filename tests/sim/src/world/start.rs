@@ -6,7 +6,7 @@ use crate::clock::{MILLISECOND, SECOND};
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Client, Keeping, Running, open_blocks};
-use ledger::{Chaincode, Ledger, Registry, Rules, governance};
+use ledger::{Chaincode, Ledger, Registry, Rules, msp};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
 use ledger_raft::Desired;
@@ -91,7 +91,7 @@ impl World {
         let members = ledger.members().unwrap();
         self.invariants.log_matching.look(id, &store)?;
         let last = store.last_index();
-        let attested = governance::attestations(&**ledger.state()).unwrap();
+        let attested = msp::attestations(&**ledger.state()).unwrap();
         let mut said = Said::default();
         for own in attested.iter().filter(|record| record.id == id) {
             said.note(&own.latest.attest);
@@ -281,7 +281,7 @@ impl World {
 
 /// The members that a ledger wants.
 pub(super) fn wanted(ledger: &Ledger) -> Desired {
-    let (voters, learners) = governance::desired(&governance::nodes(&**ledger.state()).unwrap());
+    let (voters, learners) = msp::desired(&msp::nodes(&**ledger.state()).unwrap());
     Desired { voters, learners }
 }
 

@@ -6,7 +6,7 @@ use crate::clock::SECOND;
 use crate::invariant::Check;
 use bytes::Bytes;
 use ledger::Admission;
-use ledger::governance::{Attest, NAME};
+use ledger::msp::{Attest, NAME};
 use ledger_raft::{Input, Lane};
 
 impl World {

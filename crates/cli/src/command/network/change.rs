@@ -9,7 +9,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::{MSP, Session};
 use bytes::Bytes;
-use ledger::governance::{CarrierRecord, NodeRecord, NodeRole, SetNodeRole};
+use ledger::msp::{CarrierRecord, NodeRecord, NodeRole, SetNodeRole};
 use ledger_rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};

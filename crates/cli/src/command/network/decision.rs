@@ -4,7 +4,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, printable};
 use bytes::Bytes;
 use ledger::Quorum;
-use ledger::governance::{Action, Decision, NodeRole};
+use ledger::msp::{Action, Decision, NodeRole};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -107,7 +107,7 @@ pub(super) fn joined<'a>(names: impl IntoIterator<Item = &'a String>) -> String 
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::governance::{Failed, Proposal};
+    use ledger::msp::{Failed, Proposal};
     use ledger_hash::Hash;
 
     fn decision(executed: bool) -> Decision {

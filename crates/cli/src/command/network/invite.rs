@@ -8,7 +8,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
-use ledger::governance::{Decision, InviteOrganisation, NodeRecord, NodeRole};
+use ledger::msp::{Decision, InviteOrganisation, NodeRecord, NodeRole};
 use ledger_api::context::msps_of;
 use ledger_api::token::{ADDRESSES_MAX, JoinKind, JoinToken};
 use ledger_hash::Hash;
@@ -235,9 +235,8 @@ mod tests {
     #[test]
     fn an_organisation_that_waits_for_approvals_is_told_so() {
         let token = door().token("Org3".into(), "node1".into(), JoinKind::Organisation, "00".repeat(32));
-        let action =
-            ledger::governance::Action::InviteOrganisation { name: "Org3".into(), key: Hash::ZERO, expires: 9 };
-        let proposal = ledger::governance::Proposal {
+        let action = ledger::msp::Action::InviteOrganisation { name: "Org3".into(), key: Hash::ZERO, expires: 9 };
+        let proposal = ledger::msp::Proposal {
             id: Hash([0xab; 32]),
             action,
             by: "Org1/admin".into(),

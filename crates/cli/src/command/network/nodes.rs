@@ -1,8 +1,8 @@
 //! `network nodes`: the nodes as the ledger wants them.
 
 use crate::output::{Facts, Table};
-use ledger::governance::{NodeRole, Nodes};
 use ledger::members::Membership;
+use ledger::msp::{NodeRole, Nodes};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -6,7 +6,7 @@ use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
 use bytes::Bytes;
-use ledger::governance::{NodeRole, Organisation};
+use ledger::msp::{NodeRole, Organisation};
 use serde::Serialize;
 use std::io::{self, Write};
 

@@ -10,7 +10,7 @@ use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
-use ledger::governance::{Decision, Proposal};
+use ledger::msp::{Decision, Proposal};
 use ledger_rejection::Code;
 use serde::Serialize;
 use std::io::{self, Write};

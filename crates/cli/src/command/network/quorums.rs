@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use ledger::Quorum;
-use ledger::governance::{FunctionQuorum, SetQuorum};
+use ledger::msp::{FunctionQuorum, SetQuorum};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};

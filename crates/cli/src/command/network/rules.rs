@@ -6,7 +6,7 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use ledger::Activation;
-use ledger::governance::{ActivateRules, NodeRole, RulesOverview, SpokenBy};
+use ledger::msp::{ActivateRules, NodeRole, RulesOverview, SpokenBy};
 use serde::Serialize;
 use std::io::{self, Write};
 

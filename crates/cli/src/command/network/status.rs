@@ -8,7 +8,7 @@ use crate::health::{Certificate, Check, Disk, Voters, attention};
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
-use ledger::governance::{AttestationRecord, NodeRecord, NodeRole, Nodes};
+use ledger::msp::{AttestationRecord, NodeRecord, NodeRole, Nodes};
 use ledger_api::{Client, Context, Credentials, Options, v1};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;

@@ -4,7 +4,7 @@ use crate::command::network::{ask, json};
 use crate::output::{Facts, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
-use ledger::governance::{CancelInvitation, Invitation};
+use ledger::msp::{CancelInvitation, Invitation};
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;

@@ -180,9 +180,9 @@ const EVENTS: [&str; 23] = [
 ];
 
 /// The chaincode; every node installs it.
-pub struct Governance;
+pub struct MspChaincode;
 
-impl Chaincode for Governance {
+impl Chaincode for MspChaincode {
     fn name(&self) -> &'static str {
         NAME
     }

@@ -1,7 +1,7 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::governance::{NodeRecord, RulesOverview, Speaks};
+use ledger::msp::{NodeRecord, RulesOverview, Speaks};
 use ledger::{Activation, Rules};
 use ledger::{Chaincode, Context};
 use ledger_identity::key::KeyKind;

@@ -3,7 +3,7 @@
 
 use crate::world::{DAY, Network, START, User};
 use bytes::Bytes;
-use ledger::governance::{Decision, JoinOrganisation};
+use ledger::msp::{Decision, JoinOrganisation};
 use ledger::network::FoundingOrganisation;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_rejection::Rejection;

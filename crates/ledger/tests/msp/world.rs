@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::governance::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
+use ledger::msp::{CarryCa, IssuedCertificate, KnownIdentity, NodeRole, Nodes};
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Ledger, Quorum, Registry, Rules};

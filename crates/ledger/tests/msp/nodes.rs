@@ -1,5 +1,5 @@
 use crate::world::{Network, code, is_executed, json, waiting};
-use ledger::governance::{self, Decision, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired};
+use ledger::msp::{self, Decision, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired};
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
 
@@ -18,7 +18,7 @@ fn founding_nodes_stand_on_the_ledger_with_what_they_are_in_fact() {
     assert_eq!(network.roles()[2], (3, "Org3/node3".into(), LEARNER));
     assert_eq!(desired(&nodes.nodes), (nodes.members.voters.clone(), nodes.members.learners.clone()));
     assert_eq!(nodes.members, network.ledger.members().unwrap());
-    assert_eq!(nodes.nodes, governance::nodes(&**network.ledger.state()).unwrap());
+    assert_eq!(nodes.nodes, msp::nodes(&**network.ledger.state()).unwrap());
 }
 
 #[test]

@@ -1,5 +1,5 @@
 use crate::world::{DAY, Network, code, is_executed, json, waiting};
-use ledger::governance::{Decision, NodeRole};
+use ledger::msp::{Decision, NodeRole};
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
 

@@ -3,7 +3,7 @@
 use crate::world::{DAY, Network, User, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::Rules;
-use ledger::governance::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
+use ledger::msp::{CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, FunctionQuorum};
 use ledger_identity::key::KeyKind;
 use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json as value};

@@ -1,6 +1,6 @@
 use crate::world::{Ca, DAY, Network, SECOND, code, is_executed, json, waiting};
 use bytes::Bytes;
-use ledger::governance::{self, JoinOrganisation, NodeRole, Organisation};
+use ledger::msp::{self, JoinOrganisation, NodeRole, Organisation};
 use ledger::network::FoundingOrganisation;
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
@@ -43,7 +43,7 @@ fn an_invited_organisation_joins_and_its_node_after_it() {
     assert_eq!(code(&carry(&mut network, &join)), Code::NotInvited, "not approved yet");
     assert!(is_executed(network.admin(2, "approve", &[&id])));
     assert_eq!(network.event_names(), ["approved", "invited", "executed"]);
-    assert_eq!(governance::invitation(&**network.ledger.state(), "Beta").unwrap().unwrap().name, "Beta");
+    assert_eq!(msp::invitation(&**network.ledger.state(), "Beta").unwrap().unwrap().name, "Beta");
 
     assert_eq!(code(&network.call(&node, "join_node", &[r#"{"address":"beta:7450"}"#])), Code::Untrusted);
     let answer: Organisation = json(carry(&mut network, &join));
@@ -55,7 +55,7 @@ fn an_invited_organisation_joins_and_its_node_after_it() {
     assert_eq!(json::<Organisation>(carry(&mut network, &join)), answer, "an answer that was lost is asked for again");
     assert_eq!(names(&network), ["Beta", "Org1", "Org2"]);
     assert_eq!(network.query::<Organisation>("organisation", &["Beta"]), answer);
-    assert!(governance::invitation(&**network.ledger.state(), "Beta").unwrap().is_none(), "it is used up");
+    assert!(msp::invitation(&**network.ledger.state(), "Beta").unwrap().is_none(), "it is used up");
 }
 
 #[test]
@@ -209,7 +209,7 @@ fn a_former_name_comes_back_only_with_a_root_that_it_had() {
     let returns = signed(&network, FoundingOrganisation::below("Org3", network.cas[2].root()));
     carry(&mut network, &returns).unwrap();
     assert_eq!(names(&network), ["Org1", "Org2", "Org3"]);
-    let node: governance::NodeRecord = json(network.node(3, "join_node", &[r#"{"address":"node3:7450"}"#]));
+    let node: msp::NodeRecord = json(network.node(3, "join_node", &[r#"{"address":"node3:7450"}"#]));
     assert_eq!(node.id, 4, "its nodes come back as new ones");
 }
 

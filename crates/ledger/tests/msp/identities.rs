@@ -1,6 +1,6 @@
 use crate::world::{DAY, Network, SECOND, User, code, json};
 use bytes::Bytes;
-use ledger::governance::{
+use ledger::msp::{
     CarrierRecord, CarryCa, ENROLMENT_REPEAT_MAX, Identities, IdentityRecord, KnownIdentity, LocalSecret,
     RENEWAL_PAUSE, Recorded, RevokedIdentity,
 };
@@ -299,11 +299,11 @@ fn an_invitation_is_listed_and_taken_back_by_who_proposed_it() {
     let key = Hash([3; 32]);
     let invite = format!(r#"{{"name":"Beta","key":"{key}","expires":{}}}"#, network.time + DAY);
     network.admin(1, "invite_organisation", &[&invite]).unwrap();
-    let listed: Vec<ledger::governance::Invitation> = network.query("invitations", &[]);
+    let listed: Vec<ledger::msp::Invitation> = network.query("invitations", &[]);
     assert_eq!((listed[0].name.as_str(), listed[0].by.as_str()), ("Beta", "Org1"));
     network.admin(1, "cancel_invitation", &[r#"{"name":"Beta"}"#]).unwrap();
     assert_eq!(network.event_names(), ["invitation_cancelled"]);
-    assert!(network.query::<Vec<ledger::governance::Invitation>>("invitations", &[]).is_empty());
+    assert!(network.query::<Vec<ledger::msp::Invitation>>("invitations", &[]).is_empty());
     assert_eq!(code(&network.admin(1, "cancel_invitation", &[r#"{"name":"Beta"}"#])), Code::NotFound);
 
     let mut network = Network::new(2, 2);

@@ -1,5 +1,5 @@
 use crate::world::{Network, code, is_executed};
-use ledger::governance::{self, AttestationRecord};
+use ledger::msp::{self, AttestationRecord};
 use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
@@ -12,7 +12,7 @@ fn attest(height: u64, digest: u8, content: Option<u8>) -> String {
 
 fn known(network: &Network) -> Vec<AttestationRecord> {
     let answer = network.query("attestations", &[]);
-    assert_eq!(answer, governance::attestations(&**network.ledger.state()).unwrap());
+    assert_eq!(answer, msp::attestations(&**network.ledger.state()).unwrap());
     answer
 }
 

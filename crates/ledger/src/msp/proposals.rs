@@ -8,7 +8,7 @@
 //! Before rules 3 a proposal knows the organisations that agreed and not their admins, and one that fails goes on waiting.
 //! Approvals from then do not count any more: they name no certificate that could be revoked.
 
-use super::Governance;
+use super::MspChaincode;
 use super::action::Action;
 use super::caller::{admin, bad, object, text};
 use super::quorums;
@@ -170,7 +170,7 @@ pub(super) fn propose(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, 
     let caller = admin(ctx, "propose")?;
     quorum_of(ctx.registry().find(&call.chaincode)?, &call.function)?;
     if call.chaincode == NAME {
-        return Governance.invoke(ctx, &call.function, &call.args);
+        return MspChaincode.invoke(ctx, &call.function, &call.args);
     }
     json(&decide(ctx, caller, Action::Call(call))?)
 }
