@@ -3,6 +3,8 @@
 use crate::sources::{code, files, read, root};
 use std::path::PathBuf;
 
+/// The folders that drive the replica.
+const DRIVERS: [&str; 3] = ["src", "tests/sim/src", "crates/replica/tests"];
 /// Only a machine has these.
 const MACHINERY: [&str; 7] = ["std::thread", "std::time", "std::fs", "std::net", "tokio", "Instant", "SystemTime"];
 /// A source that names these drives the engine itself.
@@ -57,19 +59,27 @@ fn words(words: &[&str]) -> Vec<String> {
 }
 
 #[test]
+fn the_engine_is_driven_by_its_unit_tests_and_by_the_replica_only() {
+    assert!(!root().join("crates/raft/tests").exists(), "tests of a whole node belong into crates/replica/tests");
+}
+
+#[test]
 fn the_replica_has_no_thread_no_clock_and_no_file() {
     assert_eq!(having("crates/replica/src", &words(&MACHINERY)), []);
 }
 
 #[test]
-fn the_node_and_the_simulation_drive_the_replica_and_no_copy_of_it() {
-    for folder in ["src", "tests/sim/src"] {
+fn the_node_the_simulation_and_the_storms_of_ordering_drive_the_replica_and_no_copy_of_it() {
+    for folder in DRIVERS {
         assert_eq!(having(folder, &words(&DRIVING)), [], "the replica does that");
         assert_eq!(having(folder, &words(&ADMITTING)), [], "the replica's gateway does that");
-        assert!(!having(folder, &words(&["desk.work("])).is_empty(), "{folder} serves no desk");
         let bounds: Vec<String> = BOUNDS.iter().map(|bound| format!("const {bound}")).collect();
         assert_eq!(having(folder, &bounds), [], "the replica decides about that");
-        assert!(!having(folder, &words(&["Replica::start"])).is_empty(), "{folder} starts no replica");
-        assert!(!having(folder, &words(&["replica.step("])).is_empty(), "{folder} drives no replica");
+        for machine in ["Replica::start", "replica.step(", "CatchUp::new(", "machine.step(", "Opening {"] {
+            assert!(!having(folder, &words(&[machine])).is_empty(), "{folder} drives no {machine}");
+        }
+    }
+    for folder in ["src", "tests/sim/src"] {
+        assert!(!having(folder, &words(&["desk.work("])).is_empty(), "{folder} serves no desk");
     }
 }

@@ -1,5 +1,6 @@
 //! The inside of the engine: progress of peers, and the decisions that the crate would have made.
 
+mod bounds;
 mod learners;
 mod promises;
 

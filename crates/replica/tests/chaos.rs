@@ -4,7 +4,7 @@
 //!
 //! In every other storm the members follow wishes as the ledger would record them, through the planner.
 //!
-//! `LEDGER_RAFT_SEED=n cargo test -p ledger-raft --test chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
+//! `LEDGER_RAFT_SEED=n cargo test -p ledger-replica --test chaos` repeats one seed; `LEDGER_RAFT_SEEDS=n` runs that many.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, clippy::panic, clippy::print_stderr, reason = "tests")]
 
 mod cluster;
@@ -51,7 +51,7 @@ fn wish(random: &mut Random, all: &[u64]) -> Desired {
 fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
     let voters: &[u64] = if seed.is_multiple_of(3) { &[1, 2, 3, 4, 5] } else { &[1, 2, 3] };
     let learners: &[u64] = &[8, 9];
-    let segment_bytes = if seed % 4 < 3 { 1024 } else { 32 * 1024 };
+    let segment_bytes = if seed % 4 < 3 { 8 * 1024 } else { 256 * 1024 };
     let mut cluster = Cluster::with_segments(seed, voters, learners, segment_bytes);
     let planned = seed.is_multiple_of(2);
     let mut all: Vec<u64> = cluster.nodes.keys().copied().collect();
@@ -76,7 +76,8 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
             all.push(10);
         }
         if planned && cluster.random.percent(3) {
-            cluster.desired = Some(wish(&mut cluster.random, &all));
+            let wish = wish(&mut cluster.random, &all);
+            cluster.want(wish);
             coverage.wishes += 1;
         }
         if cluster.random.percent(10)
@@ -149,7 +150,7 @@ fn storm(seed: u64, coverage: &mut Coverage) -> (u64, usize) {
         cluster.converged() && cluster.members().nodes().iter().all(|id| cluster.has_executed(*id, "healed"))
     });
     cluster.check_log_matching();
-    let leading = all.iter().filter(|id| cluster.engine(**id).status().role.role == Role::Leader).count();
+    let leading = all.iter().filter(|id| cluster.status(**id).role.role == Role::Leader).count();
     assert_eq!(leading, 1);
     assert!(!cluster.members().is_joint(), "a change of members is complete in the end");
     coverage.elections += cluster.leaders.len() as u64;

@@ -13,7 +13,7 @@ fn wish(voters: &[u64], learners: &[u64]) -> Desired {
 
 /// Sets the wish and lets traffic run until the members are those; answers with the number of blocks that took.
 fn follow(cluster: &mut Cluster, voters: &[u64], learners: &[u64]) {
-    cluster.desired = Some(wish(voters, learners));
+    cluster.want(wish(voters, learners));
     let wanted = Membership::new(voters.iter().copied(), learners.iter().copied());
     for nth in 0..3000u64 {
         if cluster.members() == wanted && cluster.leader().is_some_and(|leader| wanted.is_voter(leader)) {
@@ -57,7 +57,7 @@ fn ordering_hardly_pauses_when_all_voters_are_replaced() {
     for id in 4..=6 {
         cluster.join(id);
     }
-    cluster.desired = Some(wish(&[4, 5, 6], &[]));
+    cluster.want(wish(&[4, 5, 6], &[]));
     let (mut blocks, mut silent, mut longest) = (0, 0, 0);
     while cluster.members() != Membership::new([4, 5, 6], []) {
         for id in 1..=6 {
@@ -67,7 +67,7 @@ fn ordering_hardly_pauses_when_all_voters_are_replaced() {
         silent = if cluster.chosen.len() == blocks { silent + 1 } else { 0 };
         blocks = cluster.chosen.len();
         longest = longest.max(silent);
-        assert!(cluster.now < 2_000_000);
+        assert!(cluster.now < 10_000_000_000);
     }
     assert!(longest < 10, "found {longest} ticks without a block: less than an election timeout, as nobody failed");
     for id in 1..=3 {
@@ -88,7 +88,7 @@ fn a_removed_node_that_never_heard_of_it_disturbs_nobody() {
     let mut voters = vec![1, 2, 3];
     voters.retain(|id| *id != victim);
     follow(&mut cluster, &voters, &[]);
-    let term = cluster.engine(leader).status().role.term;
+    let term = cluster.status(leader).role.term;
     cluster.run(200);
     cluster.cut.clear();
     for nth in 0..50 {
@@ -96,13 +96,13 @@ fn a_removed_node_that_never_heard_of_it_disturbs_nobody() {
         cluster.run(10);
     }
     assert_eq!(cluster.leader(), Some(leader));
-    assert_eq!(cluster.engine(leader).status().role.term, term, "pre-vote and the leader's lease (Raft thesis §4.2.3)");
+    assert_eq!(cluster.status(leader).role.term, term, "pre-vote and the leader's lease (Raft thesis §4.2.3)");
     assert!(cluster.nodes[&victim].members.is_voter(victim), "it still believes");
-    assert_ne!(cluster.engine(victim).status().role.role, Role::Leader);
+    assert_ne!(cluster.status(victim).role.role, Role::Leader);
     // Its vote requests do not win either when the leader is gone: the others hold its removal, it does not.
     cluster.crash(leader);
     cluster.run(200);
-    assert_ne!(cluster.engine(victim).status().role.role, Role::Leader);
+    assert_ne!(cluster.status(victim).role.role, Role::Leader);
 }
 
 #[test]
@@ -113,8 +113,8 @@ fn a_node_that_is_no_member_receives_nothing_and_stands_for_nothing() {
     cluster.input(7, Input::Campaign);
     cluster.submit(1, Lane::Data, "one");
     cluster.run(100);
-    assert!(cluster.nodes[&7].state.is_empty());
-    assert_eq!(cluster.engine(7).status().role.term, 0);
+    assert!(cluster.height(7) == 0);
+    assert_eq!(cluster.status(7).role.term, 0);
     cluster.input(1, Input::ChangeMembership(MembershipChange::new([Change::AddLearner(7)])));
     cluster.until("the learner has all", 50, Cluster::converged);
 }
@@ -127,15 +127,15 @@ fn a_transfer_waits_for_a_target_that_is_behind_and_is_seen_meanwhile() {
     // Its acknowledgements take their time, so it counts as behind.
     cluster.submit(leader, Lane::Data, "just now");
     cluster.input(leader, Input::TransferLeadership { to });
-    assert_eq!(cluster.engine(leader).status().transferring_to, Some(to));
-    assert!(!cluster.engine(leader).status().may_propose);
+    assert_eq!(cluster.status(leader).transferring_to, Some(to));
+    assert!(!cluster.status(leader).may_propose);
     cluster.input(leader, Input::TransferLeadership { to });
     assert!(cluster.nodes[&leader].refused.is_empty(), "the same again is nothing new");
     cluster.input(leader, Input::TransferLeadership { to: 6 - leader - to });
     assert_eq!(cluster.nodes[&leader].refused.last().unwrap().1.code, Code::Overloaded);
     cluster.until("the other leads", 10, |cluster| cluster.leader() == Some(to));
     assert!(cluster.has_executed(to, "just now"));
-    assert_eq!(cluster.engine(leader).status().transferring_to, None);
+    assert_eq!(cluster.status(leader).transferring_to, None);
 }
 
 #[test]
@@ -146,9 +146,9 @@ fn a_transfer_that_fails_ends_after_an_election_timeout_and_ordering_goes_on() {
     cluster.cut.insert((leader, to));
     cluster.submit(leader, Lane::Data, "before");
     cluster.input(leader, Input::TransferLeadership { to });
-    assert_eq!(cluster.engine(leader).status().transferring_to, Some(to));
-    cluster.until("the transfer has failed", 21, |cluster| cluster.engine(leader).status().transferring_to.is_none());
-    let status = cluster.engine(leader).status();
+    assert_eq!(cluster.status(leader).transferring_to, Some(to));
+    cluster.until("the transfer has failed", 21, |cluster| cluster.status(leader).transferring_to.is_none());
+    let status = cluster.status(leader);
     assert!(status.may_propose && status.transfer_rests);
     cluster.submit(leader, Lane::Data, "after");
     cluster.until("ordering goes on", 10, |cluster| cluster.has_executed(leader, "after"));
@@ -163,6 +163,6 @@ fn a_silent_target_is_refused_at_once() {
     cluster.run(30);
     cluster.input(leader, Input::TransferLeadership { to });
     assert_eq!(cluster.nodes[&leader].refused.last().unwrap().1.code, Code::Overloaded);
-    assert!(cluster.engine(leader).status().may_propose, "nothing has paused");
-    assert_eq!(ledger_raft::successor(&cluster.engine(leader).status()), Some(6 - leader - to));
+    assert!(cluster.status(leader).may_propose, "nothing has paused");
+    assert_eq!(ledger_raft::successor(&cluster.status(leader)), Some(6 - leader - to));
 }

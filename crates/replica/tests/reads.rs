@@ -18,9 +18,9 @@ fn a_leader_that_was_stopped_answers_no_read_after_another_took_over() {
         let new = cluster.leader().unwrap();
         cluster.submit(new, Lane::Data, "after");
         cluster.until("it is ordered", 20, |cluster| cluster.has_executed(new, "after"));
-        let height = cluster.nodes[&new].state.len() as u64;
+        let height = cluster.height(new);
         // It wakes up and is asked before it hears anything.
-        assert_eq!(cluster.engine(old).status().role.role, Role::Leader);
+        assert_eq!(cluster.status(old).role.role, Role::Leader);
         cluster.resume(old);
         cluster.input(old, Input::ReadIndex { context: 1 });
         cluster.run(50);

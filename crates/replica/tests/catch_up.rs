@@ -4,11 +4,8 @@
 mod cluster;
 
 use cluster::{Cluster, Faults};
-use ledger_raft::{Engine, EngineConfig, EngineError, Input, Lane, LogBegin, Membership, PeerMessage, Role};
+use ledger_raft::{Input, Lane, LogBegin, PeerMessage, Role};
 use ledger_rejection::Code;
-use ledger_storage::block_store::{Base, BlockStore, Options};
-use ledger_storage::disk::SimDisk;
-use std::sync::Arc;
 
 /// Orders this many blocks through whoever leads.
 fn order(cluster: &mut Cluster, blocks: u64) {
@@ -21,13 +18,13 @@ fn order(cluster: &mut Cluster, blocks: u64) {
 
 /// Three voters (and learner 4), of which `away` is down while the others order blocks and drop them.
 fn with_pruned_logs(seed: u64, away: u64) -> Cluster {
-    let mut cluster = Cluster::with_segments(seed, &[1, 2, 3], &[4], 2048);
+    let mut cluster = Cluster::with_segments(seed, &[1, 2, 3], &[4], 16 * 1024);
     order(&mut cluster, 20);
     cluster.crash(away);
     order(&mut cluster, 200);
     for id in (1..=4).filter(|id| *id != away) {
         cluster.prune(id, 5);
-        assert!(cluster.engine(id).status().first > 100);
+        assert!(cluster.status(id).first > 100);
     }
     cluster
 }
@@ -88,7 +85,7 @@ fn a_new_learner_behind_a_log_that_was_cut_off_comes_in() {
     let leader = cluster.elect();
     cluster.input(leader, Input::ChangeMembership(MembershipChange::new([Change::AddLearner(5)])));
     cluster.until("it has all", 300, |cluster| {
-        cluster.members().contains(5) && cluster.nodes[&5].state.len() == cluster.chosen.len()
+        cluster.members().contains(5) && cluster.height(5) == cluster.chosen.len() as u64
     });
     order(&mut cluster, 10);
     cluster.until("replication goes on", 20, Cluster::converged);
@@ -145,7 +142,7 @@ fn only_the_leader_is_believed_and_only_by_a_node_that_is_behind() {
 
 #[test]
 fn logs_may_be_cut_off_under_load_while_messages_are_lost() {
-    let mut cluster = Cluster::with_segments(800, &[1, 2, 3], &[4], 2048);
+    let mut cluster = Cluster::with_segments(800, &[1, 2, 3], &[4], 16 * 1024);
     cluster.faults = Faults { lose: 10, duplicate: 10, delay_max: 30, disk_max: 10 };
     for round in 0..400u64 {
         cluster.submit(1 + round % 4, Lane::Data, &format!("t{round}"));
@@ -157,26 +154,6 @@ fn logs_may_be_cut_off_under_load_while_messages_are_lost() {
     cluster.faults = cluster::CALM;
     order(&mut cluster, 5);
     cluster.until("all have all", 100, Cluster::converged);
-    assert!(cluster.engine(1).status().first > 100);
-    assert_eq!((1..=4).filter(|id| cluster.engine(*id).status().role.role == Role::Leader).count(), 1);
-}
-
-#[test]
-fn a_state_that_does_not_fit_the_log_is_refused() {
-    let open = || {
-        let mut options = Options::new([7; 32], || 1);
-        options.segment_bytes = 1 << 16;
-        let (store, _) = BlockStore::open(Arc::new(SimDisk::new(1)), options).unwrap();
-        store.begin_after(Base { index: 50, term: 3 }).unwrap();
-        Arc::new(store)
-    };
-    let start = |applied| {
-        let mut config = EngineConfig::new(1, Membership::new([1], []), 1);
-        config.applied = applied;
-        Engine::new(config, open()).map(|engine| engine.status())
-    };
-    assert!(matches!(start(49), Err(EngineError::StateBehind { applied: 49, first: 51 })));
-    assert!(matches!(start(51), Err(EngineError::StateAhead { applied: 51, last: 50 })));
-    let status = start(50).unwrap();
-    assert_eq!((status.first, status.last, status.commit, status.role.term), (51, 50, 50, 3));
+    assert!(cluster.status(1).first > 100);
+    assert_eq!((1..=4).filter(|id| cluster.status(*id).role.role == Role::Leader).count(), 1);
 }
