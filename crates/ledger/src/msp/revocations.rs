@@ -69,6 +69,9 @@ pub(super) fn revoke(ctx: &mut Context<'_>, issuer: &[u8], serial: &[u8], reason
 
 /// Revokes a certificate that an authority of this organisation has issued; answers with the record, also when it was
 /// revoked before.
+///
+/// # Errors
+/// [`Code::LastOne`] for the certificate that the caller signs with: so an organisation keeps its last admin.
 pub(super) fn revoke_certificate(
     ctx: &mut Context<'_>,
     caller: &Identity,
@@ -80,6 +83,14 @@ pub(super) fn revoke_certificate(
     let key = [REVOKED, &revoked.issuer[..], &revoked.serial].concat();
     if let Some(known) = ctx.get(&key) {
         return Ok(known);
+    }
+    if revoked.issuer == caller.issuer && revoked.serial == caller.serial && !ctx.rules().admins_revoke_themselves() {
+        return Err(Rejection::new(
+            Code::LastOne,
+            format!("{} may not revoke the certificate that it signs with", caller.id()),
+        )
+        .wanted(format!("another admin of {organisation}, so that one is left"))
+        .next("register another admin, who revokes this one: ledgerctl identity register NAME --role admin"));
     }
     let record = json(&RevocationRecord {
         issuer: *issuer,

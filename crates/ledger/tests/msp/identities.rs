@@ -313,3 +313,24 @@ fn an_invitation_is_listed_and_taken_back_by_who_proposed_it() {
     assert_eq!(code(&network.admin(2, "cancel_invitation", &[r#"{"name":"Beta"}"#])), Code::NotAdmin);
     network.admin(1, "cancel_invitation", &[r#"{"name":"Beta"}"#]).unwrap();
 }
+
+#[test]
+fn no_admin_revokes_the_certificate_that_it_signs_with_so_the_last_one_stays() {
+    let mut network = carried();
+    let add = |network: &mut Network, name: &str| {
+        register(network, 1, name, r#","role":"admin""#).unwrap();
+        let admin = network.cas[0].user(name, "admin", KeyKind::Ed25519);
+        by_secret(network, &admin).unwrap();
+        admin
+    };
+    let (first, second) = (add(&mut network, "First"), add(&mut network, "Second"));
+    let by_serial = |network: &mut Network, caller: &User, name: &str| {
+        let issued = one(network, name).unwrap().certificates[0].clone();
+        network.call(caller, "revoke", &[&issued.issuer.to_string(), &issued.serial])
+    };
+    assert_eq!(code(&network.call(&first, "revoke_identity", &[r#"{"name":"First"}"#])), Code::LastOne);
+    assert_eq!(code(&by_serial(&mut network, &first, "First")), Code::LastOne);
+    by_serial(&mut network, &second, "First").unwrap();
+    assert_eq!(code(&by_serial(&mut network, &second, "Second")), Code::LastOne);
+    assert_eq!(code(&network.call(&first, "revoke_identity", &[r#"{"name":"Second"}"#])), Code::Revoked);
+}
