@@ -26,5 +26,7 @@ pub mod certificate;
 mod identity;
 pub mod key;
 pub mod msp;
+mod name;
 
 pub use identity::{Identity, IdentityError, NAME_BYTES_MAX, NEW_NAME_BYTES_MAX, Role, check_name, check_new_name};
+pub use name::{check_readable, look};

@@ -6,7 +6,7 @@
 //! the next start reads it and checks it. Ledgers that share a process share its memory, so all of them end.
 //!
 //! [`invariant!`] costs a comparison and stays on everywhere. [`costly_invariant!`] is for what must look at more than a
-//! few values: it is on in debug builds, so in tests and in the simulation.
+//! few values: it is on in debug builds, and in a process that called [`look_closely`], as the simulation does.
 //!
 //! In tests a broken invariant is a panic, which a test can expect and the simulation reports with its seed. A program
 //! calls [`end_process`] once, in `main`; from then on it is the end of the process with [`EXIT_CODE`].
@@ -23,9 +23,13 @@
 use std::fmt::Arguments;
 use std::io::Write;
 use std::panic::{Location, PanicHookInfo};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// The exit code of a process that found an invariant broken: that of an internal fault in `sysexits.h`.
 pub const EXIT_CODE: i32 = 70;
+
+/// Costly invariants are looked at.
+static CLOSELY: AtomicBool = AtomicBool::new(cfg!(debug_assertions));
 
 /// How the panic of a broken invariant begins.
 const BROKEN: &str = "an invariant does not hold: ";
@@ -41,14 +45,25 @@ macro_rules! invariant {
     };
 }
 
-/// As [`invariant!`], in debug builds only: `HOLDS` is not even computed in others.
+/// As [`invariant!`], where costly ones are [looked at](looks_closely): elsewhere `HOLDS` is not even computed.
 #[macro_export]
 macro_rules! costly_invariant {
     ($holds:expr, $invariant:literal, $($found:tt)+) => {
-        if cfg!(debug_assertions) {
+        if $crate::looks_closely() {
             $crate::invariant!($holds, $invariant, $($found)+);
         }
     };
+}
+
+/// From now on this process looks at costly invariants, too.
+pub fn look_closely() {
+    CLOSELY.store(true, Ordering::Relaxed);
+}
+
+/// Are costly invariants looked at?
+#[inline]
+pub fn looks_closely() -> bool {
+    CLOSELY.load(Ordering::Relaxed)
 }
 
 /// An invariant does not hold.
@@ -126,9 +141,13 @@ mod tests {
     }
 
     #[test]
-    fn a_costly_invariant_is_looked_at_in_debug_builds_only() {
+    fn a_costly_invariant_is_looked_at_in_debug_builds_and_where_somebody_says_so() {
         let looked = Cell::new(false);
         costly_invariant!(!looked.replace(true), "it was not looked at before", "it was");
         assert_eq!(looked.get(), cfg!(debug_assertions));
+        super::look_closely();
+        looked.set(false);
+        costly_invariant!(!looked.replace(true), "it was not looked at before", "it was");
+        assert!(looked.get());
     }
 }

@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with |
+//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one |
 //!
 //! ```
 //! use ledger::Rules;
@@ -66,6 +66,11 @@ impl Rules {
     /// May an admin revoke the certificate that it signs with? Before, the last one could, and locked its organisation out.
     pub(crate) const fn admins_revoke_themselves(self) -> bool {
         self.0 < 3
+    }
+
+    /// Must new names be such that people can tell them apart?
+    pub(crate) const fn names_are_readable(self) -> bool {
+        self.0 >= 3
     }
 
     /// These and all older ones that this release speaks, in words.

@@ -28,6 +28,7 @@ pub struct Report {
 
 /// Runs one seed. A panic of the product is a broken promise like any other.
 pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report {
+    ledger_invariant::look_closely();
     let mut world = World::new(seed, people, keep_trace);
     let outcome = catch_unwind(AssertUnwindSafe(|| play(&mut world)));
     let violation = match outcome {

@@ -89,6 +89,7 @@ mod tests {
 
     #[test]
     fn an_execution_that_contradicts_itself_is_found_before_anybody_hears_of_it() {
+        ledger_invariant::look_closely();
         let breaks: [Break; 8] = [
             (|broken| broken.header.height = 8, "a block follows the one before it"),
             (|broken| broken.header.previous = Hash::ZERO, "a block follows the one before it"),

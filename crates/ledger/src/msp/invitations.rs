@@ -13,8 +13,8 @@ use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
 use ledger_hash::Hash;
-use ledger_identity::NAME_BYTES_MAX;
 use ledger_identity::key::{PublicKey, SigningKey};
+use ledger_identity::{NAME_BYTES_MAX, check_readable, look};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
@@ -208,6 +208,7 @@ fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
         return Err(Rejection::new(Code::AlreadyExists, format!("the network has an organisation {name} already"))
             .next("choose another name; for a node of it: ledgerctl network invite --node NAME"));
     }
+    check_look(ctx, name)?;
     organisations::check_room(ctx)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(INVITATION_LIFE_MAX) {
@@ -216,6 +217,22 @@ fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
             .wanted("a time in the next 30 days"));
     }
     Ok(())
+}
+
+/// A new organisation has a name that people can tell from the others.
+fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
+    if !ctx.rules().names_are_readable() {
+        return Ok(());
+    }
+    check_readable(name)?;
+    let wanted = look(name);
+    let Some(known) = organisations::all(ctx)?.into_iter().find(|known| look(&known.name) == wanted) else {
+        return Ok(());
+    };
+    Err(Rejection::new(Code::AlreadyExists, format!("{name:?} looks like an organisation of the network"))
+        .found(format!("{:?}", known.name))
+        .wanted("a name that people can tell from the others (UTS 39)")
+        .next("choose another name"))
 }
 
 fn not_invited(name: &str, found: &str) -> Rejection {

@@ -15,6 +15,7 @@
 //! | `revoked/<issuer, 32 bytes><serial>` | [`super::RevocationRecord`] |
 //! | `identity/<organisation>/<name>` | [`super::IdentityRecord`] |
 //! | `registered/<organisation>` | how many names it has registered |
+//! | `look/<organisation>/<skeleton>` | the registered name that looks so |
 //! | `issued/<fingerprint, 32 bytes>` | a certificate that a CA has issued, in DER |
 //! | `carrier/<organisation>/<node's organisation>/<node>` | [`super::CarrierRecord`] |
 
@@ -22,6 +23,7 @@ use super::NAME;
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
+use ledger_identity::look;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use serde::Serialize;
@@ -90,6 +92,10 @@ pub(super) fn identity_key(organisation: &str, name: &str) -> String {
 
 pub(super) fn registered_key(organisation: &str) -> String {
     format!("registered/{organisation}")
+}
+
+pub(super) fn look_key(organisation: &str, name: &str) -> String {
+    format!("look/{organisation}/{}", look(name))
 }
 
 pub(super) fn issued_key(fingerprint: &Hash) -> Vec<u8> {

@@ -334,3 +334,20 @@ fn no_admin_revokes_the_certificate_that_it_signs_with_so_the_last_one_stays() {
     assert_eq!(code(&by_serial(&mut network, &second, "Second")), Code::LastOne);
     assert_eq!(code(&network.call(&first, "revoke_identity", &[r#"{"name":"Second"}"#])), Code::Revoked);
 }
+
+#[test]
+fn a_new_name_is_readable_and_looks_like_no_other_one_of_its_organisation() {
+    let mut network = carried();
+    register(&mut network, 1, "Salma", "").unwrap();
+    let refused = register(&mut network, 1, "Sa1ma", "").unwrap_err();
+    assert!(refused.code == Code::AlreadyRegistered && refused.found.contains("Salma"), "{refused}");
+    register(&mut network, 2, "Sa1ma", "").unwrap();
+    for deceiving in ["S\u{430}lma", "Salma\u{3164}", "Jo\u{308}rg"] {
+        assert!([Code::BadName, Code::BadArgument].contains(&code(&register(&mut network, 1, deceiving, ""))));
+    }
+    register(&mut network, 1, "Jörg", "").unwrap();
+    // A name that is forgotten leaves room for one that looks so.
+    network.admin(1, "cancel_registration", &[r#"{"name":"Salma"}"#]).unwrap();
+    register(&mut network, 1, "Sa1ma", "").unwrap();
+    assert_eq!(code(&register(&mut network, 1, "Salma", "")), Code::AlreadyRegistered);
+}

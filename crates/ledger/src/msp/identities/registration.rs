@@ -1,13 +1,13 @@
 //! Names are registered and cancelled by the admins of their organisation.
 
 use super::super::caller::{admin, object};
-use super::super::store::{identity_key, json};
+use super::super::store::{self, identity_key, json, look_key};
 use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::encode_attributes;
-use ledger_identity::{Role, check_new_name};
+use ledger_identity::{Role, check_new_name, check_readable};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -76,6 +76,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
         }
         (None, false) => {
             check_new_name(&name)?;
+            take_look(ctx, organisation, &name)?;
             make_room(ctx, organisation)?;
             IdentityRecord {
                 organisation: organisation.clone(),
@@ -115,6 +116,22 @@ pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     Ok(Bytes::new())
 }
 
+/// A new name looks like no other one of its organisation.
+fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<(), Rejection> {
+    if !ctx.rules().names_are_readable() {
+        return Ok(());
+    }
+    check_readable(name)?;
+    let key = look_key(organisation, name);
+    if let Some(known) = store::read::<String>(ctx, &key)? {
+        return Err(Rejection::new(Code::AlreadyRegistered, format!("{name:?} looks like a name that is registered"))
+            .found(format!("{known:?} of {organisation}"))
+            .wanted("a name that people can tell from the others (UTS 39)")
+            .next("choose another name"));
+    }
+    store::write(ctx, &key, &name)
+}
+
 /// Voids the secrets of a name; forgets it if it never had a certificate.
 pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord) -> Result<(), Rejection> {
     let never = record.certificates.is_empty() && record.local.is_none();
@@ -123,6 +140,10 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord) -> Result<(), 
     // A node at which a secret lies has to learn that it is void: then the name stays.
     if never {
         ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
+        let look = look_key(&record.organisation, &record.name);
+        if ctx.rules().names_are_readable() && store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
+            ctx.delete(look.as_bytes());
+        }
         count(ctx, &record.organisation, |number| number.saturating_sub(1))?;
     } else {
         write(ctx, &record)?;
