@@ -242,10 +242,16 @@ impl World {
         let mut broken = Ok(());
         let executed = batch.execute(|entry| {
             broken = std::mem::replace(&mut broken, Ok(())).and_then(|()| self.execute_one(id, &executor, entry));
-            Ok(executor.ledger().tip().hash)
+            match self.running(id) {
+                Some(_) => Ok(executor.ledger().tip().hash),
+                None => Err(Rejection::new(Code::UnknownRules, "the node has stopped before this block")),
+            }
         });
         executor.look_at_deadline();
         broken?;
+        if self.running(id).is_none() {
+            return Ok(Ok(()));
+        }
         self.catch_up(id)?;
         Ok(executed)
     }
