@@ -261,9 +261,10 @@ impl<P: Clone> CatchUp<P> {
 
     /// Nobody has more.
     fn pulled(&mut self) -> Todo<P> {
-        let reached = self.ledger.tip().height;
-        if reached > self.begun {
-            tracing::info!(blocks = reached - self.begun, height = reached, "caught up");
+        let (reached, begun) = (self.ledger.tip().height, self.begun);
+        invariant!(reached >= begun, "a ledger never goes back", "block {reached} after {begun}");
+        if reached > begun {
+            tracing::info!(blocks = reached - begun, height = reached, "caught up");
         }
         match reached >= self.behind.map_or(0, |behind| behind.first_index.saturating_sub(1)) {
             true => Todo::Done(Caught::Up),
@@ -353,6 +354,12 @@ impl<P: Clone> CatchUp<P> {
                 Arc::new(std::mem::replace(&mut pull.batch, next))
             }
         };
+        let (blocks, end, limit) = (batch.entries().len(), batch.end().height, pull.limit);
+        invariant!(
+            blocks > 0 && end <= limit,
+            "blocks are stored that can be confirmed",
+            "{blocks} blocks up to {end}, confirmed up to {limit} at most"
+        );
         pull.taken = Some(Arc::clone(&batch));
         Todo::TakeIn(batch)
     }

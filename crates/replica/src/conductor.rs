@@ -11,6 +11,7 @@
 use crate::catch_up::{Behind, Caught, Holding, is_far_behind, is_known};
 use crate::replica::FULL_DISK_PAUSE;
 use ledger::Ledger;
+use ledger_invariant::invariant;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::StoreError;
 use std::sync::Arc;
@@ -112,7 +113,13 @@ impl Conductor {
                     Next::Pause(RETRY_PAUSE)
                 }
             },
-            (Phase::Fetching(Some(_)), Happened::Caught(Caught::Up)) => {
+            (Phase::Fetching(Some(behind)), Happened::Caught(Caught::Up)) => {
+                let (height, first) = (self.ledger.tip().height, behind.first_index);
+                invariant!(
+                    height + 1 >= first,
+                    "an engine that was behind starts again with the blocks that it lacked",
+                    "the ledger is at block {height}, replication begins at {first}"
+                );
                 if std::mem::take(&mut self.helpless) {
                     tracing::warn!("another node has helped this node to catch up");
                 }

@@ -105,6 +105,7 @@ impl<A: Asker> Reads<A> {
         if matches!(self.stage, Stage::Quiet) {
             self.begin(now, out);
         }
+        self.check();
     }
 
     /// The engine's answer to an attempt. One that nobody waits for any more has no effect.
@@ -120,6 +121,7 @@ impl<A: Asker> Reads<A> {
             }
             Err(reason) => self.failed(now, attempts, reason, out),
         }
+        self.check();
     }
 
     /// This node has executed a block.
@@ -128,6 +130,7 @@ impl<A: Asker> Reads<A> {
         costly_invariant!(height >= before, "executed heights only grow", "block {height} after {before}");
         self.executed = self.executed.max(height);
         self.reach(now, out);
+        self.check();
     }
 
     /// Time goes on. To be called at [`Reads::wakes_at`] or later.
@@ -148,6 +151,7 @@ impl<A: Asker> Reads<A> {
                 self.tell(now, &Err(late), out);
             }
         }
+        self.check();
     }
 
     /// When something is to be done although nothing happens; never, while nobody asks.
@@ -159,6 +163,18 @@ impl<A: Asker> Reads<A> {
             | Stage::Pausing { until, .. }
             | Stage::Reaching { until, .. } => Some(until),
         }
+    }
+
+    /// States that nobody is forgotten: a question under way serves somebody, and those who wait have a question to come.
+    fn check(&self) {
+        let (served, waiting) = (self.served.len(), self.waiting.len());
+        let holds = match self.stage {
+            Stage::Quiet => served == 0 && waiting == 0,
+            Stage::Gathering { .. } => served == 0 && waiting > 0,
+            Stage::Asked { .. } | Stage::Pausing { .. } | Stage::Reaching { .. } => served > 0,
+        };
+        let stage = &self.stage;
+        invariant!(holds, "everybody who asks is told", "{served} are served and {waiting} wait in {stage:?}");
     }
 
     /// Asks for all that wait.

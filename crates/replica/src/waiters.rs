@@ -217,7 +217,9 @@ impl<W: Waiter> Waiters<W> {
     }
 
     fn take(&self, id: &Hash) -> Vec<(u64, W)> {
-        self.lock().waiting.remove(id).map(|waiting| waiting.waiters).unwrap_or_default()
+        let Some(waiting) = self.lock().waiting.remove(id) else { return Vec::new() };
+        invariant!(!waiting.waiters.is_empty(), "somebody waits for what is waited for", "nobody for {id}");
+        waiting.waiters
     }
 
     fn lock(&self) -> MutexGuard<'_, Table<W>> {

@@ -12,6 +12,7 @@
 
 use super::{Holding, Who};
 use crate::REJOIN;
+use ledger_invariant::invariant;
 use ledger_mutation::Mutation;
 use ledger_raft::{PeerMessage, RaftKind};
 use ledger_rejection::{Code, Rejection};
@@ -42,7 +43,7 @@ impl Ballot {
 }
 
 /// How far the question is.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Stage {
     /// The node waits for answers.
     Asking,
@@ -131,7 +132,8 @@ impl Look {
 
     fn move_on(&mut self, now: u64) {
         let is_due = self.due().is_some_and(|due| due <= now);
-        self.stage = match self.stage {
+        let before = self.stage;
+        self.stage = match before {
             _ if self.silent == 0 => Stage::Closed,
             Stage::Asking if is_due && self.is_enough() => {
                 tracing::info!(silent = self.silent, "begins without the answer of silent nodes");
@@ -140,6 +142,8 @@ impl Look {
             _ if is_due => Stage::Closed,
             stage => stage,
         };
+        let after = self.stage;
+        invariant!(after >= before, "a question that is closed stays closed", "{after:?} after {before:?}");
         if self.stage == Stage::Closed {
             self.ballot.held.store(false, Ordering::Release);
         }

@@ -6,7 +6,7 @@
 use super::line::Arrived;
 use crate::reads::Known;
 use ledger::Refusal;
-use ledger_invariant::invariant;
+use ledger_invariant::{costly_invariant, invariant};
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use std::collections::VecDeque;
@@ -75,6 +75,7 @@ impl<C> Held<C> {
         };
         *count += 1;
         queue.push_back((subject, item));
+        self.check();
     }
 
     /// Is a question to be asked, whether the state is current? It then serves all that are there. Its answer goes to
@@ -85,6 +86,7 @@ impl<C> Held<C> {
         }
         self.served = (self.control.len(), self.data.len());
         self.asked = true;
+        self.check();
         true
     }
 
@@ -121,7 +123,9 @@ impl<C> Held<C> {
         if let Entry::Occupied(mut counts) = self.subjects.entry(subject) {
             let (control, data) = counts.get_mut();
             let count = if lane == Lane::Control { control } else { data };
-            *count = count.saturating_sub(1);
+            let before = *count;
+            invariant!(before > 0, "each held call is counted with its subject", "{before} before one was taken");
+            *count -= 1;
             if counts.get() == &(0, 0) {
                 counts.remove();
             }
@@ -129,7 +133,31 @@ impl<C> Held<C> {
         if self.served == (0, 0) {
             self.known = None;
         }
+        self.check();
         Some((item, known))
+    }
+
+    /// States that a question serves some of the calls that are held, and that all of them are counted.
+    fn check(&self) {
+        let (held, served) = ((self.control.len(), self.data.len()), self.served);
+        invariant!(
+            served.0 <= held.0 && served.1 <= held.1,
+            "a question serves calls that are held",
+            "it serves {served:?} of {held:?}"
+        );
+        let open = self.asked || self.known.is_some();
+        invariant!(open == (served != (0, 0)), "an open question serves a call", "open: {open}, serves {served:?}");
+        costly_invariant!(
+            self.counted() == held,
+            "each held call is counted with its subject",
+            "{:?} of {held:?}",
+            self.counted()
+        );
+    }
+
+    /// How many are counted, control and data.
+    fn counted(&self) -> (usize, usize) {
+        self.subjects.values().fold((0, 0), |sum, count| (sum.0 + count.0, sum.1 + count.1))
     }
 
     /// The subject of a call: usually a service. Two that are taken for one wait for each other.

@@ -6,6 +6,7 @@
 
 use bytes::Bytes;
 use ledger::transaction::Transaction;
+use ledger_invariant::invariant;
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
@@ -48,7 +49,10 @@ impl<C> Default for Line<C> {
 
 impl<C> Line<C> {
     pub(super) fn push(&mut self, arrived: Arrived<C>) {
-        self.lane(arrived.ticket.lane).push_back(arrived);
+        let lane = self.lane(arrived.ticket.lane);
+        let (since, before) = (arrived.ticket.since, lane.back().map_or(0, |last| last.ticket.since));
+        invariant!(since >= before, "calls of a line stand in the order in which they came", "{since} after {before}");
+        lane.push_back(arrived);
     }
 
     /// How many there are.
@@ -103,6 +107,8 @@ impl<C> Line<C> {
                 refused.push((arrived, overloaded(newest, waited, line, wait_max)));
             }
         }
+        let (left, out) = (self.data.len(), refused.len());
+        invariant!(left + out == line.0, "a call stays in the line or is refused", "{left} and {out} of {}", line.0);
         refused
     }
 

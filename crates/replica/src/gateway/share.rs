@@ -171,8 +171,14 @@ impl InFlight {
 impl Drop for InFlight {
     fn drop(&mut self) {
         let used = self.share.used(self.lane);
-        used.transactions.fetch_sub(1, Ordering::Relaxed);
-        used.bytes.fetch_sub(self.bytes, Ordering::Relaxed);
+        let transactions = used.transactions.fetch_sub(1, Ordering::Relaxed);
+        let bytes = used.bytes.fetch_sub(self.bytes, Ordering::Relaxed);
+        invariant!(
+            transactions > 0 && bytes >= self.bytes,
+            "a share holds the places that come back",
+            "{transactions} transactions of {bytes} bytes, one of {} comes back",
+            self.bytes
+        );
         let (free, max) = (self.share.places.free.fetch_add(1, Ordering::Relaxed), self.share.places.max);
         invariant!(free < max, "a place that comes back was taken", "{free} of {max} were free");
     }

@@ -4,7 +4,7 @@
 //! turns, however many connections each has. Only so many of an identity hold a turn or stand in the queue of all. Its others
 //! wait behind those.
 
-use ledger_invariant::invariant;
+use ledger_invariant::{costly_invariant, invariant};
 use ledger_mutation::{Mutation, active};
 use ledger_raft::Lane;
 use std::collections::{HashMap, VecDeque};
@@ -66,6 +66,7 @@ impl<T> Turns<T> {
         }
         queue.own(who).among_all += 1;
         queue.held.push(turn.number);
+        queue.check();
         Some(turn)
     }
 
@@ -81,12 +82,16 @@ impl<T> Turns<T> {
         } else {
             own.waiting.push_back((turn, waiter));
         }
+        queue.check();
         turn
     }
 
     /// The turn is over, or is not waited for any more. Answers with who has one now because of that.
     pub fn leave(&mut self, turn: &Turn) -> Option<T> {
-        self.queue(turn.lane).leave(turn)
+        let queue = self.queue(turn.lane);
+        let next = queue.leave(turn);
+        queue.check();
+        next
     }
 
     fn turn(&mut self, lane: Lane, who: u64) -> Turn {
@@ -143,9 +148,20 @@ impl<T> Queue<T> {
         }
         let (next, waiter) = self.waiting.pop_front()?;
         self.held.push(next.number);
+        Some(waiter)
+    }
+
+    /// States that there are enough turns for those that have one, and that each of those before the queue is counted.
+    fn check(&self) {
         let (held, turns) = (self.held.len(), self.turns);
         invariant!(held <= turns, "no more have a turn than there are turns", "{held} of {turns}");
-        Some(waiter)
+        let standing = held + self.waiting.len();
+        costly_invariant!(
+            self.identities.values().map(|own| own.among_all).sum::<usize>() == standing,
+            "whoever has a turn or waits among all is counted for its identity",
+            "{standing} stand, {} are counted",
+            self.identities.values().map(|own| own.among_all).sum::<usize>()
+        );
     }
 }
 
