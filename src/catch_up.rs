@@ -21,15 +21,18 @@ mod snapshot;
 
 pub(crate) use serve::Source;
 
-use crate::orderer::{Seat, Shared};
-use crate::peers::{Dialer, Member};
+use crate::instance::Fate;
+use crate::orderer::{Log, Seat};
+use crate::peers::{Dialer, Directory, Member};
 use ask::{Answers, Contact};
+use ledger::Ledger;
 use ledger_api::v1::BlockEntries;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::Executor;
 use ledger_replica::catch_up::{self, ASK_TIME_MAX, Ballot, Batch, Behind, Caught, Got, Todo};
 use ledger_replica::space::Wrote;
-use ledger_storage::snapshot::Snapshot;
+use ledger_storage::snapshot::{Snapshot, Snapshots};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -47,12 +50,27 @@ pub(crate) struct Bootstrap {
     pub ca: Hash,
 }
 
+/// Where fetched blocks and snapshots go; cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Destination {
+    /// The log.
+    pub log: Log,
+    /// Executes blocks.
+    pub executor: Arc<Executor>,
+    /// The world state at some heights.
+    pub snapshots: Arc<Snapshots>,
+}
+
 /// Fetches what this node lacks.
 pub(crate) struct CatchUp {
     /// Set on a node that has joined.
     pub bootstrap: Option<Bootstrap>,
-    /// The node's parts.
-    pub shared: Arc<Shared>,
+    /// Where blocks and snapshots go.
+    pub into: Destination,
+    /// The members of the network.
+    pub directory: Arc<Directory>,
+    /// Ends the node if it cannot go on.
+    pub fate: Fate,
     /// Where progress is shown.
     pub seat: Arc<Seat>,
     /// How to call the others.
@@ -76,7 +94,7 @@ impl CatchUp {
     /// Faults with which the node cannot go on: its disk, or a chain that contradicts itself.
     pub(crate) async fn run(&self, behind: Option<Behind>) -> Result<Caught, Rejection> {
         let token = self.bootstrap.as_ref().map(|known| known.ca);
-        let (ledger, organisation) = (Arc::clone(&self.shared.ledger), self.dialer.organisation.clone());
+        let (ledger, organisation) = (Arc::clone(self.ledger()), self.dialer.organisation.clone());
         let mut machine = catch_up::CatchUp::new(ledger, organisation, behind, token);
         let mut fetching = Fetching { stream: None, told: Instant::now() };
         let mut todo = Todo::Ask;
@@ -109,7 +127,7 @@ impl CatchUp {
                 let taken = self.take_in(&batch).await;
                 if fetching.told.elapsed() > PROGRESS_PERIOD {
                     fetching.told = Instant::now();
-                    tracing::info!(height = self.shared.ledger.tip().height, of = aim, "fetching blocks");
+                    tracing::info!(height = self.ledger().tip().height, of = aim, "fetching blocks");
                 }
                 Got::TakenIn(taken)
             }
@@ -126,18 +144,18 @@ impl CatchUp {
 
     /// Stores and executes blocks. A full disk gets the reserve before it is tried again.
     async fn take_in(&self, batch: &Arc<Batch>) -> Result<(), Rejection> {
-        let (shared, batch) = (Arc::clone(&self.shared), Arc::clone(batch));
+        let (Destination { log, executor, snapshots }, batch) = (self.into.clone(), Arc::clone(batch));
         let taken = tokio::task::spawn_blocking(move || {
-            let taken = batch.take_in(&shared.store, &shared.executor, &shared.snapshots);
+            let taken = batch.take_in(&log.store, &executor, &snapshots);
             // The machine tries again by itself.
-            let _again = shared.space.wrote(Wrote::from(&taken));
+            let _again = log.space.wrote(Wrote::from(&taken));
             taken
         });
         taken.await.map_err(|_| Rejection::new(Code::Internal, "the execution of fetched blocks panicked"))?
     }
 
     async fn install(&self, snapshot: Arc<Snapshot>) -> Result<(), Rejection> {
-        let store = Arc::clone(&self.shared.store);
+        let store = Arc::clone(&self.into.log.store);
         let begun = tokio::task::spawn_blocking(move || catch_up::install(&store, &snapshot)).await;
         begun.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with the log"))?
     }
@@ -150,14 +168,18 @@ impl CatchUp {
     }
 
     async fn offers(&self) -> Vec<ask::Offer> {
-        ask::all(self.question(&self.shared.directory.members())).await
+        ask::all(self.question(&self.directory.members())).await
     }
 
     fn question(&self, members: &[Member]) -> Answers {
         let stranger = !members.iter().any(|member| member.id == self.dialer.me);
         let bootstrap = self.bootstrap.as_ref().filter(|_| stranger);
         let patience = Duration::from_micros(ASK_TIME_MAX);
-        self.dialer.question(members, bootstrap, self.shared.ledger.network(), patience)
+        self.dialer.question(members, bootstrap, self.ledger().network(), patience)
+    }
+
+    fn ledger(&self) -> &Arc<Ledger> {
+        self.into.executor.ledger()
     }
 
     /// Does the node stop?

@@ -5,11 +5,11 @@
 //! there. Clients are told meanwhile that the node is behind.
 
 use crate::catch_up::CatchUp;
-use crate::orderer::Orderer;
+use crate::orderer::Engines;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::{self, Happened, Next};
-use ledger_replica::{Replica, Settings, Timing};
+use ledger_replica::{Settings, Timing};
 use ledger_storage::block_store::StoreError;
 use std::sync::Arc;
 use tokio::sync::watch;
@@ -19,6 +19,7 @@ use tokio::task::JoinHandle;
 pub(crate) struct Conductor {
     id: u64,
     timing: Timing,
+    engines: Engines,
     catch_up: CatchUp,
     machine: conductor::Conductor,
     /// The orderer's last report of being behind.
@@ -27,10 +28,10 @@ pub(crate) struct Conductor {
 
 impl Conductor {
     /// For the node with this id.
-    pub(crate) fn new(id: u64, timing: Timing, catch_up: CatchUp) -> Self {
-        let behind = catch_up.shared.behind.subscribe();
-        let machine = conductor::Conductor::new(id, Arc::clone(&catch_up.shared.ledger));
-        Self { id, timing, catch_up, machine, behind }
+    pub(crate) fn new(id: u64, timing: Timing, engines: Engines, catch_up: CatchUp) -> Self {
+        let behind = engines.outside.behind.subscribe();
+        let machine = conductor::Conductor::new(id, Arc::clone(engines.executor.ledger()));
+        Self { id, timing, engines, catch_up, machine, behind }
     }
 
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
@@ -46,7 +47,7 @@ impl Conductor {
         }
         let hearing = self.catch_up.hear_out(open);
         let running = async move {
-            let fate = self.catch_up.shared.fate.clone();
+            let fate = self.engines.outside.fate.clone();
             if let Err(reason) = self.run(next).await {
                 fate.fail(reason);
             }
@@ -60,7 +61,6 @@ impl Conductor {
         while !self.catch_up.is_stopping() {
             let happened = match next {
                 Next::Start => {
-                    self.catch_up.shared.behind.send_replace(None);
                     self.start_engine()?;
                     next = Next::Nothing;
                     continue;
@@ -80,7 +80,7 @@ impl Conductor {
                     Happened::Waited
                 }
                 Next::StartAgain => {
-                    self.catch_up.shared.fate.start_again();
+                    self.engines.outside.fate.start_again();
                     return Ok(());
                 }
             };
@@ -108,20 +108,14 @@ impl Conductor {
 
     /// Makes the log durable, if there is room.
     async fn flush(&self) -> Result<Result<(), StoreError>, Rejection> {
-        let shared = Arc::clone(&self.catch_up.shared);
-        let flushed = tokio::task::spawn_blocking(move || shared.flush());
+        let log = self.engines.log.clone();
+        let flushed = tokio::task::spawn_blocking(move || log.flush());
         flushed.await.map_err(|_| Rejection::new(Code::Internal, "a thread panicked with the log"))
     }
 
     fn start_engine(&self) -> Result<(), Rejection> {
-        let shared = &self.catch_up.shared;
         let settings = Settings { id: self.id, seed: crate::random::number()?, timing: self.timing };
-        let (store, executor, waiters) =
-            (Arc::clone(&shared.store), Arc::clone(&shared.executor), Arc::clone(&shared.waiters));
-        let replica = Replica::start(&settings, store, executor, waiters, shared.directory.desired())?;
-        let orderer = Orderer::start(replica, Arc::clone(shared))
-            .map_err(|error| Rejection::new(Code::Internal, format!("cannot start a thread: {error}")))?;
-        self.catch_up.seat.take_in(orderer);
+        self.catch_up.seat.take_in(self.engines.start(&settings)?);
         Ok(())
     }
 }

@@ -1,29 +1,40 @@
 //! The gateway: the gRPC API of the node for clients and bridges (crates/api/proto/ledgerd/v1/gateway.proto).
+//!
+//! ```text
+//! gateway        the API, and its callers
+//!   submit       streams of submissions, which take turns
+//!     intake     one submission: taken in, looked at, ordered or answered
+//!     looks      turns to look at submissions
+//!   records      questions about the state, blocks and transactions
+//!   current      makes the state as new as what was committed
+//!   subscribe    events as they happen; audience: their listeners
+//!   status       the description of the node; links: its ways to be ordered
+//!   transfer     the leadership for another node
+//!   denied       the list of refusals
+//! ```
+//!
+//! Each of them holds the few parts of the node that it needs; the instance puts them together.
 
 mod audience;
 mod current;
+mod denied;
+mod intake;
+mod links;
 mod looks;
-mod reads;
+
+mod records;
+mod status;
 mod submit;
 mod subscribe;
 mod transfer;
 
-use crate::awake::Awake;
-use crate::blocks::Blocks;
 use crate::clock::Clock;
-use crate::config::Limits;
 use crate::denials::Denials;
 use crate::host::Caller;
-use crate::orderer::{Executed, Seat};
-use crate::peers::{Directory, Member, Peers};
-use crate::slice::Turns;
-use crate::space::Space;
-use crate::waiters::Waiters;
-use crate::witness::Witness;
 pub(crate) use audience::Audience;
 pub(crate) use current::Current;
+pub(crate) use intake::{Bounds, Intake};
 use ledger::Ledger;
-use ledger_api::tls::TlsIdentity;
 pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
@@ -32,14 +43,16 @@ use ledger_api::v1::{
     TransferLeadershipRequest, TransferLeadershipResponse,
 };
 use ledger_identity::Identity;
-use ledger_rejection::Code;
-use ledger_replica::Retries;
-use ledger_replica::gateway::Shares;
+use ledger_rejection::{Code, Rejection};
+pub(crate) use links::Links;
 pub(crate) use looks::Looks;
+pub(crate) use records::Records;
+pub(crate) use status::{Chain, Description, Usage};
 use std::pin::Pin;
 use std::sync::Arc;
-use std::time::Instant;
+pub(crate) use submit::Submissions;
 use submit::Verdicts;
+pub(crate) use subscribe::Subscriptions;
 use tokio::sync::mpsc;
 use tokio_stream::Stream;
 use tonic::{Request, Response, Status, Streaming};
@@ -47,59 +60,20 @@ use tonic::{Request, Response, Status, Streaming};
 /// The gateway of a node; cheap to clone.
 #[derive(Clone)]
 pub(crate) struct GatewayService {
-    pub(crate) node: Arc<NodeView>,
-}
-
-/// The gateway's view of its node.
-pub(crate) struct NodeView {
-    /// This node, as it was known when it started.
-    pub me: Member,
-    /// Name of the network for people.
-    pub label: String,
-    /// The ledger.
+    /// Knows the identities that are revoked.
     pub ledger: Arc<Ledger>,
-    /// Executed blocks.
-    pub blocks: Arc<Blocks>,
-    /// Clients that wait.
-    pub waiters: Arc<Waiters>,
-    /// Calls that were refused.
-    pub denials: Arc<Denials>,
-    /// Where ordering is, when it is.
-    pub seat: Arc<Seat>,
-    /// Makes the state as new as what was committed when somebody asked.
-    pub current: Current,
-    /// Blocks that were executed.
-    pub executed: Arc<Executed>,
-    /// The members of the network.
-    pub directory: Arc<Directory>,
-    /// The ways to the other nodes.
-    pub peers: Arc<Peers>,
-    /// Limits of the configuration.
-    pub limits: Limits,
-    /// The calls that each identity has in flight.
-    pub shares: Shares,
-    /// The turns to look at transactions.
-    pub looks: Arc<Looks>,
-    /// Repetitions that are ordered although the state refuses them.
-    pub retries: Retries,
-    /// Longest time that data waits until it is looked at, microseconds.
-    pub wait_max: u64,
-    /// The identities that have subscriptions.
-    pub audience: Arc<Audience>,
-    /// The room that the disk still has.
-    pub space: Arc<Space>,
-    /// This node's certificate, for when it ends.
-    pub identity: TlsIdentity,
-    /// Compares what others attest.
-    pub witness: Arc<Witness>,
-    /// Keeps the processors awake.
-    pub awake: Arc<Awake>,
-    /// How long the turns of its threads are.
-    pub turns: Turns,
     /// The node's clock.
     pub clock: Clock,
-    /// When the node started.
-    pub started: Instant,
+    /// Submissions of clients.
+    pub submissions: Arc<Submissions>,
+    /// The state, blocks and transactions.
+    pub records: Arc<Records>,
+    /// Events as they happen.
+    pub subscriptions: Arc<Subscriptions>,
+    /// The description of the node.
+    pub description: Arc<Description>,
+    /// Calls that were refused.
+    pub denials: Arc<Denials>,
 }
 
 impl GatewayService {
@@ -108,34 +82,34 @@ impl GatewayService {
         let identity =
             request.extensions().get::<Caller>().and_then(|caller| caller.identity.clone()).ok_or_else(|| {
                 status(
-                    &ledger_rejection::Rejection::new(
-                        Code::CertificateRequired,
-                        "this call needs a client certificate",
-                    )
-                    .next("enrol first: ledgerctl enroll"),
+                    &Rejection::new(Code::CertificateRequired, "this call needs a client certificate")
+                        .next("enrol first: ledgerctl enroll"),
                 )
             })?;
-        self.node.check(&identity)?;
+        check(&identity, &self.ledger, &self.clock)?;
         Ok(identity)
     }
 }
 
-impl NodeView {
-    /// Refuses an identity that was revoked or whose certificate has run out since it connected.
-    pub(crate) fn check(&self, identity: &Identity) -> Result<(), Status> {
-        identity.check_validity(self.clock.wall()).map_err(|error| status(&error.into()))?;
-        self.ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
-    }
+/// Refuses an identity that was revoked or whose certificate has run out since it connected.
+fn check(identity: &Identity, ledger: &Ledger, clock: &Clock) -> Result<(), Status> {
+    identity.check_validity(clock.wall()).map_err(|error| status(&error.into()))?;
+    ledger.check_revoked(identity).map_err(|rejection| status(&rejection))
+}
+
+/// The answer to a call, or why there is none.
+fn answer<T>(answer: Result<T, Rejection>) -> Result<Response<T>, Status> {
+    answer.map(Response::new).map_err(|rejection| status(&rejection))
 }
 
 #[tonic::async_trait]
 impl Gateway for GatewayService {
     async fn submit(&self, request: Request<SubmitRequest>) -> Result<Response<SubmitResponse>, Status> {
-        let share = self.node.shares.of(self.caller(&request)?.id());
+        let caller = self.caller(&request)?;
         let (answers, mut answer) = mpsc::unbounded_channel();
-        self.node.submit_one(request.into_inner(), &share, &answers).await;
+        self.submissions.one(caller.id(), request.into_inner(), &answers).await;
         drop(answers);
-        let stopping = || status(&ledger_rejection::Rejection::new(Code::ShuttingDown, "the node is stopping"));
+        let stopping = || status(&Rejection::new(Code::ShuttingDown, "the node is stopping"));
         answer.recv().await.ok_or_else(stopping)?.map(Response::new)
     }
 
@@ -145,35 +119,31 @@ impl Gateway for GatewayService {
         &self,
         request: Request<Streaming<SubmitRequest>>,
     ) -> Result<Response<Self::SubmitStreamStream>, Status> {
-        let share = self.node.shares.of(self.caller(&request)?.id());
-        Ok(Response::new(submit::stream(self.clone(), share, request.into_inner())))
+        let caller = self.caller(&request)?;
+        Ok(Response::new(self.submissions.stream(caller.id(), request.into_inner())))
     }
 
     async fn query(&self, request: Request<QueryRequest>) -> Result<Response<QueryResponse>, Status> {
         let caller = self.caller(&request)?;
-        self.node.query(&caller, request.into_inner()).await.map(Response::new)
+        self.records.query(&caller, request.into_inner()).await.map(Response::new)
     }
 
     type SubscribeStream = Pin<Box<dyn Stream<Item = Result<Delivery, Status>> + Send>>;
 
     async fn subscribe(&self, request: Request<SubscribeRequest>) -> Result<Response<Self::SubscribeStream>, Status> {
         let caller = self.caller(&request)?;
-        let deliveries = subscribe::start(Arc::clone(&self.node), caller, request.into_inner()).await?;
+        let deliveries = self.subscriptions.start(caller, request.into_inner()).await?;
         Ok(Response::new(Box::pin(deliveries)))
     }
 
     async fn status(&self, request: Request<StatusRequest>) -> Result<Response<StatusResponse>, Status> {
         self.caller(&request)?;
-        self.node.status().map(Response::new).map_err(|rejection| status(&rejection))
+        answer(self.description.status())
     }
 
     async fn get_block(&self, request: Request<GetBlockRequest>) -> Result<Response<Block>, Status> {
         let caller = self.caller(&request)?;
-        let height = request.into_inner().height;
-        if height > self.node.ledger.tip().height {
-            self.node.current.reach().await.map_err(|rejection| status(&rejection))?;
-        }
-        self.node.block(&caller, height).map(Response::new).map_err(|rejection| status(&rejection))
+        answer(self.records.block(&caller, request.into_inner().height).await)
     }
 
     async fn get_transaction(
@@ -181,20 +151,12 @@ impl Gateway for GatewayService {
         request: Request<GetTransactionRequest>,
     ) -> Result<Response<TransactionRecord>, Status> {
         let caller = self.caller(&request)?;
-        let id = request.into_inner().id;
-        let found = match self.node.transaction(&caller, &id) {
-            Err(rejection) if rejection.code == Code::NotFound => {
-                self.node.current.reach().await.map_err(|rejection| status(&rejection))?;
-                self.node.transaction(&caller, &id)
-            }
-            found => found,
-        };
-        found.map(Response::new).map_err(|rejection| status(&rejection))
+        answer(self.records.transaction(&caller, &request.into_inner().id).await)
     }
 
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {
         let caller = self.caller(&request)?;
-        self.node.denied(&caller, request.into_inner().limit).map(Response::new).map_err(|rejection| status(&rejection))
+        answer(denied::latest(&self.denials, &caller, request.into_inner().limit))
     }
 
     async fn transfer_leadership(
@@ -202,6 +164,6 @@ impl Gateway for GatewayService {
         request: Request<TransferLeadershipRequest>,
     ) -> Result<Response<TransferLeadershipResponse>, Status> {
         let caller = self.caller(&request)?;
-        Ok(Response::new(self.node.transfer_leadership(&caller, request.into_inner().node_id).await))
+        Ok(Response::new(self.description.links.transfer_leadership(&caller, request.into_inner().node_id).await))
     }
 }

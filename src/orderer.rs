@@ -9,6 +9,7 @@
 //!
 //! ```text
 //! orderer      the threads and the handle to them
+//!   engines    starts an orderer with the parts of the node that it needs
 //!   seat       where the rest of the node finds the orderer; empty while the node catches up
 //!   order      the order thread
 //!   inbox      what waits for one of the two threads
@@ -16,6 +17,7 @@
 //!   handover   giving the leadership to another node
 //! ```
 
+mod engines;
 mod execute;
 mod handover;
 mod inbox;
@@ -25,27 +27,13 @@ mod seat;
 pub(crate) use execute::Executed;
 pub(crate) use seat::Seat;
 
-use crate::awake::Awake;
-use crate::blocks::Blocks;
-use crate::clock::Clock;
-use crate::denials::Denials;
-use crate::gateway::Current;
-use crate::housekeeping::Bells;
-use crate::instance::Fate;
-use crate::peers::{Directory, Peers};
-use crate::slice::Turns;
-use crate::space::Space;
-use crate::waiters::{Client, Waiters};
+use crate::waiters::Client;
+pub(crate) use engines::{Engines, Log, Outside, Pace, no_thread};
 use execute::Execute;
 use inbox::Inbox;
-use ledger::Ledger;
 use ledger_invariant::vital;
 use ledger_raft::{Input, RoleChange, Status};
-use ledger_replica::catch_up::Behind;
-use ledger_replica::space::Wrote;
-use ledger_replica::{Executor, Replica};
-use ledger_storage::block_store::{BlockStore, StoreError};
-use ledger_storage::snapshot::Snapshots;
+use ledger_replica::Replica;
 use order::Order;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -54,59 +42,6 @@ use tokio::sync::watch;
 
 /// Inputs from outside that wait for the order thread, which takes them all at once whenever the disk has answered.
 const INBOX_MAX: usize = 4096;
-
-/// The parts that the two threads share with the rest of the node.
-pub(crate) struct Shared {
-    /// The ledger that blocks are applied to.
-    pub ledger: Arc<Ledger>,
-    /// The log.
-    pub store: Arc<BlockStore>,
-    /// The world state at some heights.
-    pub snapshots: Arc<Snapshots>,
-    /// Where executed blocks go.
-    pub blocks: Arc<Blocks>,
-    /// Clients that wait for a verdict.
-    pub waiters: Arc<Waiters>,
-    /// The readers that wait until the state is current.
-    pub current: Current,
-    /// Executes blocks, and tells everybody whom they concern.
-    pub executor: Arc<Executor>,
-    /// The members of the network.
-    pub directory: Arc<Directory>,
-    /// The other nodes.
-    pub peers: Arc<Peers>,
-    /// The node's clock.
-    pub clock: Clock,
-    /// The engine's report about blocks that it lacks; the conductor acts on it.
-    pub behind: watch::Sender<Option<Behind>>,
-    /// Ends the node if it cannot go on.
-    pub fate: Fate,
-    /// The room that the disk still has.
-    pub space: Arc<Space>,
-    /// Calls that were refused, here also by ordering.
-    pub denials: Arc<Denials>,
-    /// Keeps the processors awake.
-    pub awake: Arc<Awake>,
-    /// How long the turns of its threads are.
-    pub turns: Turns,
-    /// Wakes housekeeping when there is work for it.
-    pub bells: Arc<Bells>,
-}
-
-impl Shared {
-    /// Makes the log durable. A disk without room gets the reserve first.
-    ///
-    /// # Errors
-    /// As [`BlockStore::flush`]; [`StoreError::DiskFull`] if the reserve is used up.
-    pub(crate) fn flush(&self) -> Result<(), StoreError> {
-        loop {
-            let written = self.store.flush().map(drop);
-            if !self.space.wrote(Wrote::from(&written)) {
-                return written;
-            }
-        }
-    }
-}
 
 /// The running threads.
 pub(crate) struct Orderer {
@@ -139,13 +74,13 @@ impl Orderer {
     ///
     /// # Errors
     /// If the operating system gives no thread.
-    pub(crate) fn start(replica: Replica<Client>, shared: Arc<Shared>) -> io::Result<Self> {
+    fn start(replica: Replica<Client>, parts: &Engines) -> io::Result<Self> {
         let (inbox, blocks) = (Arc::new(Inbox::new()), Arc::new(Inbox::new()));
         let first = replica.status();
         let (role, roles) = watch::channel(first.role);
         let status = Arc::new(Mutex::new(first));
-        let execute = Execute::new(Arc::clone(&shared));
-        let order = Order::new(replica, shared, execute.clone(), &blocks, Arc::clone(&status), role);
+        let execute = Execute::new(parts);
+        let order = Order::new(replica, parts, execute.clone(), &blocks, Arc::clone(&status), role);
         let (inputs, applied) = (Arc::clone(&inbox), Arc::clone(&inbox));
         let threads = vec![
             std::thread::Builder::new()

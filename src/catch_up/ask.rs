@@ -10,7 +10,6 @@ use ledger_api::v1::{ChainRequest, ChainResponse};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use ledger_replica::catch_up::{Heard, Holding, Look, Stage, Who};
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, timeout};
 use tonic::transport::Channel;
@@ -42,10 +41,10 @@ impl CatchUp {
     /// # Errors
     /// If this node votes and has lost what it promised to keep.
     pub(crate) async fn look(&self, election_time: u64) -> Result<(Vec<Holding>, Open), Rejection> {
-        let members = self.shared.directory.members();
+        let members = self.directory.members();
         let answers = self.question(&members);
         let voters = members.iter().filter(|member| member.votes()).map(|member| member.id).collect();
-        let (last, asked) = (self.shared.store.last_index(), answers.len());
+        let (last, asked) = (self.into.log.store.last_index(), answers.len());
         let look = Look::new((0, self.dialer.me), voters, last, asked, election_time, self.ballot.clone());
         let (mut open, mut offers) = (Open { answers, look, asked: Instant::now() }, Vec::new());
         while open.look.stage() == Stage::Asking {
@@ -56,7 +55,7 @@ impl CatchUp {
 
     /// Hears out those that were silent, until the question is closed; then the node may vote.
     pub(crate) fn hear_out(&self, mut open: Open) -> impl Future<Output = ()> + Send + use<> {
-        let (shared, mut stopping) = (Arc::clone(&self.shared), self.stopping.clone());
+        let (fate, mut stopping) = (self.fate.clone(), self.stopping.clone());
         async move {
             while open.look.stage() != Stage::Closed {
                 let heard = tokio::select! {
@@ -65,7 +64,7 @@ impl CatchUp {
                     heard = open.hear() => heard,
                 };
                 if let Err(lost) = heard {
-                    return shared.fate.fail(lost);
+                    return fate.fail(lost);
                 }
             }
         }

@@ -1,8 +1,11 @@
 //! The other side: what this node gives to nodes that catch up.
 
 use super::blocks::to_wire;
-use crate::orderer::{Seat, Shared};
+use crate::blocks::Blocks;
+use crate::orderer::Seat;
 use crate::peers::Member;
+use crate::stores::Stores;
+use ledger::Ledger;
 use ledger_api::to_status;
 use ledger_api::v1::{
     self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
@@ -10,6 +13,8 @@ use ledger_api::v1::{
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Holding, store_holds};
 use ledger_replica::trust;
+use ledger_storage::block_store::BlockStore;
+use ledger_storage::snapshot::Snapshots;
 use std::sync::Arc;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio_stream::wrappers::ReceiverStream;
@@ -24,28 +29,31 @@ const STREAMS_MAX: usize = 8;
 
 /// The service that gives blocks and snapshots to others.
 pub(crate) struct Source {
-    shared: Arc<Shared>,
+    ledger: Arc<Ledger>,
+    store: Arc<BlockStore>,
+    snapshots: Arc<Snapshots>,
+    blocks: Arc<Blocks>,
     seat: Arc<Seat>,
     streams: Arc<Semaphore>,
 }
 
 impl Source {
     /// Gives what is in the node's stores.
-    pub(crate) fn new(shared: Arc<Shared>, seat: Arc<Seat>) -> Self {
-        Self { shared, seat, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
+    pub(crate) fn new(stores: &Stores, blocks: Arc<Blocks>, seat: Arc<Seat>) -> Self {
+        let Stores { ledger, store, snapshots, .. } = stores.clone();
+        Self { ledger, store, snapshots, blocks, seat, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
     }
 
     /// The blocks of this node, and its knowledge of the asking one.
     pub(crate) fn chain(&self, asking: &Member) -> ChainResponse {
-        let shared = &self.shared;
-        let stores = (&*shared.ledger, &*shared.store, &*shared.snapshots);
+        let stores = (&*self.ledger, &*self.store, &*self.snapshots);
         let Holding { height, first_height, snapshot_height, yours, you_vote } =
             Holding::of(stores, self.seat.status().as_ref(), asking.id);
         ChainResponse {
-            network: shared.ledger.network().0.to_vec().into(),
+            network: self.ledger.network().0.to_vec().into(),
             first_height,
             height,
-            term: shared.store.term(height).unwrap_or_default(),
+            term: self.store.term(height).unwrap_or_default(),
             snapshot_height,
             yours,
             you_vote,
@@ -57,7 +65,7 @@ impl Source {
     /// # Errors
     /// [`Code::Pruned`] if they are not here any more, [`Code::Overloaded`] if too many nodes ask.
     pub(crate) fn blocks(self: &Arc<Self>, from: u64) -> Result<ReceiverStream<Result<BlockEntries, Status>>, Status> {
-        let first = self.shared.store.first_index();
+        let first = self.store.first_index();
         if from < first {
             return Err(to_status(
                 &Rejection::new(Code::Pruned, format!("block {from} is not kept here any more"))
@@ -83,7 +91,7 @@ impl Source {
             if next > committed {
                 return;
             }
-            let message = match self.shared.store.entries(next..committed + 1, MESSAGE_BYTES) {
+            let message = match self.store.entries(next..committed + 1, MESSAGE_BYTES) {
                 Ok(entries) if entries.is_empty() => {
                     Err(to_status(&Rejection::new(Code::Pruned, format!("block {next} was just dropped"))))
                 }
@@ -102,7 +110,7 @@ impl Source {
 
     /// The last block that is committed and durable here.
     fn committed(&self) -> u64 {
-        store_holds(&self.shared.store)
+        store_holds(&self.store)
     }
 
     /// Block hash and state digest after a block; empty if it is not kept, or not executed yet.
@@ -110,11 +118,11 @@ impl Source {
     /// # Errors
     /// A fault of the store.
     pub(crate) fn digest(&self, height: u64) -> Result<DigestResponse, Status> {
-        let tip = self.shared.ledger.tip();
+        let tip = self.ledger.tip();
         let (digest, hash) = if height == tip.height {
             (tip.digest, tip.hash)
         } else {
-            match self.shared.ledger.block_hashes(height).map_err(|fault| to_status(&fault))? {
+            match self.ledger.block_hashes(height).map_err(|fault| to_status(&fault))? {
                 Some(block) => (block.digest, block.hash),
                 None => return Ok(DigestResponse::default()),
             }
@@ -133,9 +141,9 @@ impl Source {
     /// # Errors
     /// A fault of the store.
     pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
-        let Some(newest) = self.shared.snapshots.newest() else { return Ok(SnapshotResponse::default()) };
-        let block = |height| Ok(self.shared.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
-        let attested = trust::attestations(&self.shared.ledger, &newest, block).map_err(|fault| to_status(&fault))?;
+        let Some(newest) = self.snapshots.newest() else { return Ok(SnapshotResponse::default()) };
+        let block = |height| Ok(self.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
+        let attested = trust::attestations(&self.ledger, &newest, block).map_err(|fault| to_status(&fault))?;
         let attestations = attested.into_iter();
         let attestations =
             attestations.map(|trust::Attested { transaction, certificate }| Attested { transaction, certificate });
@@ -151,7 +159,7 @@ impl Source {
         height: u64,
         from: u32,
     ) -> Result<ReceiverStream<Result<SnapshotChunk, Status>>, Status> {
-        let snapshot = self.shared.snapshots.get(height).ok_or_else(|| {
+        let snapshot = self.snapshots.get(height).ok_or_else(|| {
             to_status(
                 &Rejection::new(Code::NotFound, format!("there is no snapshot of height {height} here"))
                     .next("ask for the newest one"),
@@ -175,7 +183,7 @@ impl Source {
 
     /// The writes of a recent block.
     pub(crate) fn writes(&self, height: u64) -> WritesResponse {
-        let Some(writes) = self.shared.ledger.writes(height) else { return WritesResponse::default() };
+        let Some(writes) = self.ledger.writes(height) else { return WritesResponse::default() };
         let writes = writes.into_iter().map(|write| v1::Write {
             key: write.key,
             value_hash: write.value.map(|hash| hash.0.to_vec().into()).unwrap_or_default(),

@@ -45,11 +45,10 @@ fn client(peer: &Contact) -> PeerClient<Channel> {
 impl CatchUp {
     /// Fetches the chunks that are missing, and lets the trial conclude.
     pub(super) async fn fetch(&self, peer: &Contact, manifest: Manifest, trial: Trial) -> Got<Contact> {
-        let (height, shared) = (manifest.height, Arc::clone(&self.shared));
+        let (height, snapshots) = (manifest.height, Arc::clone(&self.into.snapshots));
         let (chunks, received) = mpsc::channel(AHEAD_MAX);
         let (wanted, from) = tokio::sync::oneshot::channel();
-        let gathering =
-            tokio::task::spawn_blocking(move || gather(&shared.snapshots, manifest, wanted, received, &trial));
+        let gathering = tokio::task::spawn_blocking(move || gather(&snapshots, manifest, wanted, received, &trial));
         if let Ok(Some(from_chunk)) = from.await
             && let Err(refused) = self.chunks(peer, SnapshotChunksRequest { height, from_chunk }, chunks).await
         {

@@ -90,6 +90,9 @@ impl Current {
     /// # Errors
     /// [`Code::Behind`] if it does not in time, [`Code::ShuttingDown`].
     pub(crate) async fn reach_height(&self, height: u64) -> Result<(), Rejection> {
+        if height <= self.blocks.height() {
+            return Ok(());
+        }
         let mut head = self.blocks.head();
         let reached = head.wait_for(|reached| *reached >= height);
         match timeout(Duration::from_micros(WAIT_FOR_HEIGHT), reached).await {

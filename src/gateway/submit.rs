@@ -1,18 +1,17 @@
 //! Submission: a place in the line, admission, then the queue of the orderer, then an answer when the verdict is known.
 
 use super::current::{Known, Question};
+use super::intake::Intake;
 use super::looks::Look;
-use super::{GatewayService, NodeView};
-use crate::waiters::{Client, refused};
+use super::{Current, Looks};
+use crate::slice::Turns;
+use crate::waiters::Client;
 use futures::FutureExt;
-use ledger::Refusal;
 use ledger_api::v1::{SubmitRequest, SubmitResponse};
-use ledger_raft::{Input, Lane};
+use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::gateway::{
-    Admitting, Arrived, Call, Decision, Desk, Entrance, Item, Job, Looked, Share, Ticket, Turned, id_of,
-};
-use ledger_replica::{Answer, Executed, Waiter};
+use ledger_replica::gateway::{Arrived, Desk, Job, Looked, Share, Shares};
+use ledger_replica::{Answer, Waiter};
 use std::future::pending;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
@@ -35,17 +34,20 @@ const UNREAD_MAX: usize = 16_384;
 /// Transactions in a line when there is much to do.
 const MANY_WAIT: usize = 8;
 
-type Answers = mpsc::UnboundedSender<Result<SubmitResponse, Status>>;
+pub(super) type Answers = mpsc::UnboundedSender<Result<SubmitResponse, Status>>;
 
-/// Submits what comes in until the client closes its side; answers until everything is answered.
-pub(super) fn stream(gateway: GatewayService, share: Arc<Share>, requests: Streaming<SubmitRequest>) -> Verdicts {
-    // Unbounded in form only: each answer belongs to a request that was counted when it was read.
-    let (answers, verdicts) = mpsc::unbounded_channel();
-    let unread = Arc::new(Semaphore::new(UNREAD_MAX));
-    let requests = Requests { requests, unread: Arc::clone(&unread), open: true };
-    let stream = Serving { node: gateway.node, share, answers, desk: Desk::default(), question: None };
-    tokio::spawn(stream.serve(requests));
-    Verdicts { verdicts, unread }
+/// Takes submissions.
+pub(crate) struct Submissions {
+    /// Takes them in, and carries out what is decided about them.
+    pub intake: Intake,
+    /// The calls that each identity has in flight.
+    pub shares: Arc<Shares>,
+    /// The turns to look at transactions.
+    pub looks: Arc<Looks>,
+    /// Makes the state as new as what was committed when somebody asked.
+    pub current: Current,
+    /// How long the turns of the node's threads are.
+    pub turns: Turns,
 }
 
 /// The answers of a stream.
@@ -93,7 +95,7 @@ impl Requests {
 
 /// Serves one stream.
 struct Serving {
-    node: Arc<NodeView>,
+    node: Arc<Submissions>,
     share: Arc<Share>,
     answers: Answers,
     desk: Desk<Client>,
@@ -130,7 +132,7 @@ impl Serving {
 
     fn take_in(&mut self, request: Option<SubmitRequest>) {
         let Some(request) = request else { return };
-        match self.node.arrived(request, &self.share, &self.answers) {
+        match self.node.intake.arrived(request, &self.share, &self.answers) {
             Ok(arrived) => self.desk.take_in(arrived),
             Err(answer) => drop(self.answers.send(Ok(*answer))),
         }
@@ -142,9 +144,9 @@ impl Serving {
         self.node.turns.adapt(self.desk.waiting() >= MANY_WAIT);
         // Not with a turn, as nobody else could have it meanwhile.
         let height = self.desk.min_height(job);
-        if height > self.node.ledger.tip().height {
-            let node = Arc::clone(&self.node);
-            match self.meanwhile(job, requests, node.at_height(height)).await {
+        if height > self.node.intake.height() {
+            let current = self.node.current.clone();
+            match self.meanwhile(job, requests, current.reach_height(height)).await {
                 Some(Ok(())) => {}
                 Some(Err(reason)) => {
                     if let Some(arrived) = self.desk.give_up(job.lane()) {
@@ -156,12 +158,12 @@ impl Serving {
             }
         }
         let Some(turn) = self.turn(job, requests).await else { return };
-        let node = self.node.admitting();
-        self.desk.begin(job, &node, |decision| drop(self.node.carry_out(decision)));
+        let (intake, node) = (&self.node.intake, self.node.intake.admitting());
+        self.desk.begin(job, &node, |decision| drop(intake.carry_out(decision)));
         let start = Instant::now();
         self.desk.work(job, &node, |looked| {
             if let Looked::Decided(decision) = looked {
-                let _never_held_twice = self.node.carry_out(decision);
+                let _never_held_twice = intake.carry_out(decision);
             }
             start.elapsed() < SLICE
         });
@@ -219,79 +221,34 @@ fn refuse_unordered(arrived: Arrived<Client>, reason: &Rejection) {
     arrived.client.answer(&Answer::Refused { id: arrived.transaction.id(), reason });
 }
 
-impl NodeView {
+impl Submissions {
+    /// Submits what comes in until the client closes its side; answers until everything is answered.
+    pub(super) fn stream(self: &Arc<Self>, identity: String, requests: Streaming<SubmitRequest>) -> Verdicts {
+        // Unbounded in form only: each answer belongs to a request that was counted when it was read.
+        let (answers, verdicts) = mpsc::unbounded_channel();
+        let unread = Arc::new(Semaphore::new(UNREAD_MAX));
+        let requests = Requests { requests, unread: Arc::clone(&unread), open: true };
+        let (node, share) = (Arc::clone(self), self.shares.of(identity));
+        tokio::spawn(Serving { node, share, answers, desk: Desk::default(), question: None }.serve(requests));
+        Verdicts { verdicts, unread }
+    }
+
     /// One transaction that does not come over a stream. It is answered now or when the verdict is known.
-    pub(super) async fn submit_one(&self, request: SubmitRequest, share: &Arc<Share>, answers: &Answers) {
-        let arrived = match self.arrived(request, share, answers) {
+    pub(super) async fn one(&self, identity: String, request: SubmitRequest, answers: &Answers) {
+        let share = self.shares.of(identity);
+        let arrived = match self.intake.arrived(request, &share, answers) {
             Ok(arrived) => arrived,
             Err(answer) => return drop(answers.send(Ok(*answer))),
         };
-        if let Err(reason) = self.at_height(arrived.ticket.min_height).await {
+        if let Err(reason) = self.current.reach_height(arrived.ticket.min_height).await {
             return refuse_unordered(arrived, &reason);
         }
         let lane = arrived.ticket.lane;
-        let turn = self.looks.turn(lane, share).await;
-        let Some(item) = self.carry_out(self.admitting().look_alone(arrived)) else { return };
+        let turn = self.looks.turn(lane, &share).await;
+        let Some(item) = self.intake.carry_out(self.intake.admitting().look_alone(arrived)) else { return };
         drop(turn);
         let known = self.current.reach().await;
-        let _turn = self.looks.turn(lane, share).await;
-        let _never_held_twice = self.carry_out(self.admitting().look_again(item, &known));
-    }
-
-    /// Takes a request in, or answers it.
-    fn arrived(
-        &self,
-        request: SubmitRequest,
-        share: &Arc<Share>,
-        answers: &Answers,
-    ) -> Result<Arrived<Client>, Box<SubmitResponse>> {
-        let SubmitRequest { transaction: encoded, min_height, first_attempt } = request;
-        let (payload_bytes_max, elapsed) = (self.limits.payload_bytes_max, self.clock.elapsed());
-        let entrance = Entrance { ledger: &self.ledger, payload_bytes_max, elapsed };
-        let client = |place| Client { answers: answers.clone(), place };
-        let call = Call { encoded, min_height, first_attempt };
-        entrance.enter(call, share, |ends| self.space.check(ends), client).map_err(|Turned { refusal, reason }| {
-            self.denials.record(self.clock.now(), &refusal);
-            Box::new(refused(id_of(&refusal).as_ref(), &reason))
-        })
-    }
-
-    /// The circumstances of a look at a transaction. Everything that can be refused before ordering is refused by it.
-    fn admitting(&self) -> Admitting<'_, Client> {
-        Admitting {
-            ledger: &self.ledger,
-            waiters: &self.waiters,
-            retries: &self.retries,
-            now: self.clock.both(),
-            wait_max: self.wait_max,
-        }
-    }
-
-    /// Carries a decision out. A call that the state refuses is given back until it is known whether the state is current.
-    fn carry_out(&self, decision: Decision<Client>) -> Option<Item<Client>> {
-        match decision {
-            Decision::Order(arrived) => self.order(arrived),
-            Decision::Known { client, id, record } => {
-                client.answer(&Answer::Executed(Executed::recorded(id, &record)));
-            }
-            Decision::Hold(item) => return Some(item),
-            Decision::Refuse { client, refusal, reason } => {
-                self.denials.record(self.clock.now(), &refusal);
-                let _gone = client.answers.send(Ok(refused(id_of(&refusal).as_ref(), &reason)));
-            }
-        }
-        None
-    }
-
-    /// Hands a transaction to the orderer. It is answered when it has a verdict.
-    fn order(&self, arrived: Arrived<Client>) {
-        self.awake.keep();
-        let Arrived { transaction, ticket: Ticket { lane, .. }, client } = arrived;
-        self.waiters.add(self.clock.elapsed(), &transaction, lane, client);
-        let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
-        if let Err(rejection) = self.seat.input(input) {
-            let who = self.waiters.refuse(&transaction.id(), &rejection);
-            self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
-        }
+        let _turn = self.looks.turn(lane, &share).await;
+        let _never_held_twice = self.intake.carry_out(self.intake.admitting().look_again(item, &known));
     }
 }

@@ -4,11 +4,13 @@
 //! would look as if nothing happened.
 
 use super::audience::Listener;
-use super::{NodeView, status};
-use crate::blocks::Interest;
+use super::{Audience, Current, check, status};
+use crate::blocks::{Blocks, Interest};
+use crate::clock::Clock;
+use crate::denials::Denials;
 use bytes::Bytes;
-use ledger::Outcome;
 use ledger::transaction::Transaction;
+use ledger::{Ledger, Outcome};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -33,54 +35,90 @@ const BLOCKS_PER_PROGRESS: u64 = 1024;
 /// A subscriber to whom nothing is sent learns at the latest after this that it may read no more.
 const CHECK_EVERY: Duration = Duration::from_secs(1);
 
-/// Checks the request and starts delivering.
-pub(super) async fn start(
-    node: Arc<NodeView>,
-    reader: Arc<Identity>,
-    request: SubscribeRequest,
-) -> Result<ReceiverStream<Result<Delivery, Status>>, Status> {
-    if request.subjects.len() > FILTER_MAX || request.names.len() > FILTER_MAX {
-        return Err(status(
-            &Rejection::new(Code::TooLarge, "subscription has too many filters")
-                .found(format!("{} subjects and {} names", request.subjects.len(), request.names.len()))
-                .wanted(format!("at most {FILTER_MAX} of each")),
-        ));
+/// The subscriptions of a node.
+pub(crate) struct Subscriptions {
+    /// The ledger.
+    pub ledger: Arc<Ledger>,
+    /// Executed blocks.
+    pub blocks: Arc<Blocks>,
+    /// The identities that have subscriptions.
+    pub audience: Arc<Audience>,
+    /// Makes the state as new as what was committed when somebody asked.
+    pub current: Current,
+    /// The node's clock.
+    pub clock: Clock,
+    /// Calls that were refused.
+    pub denials: Arc<Denials>,
+}
+
+impl Subscriptions {
+    /// Checks the request and starts delivering.
+    pub(super) async fn start(
+        self: &Arc<Self>,
+        reader: Arc<Identity>,
+        request: SubscribeRequest,
+    ) -> Result<ReceiverStream<Result<Delivery, Status>>, Status> {
+        if request.subjects.len() > FILTER_MAX || request.names.len() > FILTER_MAX {
+            return Err(status(
+                &Rejection::new(Code::TooLarge, "subscription has too many filters")
+                    .found(format!("{} subjects and {} names", request.subjects.len(), request.names.len()))
+                    .wanted(format!("at most {FILTER_MAX} of each")),
+            ));
+        }
+        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms } = request;
+        let wanted = Wanted::new(chaincode, subjects, names);
+        if let Err(refused) = self.may_follow(&reader, &wanted).await {
+            return Err(self.refuse_reader(&reader, &wanted, &refused));
+        }
+        let listener = match self.audience.enter(&reader) {
+            Ok(listener) => listener,
+            Err(refused) => return Err(self.refuse_reader(&reader, &wanted, &refused)),
+        };
+        let next = match from_height {
+            0 => self.ledger.tip().height + 1,
+            height => height,
+        };
+        let heartbeat = match heartbeat_ms {
+            0 => None,
+            ms => Some(Duration::from_millis(ms.into()).max(HEARTBEAT_MIN)),
+        };
+        let (deliveries, stream) = mpsc::channel(WAITING_MAX);
+        let interest = self.blocks.interest(wanted.subjects.clone());
+        let (sent, checked, shown) = (Instant::now(), Instant::now(), HashSet::new());
+        let subscription = Subscription {
+            node: Arc::clone(self),
+            reader,
+            wanted,
+            interest,
+            next,
+            deliveries,
+            sent,
+            checked,
+            unread: false,
+            shown,
+            _place: listener,
+        };
+        tokio::spawn(subscription.run(heartbeat));
+        Ok(ReceiverStream::new(stream))
     }
-    let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms } = request;
-    let wanted = Wanted::new(chaincode, subjects, names);
-    if let Err(refused) = node.may_follow(&reader, &wanted).await {
-        return Err(node.refuse_reader(&reader, &wanted, &refused));
+
+    /// May this reader follow that? A refusal stands on a state that has everything that was committed when it was asked.
+    async fn may_follow(&self, reader: &Identity, wanted: &Wanted) -> Result<(), Rejection> {
+        let Wanted { chaincode, subjects, names } = wanted;
+        let ask = || self.ledger.may_follow(reader, chaincode, subjects, names);
+        if ask().is_ok() {
+            return Ok(());
+        }
+        self.current.reach().await?;
+        ask()
     }
-    let listener = match node.audience.enter(&reader) {
-        Ok(listener) => listener,
-        Err(refused) => return Err(node.refuse_reader(&reader, &wanted, &refused)),
-    };
-    let next = match from_height {
-        0 => node.ledger.tip().height + 1,
-        height => height,
-    };
-    let heartbeat = match heartbeat_ms {
-        0 => None,
-        ms => Some(Duration::from_millis(ms.into()).max(HEARTBEAT_MIN)),
-    };
-    let (deliveries, stream) = mpsc::channel(WAITING_MAX);
-    let interest = node.blocks.interest(wanted.subjects.clone());
-    let (sent, checked, shown) = (Instant::now(), Instant::now(), HashSet::new());
-    let subscription = Subscription {
-        node,
-        reader,
-        wanted,
-        interest,
-        next,
-        deliveries,
-        sent,
-        checked,
-        unread: false,
-        shown,
-        _place: listener,
-    };
-    tokio::spawn(subscription.run(heartbeat));
-    Ok(ReceiverStream::new(stream))
+
+    /// Takes down that a subscription was refused or ended; the answer.
+    fn refuse_reader(&self, reader: &Identity, wanted: &Wanted, refused: &Rejection) -> Status {
+        let subject = wanted.subjects.join(", ");
+        self.denials.record_subscription(self.clock.now(), reader.id(), &wanted.chaincode, &subject, refused);
+        status(refused)
+    }
 }
 
 /// Which events are delivered. An empty filter admits all.
@@ -109,28 +147,8 @@ impl Wanted {
     }
 }
 
-impl NodeView {
-    /// May this reader follow that? A refusal stands on a state that has everything that was committed when it was asked.
-    async fn may_follow(&self, reader: &Identity, wanted: &Wanted) -> Result<(), Rejection> {
-        let Wanted { chaincode, subjects, names } = wanted;
-        let ask = || self.ledger.may_follow(reader, chaincode, subjects, names);
-        if ask().is_ok() {
-            return Ok(());
-        }
-        self.current.reach().await?;
-        ask()
-    }
-
-    /// Takes down that a subscription was refused or ended; the answer.
-    fn refuse_reader(&self, reader: &Identity, wanted: &Wanted, refused: &Rejection) -> Status {
-        let subject = wanted.subjects.join(", ");
-        self.denials.record_subscription(self.clock.now(), reader.id(), &wanted.chaincode, &subject, refused);
-        status(refused)
-    }
-}
-
 struct Subscription {
-    node: Arc<NodeView>,
+    node: Arc<Subscriptions>,
     reader: Arc<Identity>,
     wanted: Wanted,
     /// Tells which blocks need not be looked at.
@@ -198,7 +216,7 @@ impl Subscription {
                 let sent = match delivery {
                     Some(delivery) => {
                         // A right that was revoked ends here, before anything of the block is shown.
-                        self.node.check(&self.reader)?;
+                        check(&self.reader, &self.node.ledger, &self.node.clock)?;
                         silent = 0;
                         self.send(delivery).await
                     }
@@ -221,7 +239,7 @@ impl Subscription {
             return Ok(());
         }
         self.checked = Instant::now();
-        self.node.check(&self.reader)?;
+        check(&self.reader, &self.node.ledger, &self.node.clock)?;
         let Wanted { chaincode, subjects, names } = &self.wanted;
         let may = self.node.ledger.may_follow(&self.reader, chaincode, subjects, names);
         may.map_err(|refused| self.node.refuse_reader(&self.reader, &self.wanted, &refused))

@@ -1,6 +1,6 @@
 //! Giving the leadership to another node, because an admin asks for it.
 
-use super::NodeView;
+use super::Links;
 use ledger_api::v1::{TransferLeadershipResponse, Verdict};
 use ledger_identity::Identity;
 use ledger_raft::{Role, RoleChange};
@@ -14,7 +14,7 @@ const HANDOVER_TIME_MAX: Duration = Duration::from_secs(1);
 /// Pause before it is tried again.
 const HANDOVER_PAUSE: Duration = Duration::from_millis(20);
 
-impl NodeView {
+impl Links {
     pub(super) async fn transfer_leadership(&self, caller: &Identity, to: u64) -> TransferLeadershipResponse {
         match self.transfer(caller, to).await {
             Ok(RoleChange { leader, term, .. }) => TransferLeadershipResponse {

@@ -105,7 +105,7 @@ impl Node {
                 return Err(reason);
             }
         };
-        let (address, height) = (host.address(), instance.view.ledger.tip().height);
+        let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
         Ok(Self { host, instance, serving, bridge })
@@ -118,7 +118,7 @@ impl Node {
 
     /// The ledger, for looking into it in the same process.
     pub fn ledger(&self) -> &Arc<Ledger> {
-        &self.instance.view.ledger
+        &self.instance.ledger
     }
 
     /// Waits until the node cannot go on as it is, and says why.

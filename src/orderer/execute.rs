@@ -1,12 +1,15 @@
 //! Execution of committed blocks, on one of the two threads at a time.
 
-use super::Shared;
 use super::inbox::Inbox;
+use super::{Engines, Pace};
+use crate::clock::Clock;
 use crate::housekeeping::PENDING_BYTES_MAX;
+use crate::instance::Fate;
+use crate::waiters::Waiters;
 use ledger::{Ledger, Outcome};
 use ledger_invariant::invariant;
 use ledger_raft::Input;
-use ledger_replica::{Observer, in_turns};
+use ledger_replica::{Executor, Observer, in_turns};
 use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -15,13 +18,18 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// Executes committed blocks.
 #[derive(Clone)]
 pub(super) struct Execute {
-    shared: Arc<Shared>,
+    executor: Arc<Executor>,
+    waiters: Arc<Waiters>,
+    clock: Clock,
+    pace: Pace,
+    fate: Fate,
     given: Given,
 }
 
 impl Execute {
-    pub(super) fn new(shared: Arc<Shared>) -> Self {
-        Self { shared, given: Given::default() }
+    pub(super) fn new(parts: &Engines) -> Self {
+        let Engines { executor, waiters, clock, pace, outside, .. } = parts.clone();
+        Self { executor, waiters, clock, pace, fate: outside.fate, given: Given::default() }
     }
 
     /// The execute thread.
@@ -32,12 +40,12 @@ impl Execute {
                 return;
             }
             for entries in in_turns(&entries) {
-                self.shared.ledger.verify_blocks(entries);
+                self.executor.ledger().verify_blocks(entries);
                 if !self.execute(entries) {
                     return;
                 }
                 self.given.remove(entries.len());
-                let at = self.shared.clock.now();
+                let at = self.clock.now();
                 applied.put(entries.last().map(|entry| Input::Applied { height: entry.index, at }));
             }
         }
@@ -56,15 +64,15 @@ impl Execute {
 
     /// Executes blocks. False if the node cannot go on.
     pub(super) fn execute(&self, entries: &[Entry]) -> bool {
-        if let Err(fault) = self.shared.executor.execute_all(entries) {
-            self.shared.fate.fail(fault);
+        if let Err(fault) = self.executor.execute_all(entries) {
+            self.fate.fail(fault);
             return false;
         }
-        if self.shared.waiters.is_empty() {
-            self.shared.awake.rest();
+        if self.waiters.is_empty() {
+            self.pace.awake.rest();
         }
-        if self.shared.ledger.pending_bytes() > PENDING_BYTES_MAX {
-            self.shared.bells.storing.ring();
+        if self.executor.ledger().pending_bytes() > PENDING_BYTES_MAX {
+            self.pace.bells.storing.ring();
         }
         true
     }

@@ -1,8 +1,9 @@
 //! The order thread: owns the replica, writes the log, carries out what is to be done.
 
-use super::Shared;
 use super::execute::Execute;
 use super::inbox::Inbox;
+use super::{Engines, Log, Outside, Pace};
+use crate::clock::Clock;
 use crate::peers::Member;
 use crate::waiters::Client;
 use ledger_raft::{Change, Input, Role, RoleChange, Status};
@@ -21,7 +22,10 @@ const MANY_INPUTS: usize = 8;
 /// The order thread.
 pub(super) struct Order {
     replica: Replica<Client>,
-    shared: Arc<Shared>,
+    clock: Clock,
+    log: Log,
+    pace: Pace,
+    outside: Outside,
     execute: Execute,
     /// To the execute thread.
     blocks: Arc<Inbox<Entry>>,
@@ -37,17 +41,18 @@ pub(super) struct Order {
 impl Order {
     pub(super) fn new(
         replica: Replica<Client>,
-        shared: Arc<Shared>,
+        parts: &Engines,
         execute: Execute,
         blocks: &Arc<Inbox<Entry>>,
         status: Arc<Mutex<Status>>,
         role: watch::Sender<RoleChange>,
     ) -> Self {
         let (blocks, effects, failed) = (Arc::clone(blocks), Vec::new(), false);
-        let mut members = shared.directory.subscribe();
+        let Engines { clock, log, pace, outside, .. } = parts.clone();
+        let mut members = outside.directory.subscribe();
         // The replica may have been told before the last change.
         members.mark_changed();
-        Self { replica, shared, execute, blocks, effects, status, role, members, failed }
+        Self { replica, clock, log, pace, outside, execute, blocks, effects, status, role, members, failed }
     }
 
     /// Until the inbox is closed, or the node cannot go on.
@@ -56,17 +61,17 @@ impl Order {
         let blocks = Arc::clone(&self.blocks);
         let _ends = (inputs.close_at_end(), blocks.close_at_end());
         while !inputs.is_closed() {
-            inputs.wait(Duration::from_micros(self.replica.wait(self.shared.clock.both())));
+            inputs.wait(Duration::from_micros(self.replica.wait(self.clock.both())));
             let mut taken = 0;
             while taken < INPUTS_PER_WRITE_MAX && !inputs.is_empty() {
                 let waiting = inputs.take();
                 taken += waiting.len();
                 waiting.into_iter().for_each(|input| self.step(Event::Input(input)));
             }
-            self.shared.turns.adapt(taken >= MANY_INPUTS);
+            self.pace.turns.adapt(taken >= MANY_INPUTS);
             self.follow_members();
-            self.step(Event::Time { full: self.shared.space.is_full() });
-            if self.replica.must_write(self.shared.clock.both()) {
+            self.step(Event::Time { full: self.log.space.is_full() });
+            if self.replica.must_write(self.clock.both()) {
                 self.write();
             }
             // What waits already is to be ordered while the other thread executes.
@@ -100,9 +105,9 @@ impl Order {
 
     /// Makes the log durable.
     fn write(&mut self) {
-        let result = self.shared.flush();
-        if result.is_ok() && self.shared.store.wants_preparing() {
-            self.shared.bells.rounds.ring();
+        let result = self.log.flush();
+        if result.is_ok() && self.log.store.wants_preparing() {
+            self.pace.bells.rounds.ring();
         }
         self.step(Event::Written(result));
     }
@@ -111,7 +116,7 @@ impl Order {
         // Without a sender nothing changes any more.
         if self.members.has_changed().unwrap_or(false) {
             self.members.mark_unchanged();
-            self.step(Event::Wanted(self.shared.directory.desired()));
+            self.step(Event::Wanted(self.outside.directory.desired()));
         }
     }
 
@@ -121,10 +126,10 @@ impl Order {
             && message.brings_entries()
             && self.replica.is_voter()
         {
-            self.shared.awake.keep();
+            self.pace.awake.keep();
         }
         let (mut effects, mut unsent) = (std::mem::take(&mut self.effects), Vec::new());
-        self.replica.step(self.shared.clock.both(), event, &mut effects);
+        self.replica.step(self.clock.both(), event, &mut effects);
         for effect in effects.drain(..) {
             self.carry_out(effect, &mut unsent);
         }
@@ -135,7 +140,7 @@ impl Order {
     fn carry_out(&mut self, effect: Effect, unsent: &mut Vec<Event>) {
         match effect {
             Effect::Send { to, message } => {
-                if !self.shared.peers.send(to, &message) {
+                if !self.outside.peers.send(to, &message) {
                     unsent.push(Event::Unsent { to, message });
                 }
             }
@@ -145,30 +150,30 @@ impl Order {
                 self.role.send_replace(change);
             }
             Effect::Members { height, membership } => {
-                let directory = &self.shared.directory;
+                let directory = &self.outside.directory;
                 let (voters, learners) = (directory.names(&membership.voters), directory.names(&membership.learners));
                 tracing::info!(height, voters, learners, "members changed");
             }
             Effect::Reconciles(step) => {
                 tracing::info!(change = self.described(&step), "changing the members as the ledger wants them");
             }
-            Effect::Read { context, answer } => self.shared.current.answered(context, answer),
-            Effect::Denied(refusal) => self.shared.denials.record(self.shared.clock.now(), &refusal),
+            Effect::Read { context, answer } => self.outside.current.answered(context, answer),
+            Effect::Denied(refusal) => self.outside.denials.record(self.clock.now(), &refusal),
             Effect::Refused { input, reason } => {
                 tracing::warn!(request = self.described(&input), %reason, "ordering refused a request");
             }
             Effect::Behind { from, first_index } => {
-                let leader = self.shared.directory.name(from);
+                let leader = self.outside.directory.name(from);
                 tracing::info!(leader, first_index, "this node is too far behind to be served by the leader's log");
-                self.shared.behind.send_replace(Some(Behind { from, first_index }));
+                self.outside.behind.send_replace(Some(Behind { from, first_index }));
             }
             Effect::Ignored { from, reason } => {
-                let peer = self.shared.directory.name(from);
+                let peer = self.outside.directory.name(from);
                 tracing::warn!(peer, reason, "ordering ignores a message of a peer");
             }
             Effect::Failed(reason) => {
                 self.failed = true;
-                self.shared.fate.fail(reason);
+                self.outside.fate.fail(reason);
             }
         }
     }
@@ -179,7 +184,7 @@ impl Order {
         match (change.role, change.leader) {
             (Role::Leader, _) => tracing::info!(term, "this node leads"),
             (_, Some(leader)) => {
-                tracing::info!(term, leader = self.shared.directory.name(leader), "another node leads")
+                tracing::info!(term, leader = self.outside.directory.name(leader), "another node leads")
             }
             (Role::Candidate, None) => tracing::info!(term, "no leader is known; this node asks for votes"),
             (Role::Follower, None) => tracing::info!(term, "no leader is known"),
@@ -188,7 +193,7 @@ impl Order {
 
     /// A request to the engine, for people.
     fn described(&self, input: &Input) -> String {
-        let name = |node: u64| self.shared.directory.name(node);
+        let name = |node: u64| self.outside.directory.name(node);
         match input {
             Input::TransferLeadership { to } => format!("hand the leadership over to {}", name(*to)),
             Input::ChangeMembership(change) => {

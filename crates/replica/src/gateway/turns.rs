@@ -158,7 +158,7 @@ impl<T> Queue<T> {
         let standing = held + self.waiting.len();
         costly_invariant!(
             self.identities.values().map(|own| own.among_all).sum::<usize>() == standing,
-            "whoever has a turn or waits among all is counted for its identity",
+            "an identity counts its turns and its places among all",
             "{standing} stand, {} are counted",
             self.identities.values().map(|own| own.among_all).sum::<usize>()
         );

@@ -1,0 +1,294 @@
+//! The parts of an instance that know each other. Each of its services takes the few that it needs.
+
+use super::revocations::Revocations;
+use super::{Fate, Standing};
+use crate::blocks::Blocks;
+use crate::catch_up::{Bootstrap, CatchUp, Destination, Source};
+use crate::clock::{Clock, wall};
+use crate::config::Config;
+use crate::enrolment::{EnrolmentService, Surroundings, Voice};
+use crate::gateway::{
+    Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Records, Submissions,
+    Subscriptions, Usage,
+};
+use crate::host::{Deliver, Host, Members, Papers};
+use crate::housekeeping::Housekeeping;
+use crate::orderer::{Engines, Executed, Log, Outside, Pace, Seat};
+use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
+use crate::retention::Pruner;
+use crate::signer::{Author, Signer};
+use crate::space::Space;
+use crate::stores::Stores;
+use crate::waiters::Waiters;
+use crate::witness::{Seen, Testimony, Witness};
+use bytes::Bytes;
+use ledger::Ledger;
+use ledger_api::tls::{TlsIdentity, TrustSource};
+use ledger_raft::Input;
+use ledger_rejection::{Code, Rejection};
+use ledger_replica::catch_up::Ballot;
+use ledger_replica::gateway::Shares;
+use ledger_replica::{Executor, Observer, Retries};
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::sync::{mpsc, watch};
+
+/// The parts of an instance that know each other.
+pub(super) struct Wired {
+    /// This node, as it was known when it started.
+    pub me: Member,
+    /// Its certificate and key.
+    pub identity: TlsIdentity,
+    /// The ledger and the files below it.
+    pub stores: Stores,
+    /// The parts that hear of each executed block.
+    pub followers: Followers,
+    /// The ways to be ordered through this node.
+    pub links: Links,
+    /// Starts its orderer.
+    pub engines: Engines,
+    /// How to call the others.
+    pub dialer: Dialer,
+    /// The calls that each identity has in flight.
+    pub shares: Arc<Shares>,
+    /// The connections of members.
+    pub members: Arc<Members>,
+}
+
+/// The parts that hear of each executed block.
+pub(super) struct Followers {
+    clock: Clock,
+    waiters: Arc<Waiters>,
+    directory: Arc<Directory>,
+    witness: Arc<Witness>,
+    blocks: Arc<Blocks>,
+    current: Current,
+    executed: Arc<Executed>,
+}
+
+impl Followers {
+    /// The followers of this ledger, and the attestations that they will have seen.
+    fn new(
+        stores: &Stores,
+        directory: &Arc<Directory>,
+        seat: &Arc<Seat>,
+        clock: Clock,
+    ) -> (Self, mpsc::UnboundedReceiver<Seen>) {
+        let blocks = Arc::new(Blocks::new(Arc::clone(&stores.ledger), Arc::clone(&stores.store)));
+        let (witness, seen) = Witness::new();
+        let followers = Self {
+            waiters: Arc::default(),
+            directory: Arc::clone(directory),
+            witness,
+            current: Current::new(Arc::clone(seat), Arc::clone(&blocks), clock.clone()),
+            blocks,
+            executed: Arc::default(),
+            clock,
+        };
+        (followers, seen)
+    }
+
+    /// Executes blocks, and tells the followers. Clients that wait for a verdict are told first.
+    fn executor(&self, ledger: &Arc<Ledger>, members: &Arc<Members>) -> Arc<Executor> {
+        let observers: Vec<Arc<dyn Observer>> = vec![
+            Arc::new(self.clock.clone()),
+            Arc::clone(&self.waiters) as _,
+            Arc::clone(&self.directory) as _,
+            Arc::clone(&self.witness) as _,
+            Arc::clone(&self.blocks) as _,
+            Arc::new(self.current.clone()),
+            Arc::clone(&self.executed) as _,
+            Arc::new(Revocations::new(members, ledger)),
+        ];
+        Arc::new(Executor::new(Arc::clone(ledger), observers))
+    }
+}
+
+impl Wired {
+    /// Makes the parts and tells them of each other. Answers also with the attestations that they will have seen.
+    pub(super) fn new(
+        (papers, config): (&Papers, &Config),
+        (stores, trust): (&Stores, &Arc<dyn TrustSource>),
+        (standing, clock, members): (&Standing, Clock, Arc<Members>),
+    ) -> Result<(Self, mpsc::UnboundedReceiver<Seen>), Rejection> {
+        let (me, identity, ledger) = (standing.me.clone(), papers.identity.clone(), &stores.ledger);
+        let (seat, pace) = (Arc::new(Seat::empty()), Pace::of(config.profile)?);
+        let dialer = Dialer {
+            me: me.id,
+            network: ledger.network(),
+            organisation: me.organisation.clone(),
+            identity: identity.clone(),
+            trust: Arc::clone(trust),
+        };
+        let (followers, seen) = Followers::new(stores, &standing.directory, &seat, clock.clone());
+        let (peers, space) = (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)));
+        peers.follow(&standing.directory);
+        let outside = Outside {
+            directory: Arc::clone(&standing.directory),
+            peers: Arc::clone(&peers),
+            current: followers.current.clone(),
+            denials: Arc::default(),
+            behind: watch::Sender::new(None),
+            fate: Fate::new(config),
+        };
+        let engines = Engines {
+            executor: followers.executor(ledger, &members),
+            waiters: Arc::clone(&followers.waiters),
+            clock,
+            log: Log { store: Arc::clone(&stores.store), space: Arc::clone(&space) },
+            pace,
+            outside,
+        };
+        let links = Links { me: me.id, seat, directory: Arc::clone(&standing.directory), peers, space };
+        let shares = Arc::new(Shares::new(super::count(config.limits.in_flight_max)));
+        Ok((Self { me, identity, stores: stores.clone(), followers, links, engines, dialer, shares, members }, seen))
+    }
+
+    /// The gateway of a node that started at this moment.
+    pub(super) fn gateway(&self, config: &Config, started: Instant) -> GatewayService {
+        let audience = Audience::new(config.limits.subscribers_max, self.me.organisation.clone());
+        let (ledger, denials) = (&self.stores.ledger, &self.engines.outside.denials);
+        let Followers { clock, blocks, current, .. } = &self.followers;
+        let records = Records {
+            ledger: Arc::clone(ledger),
+            blocks: Arc::clone(blocks),
+            current: current.clone(),
+            clock: clock.clone(),
+        };
+        let subscriptions = Subscriptions {
+            ledger: Arc::clone(ledger),
+            blocks: Arc::clone(blocks),
+            audience: Arc::clone(&audience),
+            current: current.clone(),
+            clock: clock.clone(),
+            denials: Arc::clone(denials),
+        };
+        GatewayService {
+            ledger: Arc::clone(ledger),
+            clock: clock.clone(),
+            submissions: Arc::new(self.submissions(config)),
+            records: Arc::new(records),
+            subscriptions: Arc::new(subscriptions),
+            description: Arc::new(self.description(config, started, audience)),
+            denials: Arc::clone(denials),
+        }
+    }
+
+    fn submissions(&self, config: &Config) -> Submissions {
+        let Followers { clock, waiters, current, .. } = &self.followers;
+        let Pace { awake, turns, .. } = &self.engines.pace;
+        let bounds = Bounds {
+            payload_bytes_max: config.limits.payload_bytes_max,
+            space: Arc::clone(&self.links.space),
+            wait_max: config.order.timing().data_wait,
+        };
+        let intake = Intake {
+            ledger: Arc::clone(&self.stores.ledger),
+            clock: clock.clone(),
+            bounds,
+            retries: Retries::default(),
+            waiters: Arc::clone(waiters),
+            seat: Arc::clone(&self.links.seat),
+            awake: Arc::clone(awake),
+            denials: Arc::clone(&self.engines.outside.denials),
+        };
+        let looks = Looks::new(tokio::runtime::Handle::current().metrics().num_workers());
+        Submissions { intake, shares: Arc::clone(&self.shares), looks, current: current.clone(), turns: *turns }
+    }
+
+    fn description(&self, config: &Config, started: Instant, audience: Arc<Audience>) -> Description {
+        let Followers { clock, blocks, witness, executed, .. } = &self.followers;
+        let chain =
+            Chain { ledger: Arc::clone(&self.stores.ledger), blocks: Arc::clone(blocks), witness: Arc::clone(witness) };
+        let usage = Usage {
+            shares: Arc::clone(&self.shares),
+            audience,
+            denials: Arc::clone(&self.engines.outside.denials),
+            executed: Arc::clone(executed),
+            limits: config.limits.clone(),
+        };
+        Description {
+            me: self.me.clone(),
+            label: self.stores.genesis.label.clone(),
+            started,
+            clock: clock.clone(),
+            identity: self.identity.clone(),
+            chain,
+            links: self.links.clone(),
+            usage,
+        }
+    }
+
+    /// Attests what this node computed, and compares what others attest.
+    pub(super) fn testimony(&self, config: &Config) -> Testimony {
+        Testimony {
+            author: self.author(),
+            snapshots: Arc::clone(&self.stores.snapshots),
+            directory: Arc::clone(&self.links.directory),
+            witness: Arc::clone(&self.followers.witness),
+            fate: self.engines.outside.fate.clone(),
+            dialer: self.dialer.clone(),
+            me: self.me.full_name(),
+            every: Duration::from_millis(config.order.attest_ms),
+            data: config.data.clone(),
+        }
+    }
+
+    /// Submits transactions of the node itself.
+    pub(super) fn author(&self) -> Author {
+        let ledger = Arc::clone(&self.stores.ledger);
+        let signer = Signer::new(self.identity.clone(), ledger.network(), self.followers.clock.clone());
+        Author { signer, ledger, seat: Arc::clone(&self.links.seat) }
+    }
+
+    /// Fetches what this node lacks.
+    pub(super) fn catch_up(
+        &self,
+        bootstrap: Option<Bootstrap>,
+        ballot: Ballot,
+        stopping: watch::Receiver<bool>,
+    ) -> CatchUp {
+        let Engines { executor, log, outside, .. } = self.engines.clone();
+        let into = Destination { log, executor, snapshots: Arc::clone(&self.stores.snapshots) };
+        let (seat, dialer) = (Arc::clone(&self.links.seat), self.dialer.clone());
+        CatchUp { bootstrap, into, directory: outside.directory, fate: outside.fate, seat, dialer, ballot, stopping }
+    }
+
+    pub(super) fn housekeeping(&self, pruner: Pruner) -> io::Result<Housekeeping> {
+        let (waiters, clock) = (Arc::clone(&self.followers.waiters), self.followers.clock.clone());
+        Housekeeping::start(pruner, &self.links.space, (waiters, clock), Arc::clone(&self.engines.pace.bells))
+    }
+
+    pub(super) fn peer_service(&self, votes: Ballot) -> PeerService<Deliver> {
+        let Links { seat, directory, peers, .. } = self.links.clone();
+        let source = Source::new(&self.stores, Arc::clone(&self.followers.blocks), Arc::clone(&seat));
+        let deliver: Deliver = Box::new(move |from, message| {
+            if votes.withholds(&message) {
+                return true;
+            }
+            // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering
+            // repeats what matters.
+            !matches!(seat.input(Input::Message { from, message }), Err(reason) if reason.code == Code::ShuttingDown)
+        });
+        PeerService::new(peers, Arc::new(source), directory.subscribe(), deliver)
+    }
+
+    pub(super) fn enrolment(
+        &self,
+        (host, papers): (&Host, &Papers),
+        document: Bytes,
+        trust: &Arc<dyn TrustSource>,
+    ) -> EnrolmentService {
+        let voice = Voice::through(&host.own_gateway(), self.stores.ledger.network(), &papers.identity, trust);
+        let links = self.links.clone();
+        let surroundings = Surroundings {
+            me: self.me.clone(),
+            identity: papers.identity.clone(),
+            directory: Arc::clone(&self.links.directory),
+            cut_off: Box::new(move || links.is_cut_off()),
+        };
+        let (authorities, ledger) = (Arc::clone(&papers.authorities), Arc::clone(&self.stores.ledger));
+        EnrolmentService::new(authorities, ledger, surroundings, (self.stores.genesis.clone(), document), voice, wall)
+    }
+}

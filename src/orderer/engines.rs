@@ -1,0 +1,121 @@
+//! Starts an orderer, with the parts of the node that it needs: each of its threads takes the few that are its own.
+
+use super::Orderer;
+use crate::awake::Awake;
+use crate::clock::Clock;
+use crate::config::Profile;
+use crate::denials::Denials;
+use crate::gateway::Current;
+use crate::housekeeping::Bells;
+use crate::instance::Fate;
+use crate::peers::{Directory, Peers};
+use crate::slice::Turns;
+use crate::space::Space;
+use crate::waiters::Waiters;
+use ledger_rejection::{Code, Rejection};
+use ledger_replica::catch_up::Behind;
+use ledger_replica::space::Wrote;
+use ledger_replica::{Executor, Replica, Settings};
+use ledger_storage::block_store::{BlockStore, StoreError};
+use std::io;
+use std::sync::Arc;
+use tokio::sync::watch;
+
+/// Starts one engine after the other; cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Engines {
+    /// Executes blocks, and tells everybody whom they concern.
+    pub executor: Arc<Executor>,
+    /// Clients that wait for a verdict.
+    pub waiters: Arc<Waiters>,
+    /// The node's clock.
+    pub clock: Clock,
+    /// The log.
+    pub log: Log,
+    /// Keeps the machine awake, and lets it sleep.
+    pub pace: Pace,
+    /// Where ordering sends and tells.
+    pub outside: Outside,
+}
+
+/// The log, on a disk that may be full; cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Log {
+    /// The blocks.
+    pub store: Arc<BlockStore>,
+    /// The room that the disk still has.
+    pub space: Arc<Space>,
+}
+
+/// The parts that keep the machine awake, and let it sleep; cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Pace {
+    /// Keeps the processors awake.
+    pub awake: Arc<Awake>,
+    /// How long the turns of the threads are.
+    pub turns: Turns,
+    /// Wakes housekeeping when there is work for it.
+    pub bells: Arc<Bells>,
+}
+
+/// The parts of the node to which ordering sends, and that it tells; cheap to clone.
+#[derive(Clone)]
+pub(crate) struct Outside {
+    /// The members of the network.
+    pub directory: Arc<Directory>,
+    /// The other nodes.
+    pub peers: Arc<Peers>,
+    /// The readers that wait until the state is current.
+    pub current: Current,
+    /// Calls that were refused, here by ordering.
+    pub denials: Arc<Denials>,
+    /// The engine's report about blocks that it lacks; the conductor acts on it.
+    pub behind: watch::Sender<Option<Behind>>,
+    /// Ends the node if it cannot go on.
+    pub fate: Fate,
+}
+
+impl Engines {
+    /// Starts an engine and its threads. Everything in the log must be durable.
+    ///
+    /// # Errors
+    /// As [`Replica::start`]; [`Code::Internal`] if the operating system gives no thread.
+    pub(crate) fn start(&self, settings: &Settings) -> Result<Orderer, Rejection> {
+        self.outside.behind.send_replace(None);
+        let (store, executor, waiters) =
+            (Arc::clone(&self.log.store), Arc::clone(&self.executor), Arc::clone(&self.waiters));
+        let replica = Replica::start(settings, store, executor, waiters, self.outside.directory.desired())?;
+        Orderer::start(replica, self).map_err(|error| no_thread(&error))
+    }
+}
+
+impl Log {
+    /// Makes the log durable. A disk without room gets the reserve first.
+    ///
+    /// # Errors
+    /// As [`BlockStore::flush`]; [`StoreError::DiskFull`] if the reserve is used up.
+    pub(crate) fn flush(&self) -> Result<(), StoreError> {
+        loop {
+            let written = self.store.flush().map(drop);
+            if !self.space.wrote(Wrote::from(&written)) {
+                return written;
+            }
+        }
+    }
+}
+
+impl Pace {
+    /// As the profile wants it.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if the operating system gives no thread.
+    pub(crate) fn of(profile: Profile) -> Result<Self, Rejection> {
+        let awake = Arc::new(Awake::start(profile).map_err(|error| no_thread(&error))?);
+        Ok(Self { awake, turns: Turns::of(profile), bells: Arc::default() })
+    }
+}
+
+/// The refusal of the operating system to give a thread.
+pub(crate) fn no_thread(error: &io::Error) -> Rejection {
+    Rejection::new(Code::Internal, format!("cannot start a thread: {error}"))
+}
