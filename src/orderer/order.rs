@@ -8,7 +8,7 @@ use crate::peers::Member;
 use crate::waiters::Client;
 use ledger_raft::{Change, Input, Role, RoleChange, Status};
 use ledger_replica::catch_up::Behind;
-use ledger_replica::{Circumstances, Effect, Event, Replica, Work};
+use ledger_replica::{Circumstances, Effect, Event, Last, Replica, Work};
 use ledger_storage::entry::Entry;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -80,10 +80,13 @@ impl Order {
                 return;
             }
         }
-        if self.replica.waits_for_write() {
-            self.write();
+        while let Some(last) = self.replica.end() {
+            match last {
+                Last::Write => self.write(),
+                Last::Execute(_) if self.failed => {}
+                Last::Execute(entries) => self.execute.hand_over(&self.blocks, entries),
+            }
         }
-        self.execute(true);
     }
 
     /// Executes what was committed, or has it executed.

@@ -69,7 +69,7 @@ pub use clock::Clock;
 pub use executor::{Executor, Observer, in_turns};
 pub use in_place::Circumstances;
 pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};
-pub use replica::{Effect, Event, FULL_DISK_PAUSE, LEARNER_WRITE_DELAY, Now, Replica, Settings, Work};
+pub use replica::{Effect, Event, FULL_DISK_PAUSE, LEARNER_WRITE_DELAY, Last, Now, Replica, Settings, Work};
 pub use retries::Retries;
 pub use timing::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
 pub use waiters::{Answer, Executed, WAIT_MAX, Waiter, Waiters};

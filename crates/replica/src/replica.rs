@@ -1,7 +1,10 @@
 //! The driver of the engine: inputs and time in, effects out.
 
 mod duties;
+mod ending;
 mod outputs;
+
+pub use ending::Last;
 
 use crate::executor::Executor;
 use crate::in_place::{Circumstances, InPlace};
@@ -167,6 +170,8 @@ pub struct Replica<W> {
     asked_for: (u64, u64),
     /// Another node leads than before: what waits is submitted again.
     submit_again: bool,
+    /// The log was to be written for the last time.
+    wrote_last: bool,
     /// When the leadership was given away last because of a full disk.
     left_full_disk: Option<u64>,
 }
@@ -207,6 +212,7 @@ impl<W: Waiter> Replica<W> {
             reconcile: false,
             asked_for: (0, 0),
             submit_again: false,
+            wrote_last: false,
             left_full_disk: None,
         })
     }
@@ -241,6 +247,17 @@ impl<W: Waiter> Replica<W> {
 
     /// The blocks to be executed, and the thread that does it. To be asked when the log was written.
     pub fn work(&mut self, circumstances: Circumstances) -> Option<Work> {
+        let entries = self.hand_out()?;
+        // A leader waits for what a voter that follows writes next.
+        let awaited = self.engine.is_voter() && !self.leading;
+        Some(match self.in_place.allows(&entries, awaited, circumstances) {
+            true => Work::Here(entries),
+            false => Work::Elsewhere(entries),
+        })
+    }
+
+    /// The committed blocks that were given to nobody yet.
+    fn hand_out(&mut self) -> Option<Vec<Entry>> {
         let entries = std::mem::take(&mut self.committed);
         let (first, last) = (entries.first()?.index, entries.last()?.index);
         invariant!(
@@ -250,12 +267,7 @@ impl<W: Waiter> Replica<W> {
             self.given
         );
         self.given = last;
-        // A leader waits for what a voter that follows writes next.
-        let awaited = self.engine.is_voter() && !self.leading;
-        Some(match self.in_place.allows(&entries, awaited, circumstances) {
-            true => Work::Here(entries),
-            false => Work::Elsewhere(entries),
-        })
+        Some(entries)
     }
 
     /// Microseconds until something is to be done although nothing happens.

@@ -13,8 +13,8 @@ use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Behind, CatchUp, Caught, Got, Holding, Offer, Todo, Who};
 use ledger_replica::conductor::{Conductor, Happened, Next};
 use ledger_replica::{
-    Answer, Circumstances, Effect, Event, Executor, FULL_DISK_PAUSE, Now, Replica, Settings, Timing, WAIT_MAX, Waiter,
-    Waiters, Work,
+    Answer, Circumstances, Effect, Event, Executor, FULL_DISK_PAUSE, Last, Now, Replica, Settings, Timing, WAIT_MAX,
+    Waiter, Waiters, Work,
 };
 use ledger_storage::block_store::{BlockStore, Options, StoreError};
 use ledger_storage::disk::SimDisk;
@@ -411,4 +411,28 @@ fn a_peer_that_calls_its_own_disk_damaged_does_not_stop_a_node_that_catches_up()
     assert!(matches!(machine.step(Got::Unfetched(damaged())), Todo::Done(Caught::Nothing)));
     let own = machine.step(Got::TakenIn(Err(damaged())));
     assert!(matches!(own, Todo::Failed(reason) if reason.code == Code::Corrupt), "its own disk does");
+}
+
+#[test]
+fn a_replica_that_ends_writes_the_log_and_executes_what_is_committed_then() {
+    let mut node = Node::new();
+    node.submit(1, "note");
+    assert_eq!(node.replica.end(), Some(Last::Write));
+    node.step(Event::Written(node.store.flush().map(drop)));
+    let Some(Last::Execute(entries)) = node.replica.end() else { panic!("the block is committed") };
+    assert_eq!(entries.first().map(|entry| entry.index), Some(node.height() + 1));
+    node.executor.execute_all(&entries).unwrap();
+    assert_eq!(node.heard(), [(1, Code::Ok, node.height())]);
+    assert_eq!(node.replica.end(), None);
+}
+
+#[test]
+fn a_full_disk_keeps_no_replica_from_ending() {
+    let mut node = Node::new();
+    node.submit(1, "note");
+    node.disk.set_capacity(Some(node.disk.used_bytes()));
+    assert_eq!(node.replica.end(), Some(Last::Write));
+    node.step(Event::Written(node.store.flush().map(drop)));
+    assert_eq!(node.replica.end(), None, "it is tried once");
+    assert!(node.heard().is_empty(), "nobody was told otherwise");
 }

@@ -10,6 +10,7 @@ use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::Happened;
 use ledger_replica::{Circumstances, Effect, Event, Now, WAIT_MAX, Work};
 use ledger_storage::block_store::StoreError;
+use ledger_storage::entry::Entry;
 
 impl World {
     /// The process of a node, if it runs.
@@ -50,7 +51,7 @@ impl World {
         Ok(())
     }
 
-    fn step(&mut self, id: u64, event: Event) -> Check {
+    pub(super) fn step(&mut self, id: u64, event: Event) -> Check {
         let now = self.clocks(id);
         let Some(replica) = self.running(id).and_then(|running| running.replica.as_mut()) else { return Ok(()) };
         let mut effects = Vec::new();
@@ -247,14 +248,10 @@ impl World {
     fn execute_committed(&mut self, id: u64) -> Check {
         let Some(running) = self.nodes.get_mut(&id).and_then(|node| node.up.as_mut()) else { return Ok(()) };
         let Some(replica) = running.replica.as_mut() else { return Ok(()) };
-        let term = replica.status().role.term;
         let now = Circumstances { inputs_wait: !running.inbox.is_empty(), other_is_idle: running.given.is_empty() };
         let Some(work) = replica.work(now) else { return Ok(()) };
         let (Work::Here(entries) | Work::Elsewhere(entries)) = &work;
-        for entry in entries {
-            self.invariants.committed.committed(id, entry)?;
-            self.invariants.leader_completeness.committed(entry.index, entry.term, term);
-        }
+        self.committed(id, entries)?;
         match work {
             Work::Here(entries) => {
                 self.coverage.in_place += 1;
@@ -264,6 +261,7 @@ impl World {
                 self.step(id, Event::Executed { height, took })
             }
             Work::Elsewhere(entries) => {
+                let Some(running) = self.running(id) else { return Ok(()) };
                 running.given.extend(entries);
                 if !std::mem::replace(&mut running.executing, true) {
                     let delay = 20 + self.random.nodes.below(if self.chaos { 2_000 } else { 200 });
@@ -272,6 +270,17 @@ impl World {
                 Ok(())
             }
         }
+    }
+
+    /// These blocks are committed, by all that this node knows.
+    pub(super) fn committed(&mut self, id: u64, entries: &[Entry]) -> Check {
+        let Some(replica) = self.running(id).and_then(|running| running.replica.as_ref()) else { return Ok(()) };
+        let term = replica.status().role.term;
+        for entry in entries {
+            self.invariants.committed.committed(id, entry)?;
+            self.invariants.leader_completeness.committed(entry.index, entry.term, term);
+        }
+        Ok(())
     }
 
     fn keep_house(&mut self, id: u64) -> Check {

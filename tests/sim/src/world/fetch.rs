@@ -10,11 +10,11 @@ use ledger::block::Payload;
 use ledger_hash::Hash;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::Event;
 use ledger_replica::catch_up::{Batch, Behind, CatchUp, Got, Todo, install, store_holds};
 use ledger_replica::conductor::{Happened, Next};
 use ledger_replica::space::Wrote;
 use ledger_replica::trust::{Attested, Trial, attestations};
+use ledger_replica::{Event, Last};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::snapshot::{Manifest, Snapshot};
@@ -84,12 +84,33 @@ impl World {
     /// The order thread ends: what it has staged is written if there is room, and what was given is executed.
     fn end_engine(&mut self, id: u64, behind: Behind) -> Check {
         self.note(format_args!("n{id} fetches blocks before {}", behind.first_index));
-        self.execute(id)?;
+        self.execute_given(id)?;
+        while let Some(last) = self.running(id).and_then(|running| running.replica.as_mut()?.end()) {
+            match last {
+                Last::Write => {
+                    let written = self.flush_rest(id);
+                    self.step(id, Event::Written(written))?;
+                }
+                Last::Execute(entries) => {
+                    self.execute_given(id)?;
+                    self.committed(id, &entries)?;
+                    self.execute_all(id, &entries)?;
+                }
+            }
+        }
         let Some(running) = self.running(id) else { return Ok(()) };
         running.replica = None;
         (running.leading, running.flushing) = (false, false);
         let lost = std::mem::take(&mut running.inbox);
         self.lose_inputs(id, lost)
+    }
+
+    /// The execute thread comes to its end.
+    fn execute_given(&mut self, id: u64) -> Check {
+        while self.running(id).is_some_and(|running| !running.given.is_empty()) {
+            self.execute(id)?;
+        }
+        Ok(())
     }
 
     /// Nobody takes these in any more.
