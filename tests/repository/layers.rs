@@ -147,6 +147,7 @@ const LAYERS: [(&str, &[&str]); 22] = [
             "ledger-abac",
             "ledger-hash",
             "ledger-identity",
+            "ledger-invariant",
             "ledger-mutation",
             "ledger-raft",
             "ledger-rejection",
