@@ -8,8 +8,8 @@ use ledger_rejection::{Code, Rejection};
 use unicode_normalization::is_nfc;
 use unicode_security::{GeneralSecurityProfile, MixedScript, skeleton};
 
-/// Checks that people can read a name without being deceived. Spaces and ASCII signs are allowed; what else a name may
-/// have is checked elsewhere.
+/// Checks that people can read a name without being deceived. Spaces and ASCII signs are allowed; other checks of a
+/// name are elsewhere.
 ///
 /// The tables are those of the Unicode version of `unicode-security`: they decide which registrations are executed, so a
 /// newer version of it comes with newer rules of execution.

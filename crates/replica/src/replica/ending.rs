@@ -17,7 +17,8 @@ impl<W: Waiter> Replica<W> {
     /// The next deed before the replica ends; nothing when all is done. World state and results are stored
     /// afterwards.
     ///
-    /// The log is written once, if the engine waits for it. Blocks that are committed then are executed. A full disk keeps no replica
+    /// The log is written once, if the engine waits for it. Blocks that are committed then are executed. A full disk keeps
+    /// no replica
     /// from ending: everything that was acknowledged is on the disk already.
     pub fn end(&mut self) -> Option<Last> {
         if self.flush.is_some() && !std::mem::replace(&mut self.wrote_last, true) {
