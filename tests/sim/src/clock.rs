@@ -20,8 +20,8 @@ pub struct Clock {
     drift_ppm: i64,
     /// The process's view of the time.
     rule: replica::Clock,
-    /// Monotonic time when the process was started.
-    started: u64,
+    /// Monotonic time when the process was started. Below zero if the machine ran fast before it was set right.
+    started: i64,
 }
 
 impl Clock {
@@ -35,15 +35,17 @@ impl Clock {
         self.offset += by;
     }
 
-    /// The wall clock is set right, and kept right.
-    pub fn heal(&mut self) {
+    /// The wall clock is set right, and kept right. The process sees no jump of its monotonic clock.
+    pub fn heal(&mut self, virtual_now: u64) {
+        let elapsed = self.elapsed(virtual_now);
         (self.offset, self.drift_ppm) = (0, 0);
+        self.started = signed(virtual_now) - signed(elapsed);
     }
 
     /// The process starts, with a state that has seen this block time.
     pub fn start(&mut self, virtual_now: u64, block_time: u64) {
         self.rule = replica::Clock::of(block_time, 0);
-        self.started = self.monotonic(virtual_now);
+        self.started = signed(self.monotonic(virtual_now));
     }
 
     /// The process has executed a block of this time.
@@ -62,11 +64,16 @@ impl Clock {
     }
 
     fn elapsed(&self, virtual_now: u64) -> u64 {
-        self.monotonic(virtual_now) - self.started
+        self.monotonic(virtual_now).saturating_add_signed(-self.started)
     }
 
     fn monotonic(&self, virtual_now: u64) -> u64 {
         let drift = i128::from(virtual_now) * i128::from(self.drift_ppm) / 1_000_000;
         virtual_now.saturating_add_signed(i64::try_from(drift).unwrap_or(0))
     }
+}
+
+/// Virtual times are short.
+fn signed(time: u64) -> i64 {
+    i64::try_from(time).unwrap_or(i64::MAX)
 }

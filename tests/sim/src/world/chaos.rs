@@ -158,7 +158,7 @@ impl World {
             }
             self.undo(Undo::FullDisk(id));
             if let Some(node) = self.nodes.get_mut(&id) {
-                node.clock.heal();
+                node.clock.heal(self.now);
                 node.tear = false;
                 node.paused_until = node.paused_until.min(self.now);
             }
