@@ -206,14 +206,14 @@ impl Space {
         let enough = limit.saturating_add(total / LOW_END_PART);
         if free < limit && !std::mem::replace(&mut self.low, true) {
             tracing::warn!(
-                path,
+                %path,
                 free = bytes(free),
                 of = bytes(total),
                 "less than a tenth of the disk is free; below {} no messages are accepted",
                 bytes(MESSAGES_FREE_BYTES_MIN)
             );
         } else if free >= enough && std::mem::take(&mut self.low) {
-            tracing::warn!(path, free = bytes(free), of = bytes(total), "more than a tenth of the disk is free again");
+            tracing::warn!(%path, free = bytes(free), of = bytes(total), "more than a tenth of the disk is free again");
         }
     }
 
@@ -224,12 +224,12 @@ impl Space {
         let (path, free, of) = (&self.path, bytes(self.measured.free), bytes(self.measured.total));
         match accepts {
             Accepts::All => {
-                tracing::error!(path, free, of, "there is space on the disk again; everything is accepted");
+                tracing::error!(%path, free, of, "there is space on the disk again; everything is accepted");
             }
             Accepts::Ends => {
-                tracing::error!(path, free, of, "the disk is almost full; only calls that end control are accepted");
+                tracing::error!(%path, free, of, "the disk is almost full; only calls that end control are accepted");
             }
-            Accepts::Nothing => tracing::error!(path, free, of, "the disk is full; nothing more is accepted"),
+            Accepts::Nothing => tracing::error!(%path, free, of, "the disk is full; nothing more is accepted"),
         }
     }
 }
