@@ -462,8 +462,11 @@ async fn only_who_has_a_good_certificate_renews_it_and_gets_the_same_name_and_ro
     let identity = f.chain.ledger.msps().verify(&renewed.certificate, &[], NOW).unwrap();
     assert_eq!((identity.id(), identity.role), (good.id(), Role::Admin));
     assert_eq!(code(renew(Some(Arc::clone(&good))).await.verdict), Code::LimitExceeded, "just now");
-    f.admin(1, "revoke_identity", r#"{"name":"Admin"}"#).unwrap();
-    assert_eq!(code(renew(Some(good)).await.verdict), Code::Revoked);
+    let salma = v1::EnrolRequest { name: "Salma".into(), secret: f.register(1, "Salma"), request: csr() };
+    let enrolled = f.one.enrol(from(1, None, salma)).await.unwrap().into_inner();
+    let salma = f.chain.ledger.msps().verify(&enrolled.certificate, &[], NOW).unwrap();
+    f.admin(1, "revoke_identity", r#"{"name":"Salma"}"#).unwrap();
+    assert_eq!(code(renew(Some(Arc::new(salma))).await.verdict), Code::Revoked);
 }
 
 #[tokio::test]

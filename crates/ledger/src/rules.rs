@@ -2,8 +2,8 @@
 //!
 //! Executing a block is a function of the rules, the state and the block. Rules are everything in it that may differ
 //! between releases: execution itself, the functions of chaincodes, the default policy, the schema of policies, limits. A
-//! number never changes its meaning once it is released. A network is founded with a number; its organisations may
-//! activate a newer one at a height (`msp activate_rules`). Older blocks keep their number for ever.
+//! number never changes its meaning once it is in a release; 3 is in none yet. A network is founded with a number; its
+//! organisations may activate a newer one at a height (`msp activate_rules`). Older blocks keep their number for ever.
 //!
 //! | number | what is new |
 //! |---|---|

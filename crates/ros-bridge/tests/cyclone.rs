@@ -149,6 +149,7 @@ async fn a_subscriber_that_stands_still_is_refused_memory_and_served_again_later
     assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
     assert_eq!(python.line().unwrap(), "matched");
     signal("-STOP", &python);
+    stands_still(&python);
     let mut written = 0;
     let error = loop {
         match writer.write(&image(0, 300_000)) {
@@ -163,6 +164,19 @@ async fn a_subscriber_that_stands_still_is_refused_memory_and_served_again_later
     writer.write(&image(1, 300_000)).unwrap();
     let last = hex_of(&image(1, 300_000));
     assert!(until(&mut python, &last));
+}
+
+/// Waits until no thread of it can acknowledge anything any more.
+fn stands_still(python: &Python) {
+    let tasks = format!("/proc/{}/task", python.child.id());
+    let stopped = |stat: String| stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('T'));
+    let still = || {
+        let stats = std::fs::read_dir(&tasks).unwrap().map(|task| task.unwrap().path().join("stat"));
+        stats.filter_map(|path| std::fs::read_to_string(path).ok()).all(stopped)
+    };
+    while !still() {
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 fn signal(signal: &str, python: &Python) {

@@ -38,7 +38,7 @@ pub(crate) fn tell(rules: u32) -> Chain {
     forged(&mut teller);
     (Rules::FIRST.number() + 1..=rules).for_each(|number| activation(&mut teller, number));
     nodes(&mut teller, rules);
-    identities(&mut teller);
+    identities(&mut teller, rules);
     organisations(&mut teller);
     teller.finish()
 }
@@ -237,12 +237,19 @@ fn quorums(teller: &mut Teller) {
     assert_eq!(all["executed"], true);
 }
 
-fn identities(teller: &mut Teller) {
+fn identities(teller: &mut Teller, rules: u32) {
     let expires = teller.time + 3600 * SECOND;
     let register = json!({ "name": "Nadia", "role": "member", "attributes": { "Husky": "true" },
         "secret": Hash::of(&[b"secret"]), "expires": expires });
     teller.call(BOSS, Ok, "msp", "register", &[&register.to_string()]);
     teller.call(BOSS, Code::AlreadyRegistered, "msp", "register", &[&register.to_string()]);
+    if rules >= 3 {
+        for (name, code) in [("Nad\u{456}a", Code::BadName), ("Noel", Ok), ("Noe1", Code::AlreadyRegistered)] {
+            let mut alike = register.clone();
+            alike["name"] = name.into();
+            teller.call(BOSS, code, "msp", "register", &[&alike.to_string()]);
+        }
+    }
     teller.call(BOSS, Ok, "msp", "identities", &["{}"]);
     teller.call(BOSS, Ok, "msp", "cancel_registration", &[r#"{"name":"Nadia"}"#]);
     // Farhad still holds the Turtlebot4: his grant ends in this block.
