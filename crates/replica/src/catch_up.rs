@@ -284,12 +284,15 @@ impl<P: Clone> CatchUp<P> {
         match blocks {
             None => pull.ended = true,
             Some(blocks) => {
+                let before = pull.batch.end().height;
                 for block in blocks.into_iter().take_while(|block| block.index <= pull.limit) {
                     if let Err(fault) = pull.batch.push(block) {
                         return self.fault(&fault);
                     }
                 }
-                if !pull.batch.is_full() && pull.batch.end().height < pull.limit {
+                // A message that brings nothing is the end: a peer could hold this node up for ever with such ones.
+                pull.ended |= pull.batch.end().height == before;
+                if !pull.ended && !pull.batch.is_full() && pull.batch.end().height < pull.limit {
                     return Todo::More;
                 }
             }

@@ -414,6 +414,19 @@ fn a_peer_that_calls_its_own_disk_damaged_does_not_stop_a_node_that_catches_up()
 }
 
 #[test]
+fn a_peer_whose_messages_bring_no_block_does_not_hold_up_a_node_that_catches_up() {
+    let node = Node::new();
+    let who = Who { id: 2, organisation: "Org1".into(), name: "node2".into(), vouched: false };
+    let has = Holding { height: 50, first_height: 1, snapshot_height: 50, ..Holding::default() };
+    let offer = Offer { who, has, peer: 2 };
+    let behind = Behind { from: 2, first_index: 9 };
+    let mut machine = CatchUp::new(Arc::clone(node.executor.ledger()), "Org1".into(), Some(behind), None);
+    assert!(matches!(machine.step(Got::Offers(vec![offer])), Todo::Open { peer: 2, .. }));
+    let next = machine.step(Got::Blocks(Ok(Some(Vec::new()))));
+    assert!(matches!(next, Todo::Manifest { peer: 2 }), "there is no other node to ask for blocks");
+}
+
+#[test]
 fn a_replica_that_ends_writes_the_log_and_executes_what_is_committed_then() {
     let mut node = Node::new();
     node.submit(1, "note");

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 /// The bug is a switch of the whole process, so one at a time.
 static ONE: Mutex<()> = Mutex::new(());
 /// Seeds within which a bug must show.
-const SEEDS_MAX: u64 = 100;
+const SEEDS_MAX: u64 = 300;
 
 #[track_caller]
 fn caught(mutation: Mutation, by: &[&str]) {

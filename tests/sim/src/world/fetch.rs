@@ -214,6 +214,9 @@ impl World {
         if next >= until {
             return Ok(None);
         }
+        if next < from.store.first_index() {
+            return Err(Rejection::new(Code::Pruned, format!("node {peer} does not keep block {next} any more")));
+        }
         let mut entries = from.store.entries(next..until, usize::MAX)?;
         let organisations = self.plan.organisations;
         let may_lie = organisation_of(peer, organisations) != organisation_of(id, organisations);
