@@ -119,12 +119,14 @@ pub fn id(data: &Path) -> u64 {
 pub async fn follows(somebody: &Context, leader: &Client, newcomer: &Newcomer) {
     let there = connect(&Context { nodes: vec![newcomer.address.clone()], ..somebody.clone() }).await;
     let done = leader.invoke("msp", "organisations", Vec::new()).await.unwrap();
-    until("the new node follows", || async {
-        let status = there.status().await.unwrap();
-        (status.height >= done.height && status.role == "learner").then_some(())
+    // The members still change meanwhile: two states are compared where both nodes are at one height.
+    let (here, at_leader) = until("the new node follows", || async {
+        let (here, at_leader) = (there.status().await.unwrap(), leader.status().await.unwrap());
+        let level = here.height >= done.height && here.height == at_leader.height;
+        (level && here.role == "learner").then_some((here, at_leader))
     })
     .await;
-    assert_eq!(there.status().await.unwrap().state_digest, leader.status().await.unwrap().state_digest);
+    assert_eq!(here.state_digest, at_leader.state_digest);
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
