@@ -237,3 +237,15 @@ fn an_organisation_renews_its_own_roots_and_keeps_at_least_one() {
     assert_eq!(code(&network.node(2, "update_organisation", &[&only])), Code::NotAdmin);
     network.time += SECOND;
 }
+
+#[test]
+fn an_invited_organisation_has_a_readable_name_that_looks_like_no_other_one() {
+    let mut network = Network::new(2, 2);
+    let wrong = [("0rg1", Code::AlreadyExists), ("Orgl", Code::AlreadyExists), ("\u{41e}rg3", Code::BadName)];
+    let wrong = wrong.map(|(name, code)| (name, Err(code)));
+    for (name, expected) in wrong.into_iter().chain([("Neighbour", Ok(()))]) {
+        let invitation = invite(&network, name);
+        let invited = network.admin(1, "invite_organisation", &[&invitation]);
+        assert_eq!(invited.map(drop).map_err(|refused| refused.code), expected, "{name}");
+    }
+}
