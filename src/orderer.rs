@@ -38,6 +38,7 @@ use order::Order;
 use std::io;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
+use std::time::Instant;
 use tokio::sync::watch;
 
 /// Inputs from outside that wait for the order thread, which takes them all at once whenever the disk has answered.
@@ -54,7 +55,25 @@ pub(crate) struct Orderer {
 pub(crate) struct Handle {
     inbox: Arc<Inbox<Input>>,
     status: Arc<Mutex<Status>>,
-    role: watch::Receiver<RoleChange>,
+    role: watch::Receiver<Reign>,
+    /// When a transfer was demanded last.
+    demanded: Arc<Mutex<Option<Instant>>>,
+}
+
+/// Who leads, and since when.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reign {
+    /// The leader.
+    pub change: RoleChange,
+    /// When this node was told.
+    pub since: Instant,
+}
+
+impl Reign {
+    /// Begins now.
+    fn now(change: RoleChange) -> Self {
+        Self { change, since: Instant::now() }
+    }
 }
 
 impl Handle {
@@ -77,7 +96,7 @@ impl Orderer {
     fn start(replica: Replica<Client>, parts: &Engines) -> io::Result<Self> {
         let (inbox, blocks) = (Arc::new(Inbox::new()), Arc::new(Inbox::new()));
         let first = replica.status();
-        let (role, roles) = watch::channel(first.role);
+        let (role, roles) = watch::channel(Reign::now(first.role));
         let status = Arc::new(Mutex::new(first));
         let execute = Execute::new(parts);
         let order = Order::new(replica, parts, execute.clone(), &blocks, Arc::clone(&status), role);
@@ -88,7 +107,7 @@ impl Orderer {
                 .spawn(move || vital(|| execute.run(&blocks, &applied)))?,
             std::thread::Builder::new().name("order".into()).spawn(move || vital(|| order.run(&inputs)))?,
         ];
-        Ok(Self { handle: Handle { inbox, status, role: roles }, threads })
+        Ok(Self { handle: Handle { inbox, status, role: roles, demanded: Arc::default() }, threads })
     }
 
     /// Access to it.

@@ -5,6 +5,7 @@ use ledger_api::v1::{TransferLeadershipResponse, Verdict};
 use ledger_identity::Identity;
 use ledger_raft::{Role, RoleChange};
 use ledger_rejection::{Code, Rejection};
+use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
 /// Longest time that the other node has to take over.
@@ -57,8 +58,18 @@ impl Links {
                 .found(format!("role {}", caller.role))
                 .wanted("role admin"));
         }
-        let name = (to != 0).then(|| self.directory.name(to));
-        tracing::info!(by = %caller.id(), to = name, "an admin transfers the leadership");
-        self.seat.handle()?.transfer(to, PATIENCE).await
+        let members = self.directory.members();
+        let voting: Vec<_> = members.iter().filter(|member| member.votes()).collect();
+        if !voting.iter().any(|member| member.organisation == caller.organisation) {
+            let wanted: BTreeSet<_> = voting.iter().map(|member| member.organisation.as_str()).collect();
+            return Err(Rejection::new(Code::NotAdmin, format!("{} may not choose the leader", caller.id()))
+                .found(format!("{}, which has no voter", caller.organisation))
+                .wanted(format!("an admin of {}", wanted.into_iter().collect::<Vec<_>>().join(" or ")))
+                .next("ask one of them; an organisation that orders decides who leads"));
+        }
+        let changed = self.seat.handle()?.transfer_on_demand(to, PATIENCE).await?;
+        let leader = changed.leader.map(|leader| self.directory.name(leader));
+        tracing::info!(by = %caller.id(), leader, "an admin has chosen the leader");
+        Ok(changed)
     }
 }

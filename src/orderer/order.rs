@@ -2,7 +2,7 @@
 
 use super::execute::Execute;
 use super::inbox::Inbox;
-use super::{Engines, Log, Outside, Pace};
+use super::{Engines, Log, Outside, Pace, Reign};
 use crate::clock::Clock;
 use crate::peers::Member;
 use crate::waiters::Client;
@@ -31,7 +31,7 @@ pub(super) struct Order {
     blocks: Arc<Inbox<Entry>>,
     effects: Vec<Effect>,
     status: Arc<Mutex<Status>>,
-    role: watch::Sender<RoleChange>,
+    role: watch::Sender<Reign>,
     /// The members of the network, to notice when they change.
     members: watch::Receiver<Arc<[Member]>>,
     /// The node cannot go on.
@@ -45,7 +45,7 @@ impl Order {
         execute: Execute,
         blocks: &Arc<Inbox<Entry>>,
         status: Arc<Mutex<Status>>,
-        role: watch::Sender<RoleChange>,
+        role: watch::Sender<Reign>,
     ) -> Self {
         let (blocks, effects, failed) = (Arc::clone(blocks), Vec::new(), false);
         let Engines { clock, log, pace, outside, .. } = parts.clone();
@@ -150,7 +150,7 @@ impl Order {
             Effect::Status(status) => *self.status.lock().unwrap_or_else(PoisonError::into_inner) = *status,
             Effect::Role(change) => {
                 self.tell_role(&change);
-                self.role.send_replace(change);
+                self.role.send_replace(Reign::now(change));
             }
             Effect::Members { height, membership } => {
                 let directory = &self.outside.directory;

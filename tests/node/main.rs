@@ -30,6 +30,7 @@ mod instances;
 mod join;
 mod languages;
 mod leadership;
+mod liars;
 mod members;
 mod messages;
 mod network;

@@ -52,7 +52,17 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     assert_eq!(done, "approved and done: make node Org1/second (id 2) a voter\n");
     becomes(&boss, "second", "voter").await;
 
-    assert_eq!(boss.json(&["network", "transfer", "second"])["leader_id"], 2);
+    // A leader hands over on demand only after it has led for a while, and says when.
+    let transferred = until("the leader may hand over", || async {
+        let ran = boss.run(&["network", "transfer", "second", "-o", "json"]);
+        if ran.code != 0 {
+            ran.refused(4, &["LGR-4003", "in 10 s", "ask again in"]);
+            return None;
+        }
+        Some(ran.json())
+    })
+    .await;
+    assert_eq!(transferred["leader_id"], 2);
     until("all know who leads", || async { (leader(&boss) == 2).then_some(()) }).await;
     salma.run(&["network", "transfer"]).refused(2, &["LGR-3010"]);
     // A leader that is to lose its vote hands over first.

@@ -20,10 +20,11 @@ pub struct Leadership {
 
 impl Client {
     /// Makes another voter the leader: this one, or for 0 the one that has caught up most. Asks the present leader,
-    /// wherever this client is connected. For admins.
+    /// wherever this client is connected. For admins of organisations that have a voter.
     ///
     /// # Errors
-    /// [`Code::NotAdmin`]; [`Code::BadArgument`] if the node is no voter; [`Code::Timeout`] if it did not take over;
+    /// [`Code::NotAdmin`]; [`Code::Overloaded`] if the leader has led for a moment only, with when to ask again;
+    /// [`Code::BadArgument`] if the node is no voter; [`Code::Timeout`] if it did not take over;
     /// [`Code::NoLeader`] if no leader was found before the deadline.
     pub async fn transfer_leadership(&self, to: u64) -> Result<Leadership, Rejection> {
         let deadline = Instant::now() + self.session.options.deadline;

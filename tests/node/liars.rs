@@ -1,0 +1,63 @@
+//! Members that abuse their rights: what they may do to others is little, and they are told so.
+
+use crate::support::network::{NodeWish, free_address, now};
+use crate::support::process::Process;
+use crate::support::{Fleet, connect, until};
+use ledger_api::{Client, Context};
+use ledger_identity::Role;
+use ledger_rejection::Code;
+use std::time::{Duration, Instant};
+
+fn wish(name: &str, organisation: &str, voter: bool) -> NodeWish {
+    NodeWish { name: name.into(), organisation: organisation.into(), voter, address: free_address() }
+}
+
+/// Three voters of Org1, and a learner of Org2 at the end.
+fn found() -> (Fleet, Vec<Process>) {
+    let voters = ["node1", "node2", "node3"].map(|name| wish(name, "Org1", true));
+    let wishes: Vec<_> = voters.into_iter().chain([wish("node4", "Org2", false)]).collect();
+    let fleet = Fleet::found_with(&wishes, now());
+    let nodes = fleet.nodes.iter().map(|place| place.start()).collect();
+    (fleet, nodes)
+}
+
+async fn at(fleet: &Fleet, node: usize, person: &Context) -> Client {
+    connect(&Context { nodes: vec![fleet.nodes[node].address.clone()], ..person.clone() }).await
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn leadership_moves_on_demand_of_organisations_with_voters_and_not_often() {
+    let (fleet, mut nodes) = found();
+    let (owner, boss) = (fleet.owner(), fleet.issue("Org1", "Boss", Role::Admin, &[]));
+    let (stranger, boss) = (at(&fleet, 3, &owner).await, at(&fleet, 0, &boss).await);
+    let term = until("somebody leads", || async {
+        let status = stranger.status().await.ok()?;
+        (status.leader_id != 0).then_some(status.term)
+    })
+    .await;
+    for _ in 0..10 {
+        let refused = stranger.transfer_leadership(0).await.unwrap_err();
+        assert_eq!(refused.code, Code::NotAdmin, "{refused}");
+        assert!(refused.found.contains("Org2") && refused.wanted.contains("Org1"), "{refused}");
+    }
+    assert_eq!(stranger.status().await.unwrap().term, term, "nobody else leads");
+
+    let begun = Instant::now();
+    let (mut done, mut refused_in_time) = (0, 0);
+    while done < 2 {
+        match boss.transfer_leadership(0).await {
+            Ok(_) => done += 1,
+            Err(refused) if refused.code == Code::Overloaded => {
+                assert!(refused.wanted.contains("10 s") && refused.next.contains("ask again in"), "{refused}");
+                refused_in_time += 1;
+            }
+            // A voter has just come up, or hears of the new leader in a moment.
+            Err(refused) => assert!(matches!(refused.code, Code::NoLeader | Code::Timeout), "{refused}"),
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let seconds = begun.elapsed().as_secs();
+    assert!(done <= 1 + seconds / 10, "{done} transfers in {seconds} s");
+    assert!(refused_in_time > 0);
+    nodes.iter_mut().for_each(Process::check);
+}
