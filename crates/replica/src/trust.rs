@@ -1,11 +1,16 @@
 //! Whether a snapshot is believed: who attests it.
 //!
-//! A snapshot is believed if nodes of two organisations that belong to the network by the snapshot itself attest its
-//! content (of one, if there is only one). This node must also trust one of the attesting organisations already: one
-//! that stands on its own ledger, or in its genesis. So a newcomer is deceived only if two organisations lie together,
-//! one of which it knows. An attestation is a transaction that the node signed, so whoever hands it over cannot change
-//! it.
+//! Organisations are counted by the network that this node knew: by its own ledger, which is the genesis for a newcomer.
+//! A snapshot is believed if nodes of two of these organisations attest its content, or of one, if the node knows only
+//! one. If the snapshot itself has two organisations, two of those must attest it, too. So what a snapshot says about the network makes nothing easier: an
+//! organisation that declares itself alone, or declares others that nobody knows, deceives nobody who knew more.
+//!
+//! A newcomer with a join token trusts the organisation whose CA the token names. For a snapshot from there it needs that
+//! organisation, or another that it knows, and two by the snapshot itself. So it is deceived only if two organisations
+//! lie together, one of which it trusts. An attestation is a transaction that the node signed, so whoever hands it over
+//! cannot change it.
 
+use crate::REJOIN;
 use bytes::Bytes;
 use ledger::network::FoundingOrganisation;
 use ledger::transaction::Transaction;
@@ -50,6 +55,15 @@ pub struct Claim {
     pub time: u64,
     /// The hash of the manifest.
     pub content: Hash,
+}
+
+/// The organisations that a node knows.
+#[derive(Clone, Copy, Debug)]
+pub enum Known<'a> {
+    /// The members of the network by its own ledger.
+    Members(&'a Msps),
+    /// The same, and the one that vouches for the node which offers the snapshot, by the join token.
+    Vouched(&'a Msps),
 }
 
 /// The argument of `msp attest`, as far as it matters here.
@@ -104,35 +118,44 @@ impl Claim {
         Ok(identity)
     }
 
-    /// Decides about a snapshot: `trusted` is whom this node trusts, `declared` the network's organisations by the
-    /// snapshot itself.
+    /// Decides about a snapshot by the organisations that this node knows, and those of the network by the snapshot itself.
     ///
     /// # Errors
     /// [`Code::Untrusted`] with who attests it and who would have to.
     pub fn accept(
         &self,
         attested: &[Attested],
-        trusted: &Msps,
-        declared: &Msps,
+        (known, declared): (Known<'_>, &Msps),
         revoked: &dyn Fn(&Identity) -> bool,
     ) -> Result<(), Rejection> {
+        let (trusted, least) = match known {
+            Known::Members(msps) => (msps, msps.iter().count()),
+            Known::Vouched(msps) => (msps, 1),
+        };
         let by = self.attested_by(attested, declared, revoked);
         let known = self.attested_by(attested, trusted, revoked);
-        let enough = if ledger_mutation::active(Mutation::BelieveOneOrganisation) { 1 } else { ORGANISATIONS_MIN };
-        let wanted = declared.iter().count().min(enough);
-        if by.len() >= wanted && !known.is_empty() {
+        let (wanted, least) = (declared.iter().count().min(enough()), least.clamp(1, enough()));
+        if by.len() >= wanted && known.len() >= least {
             return Ok(());
         }
-        let names = |names: BTreeSet<String>| names.into_iter().collect::<Vec<_>>().join(" and ");
-        let found = match by.is_empty() {
-            true => "no attestation".into(),
-            false => format!("attestations of {}, of which this node trusts {:?}", names(by), names(known)),
-        };
+        let found = format!("attested by {}; of these, this node trusts {}", joined(by), joined(known));
         Err(Rejection::new(Code::Untrusted, format!("the snapshot of height {} is not attested enough", self.height))
             .found(found)
-            .wanted(format!("nodes of {wanted} organisations, one of which this node trusts"))
-            .next("wait until the nodes have attested it, which takes some seconds"))
+            .wanted(format!("nodes of {} organisations, {least} of which this node trusts", wanted.max(least)))
+            .next(format!(
+                "wait until the nodes have attested it, which takes some seconds; if the organisations that this node knew have \
+                 left the network: {REJOIN}"
+            )))
     }
+}
+
+/// Organisations that must attest, if there are so many.
+fn enough() -> usize {
+    if ledger_mutation::active(Mutation::BelieveOneOrganisation) { 1 } else { ORGANISATIONS_MIN }
+}
+
+fn joined(names: BTreeSet<String>) -> String {
+    if names.is_empty() { "nobody".to_owned() } else { names.into_iter().collect::<Vec<_>>().join(" and ") }
 }
 
 fn read(statement: &Bytes) -> Result<Statement, Rejection> {
@@ -170,12 +193,17 @@ impl Trial {
         }
         let claim = Claim { network, height: manifest.height, time: manifest.tip.time, content: manifest.content() };
         let trial = Self { ledger: Arc::clone(ledger), claim, attested, vouched };
-        let known = trial.claim.attested_by(&trial.attested, &ledger.msps(), &|identity| trial.is_revoked(identity));
-        if vouched.is_none() && known.is_empty() {
-            return Err(Rejection::new(Code::Untrusted, "no organisation that this node trusts attests the snapshot")
-                .found(format!("height {}, {} attestations", claim.height, trial.attested.len()))
-                .wanted("a node of an organisation that this node knows")
-                .next("wait until the nodes have attested it, which takes some seconds"));
+        let members = ledger.msps();
+        let known = trial.claim.attested_by(&trial.attested, &members, &|identity| trial.is_revoked(identity));
+        let least = members.iter().count().clamp(1, enough());
+        if vouched.is_none() && known.len() < least {
+            return Err(Rejection::new(
+                Code::Untrusted,
+                "too few organisations that this node knows attest the snapshot",
+            )
+            .found(format!("height {}, attested by {}", claim.height, joined(known)))
+            .wanted(format!("nodes of {least} organisations that this node knows"))
+            .next("wait until the nodes have attested it, which takes some seconds"));
         }
         Ok(trial)
     }
@@ -196,8 +224,15 @@ impl Trial {
 
     fn accept(&self, snapshot: &Snapshot) -> Result<(), Rejection> {
         let declared = declared(snapshot)?;
-        let trusted = with_ca(&self.ledger.msps(), &declared, self.vouched)?;
-        self.claim.accept(&self.attested, &trusted, &declared, &|identity| self.is_revoked(identity))
+        let members = self.ledger.msps();
+        let revoked = |identity: &Identity| self.is_revoked(identity);
+        match self.vouched {
+            None => self.claim.accept(&self.attested, (Known::Members(&members), &declared), &revoked),
+            Some(ca) => {
+                let trusted = with_ca(&members, &declared, ca)?;
+                self.claim.accept(&self.attested, (Known::Vouched(&trusted), &declared), &revoked)
+            }
+        }
     }
 
     fn is_revoked(&self, identity: &Identity) -> bool {
@@ -220,9 +255,9 @@ fn declared(snapshot: &Snapshot) -> Result<Msps, Rejection> {
 }
 
 /// The organisations that this node trusts: those it knows, and the one behind the CA that its join token names.
-fn with_ca(known: &Msps, declared: &Msps, ca: Option<Hash>) -> Result<Msps, Rejection> {
+fn with_ca(known: &Msps, declared: &Msps, ca: Hash) -> Result<Msps, Rejection> {
     let mut trusted = known.clone();
-    let is_named = |msp: &&Msp| msp.roots().any(|root| Some(Hash::of(&[root])) == ca);
+    let is_named = |msp: &&Msp| msp.roots().any(|root| Hash::of(&[root]) == ca);
     if let Some(named) = declared.iter().find(is_named).filter(|named| trusted.get(named.organisation()).is_none()) {
         trusted.insert(named.clone()).map_err(Rejection::from)?;
     }

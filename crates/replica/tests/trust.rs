@@ -9,7 +9,7 @@ use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::{Identity, Role};
 use ledger_rejection::Code;
-use ledger_replica::trust::{Attested, Claim};
+use ledger_replica::trust::{Attested, Claim, Known};
 use std::collections::BTreeMap;
 use testkit::{Ca, User};
 
@@ -76,15 +76,15 @@ fn nobody(_: &Identity) -> bool {
 }
 
 #[test]
-fn a_snapshot_needs_nodes_of_two_organisations_one_of_which_is_trusted() {
+fn a_snapshot_needs_nodes_of_two_organisations_that_this_node_knew() {
     let world = World::new();
     let claim = world.claim();
     let nodes = ["Org1", "Org2", "Org3"].map(|organisation| world.node(organisation, Role::Node));
     let [one, two, three] = nodes.map(|node| world.attest(&node, "attest", &statement(10, CONTENT)));
     let (all, first) = (world.only(&["Org1", "Org2", "Org3"]), world.only(&["Org1"]));
-    let accept = |attested: &[&Attested], trusted: &Msps, declared: &Msps| {
+    let accept = |attested: &[&Attested], known: &Msps, declared: &Msps| {
         let attested: Vec<_> = attested.iter().map(|one| (*one).clone()).collect();
-        claim.accept(&attested, trusted, declared, &nobody)
+        claim.accept(&attested, (Known::Members(known), declared), &nobody)
     };
     accept(&[&one, &two], &first, &all).unwrap();
     accept(&[&three, &two], &all, &all).unwrap();
@@ -96,6 +96,29 @@ fn a_snapshot_needs_nodes_of_two_organisations_one_of_which_is_trusted() {
     accept(&[&one], &first, &first).unwrap();
     // By the snapshot, the second organisation does not belong to the network.
     assert_eq!(accept(&[&one, &two], &all, &world.only(&["Org1", "Org3"])).unwrap_err().code, Code::Untrusted);
+    // An organisation that declares itself alone, or with one that nobody knew.
+    let both = world.only(&["Org1", "Org2"]);
+    assert_eq!(accept(&[&one], &both, &first).unwrap_err().code, Code::Untrusted, "alone");
+    let refused = accept(&[&one, &three], &both, &world.only(&["Org1", "Org3"])).unwrap_err();
+    assert!(refused.code == Code::Untrusted && refused.next.contains("ledgerd rejoin"), "{refused}");
+}
+
+#[test]
+fn a_newcomer_believes_the_organisation_of_its_token_with_another_one() {
+    let world = World::new();
+    let claim = world.claim();
+    let nodes = ["Org1", "Org3"].map(|organisation| world.node(organisation, Role::Node));
+    let [one, three] = nodes.map(|node| world.attest(&node, "attest", &statement(10, CONTENT)));
+    let accept = |attested: &[&Attested], declared: &[&str]| {
+        let attested: Vec<_> = attested.iter().map(|one| (*one).clone()).collect();
+        // Both organisations of the genesis, one of which has left since; and the token.
+        let trusted = world.only(&["Org1", "Org2"]);
+        claim.accept(&attested, (Known::Vouched(&trusted), &world.only(declared)), &nobody)
+    };
+    accept(&[&one, &three], &["Org1", "Org3"]).unwrap();
+    accept(&[&one], &["Org1"]).unwrap();
+    assert_eq!(accept(&[&one], &["Org1", "Org3"]).unwrap_err().code, Code::Untrusted);
+    assert_eq!(accept(&[&three], &["Org3"]).unwrap_err().code, Code::Untrusted, "nobody trusts it");
 }
 
 #[test]
