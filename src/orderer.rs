@@ -60,7 +60,7 @@ pub(crate) struct Handle {
     demanded: Arc<Mutex<Option<Instant>>>,
 }
 
-/// Who leads, and since when.
+/// The leader, and since when it leads.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Reign {
     /// The leader.

@@ -4,11 +4,13 @@
 //! peers          the connections, which follow the members
 //!   directory    who belongs to the network, from the ledger
 //!   link         one connection, made again when it breaks
+//!   pace         how often an address is dialled that does not answer
 //!   service      what other nodes call
 //! ```
 
 mod directory;
 mod link;
+mod pace;
 mod service;
 
 pub(crate) use directory::{Directory, Member, Part};
@@ -19,6 +21,7 @@ use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_hash::Hash;
 use ledger_raft::PeerMessage;
 use link::Way;
+use pace::Paces;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, PoisonError, RwLock};
@@ -40,6 +43,8 @@ pub(crate) struct Dialer {
     pub identity: TlsIdentity,
     /// The certificates that it accepts.
     pub trust: Arc<dyn TrustSource>,
+    /// How often it dials whom for a lasting connection, and for a question.
+    pub paces: Arc<[Paces; 2]>,
 }
 
 /// The ways to the other nodes.
@@ -53,6 +58,8 @@ struct Link {
     address: String,
     waiting: mpsc::Sender<Bytes>,
     connected: Arc<AtomicBool>,
+    /// It was approved to order.
+    votes: Arc<AtomicBool>,
     /// Ends the pause before the next attempt to connect.
     wake: Arc<Notify>,
 }
@@ -80,19 +87,22 @@ impl Peers {
     fn update(&self, members: &[Member]) {
         let mut links = self.links.write().unwrap_or_else(PoisonError::into_inner);
         links.retain(|id, link| members.iter().any(|member| member.id == *id && member.address == link.address));
+        self.dialer.paces.iter().for_each(|paces| paces.keep(|id| members.iter().any(|member| member.id == id)));
         for member in members.iter().filter(|member| member.id != self.dialer.me) {
-            links.entry(member.id).or_insert_with(|| {
+            let link = links.entry(member.id).or_insert_with(|| {
                 let (waiting, messages) = mpsc::channel(WAITING_MAX);
-                let (connected, wake) = (Arc::new(AtomicBool::new(false)), Arc::new(Notify::new()));
+                let (connected, votes, wake) = (Arc::default(), Arc::default(), Arc::<Notify>::default());
                 let way = Way {
                     member: member.clone(),
                     dialer: self.dialer.clone(),
                     connected: Arc::clone(&connected),
+                    votes: Arc::clone(&votes),
                     wake: Arc::clone(&wake),
                 };
                 tokio::spawn(way.keep_connected(messages));
-                Link { address: member.address.clone(), waiting, connected, wake }
+                Link { address: member.address.clone(), waiting, connected, votes, wake }
             });
+            link.votes.store(member.votes(), Ordering::Relaxed);
         }
     }
 
@@ -110,11 +120,18 @@ impl Peers {
         links.get(&id).is_some_and(|link| link.connected.load(Ordering::Relaxed))
     }
 
-    /// This node has just called: it is worth trying to reach it now.
+    /// That node has just called: it is worth trying to reach it now.
     pub(crate) fn heard_of(&self, id: u64) {
         let links = self.links.read().unwrap_or_else(PoisonError::into_inner);
         if let Some(link) = links.get(&id) {
             link.wake.notify_one();
         }
+    }
+}
+
+impl Drop for Link {
+    fn drop(&mut self) {
+        // The task notices that nobody sends any more.
+        self.wake.notify_one();
     }
 }

@@ -120,6 +120,7 @@ impl Wired {
             organisation: me.organisation.clone(),
             identity: identity.clone(),
             trust: Arc::clone(trust),
+            paces: Arc::default(),
         };
         let (followers, seen) = Followers::new(stores, &standing.directory, &seat, clock.clone());
         let (peers, space) = (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)));

@@ -31,8 +31,8 @@ impl Handle {
     /// once, if it is that one already.
     ///
     /// # Errors
-    /// [`Code::NoLeader`] if this node does not lead, [`Code::BadArgument`] if the other is no voter,
-    /// [`Code::Overloaded`] before this node has led for [`TENURE_MIN`], [`Code::Timeout`] if the other did not take over
+    /// [`Code::NoLeader`] if this node does not lead, [`Code::BadArgument`] if the other is no voter.
+    /// [`Code::Overloaded`] before this node has led for [`TENURE_MIN`]. [`Code::Timeout`] if the other did not take over
     /// within `patience`; then this node may go on leading.
     pub(crate) async fn transfer_on_demand(&self, to: u64, patience: Duration) -> Result<RoleChange, Rejection> {
         let status = self.status();

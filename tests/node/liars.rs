@@ -5,7 +5,11 @@ use crate::support::process::Process;
 use crate::support::{Fleet, connect, until};
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
-use ledger_rejection::Code;
+use ledger_rejection::{Code, Rejection};
+use serde_json::json;
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 fn wish(name: &str, organisation: &str, voter: bool) -> NodeWish {
@@ -59,5 +63,41 @@ async fn leadership_moves_on_demand_of_organisations_with_voters_and_not_often()
     let seconds = begun.elapsed().as_secs();
     assert!(done <= 1 + seconds / 10, "{done} transfers in {seconds} s");
     assert!(refused_in_time > 0);
+    nodes.iter_mut().for_each(Process::check);
+}
+
+/// A node of Org2 that no process is: a certificate, and what somebody does with it.
+async fn puppet(fleet: &Fleet, name: &str) -> Client {
+    at(fleet, 0, &fleet.issue("Org2", name, Role::Node, &[])).await
+}
+
+async fn join(puppet: &Client, address: &str) -> Result<(), Rejection> {
+    puppet.invoke("msp", "join_node", vec![json!({"address": address}).to_string().into()]).await.map(drop)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_address_that_never_answers_is_dialled_less_and_less_and_some_are_never_registered() {
+    let (fleet, mut nodes) = found();
+    let puppet = puppet(&fleet, "puppet").await;
+    for address in ["169.254.169.254:80", "[fe80::1]:7450", "224.0.0.251:5353", "0.0.0.0:7450", "2852039166:80"] {
+        let refused = join(&puppet, address).await.unwrap_err();
+        assert_eq!(refused.code, Code::BadArgument, "{address}: {refused}");
+    }
+    // Somebody else's port: it takes every connection, and answers none.
+    let victim = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = victim.local_addr().unwrap().to_string();
+    let dials = Arc::new(AtomicU64::new(0));
+    std::thread::spawn({
+        let dials = Arc::clone(&dials);
+        move || victim.incoming().for_each(|_| drop(dials.fetch_add(1, Ordering::Relaxed)))
+    });
+    join(&puppet, &address).await.unwrap();
+    let begun = Instant::now();
+    until("every node has dialled it", || async { (dials.load(Ordering::Relaxed) >= 4).then_some(()) }).await;
+    tokio::time::sleep(Duration::from_secs(15)).await;
+    // Each pause is twice as long as the one before, from 50 ms on.
+    let each = f64::log2(begun.elapsed().as_secs_f64() / 0.05).ceil() + 2.0;
+    let dials = dials.load(Ordering::Relaxed) as f64;
+    assert!(dials <= 4.0 * each, "{dials} dials by four nodes, at most {each} by each");
     nodes.iter_mut().for_each(Process::check);
 }

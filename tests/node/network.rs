@@ -46,7 +46,10 @@ async fn a_node_joins_votes_leads_follows_and_leaves_by_commands_of_two_organisa
     let waits = boss.json(&["network", "promote", "second"]);
     assert_eq!((&waits["executed"], &waits["pending"][0]), (&false.into(), &"Org2".into()), "{waits}");
     let listed = salma.run(&["network", "proposals"]).ok().stdout;
-    assert!(listed.contains("make node Org1/second (id 2) a voter") && listed.contains("Boss"), "{listed}");
+    assert!(
+        listed.contains("make node Org1/second (id 2) a voter, at 127.0.0.1:") && listed.contains("Boss"),
+        "{listed}"
+    );
     let id = &waits["proposal"]["id"].as_str().unwrap()[..12];
     let done = owner.run(&["network", "approve", id]).ok().stdout;
     assert_eq!(done, "approved and done: make node Org1/second (id 2) a voter\n");

@@ -19,6 +19,7 @@
 //! | `rules` | | [`RulesOverview`] |
 //! | `speak {newest, release}` | a node, for itself | [`NodeRecord`] |
 //! | `activate_rules {number, height?}` | an admin, with approval | [`Decision`] |
+//! | `allow_nodes {organisation, nodes}` ([`AllowNodes`]) | an admin, with approval | [`Decision`] |
 //! | `quorums` | | array of [`FunctionQuorum`] |
 //! | `set_quorum {chaincode, function, quorum?}` ([`SetQuorum`]) | an admin, with approval | [`Decision`] |
 //! | `propose {chaincode, function, args}` ([`crate::Call`]) | an admin | [`Decision`] |
@@ -38,7 +39,7 @@
 //!
 //! Events: `joined`, `moved`, `role_changed` and `speaks` with the [`NodeRecord`] and the node as subject; `proposed`,
 //! `approved`, `withdrawn`, `executed` and `failed` with the [`Proposal`] and its id; `quorum_changed` with the
-//! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `invited` with the [`Invitation`] and
+//! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `nodes_allowed` with the [`AllowNodes`] and the organisation; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
 //! name; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
 //! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
@@ -47,6 +48,8 @@
 //! the [`crate::Activation`] and the number.
 
 mod action;
+mod address;
+mod allowance;
 mod attestations;
 mod caller;
 mod carriers;
@@ -62,6 +65,8 @@ mod rules;
 mod store;
 
 pub use action::Action;
+pub use address::never_dialled;
+pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
@@ -98,6 +103,7 @@ use store::{full, json};
 pub const NAME: &str = "msp";
 
 const ACTIVATE_RULES: &str = "activate_rules";
+const ALLOW_NODES: &str = "allow_nodes";
 const INVITE_ORGANISATION: &str = "invite_organisation";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
 const SET_NODE_ROLE: &str = "set_node_role";
@@ -105,8 +111,9 @@ const SET_QUORUM: &str = "set_quorum";
 
 /// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
 /// quorum it sets.
-static NEEDS_APPROVAL: [(&str, Quorum); 5] = [
+static NEEDS_APPROVAL: [(&str, Quorum); 6] = [
     (ACTIVATE_RULES, Quorum::Majority),
+    (ALLOW_NODES, Quorum::Majority),
     (INVITE_ORGANISATION, Quorum::Majority),
     (REMOVE_ORGANISATION, Quorum::Majority),
     (SET_NODE_ROLE, Quorum::Majority),
@@ -114,8 +121,9 @@ static NEEDS_APPROVAL: [(&str, Quorum); 5] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 32] = [
+const FUNCTIONS: [(&str, &str); 33] = [
     ("activate_rules", "RULES_JSON"),
+    (ALLOW_NODES, "ALLOW_JSON"),
     ("approve", "ID"),
     ("attest", "ATTEST_JSON"),
     ("attestations", "none"),
@@ -150,10 +158,10 @@ const FUNCTIONS: [(&str, &str); 32] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 3] = ["propose", "quorums", SET_QUORUM];
+const SINCE_RULES_3: [&str; 4] = [ALLOW_NODES, "propose", "quorums", SET_QUORUM];
 
 /// The names of its events.
-const EVENTS: [&str; 23] = [
+const EVENTS: [&str; 24] = [
     "approved",
     "attested",
     "ca_carried",
@@ -165,6 +173,7 @@ const EVENTS: [&str; 23] = [
     "invited",
     "joined",
     "moved",
+    "nodes_allowed",
     "organisation_joined",
     "organisation_removed",
     "organisation_updated",
@@ -234,6 +243,7 @@ impl Chaincode for MspChaincode {
             ("rules", []) => rules::show(ctx),
             ("speak", [speaks]) => rules::speak(ctx, speaks),
             (ACTIVATE_RULES, [activate]) => rules::activate(ctx, activate),
+            (ALLOW_NODES, [allow]) => allowance::allow(ctx, allow),
             ("proposals", []) => proposals::list(ctx),
             ("quorums", []) => quorums::list(ctx),
             (SET_QUORUM, [quorum]) => quorums::set(ctx, quorum),

@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one |
+//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has |
 //!
 //! ```
 //! use ledger::Rules;
@@ -70,6 +70,16 @@ impl Rules {
 
     /// Must new names be such that people can tell them apart?
     pub(crate) const fn names_are_readable(self) -> bool {
+        self.0 >= 3
+    }
+
+    /// Must the address of a node be a name, or one that nodes dial? Before, it only had to look like `HOST:PORT`.
+    pub(crate) const fn addresses_are_checked(self) -> bool {
+        self.0 >= 3
+    }
+
+    /// Does the network decide how many nodes an organisation has? Before, it was half of all that there may be.
+    pub(crate) const fn nodes_are_allowed(self) -> bool {
         self.0 >= 3
     }
 

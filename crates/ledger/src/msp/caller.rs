@@ -7,9 +7,6 @@ use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
-/// Longest address, in bytes.
-const ADDRESS_BYTES_MAX: usize = 256;
-
 /// The submitter, if their organisation still belongs to the network. A block that removes an organisation may hold
 /// transactions of its members behind that: their certificates are refused from the next block on, and here at once.
 pub(super) fn submitter<'a>(ctx: &Context<'a>) -> Result<&'a Identity, Rejection> {
@@ -70,20 +67,4 @@ pub(super) fn bad(function: &str, name: &str, wanted: &str) -> Rejection {
 /// Checks the name of an organisation or a node.
 pub(super) fn check_name(name: &str) -> Result<(), Rejection> {
     ledger_identity::check_name(name).map_err(|error| Rejection { code: Code::BadName, ..Rejection::from(error) })
-}
-
-/// Checks `HOST:PORT`.
-pub(super) fn check_address(address: &str) -> Result<(), Rejection> {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_.:[]%".contains(c);
-    let usable = address.len() <= ADDRESS_BYTES_MAX
-        && address.chars().all(plain)
-        && address.rsplit_once(':').is_some_and(|(host, port)| {
-            !host.is_empty() && port.parse::<u16>().is_ok_and(|number| number != 0 && number.to_string() == port)
-        });
-    if usable {
-        return Ok(());
-    }
-    Err(Rejection::new(Code::BadArgument, "the address of the node is not usable")
-        .found(format!("{:?}", address.chars().take(80).collect::<String>()))
-        .wanted("HOST:PORT under which the other nodes reach it, such as 10.0.0.4:7450"))
 }

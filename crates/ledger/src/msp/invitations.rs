@@ -5,7 +5,8 @@
 //! the request can lose it but not change it.
 
 use super::action::Action;
-use super::caller::{admin, check_address, check_name, node, object};
+use super::address::check_address;
+use super::caller::{admin, check_name, node, object};
 use super::organisations;
 use super::proposals::decide;
 use super::store::{self, INVITATIONS, invitation_key, json};
@@ -194,7 +195,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         .verify(&join.signed_bytes(&ctx.network()), &signature)
         .map_err(|error| not_invited(name, &error.to_string()))?;
     check_name(&join.node_name)?;
-    check_address(&join.address)?;
+    check_address(ctx.rules(), &join.address)?;
     organisations::add(ctx, &join.organisation)?;
     ctx.delete(key.as_bytes());
     let answer = json(&organisations::describe(&join.organisation)?)?;

@@ -4,7 +4,9 @@
 //! there one by one. So a change of members is signed, on the ledger, and survives a change of the leader.
 
 use super::action::Action;
-use super::caller::{admin, check_address, node, object};
+use super::address::check_address;
+use super::allowance;
+use super::caller::{admin, node, object};
 use super::proposals::{Decision, decide};
 use super::rules::Speaks;
 use super::store::{self, MEMBERS_KEY, NEXT_NODE, NODES, json, node_key};
@@ -19,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::fmt;
 
-/// Most nodes of one organisation, so that none can fill the network with its own.
+/// Most nodes of one organisation before rules 3, so that none can fill the network with its own.
 pub const NODES_PER_ORGANISATION_MAX: usize = NODES_MAX / 2;
 /// Most records of nodes that were removed; beyond it the oldest is forgotten.
 const REMOVED_MAX: usize = 256;
@@ -158,7 +160,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
             .found(format!("{:?}", name.chars().take(80).collect::<String>()))
             .wanted(format!("{:?}", caller.name)));
     }
-    check_address(&join.address)?;
+    check_address(ctx.rules(), &join.address)?;
     let nodes = all(ctx)?;
     let live = || nodes.iter().filter(|node| node.role != NodeRole::Removed);
     let own = |node: &&NodeRecord| node.organisation == caller.organisation && node.name == caller.name;
@@ -180,7 +182,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
             return json(&node);
         }
         Some(before) => change_role(ctx, &nodes, before, NodeRole::Removed)?,
-        None => check_room(caller, live())?,
+        None => check_room(ctx, caller, live())?,
     }
     let id = store::next_number(ctx, NEXT_NODE)?;
     let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, NodeRole::Learner);
@@ -189,20 +191,23 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
     json(&node)
 }
 
-fn check_room<'a>(caller: &Identity, live: impl Iterator<Item = &'a NodeRecord>) -> Result<(), Rejection> {
+fn check_room<'a>(
+    ctx: &Context<'_>,
+    caller: &Identity,
+    live: impl Iterator<Item = &'a NodeRecord>,
+) -> Result<(), Rejection> {
+    let allowed = allowance::of(ctx, &caller.organisation)?;
     let (mut nodes, mut own) = (0, 0);
     for node in live {
         nodes += 1;
         own += usize::from(node.organisation == caller.organisation);
     }
-    for (found, max, whose) in
-        [(nodes, NODES_MAX, "the network"), (own, NODES_PER_ORGANISATION_MAX, caller.organisation.as_str())]
-    {
+    for (found, max, whose) in [(nodes, NODES_MAX, "the network"), (own, allowed, caller.organisation.as_str())] {
         if found >= max {
             return Err(Rejection::new(Code::LimitExceeded, format!("{whose} has no room for another node"))
                 .found(format!("{found} nodes"))
                 .wanted(format!("at most {max}"))
-                .next("ledgerctl network remove NODE"));
+                .next("ledgerctl network remove NODE; organisations allow more with msp allow_nodes"));
         }
     }
     Ok(())

@@ -1,6 +1,7 @@
 //! The organisations of the network and their authorities.
 
 use super::action::Action;
+use super::allowance;
 use super::caller::{admin, object, text};
 use super::nodes;
 use super::proposals::{self, decide};
@@ -191,6 +192,7 @@ fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection>
     if ctx.rules().proposes_calls() {
         proposals::forget_organisation(ctx, name)?;
         quorums::forget_organisation(ctx, name)?;
+        allowance::forget(ctx, name);
     }
     let answer = json(&describe(&organisation)?)?;
     ctx.emit("organisation_removed", name, answer.clone());

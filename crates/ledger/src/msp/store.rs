@@ -5,6 +5,7 @@
 //! | `organisation/<name>` | [`crate::network::FoundingOrganisation`] |
 //! | `former/<name>` | an organisation that was removed, as it was last |
 //! | `node/<id, 20 digits>` | [`super::NodeRecord`] |
+//! | `allowance/<organisation>` | how many nodes it may have, if the network has decided that |
 //! | `next/node`, `next/proposal` | the next number, never given twice |
 //! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
@@ -80,6 +81,10 @@ pub(super) fn quorum_key(chaincode: &str, function: &str) -> String {
 
 pub(super) fn invitation_key(name: &str) -> String {
     format!("{INVITATIONS}{name}")
+}
+
+pub(super) fn allowance_key(organisation: &str) -> String {
+    format!("allowance/{organisation}")
 }
 
 pub(super) fn attestation_key(organisation: &str, node: &str) -> String {

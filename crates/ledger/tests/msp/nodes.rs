@@ -1,7 +1,11 @@
 use crate::world::{Network, code, is_executed, json, waiting};
-use ledger::msp::{self, Decision, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired};
+use bytes::Bytes;
+use ledger::Rules;
+use ledger::msp::{
+    self, Decision, NODES_ALLOWED_DEFAULT, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired,
+};
 use ledger_identity::key::KeyKind;
-use ledger_rejection::Code;
+use ledger_rejection::{Code, Rejection};
 
 const LEARNER: NodeRole = NodeRole::Learner;
 const VOTER: NodeRole = NodeRole::Voter;
@@ -57,6 +61,7 @@ fn only_nodes_join_and_only_at_an_address_of_their_own() {
         ("node9:070", Code::BadArgument),
         ("node9:70000", Code::BadArgument),
         ("node 9:7450", Code::BadArgument),
+        ("169.254.169.254:80", Code::BadArgument),
         ("[::1]:7450", Code::Ok),
     ] {
         let argument = format!(r#"{{"address":"{address}"}}"#);
@@ -138,17 +143,44 @@ fn the_last_voter_stays_also_when_an_older_approval_comes_late() {
 
 #[test]
 fn one_organisation_cannot_fill_the_network_with_its_nodes() {
-    let mut network = Network::new(2, 1);
-    let join = |network: &mut Network, number: usize| {
-        let node = network.cas[0].user(&format!("edge{number}"), "node", KeyKind::Ed25519);
-        network.call(&node, "join_node", &[&format!(r#"{{"address":"edge{number}:7450"}}"#)])
-    };
-    for number in 1..NODES_PER_ORGANISATION_MAX {
-        assert_eq!(code(&join(&mut network, number)), Code::Ok, "{number}");
+    for (rules, max) in [(Rules::FIRST, NODES_PER_ORGANISATION_MAX), (Rules::NEWEST, NODES_ALLOWED_DEFAULT)] {
+        let mut network = Network::founded_with(rules, 2, 1);
+        for number in 1..max {
+            assert_eq!(code(&join_edge(&mut network, number)), Code::Ok, "{number}");
+        }
+        assert_eq!(code(&join_edge(&mut network, 99)), Code::LimitExceeded);
+        let other = network.cas[1].user("edge", "node", KeyKind::Ed25519);
+        assert_eq!(code(&network.call(&other, "join_node", &[r#"{"address":"e:7450"}"#])), Code::Ok);
     }
-    assert_eq!(code(&join(&mut network, 99)), Code::LimitExceeded);
+}
+
+/// A new node of the first organisation joins.
+fn join_edge(network: &mut Network, number: usize) -> Result<Bytes, Rejection> {
+    let node = network.cas[0].user(&format!("edge{number}"), "node", KeyKind::Ed25519);
+    network.call(&node, "join_node", &[&format!(r#"{{"address":"edge{number}:7450"}}"#)])
+}
+
+#[test]
+fn the_organisations_decide_together_how_many_nodes_one_has() {
+    let mut network = Network::new(3, 1);
+    let allow = |nodes: usize| format!(r#"{{"organisation":"Org1","nodes":{nodes}}}"#);
+    let id = waiting(network.admin(1, "allow_nodes", &[&allow(2)]));
+    assert_eq!(code(&join_edge(&mut network, 1)), Code::Ok, "one organisation alone changes nothing");
+    assert!(is_executed(network.admin(2, "approve", &[&id])));
+    assert_eq!(network.event_names(), ["approved", "nodes_allowed", "executed"]);
+    assert_eq!(code(&join_edge(&mut network, 2)), Code::LimitExceeded);
     let other = network.cas[1].user("edge", "node", KeyKind::Ed25519);
     assert_eq!(code(&network.call(&other, "join_node", &[r#"{"address":"e:7450"}"#])), Code::Ok);
+    let id = waiting(network.admin(1, "allow_nodes", &[&allow(3)]));
+    assert!(is_executed(network.admin(3, "approve", &[&id])));
+    assert_eq!(code(&join_edge(&mut network, 2)), Code::Ok);
+    for (argument, wanted) in
+        [(allow(65), Code::BadArgument), (r#"{"organisation":"Org9","nodes":1}"#.into(), Code::NotFound)]
+    {
+        assert_eq!(code(&network.admin(1, "allow_nodes", &[&argument])), wanted, "{argument}");
+    }
+    let mut older = Network::founded_with(Rules::FIRST, 2, 1);
+    assert_eq!(code(&older.admin(1, "allow_nodes", &[&allow(2)])), Code::UnknownFunction);
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use super::change::decide;
 use super::decision::{Decided, joined, short, what};
-use super::{ask, json};
+use super::{ask, json, nodes};
 use crate::answer;
 use crate::command::chaincode::Call;
 use crate::failure::Failure;
@@ -10,7 +10,7 @@ use crate::output::{Facts, Output, Table, printable};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
-use ledger::msp::{Decision, Proposal};
+use ledger::msp::{Action, Decision, NodeRecord, NodeRole, Proposal};
 use ledger_rejection::Code;
 use serde::Serialize;
 use std::io::{self, Write};
@@ -53,7 +53,7 @@ pub(crate) struct Withdraw {
 
 pub(super) async fn run(session: &Session, output: &mut Output) -> Result<(), Failure> {
     let decisions = ask(session, "proposals", vec![], "the proposals").await?;
-    output.show(&Standing { decisions, now: session.client.now() })
+    output.show(&Standing { decisions, nodes: nodes(session).await?.nodes, now: session.client.now() })
 }
 
 impl Propose {
@@ -84,6 +84,8 @@ impl Withdraw {
 /// The proposals that stand.
 struct Standing {
     decisions: Vec<Decision>,
+    /// The nodes of the network, as they have registered.
+    nodes: Vec<NodeRecord>,
     /// The network's clock, microseconds.
     now: u64,
 }
@@ -104,7 +106,7 @@ impl Facts for Standing {
             let Some(proposal) = &decision.proposal else { continue };
             table.row([
                 short(&proposal.id.to_string()).to_owned(),
-                what(&proposal.action),
+                self.what(&proposal.action),
                 proposal.by.clone(),
                 joined(&proposal.approvals),
                 missing(decision),
@@ -113,6 +115,19 @@ impl Facts for Standing {
             ]);
         }
         table.write(out, 0)
+    }
+}
+
+impl Standing {
+    /// An action in words. A node that shall order comes with its address, which everybody will dial.
+    fn what(&self, action: &Action) -> String {
+        let node = match action {
+            Action::SetNodeRole { id, role, .. } if *role != NodeRole::Removed => {
+                self.nodes.iter().find(|node| node.id == *id)
+            }
+            _ => None,
+        };
+        node.map_or_else(|| what(action), |node| format!("{}, at {}", what(action), node.address))
     }
 }
 
