@@ -95,13 +95,14 @@ fn check_rest(rested: Duration) -> Result<(), Rejection> {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
     #[test]
     fn a_demand_that_comes_too_soon_names_the_limit_and_when_to_ask_again() {
         assert_eq!(check_rest(TENURE_MIN), Ok(()));
-        let refused = check_rest(Duration::from_millis(2500)).expect_err("too soon");
+        let refused = check_rest(Duration::from_millis(2500)).unwrap_err();
         assert_eq!(refused.code, Code::Overloaded);
         assert!(refused.wanted.contains("in 10 s") && refused.next == "ask again in 7.6 s", "{refused}");
     }
