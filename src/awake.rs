@@ -1,133 +1,131 @@
-//! Keeps the processors awake while a transaction is in flight.
+//! Keeps the processors awake while transactions come.
 //!
 //! A command at 50 Hz meets a machine that has gone to sleep since the last one. Each wait on its way, for the disk and
 //! for the next thread, ends with a processor that must wake up first. That takes longer than all the work (see
-//! docs/benchmarks.md). So with the profile `low-latency` threads of the class `SCHED_IDLE` (sched(7)) spin, from the
-//! moment a transaction is admitted until its block is executed. The kernel runs them only where nothing else wants to
-//! run, and puts them aside at once when something does. While nothing is in flight they are parked and cost nothing.
-//! Before admission nothing spins: a flood of refused requests must not cost power.
-//!
-//! They pause often, for some microseconds. A processor takes over work that waits behind another one when it becomes
-//! idle, which one that spins never does. Without the pauses a ready thread could wait for the next tick of the
-//! scheduler, 4 ms.
+//! docs/benchmarks.md). So with the profile `low-latency` the node asks the kernel that no processor sleeps, from the
+//! first admitted transaction until a second after the last one. The kernel's way is its PM QoS interface:
+//! `/dev/cpu_dma_latency` takes the longest time that waking up may take, in microseconds
+//! (Documentation/power/pm_qos_interface.rst). Before admission nothing is asked for: a flood of refused requests must
+//! not cost power.
 
 use crate::config::Profile;
-use rustix::thread::set_current_timer_slack;
-use std::hint::spin_loop;
-use std::io;
-use std::num::NonZeroU64;
-use std::sync::Arc;
+use ledger_rejection::{Code, Rejection};
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::thread::{JoinHandle, available_parallelism, park, sleep};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::{JoinHandle, park, park_timeout};
 use std::time::{Duration, Instant};
-use thread_priority::{
-    NormalThreadSchedulePolicy, ThreadPriority, ThreadSchedulePolicy, set_thread_priority_and_policy, thread_native_id,
-};
 
-/// Processors that are kept awake at most: about as many threads work on one transaction at a time.
-const THREADS_MAX: usize = 2;
-/// How long they stay awake for one transaction at most.
-const LIMIT: Duration = Duration::from_millis(2);
-/// How long they stay awake after the last verdict: for the client that reads it and the bridge that publishes.
-const LINGER: Duration = Duration::from_micros(300);
-/// How long a processor spins until it shows that it is idle.
-const SPIN: Duration = Duration::from_micros(100);
-/// How long it shows it. The time is long enough that the kernel lets it take over work: it looks for none if a
-/// processor is usually idle for less than tens of microseconds. It is too short to fall asleep in earnest.
-const PAUSE: Duration = Duration::from_micros(20);
-/// Spins between two looks at the clock.
-const SPINS_PER_LOOK: u32 = 32;
+/// The kernel's device.
+const DEVICE: &str = "/dev/cpu_dma_latency";
+/// No processor sleeps.
+const AWAKE: i32 = 0;
+/// This node asks for nothing (`PM_QOS_DEFAULT_VALUE`).
+const ASLEEP: i32 = -1;
+/// How long the processors stay awake after the last transaction: a robot that is driven lets them not sleep.
+const LINGER: Duration = Duration::from_secs(1);
 
-/// The threads. They end with it.
+/// The wish. It ends with the node: the kernel forgets it when the device is closed.
 pub(crate) struct Awake {
-    until: Arc<Until>,
-    threads: Vec<JoinHandle<()>>,
+    wish: Option<Arc<Wish>>,
+    thread: Option<JoinHandle<()>>,
 }
 
-struct Until {
+struct Wish {
+    device: Mutex<File>,
+    /// The device was told so.
+    awake: AtomicBool,
     base: Instant,
-    /// Nanoseconds after `base`.
-    moment: AtomicU64,
+    /// Until when, in nanoseconds after `base`.
+    until: AtomicU64,
     stop: AtomicBool,
 }
 
 impl Awake {
-    /// Starts the threads that the profile wants: with [`Profile::Balanced`] there are none.
+    /// For the profile. Where the device cannot be opened, the processors sleep, and the log says so.
     ///
     /// # Errors
     /// If the operating system gives no thread.
     pub(crate) fn start(profile: Profile) -> io::Result<Self> {
-        let until = Arc::new(Until { base: Instant::now(), moment: AtomicU64::new(0), stop: AtomicBool::new(false) });
-        let count = match profile {
-            Profile::Balanced => 0,
-            Profile::LowLatency => available_parallelism().map_or(1, usize::from).min(THREADS_MAX),
-        };
-        let thread = |_| {
-            let until = Arc::clone(&until);
-            std::thread::Builder::new().name("awake".into()).spawn(move || until.run())
-        };
-        let threads = (0..count).map(thread).collect::<io::Result<_>>()?;
-        Ok(Self { until, threads })
+        match profile {
+            Profile::Balanced => Ok(Self { wish: None, thread: None }),
+            Profile::LowLatency => match OpenOptions::new().write(true).open(DEVICE) {
+                Ok(device) => Self::by(device),
+                Err(error) => {
+                    let reason =
+                        Rejection::new(Code::BadConfiguration, "the profile low-latency cannot keep processors awake")
+                            .found(format!("{DEVICE}: {error}"))
+                            .wanted(format!("write access to {DEVICE}"))
+                            .next("give the user of ledgerd write access to it, or use the profile balanced");
+                    tracing::warn!(%reason, "processors may sleep");
+                    Ok(Self { wish: None, thread: None })
+                }
+            },
+        }
+    }
+
+    fn by(device: File) -> io::Result<Self> {
+        let wish = Arc::new(Wish {
+            device: Mutex::new(device),
+            awake: AtomicBool::new(false),
+            base: Instant::now(),
+            until: AtomicU64::new(0),
+            stop: AtomicBool::new(false),
+        });
+        let own = Arc::clone(&wish);
+        let thread = std::thread::Builder::new().name("awake".into()).spawn(move || own.let_sleep())?;
+        Ok(Self { wish: Some(wish), thread: Some(thread) })
     }
 
     /// A transaction is in flight.
     pub(crate) fn keep(&self) {
-        if self.threads.is_empty() {
-            return;
+        let (Some(wish), Some(thread)) = (&self.wish, &self.thread) else { return };
+        wish.until.store(wish.now() + nanoseconds(LINGER), Ordering::Relaxed);
+        if !wish.awake.load(Ordering::Relaxed) {
+            wish.tell(|| Some(AWAKE));
+            thread.thread().unpark();
         }
-        let now = self.until.now();
-        if self.until.moment.swap(now + nanoseconds(LIMIT), Ordering::Relaxed) <= now {
-            self.threads.iter().for_each(|thread| thread.thread().unpark());
-        }
-    }
-
-    /// Nothing is in flight any more.
-    pub(crate) fn rest(&self) {
-        if self.threads.is_empty() {
-            return;
-        }
-        let soon = self.until.now() + nanoseconds(LINGER);
-        self.until.moment.fetch_min(soon, Ordering::Relaxed);
     }
 }
 
 impl Drop for Awake {
     fn drop(&mut self) {
-        self.until.stop.store(true, Ordering::Relaxed);
-        for thread in self.threads.drain(..) {
+        if let (Some(wish), Some(thread)) = (&self.wish, self.thread.take()) {
+            wish.stop.store(true, Ordering::Relaxed);
             thread.thread().unpark();
             let _ended = thread.join();
         }
     }
 }
 
-impl Until {
+impl Wish {
     fn now(&self) -> u64 {
         nanoseconds(self.base.elapsed())
     }
 
-    fn run(&self) {
-        let idle = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Idle);
-        if let Err(error) = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, idle) {
-            // Without it they would be in the way of those that they are to help.
-            tracing::info!(%error, "processors may sleep: no thread may have the class SCHED_IDLE here");
-            return;
-        }
-        // Else each pause takes as much longer as the kernel may wait for other timers, 50 us.
-        let _longer_pauses = set_current_timer_slack(NonZeroU64::new(1));
-        while !self.stop.load(Ordering::Relaxed) {
-            while self.now() < self.moment.load(Ordering::Relaxed) {
-                self.spin();
-                sleep(PAUSE);
-            }
-            park();
+    /// Tells the device what is wished, if anything is new.
+    fn tell(&self, wished: impl FnOnce() -> Option<i32>) {
+        let mut device = self.device.lock().unwrap_or_else(PoisonError::into_inner);
+        let Some(latency) = wished() else { return };
+        match device.write_all(&latency.to_ne_bytes()) {
+            Ok(()) => self.awake.store(latency == AWAKE, Ordering::Relaxed),
+            Err(error) => tracing::debug!(%error, "the kernel does not take the wish about sleeping processors"),
         }
     }
 
-    fn spin(&self) {
-        let pause = self.now() + nanoseconds(SPIN);
-        while self.now() < self.moment.load(Ordering::Relaxed).min(pause) {
-            (0..SPINS_PER_LOOK).for_each(|_| spin_loop());
+    /// Takes the wish back when nothing came for a while. A transaction that comes just then is served by processors that
+    /// may sleep; the next one wakes them again.
+    fn let_sleep(&self) {
+        while !self.stop.load(Ordering::Relaxed) {
+            if !self.awake.load(Ordering::Relaxed) {
+                park();
+                continue;
+            }
+            match self.until.load(Ordering::Relaxed).saturating_sub(self.now()) {
+                0 => self.tell(|| (self.until.load(Ordering::Relaxed) <= self.now()).then_some(ASLEEP)),
+                left => park_timeout(Duration::from_nanos(left)),
+            }
         }
     }
 }
@@ -140,30 +138,39 @@ fn nanoseconds(duration: Duration) -> u64 {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use std::path::Path;
 
-    fn moment(awake: &Awake) -> u64 {
-        awake.until.moment.load(Ordering::Relaxed)
+    /// What a device was told.
+    fn told(device: &Path) -> Vec<i32> {
+        let bytes = std::fs::read(device).unwrap();
+        bytes.chunks(4).map(|value| i32::from_ne_bytes(value.try_into().unwrap())).collect()
     }
 
     #[test]
-    fn processors_stay_awake_until_the_verdict_and_for_no_longer_than_the_limit() {
-        let awake = Awake::start(Profile::LowLatency).unwrap();
-        assert_eq!(moment(&awake), 0, "nothing is in flight");
-        let before = awake.until.now();
+    fn processors_stay_awake_from_a_transaction_on_until_none_has_come_for_a_while() {
+        let directory = tempfile::tempdir().unwrap();
+        let device = directory.path().join("device");
+        let awake = Awake::by(File::create(&device).unwrap()).unwrap();
+        assert_eq!(told(&device), [], "nothing is in flight");
         awake.keep();
-        let (kept, after) = (moment(&awake), awake.until.now());
-        assert!((before..=after).contains(&(kept - nanoseconds(LIMIT))), "{before} {kept} {after}");
-        awake.rest();
-        assert!(moment(&awake) <= awake.until.now() + nanoseconds(LINGER));
-        // The threads end with it, whatever they were told last.
         awake.keep();
+        assert_eq!(told(&device), [AWAKE], "once");
+        let wish = awake.wish.as_ref().unwrap();
+        assert!(wish.until.load(Ordering::Relaxed) > wish.now());
+        wish.until.store(0, Ordering::Relaxed);
+        awake.thread.as_ref().unwrap().thread().unpark();
+        while wish.awake.load(Ordering::Relaxed) {
+            std::thread::yield_now();
+        }
+        assert_eq!(told(&device), [AWAKE, ASLEEP]);
+        awake.keep();
+        assert_eq!(told(&device), [AWAKE, ASLEEP, AWAKE]);
     }
 
     #[test]
-    fn the_balanced_profile_starts_no_thread() {
+    fn the_balanced_profile_wishes_nothing() {
         let awake = Awake::start(Profile::Balanced).unwrap();
-        assert!(awake.threads.is_empty());
         awake.keep();
-        assert_eq!(moment(&awake), 0);
+        assert!(awake.wish.is_none() && awake.thread.is_none());
     }
 }

@@ -6,6 +6,7 @@
 
 use crate::catch_up::CatchUp;
 use crate::orderer::Engines;
+use ledger_raft::Secret;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::conductor::{self, Happened, Next};
@@ -19,6 +20,7 @@ use tokio::task::JoinHandle;
 pub(crate) struct Conductor {
     id: u64,
     timing: Timing,
+    secret: Secret,
     engines: Engines,
     catch_up: CatchUp,
     machine: conductor::Conductor,
@@ -27,11 +29,11 @@ pub(crate) struct Conductor {
 }
 
 impl Conductor {
-    /// For the node with this id.
-    pub(crate) fn new(id: u64, timing: Timing, engines: Engines, catch_up: CatchUp) -> Self {
+    /// For the node with this id, and the secret behind its receipts.
+    pub(crate) fn new((id, secret): (u64, Secret), timing: Timing, engines: Engines, catch_up: CatchUp) -> Self {
         let behind = engines.outside.behind.subscribe();
         let machine = conductor::Conductor::new(id, Arc::clone(engines.executor.ledger()));
-        Self { id, timing, engines, catch_up, machine, behind }
+        Self { id, timing, secret, engines, catch_up, machine, behind }
     }
 
     /// Starts the first engine, unless the node is far behind; then goes on in a task of its own until the node stops.
@@ -114,7 +116,8 @@ impl Conductor {
     }
 
     fn start_engine(&self) -> Result<(), Rejection> {
-        let settings = Settings { id: self.id, seed: crate::random::number()?, timing: self.timing };
+        let settings =
+            Settings { id: self.id, seed: crate::random::number()?, timing: self.timing, secret: self.secret };
         self.catch_up.seat.take_in(self.engines.start(&settings)?);
         Ok(())
     }

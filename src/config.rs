@@ -56,8 +56,8 @@ pub struct Config {
 pub enum Profile {
     /// `balanced`: power. The processors sleep whenever nothing is to be done.
     Balanced,
-    /// `low-latency`: the time that a command takes. The processors are kept awake while a transaction is in flight, and
-    /// threads take short turns while many wait for them.
+    /// `low-latency`: the time that a command takes. The processors do not sleep while transactions come, and threads
+    /// take short turns while many wait for them.
     LowLatency,
 }
 

@@ -151,7 +151,8 @@ impl Prepared {
         let telling = Telling { author: wired.author(), me: wired.me.id };
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
         let catch_up = wired.catch_up(bootstrap, ballot, stopping);
-        let conductor = Conductor::new(wired.me.id, timing, wired.engines.clone(), catch_up).begin().await?;
+        let conductor =
+            Conductor::new((wired.me.id, wired.secret()), timing, wired.engines.clone(), catch_up).begin().await?;
         let Wired { me, stores, links, shares, engines, .. } = wired;
         let (fate, members) = (engines.outside.fate, links.directory.subscribe());
         let scrub = Scrub::start(stores.store, fate.clone()).map_err(|error| no_thread(&error))?;

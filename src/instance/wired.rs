@@ -24,7 +24,7 @@ use crate::witness::{Seen, Testimony, Witness};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::tls::{TlsIdentity, TrustSource};
-use ledger_raft::Input;
+use ledger_raft::{Input, Secret};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Ballot;
 use ledger_replica::gateway::Shares;
@@ -106,6 +106,12 @@ impl Followers {
 }
 
 impl Wired {
+    /// The secret behind this node's receipts, on this network.
+    pub(super) fn secret(&self) -> Secret {
+        let purpose = [&b"ledgerd receipts v1\0"[..], &self.stores.ledger.network().0].concat();
+        Secret(self.identity.own().key.secret_for(&purpose))
+    }
+
     /// Makes the parts and tells them of each other. Answers also with the attestations that they will have seen.
     pub(super) fn new(
         (papers, config): (&Papers, &Config),

@@ -5,7 +5,6 @@ use super::{Engines, Pace};
 use crate::clock::Clock;
 use crate::housekeeping::PENDING_BYTES_MAX;
 use crate::instance::Fate;
-use crate::waiters::Waiters;
 use ledger::{Ledger, Outcome};
 use ledger_invariant::invariant;
 use ledger_raft::Input;
@@ -19,7 +18,6 @@ use std::sync::{Arc, Mutex, PoisonError};
 #[derive(Clone)]
 pub(super) struct Execute {
     executor: Arc<Executor>,
-    waiters: Arc<Waiters>,
     clock: Clock,
     pace: Pace,
     fate: Fate,
@@ -28,8 +26,8 @@ pub(super) struct Execute {
 
 impl Execute {
     pub(super) fn new(parts: &Engines) -> Self {
-        let Engines { executor, waiters, clock, pace, outside, .. } = parts.clone();
-        Self { executor, waiters, clock, pace, fate: outside.fate, given: Given::default() }
+        let Engines { executor, clock, pace, outside, .. } = parts.clone();
+        Self { executor, clock, pace, fate: outside.fate, given: Given::default() }
     }
 
     /// The execute thread.
@@ -67,9 +65,6 @@ impl Execute {
         if let Err(fault) = self.executor.execute_all(entries) {
             self.fate.fail(fault);
             return false;
-        }
-        if self.waiters.is_empty() {
-            self.pace.awake.rest();
         }
         if self.executor.ledger().pending_bytes() > PENDING_BYTES_MAX {
             self.pace.bells.storing.ring();

@@ -10,6 +10,7 @@ use ledger_raft::{Change, Input, Role, RoleChange, Status};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::{Circumstances, Effect, Event, Last, Replica, Work};
 use ledger_storage::entry::Entry;
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::watch;
@@ -34,6 +35,8 @@ pub(super) struct Order {
     role: watch::Sender<Reign>,
     /// The members of the network, to notice when they change.
     members: watch::Receiver<Arc<[Member]>>,
+    /// Why messages of a peer were ignored last.
+    ignored: BTreeMap<u64, &'static str>,
     /// The node cannot go on.
     failed: bool,
 }
@@ -48,11 +51,12 @@ impl Order {
         role: watch::Sender<Reign>,
     ) -> Self {
         let (blocks, effects, failed) = (Arc::clone(blocks), Vec::new(), false);
+        let ignored = BTreeMap::new();
         let Engines { clock, log, pace, outside, .. } = parts.clone();
         let mut members = outside.directory.subscribe();
         // The replica may have been told before the last change.
         members.mark_changed();
-        Self { replica, clock, log, pace, outside, execute, blocks, effects, status, role, members, failed }
+        Self { replica, clock, log, pace, outside, execute, blocks, effects, status, role, members, ignored, failed }
     }
 
     /// Until the inbox is closed, or the node cannot go on.
@@ -171,8 +175,12 @@ impl Order {
                 self.outside.behind.send_replace(Some(Behind { from, first_index }));
             }
             Effect::Ignored { from, reason } => {
-                let peer = self.outside.directory.name(from);
-                tracing::warn!(peer, reason, "ordering ignores a message of a peer");
+                // Once for each reason: a peer that floods this node must not flood its log.
+                let before = self.ignored.insert(from, reason);
+                if before != Some(reason) {
+                    let peer = self.outside.directory.name(from);
+                    tracing::warn!(peer, reason, "ordering ignores messages of a peer");
+                }
             }
             Effect::Failed(reason) => {
                 self.failed = true;

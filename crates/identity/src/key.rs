@@ -8,6 +8,7 @@
 mod ecdsa;
 mod ed25519;
 
+use ring::hmac;
 use ring::rand::{SecureRandom, SystemRandom};
 use ring::signature::{
     ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, EcdsaKeyPair, Ed25519KeyPair, KeyPair, UnparsedPublicKey,
@@ -222,6 +223,15 @@ impl SigningKey {
     pub fn to_pkcs8_pem(&self) -> String {
         let section = pem::Pem::new("PRIVATE KEY", self.to_pkcs8_der());
         pem::encode_config(&section, pem::EncodeConfig::new().set_line_ending(pem::LineEnding::LF))
+    }
+
+    /// A secret for one purpose that follows from this key: the same after every start, and of no use for another purpose
+    /// (HMAC with SHA-256, RFC 2104). Keep it secret.
+    pub fn secret_for(&self, purpose: &[u8]) -> [u8; 32] {
+        let key = hmac::Key::new(hmac::HMAC_SHA256, self.to_pkcs8_der());
+        let (mut secret, tag) = ([0; 32], hmac::sign(&key, purpose));
+        secret.copy_from_slice(tag.as_ref());
+        secret
     }
 
     /// The algorithm.

@@ -58,6 +58,8 @@ pub enum Mutation {
     ApplyTwiceAfterASnapshot,
     /// A node executes the block at which newer rules begin by the older ones.
     OlderRulesAtTheActivation,
+    /// Every member may send every message of the ordering protocol.
+    BelieveAnybody,
 }
 
 /// Is this bug turned on?

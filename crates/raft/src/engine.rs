@@ -7,11 +7,14 @@ mod guard;
 mod logger;
 mod promises;
 mod pump;
+mod receipt;
 mod request;
+mod standing;
 mod status;
 mod submit;
 
 pub use config::{EngineConfig, EngineError};
+pub use receipt::Secret;
 pub use status::{PeerStatus, Replication, Status};
 
 use crate::interface::{Input, Output, Role, RoleChange};
@@ -26,6 +29,7 @@ use ledger_storage::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger_storage::entry::EntryKind;
 use promises::Promised;
 use raft::{RawNode, StateRole};
+use receipt::Receipts;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -93,6 +97,8 @@ pub struct Engine {
     wants_empty: bool,
     /// The last reported role.
     told: RoleChange,
+    /// The leader before the one that was reported last.
+    leader_before: Option<u64>,
     /// Elections this node has started; varies its timeouts within a term.
     attempts: u64,
     /// Ticks since a leader was last known.
@@ -104,6 +110,12 @@ pub struct Engine {
     /// When each member was last heard of, in ticks, as a leader counts: from its election or the member's coming in
     /// on. The crate's own mark (`recent_active`) is cleared with every check of the quorum.
     heard: BTreeMap<u64, u64>,
+    /// When voters last ended a leader's term before its time, in ticks.
+    ended_terms: BTreeMap<u64, u64>,
+    /// A node of which this one does not know that it votes has spoken as a leader.
+    stranger_leads: bool,
+    /// What this node and its followers have acknowledged.
+    receipts: Receipts,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
     reads: u64,
     /// Wall-clock time of this step, microseconds.
@@ -182,7 +194,11 @@ impl Engine {
             leaderless_ticks: 0,
             transfer_rest: 0,
             ticks: 0,
+            leader_before: None,
             heard: BTreeMap::new(),
+            ended_terms: BTreeMap::new(),
+            stranger_leads: false,
+            receipts: Receipts::new(config.id, &config.secret),
             reads: 0,
             promised: Promised::NONE,
             failed: false,
@@ -256,6 +272,7 @@ impl Engine {
         if self.leaderless_ticks > 2 * self.config.election_tick {
             self.drop_waiting(out);
         }
+        self.look_for_leader(out);
     }
 
     fn receive(&mut self, from: u64, message: PeerMessage, out: &mut Vec<Output>) {
@@ -263,11 +280,15 @@ impl Engine {
             *heard = self.ticks;
         }
         match message {
-            PeerMessage::Raft(message) if self.lacks_committed(from, &message) => {
-                self.has_lost_blocks(from, message.commit, out);
-            }
-            PeerMessage::Raft(message) => {
+            PeerMessage::Raft(mut message) => {
+                if let Err(reason) = self.check_standing(from, &mut message) {
+                    return out.push(Output::Ignored { from, reason });
+                }
+                if let Some(acknowledged) = self.has_lost_blocks(&message) {
+                    return self.stop_or_fetch(from, acknowledged, out);
+                }
                 let heartbeat = (message.kind == i32::from(RaftKind::Heartbeat)).then_some(message.commit);
+                let acknowledged = self.receipt_in(from, &message);
                 match self.admit(from, message) {
                     Ok(message) => {
                         if let Err(error) = self.raw.step(message) {
@@ -279,10 +300,16 @@ impl Engine {
                 if let Some(known) = heartbeat {
                     self.tell_what_is_held(from, known);
                 }
+                if let Some(receipt) = acknowledged {
+                    self.receipts.keep(from, receipt);
+                }
             }
             PeerMessage::Behind(behind) => self.told_behind(from, behind.first_index, out),
             PeerMessage::Forward(transactions) => self.forwarded(from, transactions, out),
-            PeerMessage::Returned(transactions) => self.returned(transactions, out),
+            PeerMessage::Returned(transactions) if self.took_transactions(from) => self.returned(transactions, out),
+            PeerMessage::Returned(_) => {
+                out.push(Output::Ignored { from, reason: "it returns transactions that it was not given" });
+            }
         }
     }
 

@@ -13,6 +13,8 @@
 //!   uint64 reject_hint = 8;   // append_response: where the logs may still agree
 //!   bytes  context     = 9;   // heartbeats and reads: names the reads that wait; vote: a transfer of leadership
 //!   repeated Entry entries = 10;   // append only
+//!   uint64 receipt_index = 11; // heartbeat: a block that the receiver has acknowledged in this term
+//!   bytes  receipt     = 12;  // append_response: a code over its index; heartbeat: the receiver's own code
 //! }
 //! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
@@ -35,6 +37,8 @@ pub const PEER_MESSAGE_BYTES_MAX: usize = PAYLOAD_BYTES_MAX + TRANSACTIONS_MAX *
 pub const ENTRIES_MAX: usize = 1024;
 /// Longest context: names of reads and transfers are shorter.
 pub const CONTEXT_BYTES_MAX: usize = 64;
+/// Length of a receipt.
+pub(crate) const RECEIPT_BYTES: usize = 32;
 /// Largest term. Leaves room to count on without overflow after a hostile peer named one.
 const TERM_MAX: u64 = 1 << 62;
 /// Most fields in a message: every repeated one at its limit, and the others.
@@ -125,6 +129,12 @@ pub struct RaftMessage {
     /// The entries after `index`.
     #[prost(message, repeated, tag = "10")]
     pub entries: Vec<WireEntry>,
+    /// Heartbeats: the block that the receipt is for; 0 without one.
+    #[prost(uint64, tag = "11")]
+    pub receipt_index: u64,
+    /// A receipt of what was acknowledged, for whoever made it.
+    #[prost(bytes = "bytes", tag = "12")]
+    pub receipt: Bytes,
 }
 
 /// An entry on the wire.
@@ -228,6 +238,7 @@ impl RaftMessage {
     fn check(&self) -> Result<(), MessageError> {
         limit(self.entries.len(), ENTRIES_MAX, "entries")?;
         limit(self.context.len(), CONTEXT_BYTES_MAX, "bytes of context")?;
+        limit(self.receipt.len(), RECEIPT_BYTES, "bytes of a receipt")?;
         let malformed = |what: &str| Err(MessageError::Malformed(what.to_owned()));
         let kind = match RaftKind::try_from(self.kind) {
             Ok(RaftKind::Unspecified) | Err(_) => return malformed("unknown kind of Raft message"),

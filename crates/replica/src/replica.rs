@@ -15,7 +15,7 @@ use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_invariant::invariant;
-use ledger_raft::{Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Status};
+use ledger_raft::{Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -45,6 +45,8 @@ pub struct Settings {
     pub seed: u64,
     /// Its times.
     pub timing: Timing,
+    /// Behind its receipts: see [`Secret`].
+    pub secret: Secret,
 }
 
 /// An event.
@@ -194,6 +196,7 @@ impl<W: Waiter> Replica<W> {
         config.election_tick = settings.timing.election_ticks;
         config.heartbeat_tick = settings.timing.heartbeat_ticks();
         config.data_wait_us = settings.timing.data_wait;
+        config.secret = settings.secret;
         let engine = Engine::new(config, store).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
         Ok(Self {

@@ -8,7 +8,7 @@ use ledger::transaction::{Body, Transaction};
 use ledger::{Chaincode, Context, Ledger, Registry};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
-use ledger_raft::{Desired, Input, Lane, PeerMessage, Transactions};
+use ledger_raft::{Desired, Input, Lane, PeerMessage, Secret, Transactions};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Behind, CatchUp, Caught, Got, Holding, Offer, Todo, Who};
 use ledger_replica::conductor::{Conductor, Happened, Next};
@@ -125,8 +125,12 @@ impl Node {
         let ledger = Arc::new(Ledger::open(&genesis, registry, state, results).unwrap());
         let waiters = Arc::new(Waiters::default());
         let executor = Arc::new(Executor::new(ledger, vec![Arc::clone(&waiters) as _]));
-        let settings =
-            Settings { id: 1, seed: 1, timing: Timing { tick: TICK, election_ticks: 20, ..Timing::default() } };
+        let settings = Settings {
+            id: 1,
+            seed: 1,
+            timing: Timing { tick: TICK, election_ticks: 20, ..Timing::default() },
+            secret: Secret::default(),
+        };
         let desired = Desired { voters: [1].into(), learners: [].into() };
         let replica =
             Replica::start(&settings, Arc::clone(&store), Arc::clone(&executor), Arc::clone(&waiters), desired);

@@ -82,6 +82,8 @@ faults! {
     Outdated "stopped before newer rules";
     /// A member orders what no honest gateway would let through.
     Hostile "hostile transaction";
+    /// A learner says what only a leader or a voter may say.
+    Lie "lie of a learner";
     /// A client sends much at once, over many streams, and waits for nothing.
     Flood "flood of calls";
 }

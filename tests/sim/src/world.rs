@@ -10,6 +10,7 @@ mod fetch;
 mod flood;
 mod gateway;
 mod hostile;
+mod lies;
 mod look;
 mod operator;
 mod start;

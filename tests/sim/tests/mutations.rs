@@ -161,3 +161,17 @@ fn a_deadline_that_is_forgotten_is_noticed() {
 fn a_block_that_is_executed_by_older_rules_is_noticed() {
     caught(Mutation::OlderRulesAtTheActivation, &["rules by height"]);
 }
+
+#[test]
+fn members_that_may_say_everything_are_noticed() {
+    caught(
+        Mutation::BelieveAnybody,
+        &[
+            "a node ends only for a reason",
+            "committed is immutable",
+            "log matching",
+            "chain agreement",
+            "the oracle agrees",
+        ],
+    );
+}

@@ -49,36 +49,29 @@ impl Engine {
         out.push(Output::Behind { from, first_index });
     }
 
-    /// The leader of this or a later term says in a heartbeat that more is committed than this log holds. Heartbeats
-    /// name nothing that the follower has not acknowledged as durable (raft-rs `send_heartbeat`), so this node has lost
-    /// blocks.
-    pub(super) fn lacks_committed(&self, from: u64, message: &RaftMessage) -> bool {
-        let raft = &self.raw.raft;
-        message.kind == i32::from(RaftKind::Heartbeat)
-            && message.commit > raft.raft_log.last_index()
-            && from != raft::INVALID_ID
-            && from != self.config.id
-            && match message.term.cmp(&raft.term) {
-                std::cmp::Ordering::Less => false,
-                std::cmp::Ordering::Equal => raft.leader_id == raft::INVALID_ID || raft.leader_id == from,
-                std::cmp::Ordering::Greater => true,
-            }
+    /// Does the leader of this term show a receipt for a block that this log does not hold? Then this node has lost blocks
+    /// that it had acknowledged. Within a term nothing that was acknowledged is replaced (Raft §5.3, leader append-only), and
+    /// nobody else can make the receipt.
+    pub(super) fn has_lost_blocks(&self, message: &RaftMessage) -> Option<u64> {
+        let acknowledged = message.receipt_index;
+        let shown = message.kind == i32::from(RaftKind::Heartbeat)
+            && message.term >= self.raw.raft.term
+            && acknowledged > self.raw.raft.raft_log.last_index();
+        (shown && self.receipts.are_own(message)).then_some(acknowledged)
     }
 
     /// A learner has promised nothing to anybody and may fetch what it lost. A voter has helped to commit by keeping
-    /// entries and a vote; without them its voice could elect a leader that lacks acknowledged blocks, so it stops. (A
-    /// member that lies here can stop a voter, as it can depose a leader by naming a high term: Raft trusts members. A
-    /// restart cures it.)
-    pub(super) fn has_lost_blocks(&mut self, from: u64, committed: u64, out: &mut Vec<Output>) {
+    /// entries and a vote; without them its voice could elect a leader that lacks acknowledged blocks, so it stops.
+    pub(super) fn stop_or_fetch(&mut self, from: u64, acknowledged: u64, out: &mut Vec<Output>) {
         let last = self.raw.raft.raft_log.last_index();
         if !self.membership.is_voter(self.config.id) {
-            tracing::warn!(from, last, committed, "this node has lost blocks that it had acknowledged");
-            out.push(Output::Behind { from, first_index: committed.saturating_add(1) });
+            tracing::warn!(from, last, acknowledged, "this node has lost blocks that it had acknowledged");
+            out.push(Output::Behind { from, first_index: acknowledged.saturating_add(1) });
             return;
         }
         let reason = Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had acknowledged")
             .found(format!("log that ends at height {last}"))
-            .wanted(format!("at least height {committed}, which node {from} knows to be on this disk"))
+            .wanted(format!("at least height {acknowledged}, of which node {from} shows this node's own receipt"))
             .next("ledgerd rejoin --config FILE: it comes back as a new node, because this one must not vote any more");
         self.fail(reason, out);
     }

@@ -1,5 +1,6 @@
 //! How an engine is set up, and what keeps it from starting.
 
+use super::receipt::Secret;
 use ledger::members::Membership;
 
 /// How an engine is set up. Times are counted in ticks.
@@ -37,6 +38,8 @@ pub struct EngineConfig {
     /// more, for what its execution costs beside them. It is less while execution takes long, as control waits behind
     /// it. A block takes at most half of it. Two keep disk and executor busy; more would only wait.
     pub ahead_bytes: usize,
+    /// Known to this node alone, and the same after every start: see [`Secret`].
+    pub secret: Secret,
     /// Randomness: election timeouts and the names of reads. Different on every node and at every start.
     pub seed: u64,
 }
@@ -59,6 +62,7 @@ impl EngineConfig {
             unapplied_bytes: 32 * 1024 * 1024,
             data_wait_us: 200_000,
             ahead_bytes: 64 * 1024,
+            secret: Secret::default(),
             seed,
         }
     }

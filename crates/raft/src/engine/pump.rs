@@ -56,12 +56,16 @@ impl Engine {
             self.barrier = raft.raft_log.last_index();
             self.last_time = self.newest_time();
             self.heard = self.membership.nodes().into_iter().map(|node| (node, self.ticks)).collect();
+            self.receipts.begin_term(change.term);
         }
         if leads || role != Role::Leader {
             self.own.clear();
             self.held.clear();
             self.ahead.clear();
             self.wants_empty = false;
+        }
+        if change.leader != self.told.leader {
+            self.leader_before = self.told.leader;
         }
         self.told = change;
         let leading = change.role == Role::Leader;
@@ -333,7 +337,8 @@ impl Engine {
                 continue;
             }
             let to = message.to;
-            if let Some(message) = RaftMessage::from_raft(message) {
+            if let Some(mut message) = RaftMessage::from_raft(message) {
+                self.receipts.attach(to, &mut message);
                 out.push(Output::Send { to, message: PeerMessage::Raft(message) });
             }
         }

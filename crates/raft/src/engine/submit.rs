@@ -46,7 +46,9 @@ impl Engine {
 
     /// Transactions of this node's clients that were not ordered.
     pub(super) fn returned(&mut self, transactions: Transactions, out: &mut Vec<Output>) {
-        let code = u16::try_from(transactions.code).ok().and_then(Code::from_number).unwrap_or(Code::NoLeader);
+        // A node speaks of its own trouble here. It does not decide about calls.
+        let code = u16::try_from(transactions.code).ok().and_then(Code::from_number);
+        let code = code.filter(|code| (4000..5000).contains(&code.number())).unwrap_or(Code::NoLeader);
         for transaction in transactions.control.into_iter().chain(transactions.data) {
             let reason = Rejection::new(code, "the node that was taken for the leader did not order the transaction")
                 .next("submit it again later, unchanged");

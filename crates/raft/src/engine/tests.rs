@@ -3,6 +3,7 @@
 mod bounds;
 mod learners;
 mod promises;
+mod standing;
 
 use super::*;
 use crate::Lane;
@@ -478,18 +479,4 @@ fn a_heartbeat_that_knows_less_is_answered_with_what_is_committed_on_this_disk()
     assert_eq!(held(&out), [3], "the answer to the append; the heartbeat came before anything was on disk");
     let (before, same) = (step(&mut engine, heartbeat(1)), step(&mut engine, heartbeat(2)));
     assert_eq!((held(&before), held(&same)), (vec![2], vec![]));
-}
-
-#[test]
-fn a_voter_that_misses_what_it_acknowledged_stops_and_a_learner_asks_for_it() {
-    let lost = |term| message(2, RaftKind::Heartbeat, move |message| (message.term, message.commit) = (term, 10));
-    let out = step(&mut engine(1, &[1, 2, 3], &[]), lost(4));
-    assert!(matches!(&out[..], [Output::Failed(_)]), "found {out:?}");
-    let out = step(&mut engine(1, &[2], &[1]), lost(4));
-    assert_eq!(out, [Output::Behind { from: 2, first_index: 11 }]);
-    // Not from a leader of the past, nor from another one in the term of this leader.
-    let mut late = engine(1, &[1, 2, 3], &[]);
-    step(&mut late, message(3, RaftKind::Heartbeat, |message| message.term = 5));
-    assert!(!step(&mut late, lost(4)).iter().any(|output| matches!(output, Output::Failed(_))));
-    assert!(!step(&mut late, lost(5)).iter().any(|output| matches!(output, Output::Failed(_))));
 }

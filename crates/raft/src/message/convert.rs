@@ -44,6 +44,8 @@ impl RaftMessage {
             reject_hint: message.reject_hint,
             context,
             entries: entries.into_iter().map(WireEntry::from_raft).collect(),
+            receipt_index: 0,
+            receipt: Bytes::new(),
         })
     }
 

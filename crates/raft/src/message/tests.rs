@@ -39,6 +39,8 @@ fn message() -> impl Strategy<Value = PeerMessage> {
                 reject_hint,
                 context,
                 entries: if kind == i32::from(RaftKind::Append) { entries.collect() } else { Vec::new() },
+                receipt_index: 0,
+                receipt: Bytes::new(),
             })
         },
     );

@@ -1,7 +1,7 @@
 //! The threads of a node: events into its replica, whose effects are carried out.
 
 use super::{Cluster, Event, UNIT};
-use ledger_raft::{Input, Lane, PeerMessage, Role};
+use ledger_raft::{Input, Lane, PeerMessage, Role, Secret};
 use ledger_rejection::Code;
 use ledger_replica::catch_up::Behind;
 use ledger_replica::{self as replica, Circumstances, Effect, Now, Replica, Settings, Work};
@@ -22,7 +22,12 @@ impl Cluster {
 
     /// An engine starts in a process that runs.
     pub(super) fn begin(&mut self, id: u64) {
-        let settings = Settings { id, seed: self.random.number(), timing: self.timing };
+        let settings = Settings {
+            id,
+            seed: self.random.number(),
+            timing: self.timing,
+            secret: Secret([u8::try_from(id).unwrap_or(0); 32]),
+        };
         let desired = self.desired.clone().unwrap_or_default();
         let node = self.nodes.get_mut(&id).unwrap();
         let up = node.up.as_mut().unwrap();

@@ -9,7 +9,7 @@ use crate::node::{Client, Keeping, Running, open_blocks};
 use ledger::{Chaincode, Ledger, Registry, Rules, msp};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
-use ledger_raft::Desired;
+use ledger_raft::{Desired, Secret};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Ballot, Look};
 use ledger_replica::conductor::Conductor;
@@ -252,7 +252,8 @@ impl World {
 
     /// A new replica that goes on from what is executed.
     pub(super) fn replica(&self, id: u64, seed: u64, running: &Running) -> Result<Replica<Client>, Violation> {
-        let settings = Settings { id, seed, timing: self.plan.timing };
+        let settings =
+            Settings { id, seed, timing: self.plan.timing, secret: Secret([u8::try_from(id % 251).unwrap_or(0); 32]) };
         let Running { store, executor, waiters, wanted, .. } = running;
         let (store, executor, waiters) = (Arc::clone(store), Arc::clone(executor), Arc::clone(waiters));
         Replica::start(&settings, store, executor, waiters, wanted.clone())

@@ -1,0 +1,170 @@
+//! Which messages are taken from whom.
+//!
+//! The `raft` crate believes every member everything. A learner on somebody's robot could depose a leader by naming a
+//! later term, speak as a leader itself, or say that a transaction was not ordered. So each kind of message is taken from
+//! those only who may send it:
+//!
+//! | message | taken from | with a later term |
+//! |---|---|---|
+//! | append, heartbeat | voters; by a learner without a leader from anybody, see below | yes |
+//! | hand-over, answer to a read, *behind* | the leader of this term | no |
+//! | vote, pre-vote | voters | at most [`TERM_AHEAD_MAX`] ahead |
+//! | answers to them | voters, by a candidate | at most [`TERM_AHEAD_MAX`] ahead |
+//! | answers to append and heartbeat | members | of a voter, by a leader, see below |
+//! | *returned* transactions | the leader now, and the one before it | |
+//! | reads, *forwarded* transactions | members | no term |
+//!
+//! **Who is a voter.** A node knows the voters as of the last block that it handed out. A change that waits in its log
+//! counts as well, because a leader was allowed to append it. A node that lags further does not know a new voter yet. It
+//! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). A learner, whose copy nobody counts, follows
+//! such a leader at once if it has no other.
+//!
+//! **Ends of terms.** A voter that is stuck in a later term ends the leader's term by saying so (Raft §5.1), and a transfer
+//! of leadership makes a voter stand for election in spite of the leader's lease (Raft §6.4, thesis 3.10). Both are needed
+//! and both could be done without end. So each voter may do so once in [`REST_TIMEOUTS`] election timeouts.
+
+use super::Engine;
+use crate::interface::Output;
+use crate::message::{RaftKind, RaftMessage};
+use ledger_mutation::{Mutation, active};
+use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};
+
+/// How far the term of a vote may be ahead. Terms grow by one with an election that a majority did not refuse
+/// beforehand, so no honest node is further ahead. A hostile voter needs centuries to use up all terms this way.
+const TERM_AHEAD_MAX: u64 = 1 << 24;
+/// A voter may end a leader's term before its time once in so many election timeouts: ten seconds by default.
+pub(super) const REST_TIMEOUTS: u64 = 50;
+/// A node that hears unknown leaders, and no other, asks its peers for blocks after so many election timeouts.
+const LOOK_TIMEOUTS: usize = 10;
+/// Entries that are searched for changes of members.
+const CHANGES_SCAN_MAX: u64 = 256;
+
+impl Engine {
+    /// Why this message is not taken from this peer. A claim in it that the sender may not make is taken out.
+    pub(super) fn check_standing(&mut self, from: u64, message: &mut RaftMessage) -> Result<(), &'static str> {
+        let Ok(kind) = RaftKind::try_from(message.kind) else { return Err("it is of an unknown kind") };
+        if active(Mutation::BelieveAnybody) {
+            return Ok(());
+        }
+        let (term, role) = (self.raw.raft.term, self.raw.raft.state);
+        let is_later = message.term > term;
+        match kind {
+            RaftKind::Append | RaftKind::Heartbeat => self.may_lead(from, message.term),
+            RaftKind::TimeoutNow | RaftKind::ReadIndexResponse => match self.is_leader_of(from, message.term) {
+                true => Ok(()),
+                false => Err("only the leader of this term says that"),
+            },
+            RaftKind::Vote | RaftKind::PreVote => {
+                self.may_vote(from)?;
+                if message.term > term.saturating_add(TERM_AHEAD_MAX) {
+                    return Err("its term is further ahead than elections make it");
+                }
+                if message.context[..] == *CAMPAIGN_TRANSFER && !self.may_end_term(from) {
+                    // It stands for election like any other: the leader's lease counts.
+                    message.context.clear();
+                }
+                Ok(())
+            }
+            RaftKind::VoteResponse | RaftKind::PreVoteResponse => {
+                self.may_vote(from)?;
+                let asked = matches!(role, StateRole::Candidate | StateRole::PreCandidate);
+                match is_later && (!asked || message.term > term.saturating_add(TERM_AHEAD_MAX)) {
+                    true => Err("it answers with a later term to nobody who asked"),
+                    false => Ok(()),
+                }
+            }
+            RaftKind::AppendResponse | RaftKind::HeartbeatResponse => {
+                if !is_later {
+                    return Ok(());
+                }
+                self.may_vote(from)?;
+                match role == StateRole::Leader
+                    && message.term <= term.saturating_add(TERM_AHEAD_MAX)
+                    && self.may_end_term(from)
+                {
+                    true => Ok(()),
+                    false => Err("a later term ends no leader's term again so soon"),
+                }
+            }
+            RaftKind::ReadIndex => Ok(()),
+            RaftKind::Unspecified => Err("it is of an unknown kind"),
+        }
+    }
+
+    /// Is this node the leader that is known in this very term?
+    fn is_leader_of(&self, from: u64, term: u64) -> bool {
+        self.raw.raft.term == term && self.leader() == Some(from)
+    }
+
+    /// May it say which transactions were not ordered?
+    pub(super) fn took_transactions(&self, from: u64) -> bool {
+        self.leader() == Some(from) || self.told.leader == Some(from) || self.leader_before == Some(from)
+    }
+
+    /// A leader is a voter. A node that cannot know whether this is one takes note.
+    fn may_lead(&mut self, from: u64, term: u64) -> Result<(), &'static str> {
+        if self.may_vote(from).is_ok() {
+            return Ok(());
+        }
+        if term < self.raw.raft.term {
+            return Err("a node without a vote speaks as a leader of an earlier term");
+        }
+        if !self.is_voter() && self.leader().is_none_or(|leader| leader == from) {
+            return Ok(());
+        }
+        self.stranger_leads = true;
+        Err("a node without a vote speaks as a leader")
+    }
+
+    fn may_vote(&self, from: u64) -> Result<(), &'static str> {
+        let votes = self.membership.is_voter(from) || self.will_vote(from);
+        if votes { Ok(()) } else { Err("it speaks as a voter, and has no vote") }
+    }
+
+    /// Does a change that waits in the log make this node a voter?
+    fn will_vote(&self, node: u64) -> bool {
+        let last = self.store.last_index();
+        let first = (self.emitted + 1).max(last.saturating_sub(CHANGES_SCAN_MAX));
+        if first > last || !self.membership.contains(node) && node == INVALID_ID {
+            return false;
+        }
+        let entries = (first..=last).filter_map(|index| self.store.entry(index).ok().flatten());
+        let mut members = self.membership.clone();
+        entries.into_iter().any(|entry| {
+            if let Some(next) = members.after(&entry) {
+                members = next;
+            }
+            members.is_voter(node)
+        })
+    }
+
+    /// A voter ends a leader's term before its time: not again for a while. The leader's own hand-over is free.
+    fn may_end_term(&mut self, from: u64) -> bool {
+        if self.raw.raft.lead_transferee == Some(from) {
+            return true;
+        }
+        let rest = REST_TIMEOUTS * self.config.election_tick as u64;
+        let rests = self.ended_terms.get(&from).is_some_and(|at| self.ticks - at < rest);
+        if rests {
+            return false;
+        }
+        let membership = &self.membership;
+        self.ended_terms.retain(|node, _| membership.contains(*node));
+        self.ended_terms.insert(from, self.ticks);
+        true
+    }
+
+    /// With every tick: only nodes speak as leaders of which this node does not know that they vote. Blocks that it lacks
+    /// may say so, and its peers may have them.
+    pub(super) fn look_for_leader(&mut self, out: &mut Vec<Output>) {
+        if self.leaderless_ticks < LOOK_TIMEOUTS * self.config.election_tick {
+            return;
+        }
+        // Asked again after the same time.
+        self.leaderless_ticks = 0;
+        if std::mem::take(&mut self.stranger_leads) {
+            let committed = self.raw.raft.raft_log.committed;
+            out.push(Output::Behind { from: self.config.id, first_index: committed + 2 });
+        }
+    }
+}
