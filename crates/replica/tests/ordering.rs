@@ -218,10 +218,13 @@ fn a_node_that_is_not_the_leader_gives_back_what_is_forwarded_to_it() {
     let mut cluster = Cluster::new(9, &[1, 2, 3], &[]);
     let leader = cluster.elect();
     let others: Vec<_> = (1..=3).filter(|id| *id != leader).collect();
+    cluster.input(leader, Input::TransferLeadership { to: others[0] });
+    cluster.run(30);
+    assert_eq!(cluster.leader(), Some(others[0]));
     let control = vec![cluster.awaited(others[1], Lane::Control, "c").unwrap()];
     let data = vec![cluster.awaited(others[1], Lane::Data, "d").unwrap()];
     let sent = Transactions { control, data, code: 0 };
-    cluster.input(others[0], Input::Message { from: others[1], message: PeerMessage::Forward(sent) });
+    cluster.input(leader, Input::Message { from: others[1], message: PeerMessage::Forward(sent) });
     cluster.run(1);
     assert_eq!(cluster.nodes[&others[1]].dropped, [("c".to_owned(), Code::NoLeader), ("d".to_owned(), Code::NoLeader)]);
 }

@@ -65,7 +65,7 @@ impl Engine {
             self.wants_empty = false;
         }
         if change.leader != self.told.leader {
-            self.leader_before = self.told.leader;
+            self.leader_before = self.told.leader.or(self.leader_before);
         }
         self.told = change;
         let leading = change.role == Role::Leader;
