@@ -6,6 +6,7 @@
 
 use crate::catch_up::CatchUp;
 use crate::orderer::Engines;
+use ledger_invariant::vital_task;
 use ledger_raft::Secret;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
@@ -54,9 +55,9 @@ impl Conductor {
                 fate.fail(reason);
             }
         };
-        Ok(tokio::spawn(async move {
+        Ok(tokio::spawn(vital_task(async move {
             tokio::join!(running, hearing);
-        }))
+        })))
     }
 
     async fn run(mut self, mut next: Next) -> Result<(), Rejection> {

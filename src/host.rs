@@ -29,6 +29,7 @@ pub(crate) use sources::network_of;
 
 use crate::clock::Machine;
 use descriptors::Connections;
+use ledger_invariant::vital_task;
 use ledger_rejection::{Code, Rejection};
 use ledgers::Ledgers;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -63,7 +64,7 @@ impl Host {
         let address = listener.local_addr().map_err(|error| Rejection::new(Code::Internal, error.to_string()))?;
         let (ledgers, mut accepting) = (Ledgers::default(), JoinSet::new());
         let connections = descriptors::divide();
-        accepting.spawn(door::accept(listener, ledgers.clone(), connections));
+        accepting.spawn(vital_task(door::accept(listener, ledgers.clone(), connections)));
         Ok(Self { clocks: Machine::start(), address, ledgers, connections, accepting: Arc::new(accepting) })
     }
 

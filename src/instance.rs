@@ -38,6 +38,7 @@ use crate::witness::{Seen, Testimony};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::tls::TrustSource;
+use ledger_invariant::vital_task;
 use ledger_rejection::Rejection;
 use ledger_replica::Timing;
 use ledger_replica::catch_up::Ballot;
@@ -159,11 +160,11 @@ impl Prepared {
         let ended = fate.subscribe();
         let belonging = async move { fate.fail(removed(me, members).await) };
         let beside = [
-            tokio::spawn(renewer.keep()),
-            tokio::spawn(testimony.run(seen)),
-            tokio::spawn(belonging),
-            tokio::spawn(telling.run()),
-            tokio::spawn(registrar.keep_registered()),
+            tokio::spawn(vital_task(renewer.keep())),
+            tokio::spawn(vital_task(testimony.run(seen))),
+            tokio::spawn(vital_task(belonging)),
+            tokio::spawn(vital_task(telling.run())),
+            tokio::spawn(vital_task(registrar.keep_registered())),
         ];
         Ok(Instance { ledger: stores.ledger, links, shares, ended, housekeeping, scrub, conductor, beside })
     }
@@ -179,9 +180,8 @@ impl Instance {
 
     /// Ends the engine, then the stores. The host has been told to stop.
     pub(crate) async fn stop(self) {
-        if self.conductor.await.is_err() {
-            tracing::error!("the conductor panicked");
-        }
+        // A panic of it would have ended the process.
+        let _ended = self.conductor.await;
         let (seat, housekeeping, scrub) = (self.links.seat, self.housekeeping, self.scrub);
         let ended = tokio::task::spawn_blocking(move || {
             scrub.stop();

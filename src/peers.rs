@@ -19,6 +19,7 @@ pub(crate) use service::PeerService;
 use bytes::Bytes;
 use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_hash::Hash;
+use ledger_invariant::vital_task;
 use ledger_raft::PeerMessage;
 use link::Way;
 use pace::Paces;
@@ -76,12 +77,12 @@ impl Peers {
         let mut members = directory.subscribe();
         self.update(&members.borrow_and_update());
         let peers = Arc::downgrade(self);
-        tokio::spawn(async move {
+        tokio::spawn(vital_task(async move {
             while members.changed().await.is_ok() {
                 let Some(peers) = peers.upgrade() else { return };
                 peers.update(&members.borrow_and_update());
             }
-        });
+        }));
     }
 
     fn update(&self, members: &[Member]) {
@@ -99,7 +100,7 @@ impl Peers {
                     votes: Arc::clone(&votes),
                     wake: Arc::clone(&wake),
                 };
-                tokio::spawn(way.keep_connected(messages));
+                tokio::spawn(vital_task(way.keep_connected(messages)));
                 Link { address: member.address.clone(), waiting, connected, votes, wake }
             });
             link.votes.store(member.votes(), Ordering::Relaxed);

@@ -4,6 +4,7 @@ use crate::blocks::Blocks;
 use crate::clock::Clock;
 use crate::orderer::Seat;
 use ledger::{Ledger, Outcome};
+use ledger_invariant::vital_task;
 use ledger_raft::Input;
 use ledger_rejection::{Code, Rejection};
 pub(crate) use ledger_replica::Known;
@@ -138,7 +139,7 @@ impl Questions {
         };
         match timer {
             Timer::Fine => {}
-            Timer::Begin => drop(self.runtime.spawn(Arc::clone(self).keep_time())),
+            Timer::Begin => drop(self.runtime.spawn(vital_task(Arc::clone(self).keep_time()))),
             Timer::Earlier => self.earlier.notify_one(),
         }
     }

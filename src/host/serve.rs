@@ -14,6 +14,7 @@ use ledger_api::v1::enrolment_server::EnrolmentServer;
 use ledger_api::v1::gateway_server::GatewayServer;
 use ledger_api::v1::peer_server::PeerServer;
 use ledger_hash::Hash;
+use ledger_invariant::vital_task;
 use ledger_raft::{PEER_MESSAGE_BYTES_MAX, PeerMessage};
 use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
@@ -107,11 +108,11 @@ impl Host {
             .add_service(enrolment_server)
             .add_service(peer_server)
             .serve_with_incoming_shutdown(of_strangers, told(stopping));
-        let server = tokio::spawn(async move {
+        let server = tokio::spawn(vital_task(async move {
             if let Err(error) = tokio::try_join!(for_members, for_strangers) {
                 tracing::error!(%error, "the server ended");
             }
-        });
+        }));
         Ok(Serving { listed, server, stop })
     }
 }

@@ -3,6 +3,7 @@
 use crate::host::Members;
 use ledger::msp::NAME;
 use ledger::{Ledger, Outcome};
+use ledger_invariant::vital_task;
 use ledger_replica::Observer;
 use std::sync::Arc;
 use std::time::Duration;
@@ -30,10 +31,10 @@ impl Observer for Revocations {
     fn executed(&self, outcome: &Arc<Outcome>, _ledger: &Ledger) {
         if outcome.events.iter().any(|emitted| emitted.event.chaincode == NAME) {
             let (members, ledger) = (Arc::clone(&self.members), Arc::clone(&self.ledger));
-            self.runtime.spawn(async move {
+            self.runtime.spawn(vital_task(async move {
                 tokio::time::sleep(FAREWELL).await;
                 members.end(|named| ledger.check_revoked(&named.0).is_err());
-            });
+            }));
         }
     }
 }

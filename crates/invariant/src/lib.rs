@@ -97,6 +97,12 @@ pub fn vital<T>(body: impl FnOnce() -> T) -> T {
     body()
 }
 
+/// The same for a task of a runtime. One that is cancelled ends nothing.
+pub async fn vital_task<T>(body: impl Future<Output = T>) -> T {
+    let _ends = EndsWithPanic;
+    body.await
+}
+
 /// Ends the process when it is dropped by a panic.
 struct EndsWithPanic;
 
@@ -105,7 +111,11 @@ impl Drop for EndsWithPanic {
         if std::thread::panicking() {
             let thread = std::thread::current();
             let name = thread.name().unwrap_or("without a name");
-            end(&format!("the thread {name} panicked, as said above"), None, "threads of the node end in order");
+            end(
+                &format!("the thread {name} panicked, as said above"),
+                None,
+                "threads and tasks of the node end in order",
+            );
         }
     }
 }

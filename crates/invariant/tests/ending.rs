@@ -2,9 +2,12 @@
 //! again to play one case.
 #![expect(clippy::panic, clippy::unwrap_used, reason = "tests")]
 
-use ledger_invariant::{EXIT_CODE, end_process, invariant, vital};
+use ledger_invariant::{EXIT_CODE, end_process, invariant, vital, vital_task};
+use std::future::{pending, poll_fn};
+use std::pin::pin;
 use std::process::{Command, Output};
 use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll, Waker};
 
 /// Names the case that a started process plays.
 const CASE: &str = "LEDGER_INVARIANT_CASE";
@@ -36,6 +39,18 @@ fn plays_one_case_in_a_process_of_its_own() {
         "a panic that is caught" => {
             let body = || drop(std::panic::catch_unwind(|| panic!("of a chaincode")));
             assert!(thread(body).join().is_ok());
+        }
+        "a panic of a task" => {
+            let mut task = pin!(vital_task(poll_fn(|_| -> Poll<()> { panic!("an index out of bounds") })));
+            let polled = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+                let _never = task.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            }));
+            panic!("it goes on with {polled:?}");
+        }
+        "a task that is cancelled" => {
+            let mut task = Box::pin(vital_task(pending::<()>()));
+            assert!(task.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_pending());
+            drop(task);
         }
         other => panic!("no case {other}"),
     }
@@ -75,5 +90,18 @@ fn any_panic_of_a_vital_thread_ends_the_process() {
 #[test]
 fn a_panic_that_is_caught_on_a_vital_thread_ends_nothing() {
     let (code, said) = play("a panic that is caught");
+    assert_eq!(code, Some(0), "{said}");
+}
+
+#[test]
+fn any_panic_of_a_vital_task_ends_the_process_although_the_runtime_would_catch_it() {
+    let (code, said) = play("a panic of a task");
+    assert_eq!(code, Some(EXIT_CODE), "{said}");
+    assert!(said.contains("an index out of bounds"), "{said}");
+}
+
+#[test]
+fn a_vital_task_that_is_cancelled_ends_nothing() {
+    let (code, said) = play("a task that is cancelled");
     assert_eq!(code, Some(0), "{said}");
 }

@@ -355,4 +355,35 @@ mod tests {
         assert_eq!(told, tells([2], &Err(unconfirmed())));
         assert!(attempts == 3 && now <= 2_000_000 + CONFIRM_TIME_MAX, "{attempts} attempts until {now}");
     }
+
+    #[test]
+    #[should_panic(expected = "everybody who asks is told")]
+    fn somebody_who_waits_for_no_question_is_found() {
+        let mut reads = Reads::new(5);
+        reads.waiting.push(Client(1));
+        does(|out| reads.executed(0, 6, out));
+    }
+
+    #[test]
+    #[should_panic(expected = "one question is asked at a time")]
+    fn a_second_question_beside_the_first_is_found() {
+        let mut reads = Reads::new(5);
+        does(|out| reads.ask(0, Client(1), out));
+        does(|out| reads.begin(0, out));
+    }
+
+    #[test]
+    #[should_panic(expected = "a state is called current when it is executed; found state 5, called current at Ok(6)")]
+    fn a_state_that_is_called_current_too_early_is_found() {
+        let mut reads = Reads::new(5);
+        does(|out| reads.ask(0, Client(1), out));
+        does(|out| reads.tell(0, &Ok(6), out));
+    }
+
+    #[test]
+    #[should_panic(expected = "executed heights only grow; found block 4 after 5")]
+    fn a_height_that_goes_back_is_found() {
+        ledger_invariant::look_closely();
+        does(|out| Reads::<Client>::new(5).executed(0, 4, out));
+    }
 }

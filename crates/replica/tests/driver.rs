@@ -453,3 +453,40 @@ fn a_full_disk_keeps_no_replica_from_ending() {
     assert_eq!(node.replica.end(), None, "it is tried once");
     assert!(node.heard().is_empty(), "nobody was told otherwise");
 }
+
+#[test]
+#[should_panic(expected = "an engine that was behind starts again with the blocks that it lacked")]
+fn an_engine_that_starts_again_without_the_blocks_that_it_lacked_is_found() {
+    let node = Node::new();
+    let mut conductor = Conductor::new(1, Arc::clone(node.executor.ledger()));
+    let behind = Behind { from: 2, first_index: 9 };
+    for happened in [Happened::Looked(Vec::new()), Happened::Behind(behind), Happened::Ended, Happened::Flushed(Ok(()))]
+    {
+        conductor.step(happened).unwrap();
+    }
+    let _never = conductor.step(Happened::Caught(Caught::Up));
+}
+
+#[test]
+#[should_panic(expected = "fetched blocks are executed up to their end; found block 1 of 2")]
+fn fetched_blocks_that_were_not_executed_are_found() {
+    let node = Node::new();
+    let who = Who { id: 2, organisation: "Org1".into(), name: "node2".into(), vouched: false };
+    let has = Holding { height: 2, first_height: 1, ..Holding::default() };
+    let mut machine = CatchUp::new(Arc::clone(node.executor.ledger()), "Org1".into(), None, None);
+    machine.step(Got::Offers(vec![Offer { who, has, peer: 2 }]));
+    let block = Entry { index: 2, term: 1, kind: EntryKind::Normal, data: Bytes::new() };
+    assert!(matches!(machine.step(Got::Blocks(Ok(Some(vec![block])))), Todo::More));
+    assert!(matches!(machine.step(Got::Blocks(Ok(None))), Todo::TakeIn(_)));
+    machine.step(Got::TakenIn(Ok(())));
+}
+
+#[test]
+#[should_panic(expected = "each transaction of a block has one id and one verdict")]
+fn a_block_with_a_verdict_too_few_is_found() {
+    let node = Node::new();
+    let block = Entry { index: 2, term: 1, kind: EntryKind::Normal, data: Bytes::new() };
+    let mut outcome = node.executor.ledger().apply(&block).unwrap();
+    outcome.transactions.push(Bytes::from_static(b"without a verdict"));
+    node.waiters.resolve(&outcome, node.executor.ledger());
+}

@@ -273,4 +273,12 @@ mod tests {
         drop(stream.refused(1000));
         assert_eq!(stream.shares.in_flight(), 0);
     }
+
+    #[test]
+    #[should_panic(expected = "calls of a line stand in the order in which they came")]
+    fn a_call_that_came_before_the_last_one_is_found() {
+        let mut stream = Stream::new();
+        stream.comes(Lane::Data, "drive", 5);
+        stream.comes(Lane::Data, "drive", 4);
+    }
 }

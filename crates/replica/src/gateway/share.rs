@@ -243,4 +243,22 @@ mod tests {
         shares.close();
         assert_eq!(shares.of("A/x".into()).place(Lane::Control, 1).err().unwrap().code, Code::ShuttingDown);
     }
+
+    #[test]
+    #[should_panic(expected = "a share holds the places that come back")]
+    fn a_place_that_comes_back_and_was_not_counted_is_found() {
+        let share = Shares::new(120).of("A/x".into());
+        let place = share.place(Lane::Data, 100).unwrap();
+        share.used(Lane::Data).transactions.store(0, Ordering::Relaxed);
+        drop(place);
+    }
+
+    #[test]
+    #[should_panic(expected = "a place that comes back was taken; found 120 of 120 were free")]
+    fn a_place_that_comes_back_twice_is_found() {
+        let share = Shares::new(120).of("A/x".into());
+        let place = share.place(Lane::Data, 100).unwrap();
+        share.places.free.fetch_add(1, Ordering::Relaxed);
+        drop(place);
+    }
 }

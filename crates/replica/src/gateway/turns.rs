@@ -217,4 +217,23 @@ mod tests {
         assert_eq!(held.len(), 3);
         assert_eq!(std::iter::from_fn(|| Turns::<()>::new(1).take(Lane::Data, OTHER)).take(1).count(), 1);
     }
+
+    #[test]
+    #[should_panic(expected = "no more have a turn than there are turns")]
+    fn a_turn_too_many_is_found() {
+        let mut turns = Turns::<()>::new(2);
+        let first = turns.take(Lane::Data, FLOODER).unwrap();
+        turns.queue(Lane::Data).held.extend([77, 78, 79]);
+        turns.leave(&first);
+    }
+
+    #[test]
+    #[should_panic(expected = "an identity counts its turns and its places among all")]
+    fn a_turn_that_no_identity_counts_is_found() {
+        ledger_invariant::look_closely();
+        let mut turns = Turns::<()>::new(8);
+        let first = turns.take(Lane::Data, FLOODER).unwrap();
+        turns.queue(Lane::Data).held.push(77);
+        turns.leave(&first);
+    }
 }
