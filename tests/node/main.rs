@@ -37,6 +37,7 @@ mod network;
 mod older;
 mod overload;
 mod power;
+mod pretenders;
 mod readers;
 mod rebuild;
 mod renewal;

@@ -1,0 +1,104 @@
+//! A learner that lies about the ordering protocol, with its real certificate: bytes made by hand, to real voters.
+
+use crate::support::network::{NodeWish, free_address, message, register_robots};
+use crate::support::{Fleet, Process, connect, wire};
+use bytes::Bytes;
+use futures::StreamExt;
+use ledger_api::v1::peer_client::PeerClient;
+use ledger_api::{Context, v1};
+use ledger_identity::Role;
+use ledger_identity::key::SigningKey;
+use rustls_pki_types::CertificateDer;
+use rustls_pki_types::pem::PemObject;
+use std::sync::Arc;
+
+/// Kinds of messages, as docs/format.md numbers them.
+const APPEND: u64 = 1;
+const APPEND_RESPONSE: u64 = 2;
+const HEARTBEAT: u64 = 3;
+const VOTE: u64 = 5;
+const TIMEOUT_NOW: u64 = 9;
+const READ_INDEX_RESPONSE: u64 = 11;
+
+/// A field of protobuf that holds a number.
+fn number(field: u64, value: u64) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    for mut rest in [field << 3, value] {
+        while rest > 0x7f {
+            bytes.push((rest & 0x7f) as u8 | 0x80);
+            rest >>= 7;
+        }
+        bytes.push(rest as u8);
+    }
+    bytes
+}
+
+/// A field of protobuf that holds bytes.
+fn part(field: u64, content: &[u8]) -> Vec<u8> {
+    let mut bytes = number(field, content.len() as u64);
+    bytes[0] |= 2;
+    bytes.extend_from_slice(content);
+    bytes
+}
+
+/// A message `Raft` of docs/format.md in a `PeerMessage`.
+fn raft(fields: &[Vec<u8>]) -> Bytes {
+    part(1, &fields.concat()).into()
+}
+
+/// Says this to a node as another node, and hangs up.
+async fn say(liar: &Context, address: &str, said: Vec<Bytes>) {
+    let context = Context { nodes: vec![address.to_owned()], ..liar.clone() };
+    let channel = wire::channel(&context, true).await;
+    let frames = futures::stream::iter(said.into_iter().map(|message| v1::PeerFrame { message }));
+    PeerClient::new(channel).messages(frames.boxed()).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_learner_that_names_a_later_term_ends_no_voter_and_leads_nobody() {
+    let wish = |name: &str, organisation: &str, voter| NodeWish {
+        name: name.into(),
+        organisation: organisation.into(),
+        voter,
+        address: free_address(),
+    };
+    let wishes =
+        [wish("a", "Org1", true), wish("b", "Org1", true), wish("c", "Org2", true), wish("robot", "Org2", false)];
+    let fleet = Fleet::found_with(&wishes, crate::support::network::now());
+    let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
+    let mut nodes: Vec<Process> = fleet.nodes[..3].iter().map(|node| node.start()).collect();
+    register_robots(&connect(&owner).await, "exclusive").await;
+    let client = connect(&salma).await;
+    client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
+
+    // The learner's node does not run: this test speaks with its certificate.
+    let place = &fleet.nodes[3];
+    let pem = std::fs::read(place.data.join("node.pem")).unwrap();
+    let chain = CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().unwrap();
+    let key = SigningKey::from_pkcs8_pem(&std::fs::read_to_string(place.data.join("node.key")).unwrap()).unwrap();
+    let liar = Context { chain, key: Arc::new(key), ..salma.clone() };
+
+    let (term, height) = (1_000_000, 1_000_000);
+    let empty_block = part(10, &[number(1, 1), number(2, term), number(3, 1)].concat());
+    let lies = vec![
+        raft(&[number(1, HEARTBEAT), number(2, term), number(5, height)]),
+        raft(&[number(1, HEARTBEAT), number(2, term)]),
+        raft(&[number(1, APPEND), number(2, term), number(5, 1), empty_block]),
+        raft(&[number(1, APPEND_RESPONSE), number(2, term), number(4, 1)]),
+        raft(&[number(1, VOTE), number(2, term), number(3, term), number(4, height), part(9, b"CampaignTransfer")]),
+        raft(&[number(1, TIMEOUT_NOW), number(2, 1)]),
+        raft(&[number(1, READ_INDEX_RESPONSE), number(2, 1), number(4, 1), part(9, &[0; 24])]),
+    ];
+    for round in 0..3 {
+        for node in &fleet.nodes[..3] {
+            say(&liar, &node.address, lies.clone()).await;
+        }
+        client.invoke("abac", "set", message(1, 1 + round, b"go on")).await.unwrap();
+    }
+    for node in &mut nodes {
+        node.check();
+        assert!(node.stderr().contains("ordering ignores messages of a peer"), "{}", node.stderr());
+        assert!(!node.stderr().contains("term=1000000"), "{}", node.stderr());
+        node.interrupt();
+    }
+}
