@@ -140,7 +140,7 @@ mod tests {
     use super::*;
     use std::path::Path;
 
-    /// What a device was told.
+    /// The values that a device was told.
     fn told(device: &Path) -> Vec<i32> {
         let bytes = std::fs::read(device).unwrap();
         bytes.chunks(4).map(|value| i32::from_ne_bytes(value.try_into().unwrap())).collect()

@@ -114,7 +114,7 @@ pub struct Engine {
     ended_terms: BTreeMap<u64, u64>,
     /// A node of which this one does not know that it votes has spoken as a leader.
     stranger_leads: bool,
-    /// What this node and its followers have acknowledged.
+    /// Receipts of the followers, and the means to make own ones.
     receipts: Receipts,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
     reads: u64,

@@ -14,14 +14,14 @@
 //! | *returned* transactions | the leader now, and the one before it | |
 //! | reads, *forwarded* transactions | members | no term |
 //!
-//! **Who is a voter.** A node knows the voters as of the last block that it handed out. A change that waits in its log
+//! **The voters.** A node knows the voters as of the last block that it handed out. A change that waits in its log
 //! counts as well, because a leader was allowed to append it. A node that lags further does not know a new voter yet. It
 //! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). A learner, whose copy nobody counts, follows
 //! such a leader at once if it has no other.
 //!
-//! **Ends of terms.** A voter that is stuck in a later term ends the leader's term by saying so (Raft §5.1), and a transfer
-//! of leadership makes a voter stand for election in spite of the leader's lease (Raft §6.4, thesis 3.10). Both are needed
-//! and both could be done without end. So each voter may do so once in [`REST_TIMEOUTS`] election timeouts.
+//! **Ends of terms.** A voter that is stuck in a later term ends the leader's term by saying so (Raft §5.1). A transfer of
+//! leadership makes a voter stand for election in spite of the leader's lease (thesis §3.10). Both are needed, and both
+//! could be done without end. So each voter may do so once in [`REST_TIMEOUTS`] election timeouts.
 
 use super::Engine;
 use crate::interface::Output;

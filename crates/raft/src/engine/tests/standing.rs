@@ -1,4 +1,4 @@
-//! Who may say what, and what a liar cannot do.
+//! Messages of those who may not send them change nothing.
 
 use super::*;
 use crate::message::Transactions;
