@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use criterion::{BenchmarkId, Criterion};
-use ledger::{Chaincode, Context, Environment, Registry, Rules};
+use ledger::{Chaincode, Context, Environment, Meter, Registry, Rules};
 use ledger_abac::{AccessControl, Grant};
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
@@ -51,6 +51,7 @@ struct Fleet {
     /// The same as a node has it: in its store on disk.
     state: Arc<State>,
     directory: TempDir,
+    meter: Meter,
     /// Each with the service that they hold and its epoch.
     holders: Vec<(Identity, String, u64)>,
 }
@@ -94,7 +95,15 @@ impl Fleet {
         registry.install(Arc::new(Members)).unwrap();
         let directory = tempfile::tempdir_in(bench_directory()).unwrap();
         let state = Arc::new(State::open(Box::<MemoryState>::default()).unwrap());
-        let mut fleet = Self { abac, registry, made: Arc::default(), state, directory, holders: Vec::new() };
+        let mut fleet = Self {
+            abac,
+            registry,
+            made: Arc::default(),
+            state,
+            directory,
+            meter: Meter::default(),
+            holders: Vec::new(),
+        };
         for owner in 0..OWNERS {
             let admin = identity(&owner_name(owner), "admin", Role::Admin, 0);
             fleet.put_policies(&admin, owner, policies / OWNERS);
@@ -141,6 +150,7 @@ impl Fleet {
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,
+            meter: &self.meter,
         }
     }
 

@@ -193,8 +193,10 @@ fn each_node_dies_in_turn_and_ledgerctl_bridges_and_the_rust_client_go_on_throug
                     true => trio.nodes[dead] = None,
                     false => trio.nodes[dead].as_ref().unwrap().signal(Signal::STOP),
                 }
-                trio.until("the client goes on", async || salma.invoke("msp", "organisations", Vec::new()).await.ok())
-                    .await;
+                trio.until("the client goes on", async || {
+                    salma.invoke("abac", "renew", vec!["Rover/cmd_vel".into()]).await.ok()
+                })
+                .await;
                 drive.one_message(&trio).await;
                 for arguments in [&["robot", "list"][..], &["renew", "Rover/cmd_vel", "--for", "10m"]] {
                     let mut last = String::new();
@@ -206,7 +208,7 @@ fn each_node_dies_in_turn_and_ledgerctl_bridges_and_the_rust_client_go_on_throug
                     true => trio.start(dead),
                     false => trio.nodes[dead].as_ref().unwrap().signal(Signal::CONT),
                 }
-                let height = salma.invoke("msp", "organisations", Vec::new()).await.unwrap().height;
+                let height = salma.invoke("abac", "renew", vec!["Rover/cmd_vel".into()]).await.unwrap().height;
                 trio.has_caught_up(dead, height).await;
             }
         }

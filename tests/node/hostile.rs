@@ -65,7 +65,7 @@ impl Target {
     }
 
     /// The signed transaction of a body that was changed first.
-    fn signed(&self, change: impl FnOnce(&mut Body)) -> Transaction {
+    pub(crate) fn signed(&self, change: impl FnOnce(&mut Body)) -> Transaction {
         let mut body = self.body();
         change(&mut body);
         Transaction::sign(&body, &self.salma.key).unwrap()

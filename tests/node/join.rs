@@ -1,6 +1,6 @@
 //! `ledgerd join`: a token from an admin, one command, and the node belongs to the network.
 
-use crate::support::network::free_address;
+use crate::support::network::{free_address, some_block};
 use crate::support::{Fleet, Process, connect, programs, until};
 use bytes::Bytes;
 use ledger::msp::InviteOrganisation;
@@ -118,11 +118,11 @@ pub fn id(data: &Path) -> u64 {
 /// The node follows what its network does, as somebody sees who trusts its organisation.
 pub async fn follows(somebody: &Context, leader: &Client, newcomer: &Newcomer) {
     let there = connect(&Context { nodes: vec![newcomer.address.clone()], ..somebody.clone() }).await;
-    let done = leader.invoke("msp", "organisations", Vec::new()).await.unwrap();
+    let height = some_block(leader).await;
     // The members still change meanwhile: two states are compared where both nodes are at one height.
     let (here, at_leader) = until("the new node follows", || async {
         let (here, at_leader) = (there.status().await.unwrap(), leader.status().await.unwrap());
-        let level = here.height >= done.height && here.height == at_leader.height;
+        let level = here.height >= height && here.height == at_leader.height;
         (level && here.role == "learner").then_some((here, at_leader))
     })
     .await;

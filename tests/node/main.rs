@@ -25,6 +25,7 @@ mod crash;
 mod crowd;
 mod disk_full;
 mod footprint;
+mod greedy;
 mod hostile;
 mod instances;
 mod join;

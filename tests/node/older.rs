@@ -1,7 +1,7 @@
 //! A node of an older release, which does not speak the rules that its network activates.
 
 use crate::rules;
-use crate::support::network::NodePlace;
+use crate::support::network::{MARKER, NodePlace};
 use crate::support::{Fleet, Process, until};
 use ledger::Rules;
 use ledger_identity::Role;
@@ -61,7 +61,7 @@ async fn story() {
     owner.run(&activate).ok();
     assert!(learner.is_running(), "the rules do not hold yet");
     until("the network has passed the height", || async {
-        owner.run(&["invoke", "abac", "policies"]).ok();
+        owner.run(&["invoke", "abac", "replace", MARKER]).ok();
         (shown_height(&boss) > height).then_some(())
     })
     .await;

@@ -1,7 +1,7 @@
 //! The demo's topology: Org1's node orders, Org2's follows. A transaction that goes in at one comes out at the other.
 
 use crate::support::ctl::verify;
-use crate::support::network::{message, register_robots};
+use crate::support::network::{MARKER, message, register_robots};
 use crate::support::{Fleet, connect, until, wire};
 use ledger_api::v1::StatusResponse;
 use ledger_api::{Call, Client, Context, Subscription};
@@ -41,7 +41,7 @@ async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
     let seen = leader.height_seen();
     connect(&at(&owner, &fleet, 1)).await;
     let channel = wire::channel(&at(&owner, &fleet, 1), true).await;
-    let call = Call { chaincode: "msp".into(), function: "organisations".into(), args: Vec::new(), ttl: PATIENCE };
+    let call = Call { chaincode: "abac".into(), function: "setup".into(), args: vec![MARKER.into()], ttl: PATIENCE };
     let transaction = leader.prepare(call).unwrap();
     // A height that will never come: the learner waits, and then says that it is behind instead of judging by less.
     let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen + 1_000_000).await.unwrap();

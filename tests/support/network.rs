@@ -253,6 +253,16 @@ pub async fn register_robots(owner: &Client, mode: &str) {
     owner.invoke("abac", "setup", vec![robot("Turtlebot4"), robot("Husky")]).await.unwrap();
 }
 
+/// A robot that nobody uses.
+pub const MARKER: &str =
+    r#"{"name":"Marker","attribute_required":"Marker","services":[{"topic":"/m","type":"std_msgs/msg/Empty"}]}"#;
+
+/// A transaction of an admin without consequence; answers with the height of its block.
+pub async fn some_block(admin: &Client) -> u64 {
+    let robot = MARKER.replace("Marker", &format!("Marker{}", now()));
+    admin.invoke("abac", "setup", vec![robot.into()]).await.unwrap().height
+}
+
 /// The arguments of `set` for one message.
 pub fn message(epoch: u64, seq: u64, content: &[u8]) -> Vec<Bytes> {
     let payload = [&[0, 1, 0, 0], content].concat();

@@ -15,6 +15,7 @@ pub(crate) mod renew;
 pub(crate) mod robots;
 pub(crate) mod settings;
 pub(crate) mod show;
+pub(crate) mod undecided;
 
 /// Name of the chaincode.
 pub(crate) const NAME: &str = "abac";

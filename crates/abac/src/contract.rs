@@ -25,11 +25,13 @@ use nearest::did_you_mean;
 /// | `set SERVICE EPOCH FIRST_SEQ PAYLOAD...` | the holder; in open mode whom policies permit | [`crate::Published`] |
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
-/// | `robots`, `robot NAME` | anybody | [`crate::RobotAsset`] |
+/// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
 /// | `service SERVICE` | anybody | [`crate::ServiceState`] |
-/// | `grants [SERVICE]` | anybody | [`crate::Grant`]s |
+/// | `grants [SERVICE]`, `grants PAGE_JSON` | anybody | [`crate::Grant`]s |
 /// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
-/// | `policies` | anybody | [`crate::PolicyEntry`]s |
+/// | `policies [PAGE_JSON]` | anybody | [`crate::PolicyEntry`]s |
+///
+/// `PAGE_JSON` is [`ledger::Paging`]: the answer is then a [`ledger::Page`].
 ///
 /// A service is named `Turtlebot4/cmd_vel`, or `Turtlebot4` while that robot has only one.
 ///
@@ -59,6 +61,13 @@ const FUNCTIONS: [&str; 16] = [
     "set",
     "setup",
 ];
+
+/// Those of them that only read.
+const READS: [&str; 7] =
+    ["GetSubmittingClientIdentity", "authorize", "grants", "policies", "robot", "robots", "service"];
+
+/// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
+const URGENT: [&str; 6] = ["acquire", "configure", "policy", "release", "remove", "renew"];
 
 /// The names of its events.
 const EVENTS: [&str; 6] = ["granted", "message", "policy", "released", "renewed", "robot"];
@@ -112,13 +121,16 @@ impl Chaincode for AccessControl {
         }
     }
 
+    fn reads(&self) -> &'static [&'static str] {
+        &READS
+    }
+
     fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {
         if function == "set" { publish::foretell(args) } else { None }
     }
 
-    /// Everything but messages: what ends or hands over control never waits behind data.
     fn urgent(&self, function: &str) -> bool {
-        function != "set"
+        URGENT.contains(&function)
     }
 
     /// A caller of release must hold something, and acquiring is refused meanwhile.
@@ -128,7 +140,7 @@ impl Chaincode for AccessControl {
 
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
-        let _ = end::sweep(ctx);
+        let _ = end::sweep(ctx, &self.decider);
     }
 
     fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {

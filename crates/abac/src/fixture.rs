@@ -1,6 +1,6 @@
 //! For tests: a block in which records are changed.
 
-use ledger::{Context, Environment, Registry};
+use ledger::{Context, Environment, Meter, Registry};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use ledger_storage::state::{MemoryState, Overlay};
@@ -11,7 +11,9 @@ pub(crate) fn block(body: impl FnOnce(&mut Context<'_>)) -> Result<(), Rejection
     let registry = Registry::new();
     let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
     let rules = ledger::Rules::NEWEST;
-    let environment = Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction };
+    let meter = Meter::default();
+    let environment =
+        Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction, meter: &meter };
     let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
     body(&mut Context::new(environment, "abac", &mut overlay, &mut events));
     overlay.finish().map(drop)

@@ -10,7 +10,7 @@
 //!
 //! ```
 //! use bytes::Bytes;
-//! use ledger::{Environment, Registry, Rules};
+//! use ledger::{Environment, Meter, Registry, Rules};
 //! use ledger_hash::Hash;
 //! use ledger_storage::state::{MemoryState, Overlay};
 //! use std::sync::Arc;
@@ -19,7 +19,7 @@
 //! registry.install(Arc::new(ledger_abac::AccessControl::new()?))?;
 //! let environment = Environment {
 //!     registry: &registry, submitter: None, network: Hash::ZERO, rules: Rules::NEWEST, height: 1, time: 0,
-//!     transaction: Hash::ZERO,
+//!     transaction: Hash::ZERO, meter: &Meter::of_query(),
 //! };
 //! let mut overlay = Overlay::new(Arc::new(MemoryState::default()));
 //! let robots = Registry::invoke(environment, &mut overlay, &mut Vec::new(), "abac", "robots", &[])?;
@@ -56,5 +56,5 @@ pub use ledger_contract::{
     Reason, Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec,
     ServiceState, SettingChange, Told,
 };
-pub use policy::POLICY_BYTES_MAX;
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
+pub use policy::limits::POLICY_BYTES_MAX;

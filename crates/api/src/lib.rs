@@ -25,6 +25,7 @@ mod client;
 mod connect;
 pub mod context;
 mod enrol;
+pub mod pages;
 mod renew;
 mod report;
 pub mod tls;

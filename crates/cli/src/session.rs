@@ -7,6 +7,7 @@ use ledger_api::{Client, Committed, Context};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
+use serde::de::DeserializeOwned;
 
 /// The chaincode that keeps robots, grants and policies.
 pub(crate) const ABAC: &str = "abac";
@@ -41,6 +42,11 @@ impl Session {
     /// Calls a function on the committed state.
     pub(crate) async fn ask(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Bytes, Rejection> {
         Ok(self.client.query(chaincode, function, args).await?.response)
+    }
+
+    /// All elements of a list, which comes in pages.
+    pub(crate) async fn list<T: DeserializeOwned>(&self, chaincode: &str, function: &str) -> Result<Vec<T>, Rejection> {
+        self.client.list(chaincode, function).await
     }
 
     /// As whom we are connected, read from our certificate.

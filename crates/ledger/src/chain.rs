@@ -8,7 +8,7 @@ mod storage;
 pub use admission::{Admission, Ground, Refusal, Step};
 
 use crate::block::{Header, Payload, leaf};
-use crate::chaincode::{Context, Environment, Registry};
+use crate::chaincode::{Context, Environment, Meter, Registry};
 use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
@@ -304,7 +304,8 @@ impl Ledger {
         let mut overlay = self.overlay();
         let tip = self.tip();
         let deadlines = self.registry.iter().filter_map(|chaincode| {
-            let environment = self.environment(None, &tip, tip.time);
+            let meter = Meter::default();
+            let environment = self.environment(None, &tip, tip.time, &meter);
             chaincode.next_deadline(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()))
         });
         deadlines.min()
@@ -401,14 +402,21 @@ impl Ledger {
     ) -> Result<Bytes, Rejection> {
         let mut overlay = self.overlay();
         let tip = self.tip();
-        let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time) };
+        let meter = if transaction == Hash::ZERO { Meter::of_query() } else { Meter::of_block(self.rules()) };
+        let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time, &meter) };
         let answer = Registry::invoke(environment, &mut overlay, &mut Vec::new(), chaincode, function, args);
         overlay.finish().and(answer)
     }
 
-    fn environment<'a>(&'a self, submitter: Option<&'a Identity>, tip: &Tip, time: u64) -> Environment<'a> {
+    fn environment<'a>(
+        &'a self,
+        submitter: Option<&'a Identity>,
+        tip: &Tip,
+        time: u64,
+        meter: &'a Meter,
+    ) -> Environment<'a> {
         let (registry, network, rules) = (&self.registry, self.network, self.rules());
-        Environment { registry, submitter, network, rules, height: tip.height, time, transaction: Hash::ZERO }
+        Environment { registry, submitter, network, rules, height: tip.height, time, transaction: Hash::ZERO, meter }
     }
 
     fn overlay(&self) -> Overlay {

@@ -4,11 +4,13 @@
 //! [`Context`], which is all it may know: no clock, no randomness, no IO, so that every node computes the same.
 
 mod approval;
+mod budget;
 mod context;
 mod registry;
 
 pub(crate) use approval::quorum_of;
 pub use approval::{ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, NotAQuorum, Quorum};
+pub use budget::{BLOCK_BUDGET, CALL_BUDGET, Meter, QUERY_BUDGET, Usage};
 pub use context::{Context, Environment};
 pub use registry::Registry;
 
@@ -38,8 +40,14 @@ pub trait Chaincode: Send + Sync {
         None
     }
 
+    /// The functions that only read. They are queries: a transaction that calls one is refused (since rules 3), and one that
+    /// writes or emits all the same, too. Other chaincodes may call them.
+    fn reads(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// Must calls of this function overtake data that waits to be ordered? For what ends or hands over control:
-    /// release, revoke, stop.
+    /// release, revoke, stop. A node lets them overtake while they are small and few; the rest waits with the data.
     fn urgent(&self, _function: &str) -> bool {
         false
     }

@@ -3,7 +3,7 @@
 mod check;
 
 use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
-use crate::chaincode::{Environment, Registry};
+use crate::chaincode::{Environment, Meter, Registry};
 use crate::identities::Identities;
 use crate::msp::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::network::Genesis;
@@ -65,7 +65,7 @@ impl Executor<'_> {
         let header = Header { height: entry.index, term: entry.term, time, previous: previous.hash, root };
 
         let mut overlay = Overlay::new(Arc::clone(&self.state));
-        let mut events = Vec::new();
+        let (mut events, meter) = (Vec::new(), Meter::of_block(self.rules));
         self.begin_block(&header, &mut overlay, &mut events);
         let mut taken: HashSet<Hash> = HashSet::new();
         let mut results = Vec::with_capacity(transactions.len());
@@ -88,7 +88,7 @@ impl Executor<'_> {
                 }
                 let body = transaction.body();
                 let environment =
-                    Environment { submitter: Some(&identity), transaction: id, ..self.environment(&header) };
+                    Environment { submitter: Some(&identity), transaction: id, ..self.environment(&header, &meter) };
                 let (chaincode, function, args) = (&body.chaincode, &body.function, &body.args);
                 let response = Registry::invoke(environment, &mut overlay, &mut emitted, chaincode, function, args)?;
                 let told = self.registry.foretell(chaincode, function, args);
@@ -127,7 +127,7 @@ impl Executor<'_> {
         Ok(Execution { tip, header, result, foretold, transactions, ids, writes })
     }
 
-    fn environment(&self, header: &Header) -> Environment<'_> {
+    fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
         Environment {
             registry: self.registry,
             submitter: None,
@@ -136,13 +136,15 @@ impl Executor<'_> {
             height: header.height,
             time: header.time,
             transaction: Hash::ZERO,
+            meter,
         }
     }
 
     fn begin_block(&self, header: &Header, overlay: &mut Overlay, events: &mut Vec<EmittedEvent>) {
         for chaincode in self.registry.iter() {
             let mut emitted: Vec<Event> = Vec::new();
-            let hook = Registry::hook(self.environment(header), chaincode, overlay, &mut emitted, |ctx| {
+            let meter = Meter::default();
+            let hook = Registry::hook(self.environment(header, &meter), chaincode, overlay, &mut emitted, |ctx| {
                 chaincode.begin_block(ctx);
             });
             if let Err(rejection) = hook {

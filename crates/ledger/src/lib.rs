@@ -50,6 +50,7 @@ mod identities;
 pub mod members;
 pub mod msp;
 pub mod network;
+mod page;
 mod rules;
 pub mod transaction;
 mod verified;
@@ -60,7 +61,8 @@ pub mod writes;
 
 pub use chain::{Admission, BlockHashes, Ground, Ledger, Outcome, Refusal, Step, TransactionRecord};
 pub use chaincode::{
-    ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, Chaincode, Context, Environment, Foretold, NotAQuorum, Quorum,
-    Registry, Revocation,
+    ADMINS_PER_ORGANISATION_MAX, ApprovedBy, BLOCK_BUDGET, CALL_BUDGET, Call, Chaincode, Context, Environment,
+    Foretold, Meter, NotAQuorum, QUERY_BUDGET, Quorum, Registry, Revocation, Usage,
 };
+pub use page::{PAGE_BYTES, PAGE_MAX, Page, Paging};
 pub use rules::{Activation, Rules};

@@ -7,9 +7,9 @@
 //! | `organisations` | | JSON array of names |
 //! | `organisation NAME` | | [`Organisation`] |
 //! | `nodes` | | [`Nodes`] |
-//! | `proposals` | | array of [`Decision`] |
+//! | `proposals [{after?, most?}]` ([`crate::Paging`]) | | array or [`crate::Page`] of [`Decision`] |
 //! | `attestations` | | array of [`AttestationRecord`] |
-//! | `revocations` | | array of [`RevocationRecord`] |
+//! | `revocations [{after?, most?}]` | | array or page of [`RevocationRecord`] |
 //! | `join_node {address, name?, replace?}` | a node, for itself | [`NodeRecord`] |
 //! | `set_node_role {id, role}`, `{organisation, name, role}` | an admin; see [`NodeRole`] | [`Decision`] |
 //! | `invite_organisation {name, key, expires}` | an admin, with approval | [`Decision`] |
@@ -22,6 +22,8 @@
 //! | `allow_nodes {organisation, nodes}` ([`AllowNodes`]) | an admin, with approval | [`Decision`] |
 //! | `quorums` | | array of [`FunctionQuorum`] |
 //! | `set_quorum {chaincode, function, quorum?}` ([`SetQuorum`]) | an admin, with approval | [`Decision`] |
+//! | `quotas ORGANISATION` | | [`Quotas`] |
+//! | `set_quota {organisation, robots?, policies?, identities?}` ([`SetQuota`]) | an admin, with approval | [`Decision`] |
 //! | `propose {chaincode, function, args}` ([`crate::Call`]) | an admin | [`Decision`] |
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
@@ -39,7 +41,8 @@
 //!
 //! Events: `joined`, `moved`, `role_changed` and `speaks` with the [`NodeRecord`] and the node as subject; `proposed`,
 //! `approved`, `withdrawn`, `executed` and `failed` with the [`Proposal`] and its id; `quorum_changed` with the
-//! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `nodes_allowed` with the [`AllowNodes`] and the organisation; `invited` with the [`Invitation`] and
+//! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `quota_changed` with the [`SetQuota`] and `nodes_allowed` with the
+//! [`AllowNodes`], both with the organisation; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
 //! name; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
 //! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
@@ -59,6 +62,7 @@ mod nodes;
 mod organisations;
 mod proposals;
 mod quorums;
+mod quotas;
 mod read;
 mod revocations;
 mod rules;
@@ -84,6 +88,7 @@ pub use proposals::{
     Approval, CALL_ARGS_MAX, CALL_BYTES_MAX, Decision, Failed, PROPOSAL_LIFE_MAX, PROPOSALS_MAX, Proposal,
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
+pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
 pub use read::{attestations, invitation, members, nodes, organisations};
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
@@ -94,6 +99,7 @@ pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_ke
 use crate::chaincode::{Chaincode, Context, Quorum};
 use crate::members::Membership;
 use crate::network::Genesis;
+use crate::page::Paging;
 use bytes::Bytes;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::WriteSet;
@@ -108,20 +114,22 @@ const INVITE_ORGANISATION: &str = "invite_organisation";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
 const SET_NODE_ROLE: &str = "set_node_role";
 const SET_QUORUM: &str = "set_quorum";
+const SET_QUOTA: &str = "set_quota";
 
 /// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
 /// quorum it sets.
-static NEEDS_APPROVAL: [(&str, Quorum); 6] = [
+static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
     (ACTIVATE_RULES, Quorum::Majority),
     (ALLOW_NODES, Quorum::Majority),
     (INVITE_ORGANISATION, Quorum::Majority),
     (REMOVE_ORGANISATION, Quorum::Majority),
     (SET_NODE_ROLE, Quorum::Majority),
+    (SET_QUOTA, Quorum::Majority),
     (SET_QUORUM, Quorum::Majority),
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 33] = [
+const FUNCTIONS: [(&str, &str); 35] = [
     ("activate_rules", "RULES_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
     ("approve", "ID"),
@@ -139,29 +147,59 @@ const FUNCTIONS: [(&str, &str); 33] = [
     ("nodes", "none"),
     ("organisation", "NAME"),
     ("organisations", "none"),
-    ("proposals", "none"),
+    ("proposals", "PAGE_JSON or none"),
     ("propose", "CALL_JSON"),
     ("quorums", "none"),
+    ("quotas", "ORGANISATION"),
     ("record_certificate", "CERTIFICATE_JSON"),
     ("register", "REGISTER_JSON"),
     ("remove_organisation", "NAME_JSON"),
-    ("revocations", "none"),
+    ("revocations", "PAGE_JSON or none"),
     ("revoke", "ISSUER SERIAL [REASON]"),
     ("revoke_identity", "REVOKE_JSON"),
     ("rules", "none"),
     ("set_node_role", "ROLE_JSON"),
     ("set_quorum", "QUORUM_JSON"),
+    ("set_quota", "QUOTA_JSON"),
     ("speak", "SPEAKS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
     ("withdraw", "ID"),
 ];
 
+/// Those of them that only read.
+const READS: [&str; 12] = [
+    "attestations",
+    "carriers",
+    "identities",
+    "invitations",
+    "nodes",
+    "organisation",
+    "organisations",
+    "proposals",
+    "quorums",
+    "quotas",
+    "revocations",
+    "rules",
+];
+
+/// Those of them that end rights, or an invitation to rights.
+const URGENT: [&str; 8] = [
+    "approve",
+    "cancel_invitation",
+    "cancel_registration",
+    REMOVE_ORGANISATION,
+    "revoke",
+    "revoke_identity",
+    SET_NODE_ROLE,
+    "update_organisation",
+];
+
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 4] = [ALLOW_NODES, "propose", "quorums", SET_QUORUM];
+const SINCE_RULES_3: [&str; 6] = [ALLOW_NODES, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
 
 /// The names of its events.
-const EVENTS: [&str; 24] = [
+const EVENTS: [&str; 25] = [
     "approved",
     "attested",
     "ca_carried",
@@ -179,6 +217,7 @@ const EVENTS: [&str; 24] = [
     "organisation_updated",
     "proposed",
     "quorum_changed",
+    "quota_changed",
     "registered",
     "registration_cancelled",
     "revoked",
@@ -196,9 +235,12 @@ impl Chaincode for MspChaincode {
         NAME
     }
 
-    /// Everything but what nobody waits for: attestations, and what a node says of its CA.
     fn urgent(&self, function: &str) -> bool {
-        !matches!(function, "attest" | "carry_ca")
+        URGENT.contains(&function)
+    }
+
+    fn reads(&self) -> &'static [&'static str] {
+        &READS
     }
 
     fn events(&self) -> &'static [&'static str] {
@@ -244,13 +286,17 @@ impl Chaincode for MspChaincode {
             ("speak", [speaks]) => rules::speak(ctx, speaks),
             (ACTIVATE_RULES, [activate]) => rules::activate(ctx, activate),
             (ALLOW_NODES, [allow]) => allowance::allow(ctx, allow),
-            ("proposals", []) => proposals::list(ctx),
+            ("proposals", []) => proposals::list(ctx, args),
+            ("proposals", [page]) if Paging::is_asked(ctx, page) => proposals::list(ctx, args),
             ("quorums", []) => quorums::list(ctx),
             (SET_QUORUM, [quorum]) => quorums::set(ctx, quorum),
+            ("quotas", [organisation]) => quotas::show(ctx, organisation),
+            (SET_QUOTA, [quota]) => quotas::set(ctx, quota),
             ("propose", [call]) => proposals::propose(ctx, call),
             ("approve", [id]) => proposals::approve(ctx, id),
             ("withdraw", [id]) => proposals::withdraw(ctx, id),
-            ("revocations", []) => revocations::list(ctx),
+            ("revocations", []) => revocations::list(ctx, args),
+            ("revocations", [page]) if Paging::is_asked(ctx, page) => revocations::list(ctx, args),
             ("revoke", [issuer, serial]) => revocations::revoke(ctx, issuer, serial, b""),
             ("revoke", [issuer, serial, reason]) => revocations::revoke(ctx, issuer, serial, reason),
             _ => Err(unknown_call(function, args.len())),

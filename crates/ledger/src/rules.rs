@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | a transaction answers with at most 512 KiB; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has |
+//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds |
 //!
 //! ```
 //! use ledger::Rules;
@@ -46,9 +46,9 @@ impl Rules {
         self.0
     }
 
-    /// Most bytes that a transaction may answer with. Every node stores the answer for as long as the block.
-    pub(crate) const fn answer_bytes_max(self) -> usize {
-        if self.0 >= 3 { 512 * 1024 } else { usize::MAX }
+    /// Has every call a budget, and is a call that only reads a query and no transaction?
+    pub(crate) const fn has_budgets(self) -> bool {
+        self.0 >= 3
     }
 
     /// Is a proposal any call that needs approval, by a quorum that stands on the ledger? Before, it is one of four

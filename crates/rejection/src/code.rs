@@ -106,6 +106,10 @@ codes! {
     Refused = 1015 "REFUSED" Denied;
     /// This node has dropped the blocks that were asked for.
     Pruned = 1016 "PRUNED" Invalid;
+    /// The function only reads: it is a query, and no transaction.
+    QueryOnly = 1017 "QUERY_ONLY" Invalid;
+    /// The call uses more than the budget of a call, or its organisation more than its budget of a block.
+    OverBudget = 1018 "OVER_BUDGET" Invalid;
 
     /// The certificate is not of an organisation of this network.
     Untrusted = 2001 "UNTRUSTED" Denied;
@@ -170,6 +174,8 @@ codes! {
     RulesNotSpoken = 3017 "RULES_NOT_SPOKEN" Invalid;
     /// The function is executed only once enough have agreed to a proposal of this call.
     NeedsApproval = 3018 "NEEDS_APPROVAL" Denied;
+    /// The organisation has as many of these as its quota allows.
+    QuotaReached = 3019 "QUOTA_REACHED" Invalid;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

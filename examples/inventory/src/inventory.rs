@@ -68,6 +68,10 @@ impl Chaincode for Inventory {
         NAME
     }
 
+    fn reads(&self) -> &'static [&'static str] {
+        &["item", "list"]
+    }
+
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match (function, args) {
             ("found", [robot, item, x, y]) => found(ctx, text("ROBOT", robot)?, item, (x, y)),

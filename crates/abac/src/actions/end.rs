@@ -4,7 +4,7 @@
 //! many grants end at once, those beyond the bound are marked as ended, which no check overlooks. They are due at once;
 //! the following blocks sweep them up and tell why they ended.
 
-use super::robots;
+use super::{robots, undecided};
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::{self, Holding};
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
@@ -44,10 +44,13 @@ pub(crate) fn end_all(ctx: &mut Context<'_>, ending: Vec<(Holding, Reason)>) -> 
 }
 
 /// Ends what is due at the start of a block.
-pub(crate) fn sweep(ctx: &mut Context<'_>) -> Result<(), Rejection> {
+pub(crate) fn sweep(ctx: &mut Context<'_>, decider: &Decider) -> Result<(), Rejection> {
+    if undecided::is_left(ctx) {
+        undecided::go_on(ctx, decider)?;
+    }
     let now = ctx.block_time();
     // Mostly nothing is due. One look is cheaper than reading everything that could be.
-    if next_deadline(ctx).is_some_and(|due| due > now) {
+    if next_due(ctx).is_some_and(|due| due > now) {
         return Ok(());
     }
     for (key, _) in ctx.range(b"due/", ENDINGS_MAX) {
@@ -68,8 +71,13 @@ pub(crate) fn sweep(ctx: &mut Context<'_>) -> Result<(), Rejection> {
     Ok(())
 }
 
-/// When the next grant is due (block time, microseconds).
+/// When there is something to end or to decide (block time, microseconds).
 pub(crate) fn next_deadline(ctx: &Context<'_>) -> Option<u64> {
+    if undecided::is_left(ctx) { Some(0) } else { next_due(ctx) }
+}
+
+/// When the next grant is due (block time, microseconds).
+fn next_due(ctx: &Context<'_>) -> Option<u64> {
     let due = ctx.range(b"due/", 1);
     let (key, _) = due.first()?;
     store::parse_due_key(key).map(|(expires, ..)| expires)
@@ -79,7 +87,8 @@ pub(crate) fn next_deadline(ctx: &Context<'_>) -> Option<u64> {
 pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> Result<(), Rejection> {
     let prefix = store::certificate_prefix(&revoked.issuer, &revoked.serial);
     let mut ending = Vec::new();
-    for (key, _) in ctx.range(&prefix, ROBOTS_MAX * SERVICES_MAX) {
+    let most = if robot::has_quotas(ctx) { usize::MAX } else { ROBOTS_MAX * SERVICES_MAX };
+    for (key, _) in ctx.range(&prefix, most) {
         if let Some((service, holder)) = store::parse_certificate_key(&key, &prefix)
             && let Some(holding) = store::read::<Holding>(ctx, &store::grant_key(service, holder))?
             && holding.ending.is_none()
@@ -117,10 +126,16 @@ pub(crate) fn policies_changed(
     decider: &Decider,
     organisation: &str,
 ) -> Result<Vec<Released>, Rejection> {
+    if robot::has_quotas(ctx) {
+        for name in robot::names_of(ctx, organisation)? {
+            undecided::mark(ctx, organisation, &name);
+        }
+        return undecided::begin(ctx, decider, organisation);
+    }
     let mut ending = Vec::new();
     for robot in robot::all(ctx)?.iter().filter(|robot| robot.organisation == organisation) {
         for service in &robot.services {
-            ending.extend(unfit(ctx, decider, &Target::of(robot, service))?);
+            ending.extend(unfit(ctx, Some(decider), &Target::of(robot, service))?);
         }
     }
     end_all(ctx, ending)
@@ -134,27 +149,37 @@ pub(crate) fn robot_changed(
     after: &Robot,
 ) -> Result<Vec<Released>, Rejection> {
     let mut ending = Vec::new();
+    let later = undecided::are_many(ctx, after)?;
     for service in &before.services {
         match after.services.iter().find(|kept| kept.topic == service.topic) {
-            Some(kept) => ending.extend(unfit(ctx, decider, &Target::of(after, kept))?),
+            Some(kept) => ending.extend(unfit(ctx, (!later).then_some(decider), &Target::of(after, kept))?),
             None => {
                 let gone = grant::live(ctx, &after.service_id(service))?;
                 ending.extend(gone.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
             }
         }
     }
-    end_all(ctx, ending)
+    let mut released = end_all(ctx, ending)?;
+    if later {
+        undecided::mark(ctx, &after.organisation, &after.name);
+        released.extend(undecided::begin(ctx, decider, &after.organisation)?);
+    }
+    Ok(released)
 }
 
 /// The live grants of a service that policies deny now, or that its mode has no room for: the oldest stay. Those that stay
-/// are renewed by no more than the service now allows.
-fn unfit(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<Vec<(Holding, Reason)>, Rejection> {
+/// are renewed by no more than the service now allows. Without a decider, policies are asked later.
+fn unfit(
+    ctx: &mut Context<'_>,
+    decider: Option<&Decider>,
+    target: &Target,
+) -> Result<Vec<(Holding, Reason)>, Rejection> {
     let rule = rules::rule(target)?;
     let mut stay: Vec<Holding> = Vec::new();
     let mut ending = Vec::new();
     for holding in grant::live(ctx, &target.id)? {
         let grants: Vec<_> = stay.iter().map(|holding| &holding.grant).collect();
-        if decider::may_hold(ctx, decider, &holding.principal, target).is_err() {
+        if decider.is_some_and(|decider| decider::may_hold(ctx, decider, &holding.principal, target).is_err()) {
             ending.push((holding, Reason::Policy));
         } else if matches!(rule.decide(&holding.principal, &grants), Decision::Wait(_)) {
             ending.push((holding, Reason::Taken));

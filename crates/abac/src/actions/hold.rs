@@ -8,12 +8,16 @@ use crate::records::service::{self, Target};
 use crate::records::{robot, store};
 use crate::timestamp::rfc3339;
 use bytes::Bytes;
-use ledger::Context;
+use ledger::{Context, Paging};
 use ledger_contract::Grant;
 use ledger_rejection::{Code, Rejection};
 
-/// `grants [SERVICE]`: the live grants of one service or of all.
+/// `grants [SERVICE]`, `grants PAGE_JSON`: the live grants of one service or of all.
 pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    if let Some(paging) = Paging::of(ctx, "grants", args)? {
+        let read = |key: &[u8], value: &[u8]| shown(ctx, store::parse(key, value)?);
+        return store::json(&paging.page(ctx, b"grant/", read)?);
+    }
     let args = Arguments::new("grants [SERVICE]", args, 0, 1)?;
     let targets = if args.has(0) {
         vec![service::resolve(ctx, args.text(0, "SERVICE")?)?]
@@ -31,6 +35,17 @@ pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
         }
     }
     store::json(&grants)
+}
+
+/// A grant as it is listed, if it is live.
+fn shown(ctx: &Context<'_>, holding: Holding) -> Result<Option<Grant>, Rejection> {
+    if !holding.is_live(ctx.block_time()) {
+        return Ok(None);
+    }
+    let mut grant = holding.grant;
+    let target = service::resolve(ctx, &grant.service)?;
+    grant.next_seq = publish::next_sequence(ctx, &target, grant.epoch, &grant.holder)?;
+    Ok(Some(grant))
 }
 
 /// The principal's own live grant, acquired with this certificate.

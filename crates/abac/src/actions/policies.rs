@@ -2,17 +2,18 @@
 
 use super::{end, robots};
 use crate::arguments::{Arguments, shown};
-use crate::policy::POLICY_BYTES_MAX;
 use crate::policy::decider::Decider;
 use crate::policy::defaults::Defaults;
-use crate::policy::texts::{self, DEFAULT_ID, POLICIES_MAX, hash, own};
-use crate::records::store;
+use crate::policy::limits::POLICY_BYTES_MAX;
+use crate::policy::texts::{self, DEFAULT_ID, POLICIES_MAX, own};
+use crate::records::{robot, store};
 use bytes::Bytes;
-use ledger::Context;
+use ledger::msp::quota_reached;
+use ledger::{Context, Paging};
 use ledger_contract::{PolicyChange, PolicyEntry};
 use ledger_rejection::{Code, Rejection};
 
-/// Most policies that `policies` lists.
+/// Most policies that `policies` lists without pages.
 const LISTED_MAX: usize = 4096;
 /// Longest id of a policy, in bytes.
 const ID_BYTES_MAX: usize = 64;
@@ -35,7 +36,13 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
             check_id(id)?;
             let text = args.document(2, "TEXT", DOCUMENT_BYTES_MAX)?;
             decider.check(ctx, text)?;
-            if ctx.get(&key).is_none() && before.len() >= POLICIES_MAX {
+            if ctx.get(&key).is_none() && robot::has_quotas(ctx) {
+                let most = robots::quotas(ctx, organisation)?.policies;
+                if before.len() as u64 >= most {
+                    let free = "put several rules into one policy, or remove one";
+                    return Err(quota_reached(organisation, "policies", most, free));
+                }
+            } else if ctx.get(&key).is_none() && before.len() >= POLICIES_MAX {
                 return Err(Rejection::new(Code::LimitExceeded, format!("{organisation} has too many policies"))
                     .found(format!("{POLICIES_MAX} policies"))
                     .wanted(format!("at most {POLICIES_MAX}"))
@@ -57,10 +64,7 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         (verb, _) => return Err(args.bad(0, "put or remove", shown(verb), "put with ID and TEXT, or remove with ID")),
     };
     let own = own(ctx, organisation)?;
-    match hash(&own) {
-        _ if own.is_empty() => ctx.delete(&store::version_key(organisation)),
-        version => ctx.put(&store::version_key(organisation), version.0.to_vec()),
-    }
+    texts::changed(ctx, organisation, &own, change == "put")?;
     let change = PolicyChange {
         organisation: organisation.clone(),
         id: id.to_owned(),
@@ -73,24 +77,30 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
     Ok(change)
 }
 
-/// `policies`: those of every organisation, and the built-in one.
+/// `policies [PAGE_JSON]`: those of every organisation, and the built-in one.
 pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    Arguments::new("policies", args, 0, 0)?;
-    let built_in = PolicyEntry {
-        organisation: String::new(),
-        id: DEFAULT_ID.to_owned(),
-        text: Defaults::of(ctx.rules()).policy.to_owned(),
-    };
-    let mut entries = vec![built_in];
-    for (key, value) in ctx.range(b"policy/", LISTED_MAX) {
-        let text = String::from_utf8_lossy(&value).into_owned();
-        if let Some((organisation, id)) =
-            std::str::from_utf8(&key).ok().and_then(|key| key.strip_prefix("policy/")?.split_once('/'))
-        {
-            entries.push(PolicyEntry { organisation: organisation.to_owned(), id: id.to_owned(), text });
+    if let Some(paging) = Paging::of(ctx, "policies", args)? {
+        let mut page = paging.page(ctx, b"policy/", |key, value| Ok(entry(key, value)))?;
+        if paging.after.is_none() {
+            page.items.insert(0, built_in(ctx));
         }
+        return store::json(&page);
     }
+    Arguments::new("policies", args, 0, 0)?;
+    let mut entries = vec![built_in(ctx)];
+    entries.extend(ctx.range(b"policy/", LISTED_MAX).iter().filter_map(|(key, value)| entry(key, value)));
     store::json(&entries)
+}
+
+fn built_in(ctx: &Context<'_>) -> PolicyEntry {
+    let text = Defaults::of(ctx.rules()).policy.to_owned();
+    PolicyEntry { organisation: String::new(), id: DEFAULT_ID.to_owned(), text }
+}
+
+fn entry(key: &[u8], text: &[u8]) -> Option<PolicyEntry> {
+    let (organisation, id) = std::str::from_utf8(key).ok()?.strip_prefix("policy/")?.split_once('/')?;
+    let text = String::from_utf8_lossy(text).into_owned();
+    Some(PolicyEntry { organisation: organisation.to_owned(), id: id.to_owned(), text })
 }
 
 fn check_id(id: &str) -> Result<(), Rejection> {

@@ -3,9 +3,9 @@
 //! The messages themselves stay in the transaction; the state keeps only where the last one is. A held grant is
 //! checked by comparing numbers, without asking any policy.
 
-use super::{NAME, hold, renew};
+use super::{NAME, hold, renew, undecided};
 use crate::arguments::Arguments;
-use crate::policy::decider::{Action, Decider};
+use crate::policy::decider::{self, Action, Decider};
 use crate::records::grant::{self, Holding};
 use crate::records::last::{self, Last};
 use crate::records::principal::Principal;
@@ -79,7 +79,7 @@ pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
 /// May they publish now? With an epoch, that epoch must be the one of their grant; epoch 0 asks the policies alone,
 /// where the service's rule allows it. Returns the grant that entitles them, if it is one that does.
 ///
-/// The usual case, a holder who publishes, reads two values of the state and asks no policy.
+/// The usual case, a holder who publishes, reads three values of the state and asks no policy.
 ///
 /// # Errors
 /// [`Code::StaleEpoch`], [`Code::NotHolder`], or what [`Decider::decide`] says.
@@ -96,6 +96,10 @@ pub(crate) fn may_publish(
         && let Some(own) = decider.records.held(ctx, target, submitter)?
         && epoch.is_none_or(|epoch| epoch == own.grant.epoch)
     {
+        // A change of policies ends grants, but may not have come to this one yet.
+        if undecided::is_marked(ctx, target) {
+            decider::may_hold(ctx, decider, &own.principal, target)?;
+        }
         return Ok(Some(own));
     }
     let principal = &Principal::of(submitter);

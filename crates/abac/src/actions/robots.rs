@@ -8,6 +8,7 @@ use crate::records::robot::{self, ROBOTS_MAX, Robot};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
+use ledger::msp::{Quotas, quota_reached};
 use ledger_contract::{Reason, Released, RobotEvent};
 use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
@@ -69,7 +70,7 @@ pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Hold
     for service in &robot.services {
         ending.extend(grant::live(ctx, &robot.service_id(service))?.into_iter().map(|h| (h, Reason::RobotRemoved)));
     }
-    robot::remove(ctx, robot);
+    robot::remove(ctx, robot)?;
     Ok(ending)
 }
 
@@ -86,7 +87,9 @@ pub(crate) fn put(
     before: Option<&Robot>,
     mut robot: Robot,
 ) -> Result<Vec<Released>, Rejection> {
-    if before.is_none() && ctx.range(b"robot/", ROBOTS_MAX).len() >= ROBOTS_MAX {
+    if before.is_none() && robot::has_quotas(ctx) {
+        check_quota(ctx, &robot.organisation)?;
+    } else if before.is_none() && ctx.range(b"robot/", ROBOTS_MAX).len() >= ROBOTS_MAX {
         return Err(Rejection::new(Code::LimitExceeded, "the network has no room for another robot")
             .found(format!("{ROBOTS_MAX} robots"))
             .wanted(format!("at most {ROBOTS_MAX}")));
@@ -94,6 +97,21 @@ pub(crate) fn put(
     robot::write(ctx, &mut robot)?;
     tell(ctx, &robot, if before.is_some() { "updated" } else { "registered" })?;
     before.map_or(Ok(Vec::new()), |before| end::robot_changed(ctx, decider, before, &robot))
+}
+
+/// Refuses one more robot of an organisation beyond its quota.
+fn check_quota(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
+    let most = quotas(ctx, organisation)?.robots;
+    if (robot::names_of(ctx, organisation)?.len() as u64) < most {
+        return Ok(());
+    }
+    Err(quota_reached(organisation, "robots", most, "remove a robot that nobody uses: ledgerctl robot remove NAME"))
+}
+
+/// The quotas of an organisation, since rules 3.
+pub(crate) fn quotas(ctx: &mut Context<'_>, organisation: &str) -> Result<Quotas, Rejection> {
+    let quotas = ctx.call("msp", "quotas", &[Bytes::copy_from_slice(organisation.as_bytes())])?;
+    store::parse(b"msp quotas", &quotas)
 }
 
 /// Tells that a robot was registered, updated or removed.

@@ -6,13 +6,17 @@ use crate::records::service::{self, Target};
 use crate::records::{grant, store};
 use crate::rules;
 use bytes::Bytes;
-use ledger::Context;
+use ledger::{Context, Paging};
 use ledger_contract::{Direction, Grant, RobotAsset, ServiceState};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
-/// `robots`
+/// `robots [PAGE_JSON]`
 pub(crate) fn robots(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    if let Some(paging) = Paging::of(ctx, "robots", args)? {
+        let read = |key: &[u8], value: &[u8]| asset(ctx, &store::parse(key, value)?).map(Some);
+        return store::json(&paging.page(ctx, b"robot/", read)?);
+    }
     Arguments::new("robots", args, 0, 0)?;
     let assets = robot::all(ctx)?.iter().map(|robot| asset(ctx, robot)).collect::<Result<Vec<_>, Rejection>>()?;
     store::json(&assets)

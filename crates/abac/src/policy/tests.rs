@@ -28,6 +28,7 @@ fn question(user: &str, robot: &str, action: &'static str) -> Question {
             trusted: vec!["Org1".to_owned()],
         },
         time_ms: 0,
+        doubted: false,
     }
 }
 

@@ -1,7 +1,7 @@
 //! The policies on the ledger: every organisation keeps its own, and they decide about its robots only.
 
-use super::Texts;
 use super::defaults::Defaults;
+use super::{Texts, limits};
 use crate::records::store;
 use ledger::Context;
 use ledger_hash::Hash;
@@ -9,6 +9,8 @@ use ledger_rejection::{Code, Rejection};
 
 /// Most policies of one organisation.
 pub(crate) const POLICIES_MAX: usize = 64;
+/// The rules since which the steps of policies are counted and bounded.
+const BOUNDED_SINCE: u32 = 3;
 /// The id under which the built-in policy is listed.
 pub(crate) const DEFAULT_ID: &str = "default";
 
@@ -19,14 +21,65 @@ pub(crate) fn in_force(ctx: &Context<'_>, organisation: &str) -> Result<Texts, R
     Ok(if own.is_empty() { vec![default()] } else { own })
 }
 
-/// The hash that names them.
-pub(crate) fn version(ctx: &Context<'_>, organisation: &str) -> Result<Hash, Rejection> {
+/// Are the steps of policies counted and bounded under these rules?
+pub(crate) fn bounded(ctx: &Context<'_>) -> bool {
+    ctx.rules().number() >= BOUNDED_SINCE
+}
+
+/// A set of policies: the hash that names it, and what a decision by it costs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Version {
+    /// Over the texts.
+    pub(crate) hash: Hash,
+    /// Steps of a decision; none if the set was put before they were counted.
+    pub(crate) steps: Option<u64>,
+}
+
+impl Version {
+    /// As it stands on the ledger: the hash; since rules 3 followed by the steps (`u64` BE).
+    fn to_bytes(self) -> Vec<u8> {
+        let steps = self.steps.map(u64::to_be_bytes);
+        [&self.hash.0[..], steps.as_ref().map_or(&[][..], |steps| &steps[..])].concat()
+    }
+
+    fn parse(bytes: &[u8]) -> Option<Self> {
+        let (hash, steps) = bytes.split_first_chunk::<32>()?;
+        let steps = if steps.is_empty() { None } else { Some(u64::from_be_bytes(steps.try_into().ok()?)) };
+        Some(Self { hash: Hash(*hash), steps })
+    }
+}
+
+/// The policies of an organisation have changed: writes down what names them now.
+///
+/// # Errors
+/// [`Code::PolicyInvalid`] if one was put and a decision by all would take too many steps. To remove one from such a set,
+/// which older rules allowed, is no error; the set goes on denying.
+pub(crate) fn changed(ctx: &mut Context<'_>, organisation: &str, own: &Texts, put: bool) -> Result<(), Rejection> {
+    let key = store::version_key(organisation);
+    if own.is_empty() {
+        ctx.delete(&key);
+        return Ok(());
+    }
+    let steps = match limits::steps_of_all(own) {
+        _ if !bounded(ctx) => None,
+        Err(refused) if put => return Err(refused),
+        steps => steps.ok(),
+    };
+    ctx.put(&key, Version { hash: hash(own), steps }.to_bytes());
+    Ok(())
+}
+
+/// The version of the policies that decide about the robots of an organisation.
+pub(crate) fn version(ctx: &Context<'_>, organisation: &str) -> Result<Version, Rejection> {
     match ctx.get(&store::version_key(organisation)) {
-        None => Ok(Defaults::of(ctx.rules()).version),
-        Some(value) => Hash::from_slice(&value).ok_or_else(|| {
+        None => {
+            let Defaults { version, policy, .. } = Defaults::of(ctx.rules());
+            Ok(Version { hash: *version, steps: Some(policy.len() as u64) })
+        }
+        Some(value) => Version::parse(&value).ok_or_else(|| {
             Rejection::new(Code::Corrupt, format!("policy version of {organisation} is not readable"))
                 .found(format!("{} bytes", value.len()))
-                .wanted("32 bytes")
+                .wanted("32 or 40 bytes")
         }),
     }
 }
@@ -50,7 +103,8 @@ pub(crate) fn own(ctx: &Context<'_>, organisation: &str) -> Result<Texts, Reject
 /// names other policies would keep an old decision in force.
 pub(crate) fn check(ctx: &mut Context<'_>, organisation: &str, own: &Texts) {
     let wanted = (!own.is_empty()).then(|| hash(own).0.to_vec());
-    let found = ctx.get(&store::version_key(organisation)).map(|version| version.to_vec());
+    let found =
+        ctx.get(&store::version_key(organisation)).map(|version| version.get(..32).unwrap_or(&version).to_vec());
     if found != wanted {
         let shown = |version: Option<Vec<u8>>| version.map_or_else(|| "none".to_owned(), hex::encode);
         ctx.contradicted(

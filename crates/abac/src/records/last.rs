@@ -64,8 +64,17 @@ mod tests {
         let registry = Registry::new();
         let (submitter, network, transaction) = (None, Hash::ZERO, Hash::ZERO);
         let rules = ledger::Rules::NEWEST;
-        let environment =
-            Environment { registry: &registry, submitter, network, rules, height: 1, time: 0, transaction };
+        let meter = ledger::Meter::default();
+        let environment = Environment {
+            registry: &registry,
+            submitter,
+            network,
+            rules,
+            height: 1,
+            time: 0,
+            transaction,
+            meter: &meter,
+        };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         let mut ctx = Context::new(environment, "abac", &mut overlay, &mut events);
         for (epoch, seq, publisher) in [(1, 9, "Org1/Salma"), (2, 4, "Org1/Farhad")] {

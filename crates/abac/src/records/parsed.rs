@@ -72,7 +72,7 @@ fn same(a: &Bytes, b: &Bytes) -> bool {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger::{Environment, Registry, Rules};
+    use ledger::{Environment, Meter, Registry, Rules};
     use ledger_hash::Hash;
     use ledger_storage::state::MemoryState;
     use ledger_storage::state::Overlay;
@@ -89,6 +89,7 @@ mod tests {
             height: 1,
             time: 0,
             transaction: Hash::ZERO,
+            meter: &Meter::default(),
         };
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         body(&mut Context::new(environment, "abac", &mut overlay, &mut events));

@@ -3,14 +3,19 @@
 use super::service::Service;
 use super::store;
 use crate::arguments::shown;
+use bytes::Bytes;
 use ledger::Context;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
 
-/// Most robots of a network.
+/// Most robots of a network before rules 3. Since then each organisation has a quota.
 pub(crate) const ROBOTS_MAX: usize = 1024;
+/// The rules since which organisations have quotas, and their robots an index.
+const QUOTAS_SINCE: u32 = 3;
+/// Most robots of which one is suggested to who mistypes a name.
+const SUGGESTED_MAX: usize = 64;
 /// Most services of one robot.
 pub(crate) const SERVICES_MAX: usize = 64;
 /// Longest robot name, in bytes.
@@ -44,9 +49,15 @@ impl Robot {
     }
 }
 
+/// Has every organisation quotas of its own?
+pub(crate) fn has_quotas(ctx: &Context<'_>) -> bool {
+    ctx.rules().number() >= QUOTAS_SINCE
+}
+
 /// All registered robots in order of their names.
 pub(crate) fn all(ctx: &Context<'_>) -> Result<Vec<Robot>, Rejection> {
-    ctx.range(b"robot/", ROBOTS_MAX).iter().map(|(key, value)| store::parse(key, value)).collect()
+    let most = if has_quotas(ctx) { usize::MAX } else { ROBOTS_MAX };
+    ctx.range(b"robot/", most).iter().map(|(key, value)| store::parse(key, value)).collect()
 }
 
 /// The robot of that name.
@@ -59,7 +70,7 @@ pub(crate) fn find(ctx: &Context<'_>, name: &str) -> Result<Robot, Rejection> {
     {
         return Ok(robot);
     }
-    let keys = ctx.range(b"robot/", ROBOTS_MAX);
+    let keys = ctx.range(b"robot/", SUGGESTED_MAX);
     let names = keys.iter().filter_map(|(key, _)| std::str::from_utf8(key).ok()?.strip_prefix("robot/"));
     Err(Rejection::new(Code::UnknownRobot, format!("no robot {} is registered", shown(name)))
         .found(shown(name))
@@ -67,14 +78,44 @@ pub(crate) fn find(ctx: &Context<'_>, name: &str) -> Result<Robot, Rejection> {
         .next(did_you_mean(name, names, "ledgerctl robot list")))
 }
 
+/// The names of the robots of an organisation, in order; since rules 3.
+pub(crate) fn names_of(ctx: &mut Context<'_>, organisation: &str) -> Result<Vec<String>, Rejection> {
+    index(ctx)?;
+    let prefix = store::owned_prefix(organisation);
+    let keys = ctx.range(&prefix, usize::MAX);
+    Ok(keys.iter().filter_map(|(key, _)| String::from_utf8(key.strip_prefix(&prefix[..])?.to_vec()).ok()).collect())
+}
+
+/// Makes the index of owners, if older rules have left robots without: once.
+fn index(ctx: &mut Context<'_>) -> Result<(), Rejection> {
+    if ctx.get(store::INDEXED).is_some() {
+        return Ok(());
+    }
+    ctx.put(store::INDEXED, Bytes::new());
+    let robots = ctx.remembered(|| all(ctx))?;
+    for robot in robots {
+        ctx.put(&store::owned_key(&robot.organisation, &robot.name), Bytes::new());
+    }
+    Ok(())
+}
+
 /// Writes a robot with the hash that names this state of it.
 pub(crate) fn write(ctx: &mut Context<'_>, robot: &mut Robot) -> Result<(), Rejection> {
     robot.version = Hash::ZERO;
     robot.version = Hash::of(&[&store::json(&robot)?]);
+    if has_quotas(ctx) {
+        index(ctx)?;
+        ctx.put(&store::owned_key(&robot.organisation, &robot.name), Bytes::new());
+    }
     store::write(ctx, &store::robot_key(&robot.name), &robot)
 }
 
 /// Removes a robot.
-pub(crate) fn remove(ctx: &mut Context<'_>, robot: &Robot) {
+pub(crate) fn remove(ctx: &mut Context<'_>, robot: &Robot) -> Result<(), Rejection> {
+    if has_quotas(ctx) {
+        index(ctx)?;
+        ctx.delete(&store::owned_key(&robot.organisation, &robot.name));
+    }
     ctx.delete(&store::robot_key(&robot.name));
+    Ok(())
 }

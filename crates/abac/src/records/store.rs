@@ -3,6 +3,9 @@
 //! | key | value |
 //! |---|---|
 //! | `robot/<name>` | the registered robot |
+//! | `owned/<organisation>/<robot>` | nothing: finds the robots of an organisation; since rules 3 |
+//! | `owned/` | nothing: that index is complete |
+//! | `undecided/<organisation>/<robot>` | key of the last grant that was decided again, or nothing; while some are left, since rules 3 |
 //! | `epoch/<service>` | newest epoch given, decimal; outlives grants and robots, so that no epoch comes twice |
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
@@ -25,6 +28,19 @@ pub(crate) fn robot_key(name: &str) -> Vec<u8> {
     ["robot/", name].concat().into_bytes()
 }
 
+/// Stands when every robot has its [`owned_key`].
+pub(crate) const INDEXED: &[u8] = b"owned/";
+
+/// The prefix of the robots of an organisation.
+pub(crate) fn owned_prefix(organisation: &str) -> Vec<u8> {
+    format!("owned/{organisation}/").into_bytes()
+}
+
+/// The key that finds a robot by its owner.
+pub(crate) fn owned_key(organisation: &str, robot: &str) -> Vec<u8> {
+    format!("owned/{organisation}/{robot}").into_bytes()
+}
+
 /// The key of the newest epoch of a service.
 pub(crate) fn epoch_key(service: &str) -> Vec<u8> {
     format!("epoch/{service}").into_bytes()
@@ -33,6 +49,24 @@ pub(crate) fn epoch_key(service: &str) -> Vec<u8> {
 /// The prefix of the grants of a service.
 pub(crate) fn grants_prefix(service: &str) -> Vec<u8> {
     format!("grant/{service}\0").into_bytes()
+}
+
+/// The prefix of the grants of all services of a robot.
+pub(crate) fn grants_of_robot(robot: &str) -> Vec<u8> {
+    ["grant/", robot, "/"].concat().into_bytes()
+}
+
+/// The prefix of [`undecided_key`].
+pub(crate) const UNDECIDED: &[u8] = b"undecided/";
+
+/// The key of a robot whose grants are to be decided again.
+pub(crate) fn undecided_key(organisation: &str, robot: &str) -> Vec<u8> {
+    format!("undecided/{organisation}/{robot}").into_bytes()
+}
+
+/// Reads [`undecided_key`]: organisation, robot.
+pub(crate) fn parse_undecided_key(key: &[u8]) -> Option<(&str, &str)> {
+    std::str::from_utf8(key.strip_prefix(UNDECIDED)?).ok()?.split_once('/')
 }
 
 /// The key of one grant.

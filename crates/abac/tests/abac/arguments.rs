@@ -4,7 +4,7 @@ use crate::fleet::{Fleet, TURTLEBOT, bytes, owner};
 use bytes::Bytes;
 use ledger_rejection::{Class, Code};
 
-const FUNCTIONS: [&str; 16] = [
+pub(crate) const FUNCTIONS: [&str; 16] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",

@@ -1,7 +1,8 @@
 //! The network of the paper in memory: two organisations, their people, three robots, and a block at a time.
 
 use bytes::Bytes;
-use ledger::{Chaincode, Context, Environment, Registry, Revocation, Rules};
+use ledger::msp::QUOTAS;
+use ledger::{Chaincode, Context, Environment, Meter, Registry, Revocation, Rules};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
@@ -34,8 +35,10 @@ impl Chaincode for Members {
     }
 
     fn invoke(&self, _ctx: &mut Context<'_>, function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
-        assert_eq!(function, "organisations");
-        Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into())
+        match function {
+            "quotas" => Ok(serde_json::to_vec(&QUOTAS).unwrap().into()),
+            _ => Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into()),
+        }
     }
 }
 
@@ -53,6 +56,9 @@ pub(crate) struct Fleet {
     pub(crate) events: Vec<Event>,
     /// The writes of each block.
     pub(crate) writes: Vec<WriteSet>,
+    rules: Rules,
+    /// Counts what the calls of the newest block use.
+    pub(crate) meter: Meter,
 }
 
 pub(crate) fn identity(organisation: &str, name: &str, role: Role, attributes: &[&str], serial: u8) -> Identity {
@@ -119,6 +125,10 @@ pub(crate) fn bytes(args: &[&str]) -> Vec<Bytes> {
 impl Fleet {
     /// A network of Org1 and Org2 without robots.
     pub(crate) fn empty() -> Self {
+        Self::empty_under(Rules::NEWEST)
+    }
+
+    fn empty_under(rules: Rules) -> Self {
         let mut fleet = Self {
             abac: Arc::new(AccessControl::new().unwrap()),
             members: Arc::new(Members(Mutex::new(vec!["Org1", "Org2"]))),
@@ -129,6 +139,8 @@ impl Fleet {
             transaction: Hash::ZERO,
             events: vec![],
             writes: vec![],
+            rules,
+            meter: Meter::default(),
         };
         fleet.forget();
         fleet
@@ -136,7 +148,12 @@ impl Fleet {
 
     /// The network of the paper: Org2 registered its three robots.
     pub(crate) fn of_the_paper() -> Self {
-        let mut fleet = Self::empty();
+        Self::of_the_paper_under(Rules::NEWEST)
+    }
+
+    /// The same under other rules.
+    pub(crate) fn of_the_paper_under(rules: Rules) -> Self {
+        let mut fleet = Self::empty_under(rules);
         let (turtlebot, husky) = (robot("Turtlebot4", "exclusive"), robot("Husky", "exclusive"));
         fleet.ok(&owner(), "setup", &[&turtlebot, &husky, OPTITRACK]);
         fleet
@@ -270,10 +287,11 @@ impl Fleet {
             registry: &self.registry,
             submitter,
             network: Hash::ZERO,
-            rules: Rules::NEWEST,
+            rules: self.rules,
             height: self.height,
             time: self.time,
             transaction: self.transaction,
+            meter: &self.meter,
         }
     }
 
@@ -283,6 +301,7 @@ impl Fleet {
     ) -> Result<Bytes, Rejection> {
         self.height += 1;
         self.time += 1000;
+        self.meter = Meter::of_block(self.rules);
         let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
         {
             let mut ctx = Context::new(self.environment(None), "abac", &mut overlay, &mut events);

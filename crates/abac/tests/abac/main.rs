@@ -8,6 +8,7 @@
 )]
 
 mod arguments;
+mod budgets;
 mod bytes;
 mod fleet;
 mod following;

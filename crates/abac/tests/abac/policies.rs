@@ -225,7 +225,7 @@ fn an_organisation_has_a_bounded_number_of_policies() {
     for n in 0..64 {
         fleet.ok(&owner(), "policy", &["put", &format!("p{n}"), ALL]);
     }
-    fleet.refused(&owner(), Code::LimitExceeded, "policy", &["put", "p64", ALL]);
+    fleet.refused(&owner(), Code::QuotaReached, "policy", &["put", "p64", ALL]);
     fleet.ok(&owner(), "policy", &["put", "p63", "forbid (principal, action, resource);"]);
     fleet.ok(&owner(), "policy", &["remove", "p0"]);
     fleet.ok(&owner(), "policy", &["put", "p64", ALL]);

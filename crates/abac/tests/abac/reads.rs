@@ -56,9 +56,13 @@ fn reads(fleet: &Fleet, epoch: u64) -> [Vec<String>; 2] {
 fn publishing_with_a_grant_reads_the_robot_the_grant_and_the_last_message_and_no_policy() {
     let mut fleet = Fleet::of_the_paper();
     let grant: Grant = fleet.get(&salma(), "acquire", &[TURTLEBOT]);
-    let decision = ["get abac robot/Turtlebot4", "get abac grant/Turtlebot4/cmd_vel Org1/Salma"];
-    let publishing = [decision[0], decision[1], "get abac last/Turtlebot4/cmd_vel"];
-    assert_eq!(reads(&fleet, grant.epoch), [publishing.to_vec(), decision.to_vec()]);
+    let decision = [
+        "get abac robot/Turtlebot4",
+        "get abac grant/Turtlebot4/cmd_vel Org1/Salma",
+        "get abac undecided/Org2/Turtlebot4",
+    ];
+    let publishing = [&decision[..], &["get abac last/Turtlebot4/cmd_vel"]].concat();
+    assert_eq!(reads(&fleet, grant.epoch), [publishing.clone(), decision.to_vec()]);
 
     // With many more robots and policies around it is the same.
     for number in 0..50 {
@@ -71,7 +75,7 @@ fn publishing_with_a_grant_reads_the_robot_the_grant_and_the_last_message_and_no
         }
     }
     let grant: Grant = fleet.get(&salma(), "acquire", &[TURTLEBOT]);
-    assert_eq!(reads(&fleet, grant.epoch), [publishing.to_vec(), decision.to_vec()]);
+    assert_eq!(reads(&fleet, grant.epoch), [publishing, decision.to_vec()]);
 }
 
 #[test]

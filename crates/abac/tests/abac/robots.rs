@@ -175,7 +175,11 @@ fn capabilities_are_told_to_whoever_asks_and_never_by_a_transaction() {
     assert_eq!((known.publishing, known.fencing), (Publishing::Grant, Fencing::Newest));
     assert!(asked.capabilities.is_some());
     fleet.transaction = Hash([7; 32]);
-    for (function, argument) in [("service", "Husky"), ("robot", "Husky"), ("setup", &robot("Spot", "open"))] {
+    for function in ["service", "robot"] {
+        fleet.refused(&owner(), Code::QueryOnly, function, &["Husky"]);
+    }
+    for (function, argument) in [("setup", robot("Spot", "open")), ("replace", robot("Spot", "exclusive"))] {
+        let argument = argument.as_str();
         let answer = fleet.call(&owner(), function, &bytes(&[argument])).unwrap();
         let answer = std::str::from_utf8(&answer).unwrap();
         assert!(answer.contains("Org2") && !answer.contains("capabilities"), "{function}: {answer}");

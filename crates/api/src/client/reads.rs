@@ -5,10 +5,11 @@ use super::dialer::is_final;
 use super::in_flight::{ATTEMPT_MAX, RETRY_AFTER};
 use super::session::Up;
 use crate::report::accepted;
-use crate::v1;
+use crate::{pages, v1};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use serde::de::DeserializeOwned;
 use std::time::Instant;
 use tokio::time::{sleep, timeout, timeout_at};
 use tonic::{Response, Status};
@@ -34,6 +35,15 @@ impl Client {
         let (chaincode, function) = (chaincode.into(), function.into());
         let min_height = self.height_seen();
         self.query_for(v1::QueryRequest { chaincode, function, args, min_height, may_be_stale: false }).await
+    }
+
+    /// All elements of a list that comes in pages (see [`pages::follow`]).
+    ///
+    /// # Errors
+    /// As [`Client::query`]; [`Code::Malformed`] for an answer that is no page.
+    pub async fn list<T: DeserializeOwned>(&self, chaincode: &str, function: &str) -> Result<Vec<T>, Rejection> {
+        let ask = |args| async move { Ok(self.query(chaincode, function, args).await?.response) };
+        pages::follow(&format!("the answer to {chaincode} {function}"), ask).await
     }
 
     /// As [`Client::query`], on whatever state of at least this height the node has; 0 = any. Asks nobody else, so it

@@ -57,8 +57,7 @@ impl Policy {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let args = match self {
             Self::List(_) => {
-                let response = Session::open(global).await?.ask(ABAC, "policies", vec![]).await?;
-                return output.show(&Policies(answer::parse(&response, "policies")?));
+                return output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?));
             }
             Self::Put(put) => vec!["put".into(), Bytes::from(put.id), bytes::argument(&put.policy)?],
             Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],

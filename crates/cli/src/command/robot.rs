@@ -100,10 +100,7 @@ impl Robot {
                 output.show(&Robots(answer::parse(&done.response, "robots")?, time::now()))
             }
             Self::Set(set) => set.run(&session, output).await,
-            Self::List(_) => {
-                let response = session.ask(ABAC, "robots", vec![]).await?;
-                output.show(&Robots(answer::parse(&response, "robots")?, time::now()))
-            }
+            Self::List(_) => output.show(&Robots(session.list(ABAC, "robots").await?, time::now())),
             Self::Show(show) => {
                 let response = session.ask(ABAC, "robot", vec![Bytes::from(show.name)]).await;
                 let response = response.map_err(|refused| WORDS.told(refused))?;

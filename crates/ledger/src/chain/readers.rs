@@ -1,6 +1,6 @@
 //! The right to read: checked at each subscription, and again for every event.
 
-use super::{Context, Ledger, check_organisation, check_revoked};
+use super::{Context, Ledger, Meter, check_organisation, check_revoked};
 use ledger_identity::Identity;
 use ledger_rejection::Rejection;
 use ledger_storage::result::Event;
@@ -16,7 +16,8 @@ impl Ledger {
         check_revoked(reader, &overlay)?;
         let chaincode = self.registry.find(&event.chaincode)?;
         let tip = self.tip();
-        let environment = self.environment(Some(reader), &tip, tip.time);
+        let meter = Meter::default();
+        let environment = self.environment(Some(reader), &tip, tip.time, &meter);
         chaincode.may_read(&Context::new(environment, chaincode.name(), &mut overlay, &mut Vec::new()), event)
     }
 
@@ -37,9 +38,9 @@ impl Ledger {
         check_revoked(reader, &overlay)?;
         let emitting = self.registry.emitting(chaincode, names)?;
         let tip = self.tip();
-        let mut refused = Ok(());
+        let (mut refused, meter) = (Ok(()), Meter::default());
         for chaincode in emitting {
-            let environment = self.environment(Some(reader), &tip, tip.time);
+            let environment = self.environment(Some(reader), &tip, tip.time, &meter);
             let mut none = Vec::new();
             let ctx = Context::new(environment, chaincode.name(), &mut overlay, &mut none);
             match chaincode.may_follow(&ctx, subjects, names) {

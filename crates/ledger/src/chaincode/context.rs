@@ -1,6 +1,7 @@
 //! The world as a running chaincode sees it.
 
 use super::approval::{check_ordinary, quorum_of};
+use super::budget::{Meter, Stopped};
 use super::{ApprovedBy, Call, Chaincode, Registry, Revocation};
 use crate::rules::Rules;
 use bytes::{BufMut, Bytes, BytesMut};
@@ -19,6 +20,8 @@ const EVENTS_MAX: usize = 1024;
 const KEY_BYTES_MAX: usize = 1024;
 /// Most bytes of one value.
 const VALUE_BYTES_MAX: usize = 1024 * 1024;
+/// Most keys of a range that are read before they are counted.
+const RANGE_PART: usize = 256;
 
 /// The block and the caller that a call runs for.
 #[derive(Clone, Copy)]
@@ -37,19 +40,37 @@ pub struct Environment<'a> {
     pub time: u64,
     /// Id of the transaction; zero in hooks and queries.
     pub transaction: Hash,
+    /// Counts what the calls of the block use.
+    pub meter: &'a Meter,
 }
 
 impl Environment<'_> {
-    /// Refuses an answer that is too long for a transaction. Queries may answer with more: nobody stores that.
-    pub(super) fn check_answer(&self, answer: &Bytes) -> Result<(), Rejection> {
-        let max = self.rules.answer_bytes_max();
-        if self.transaction == Hash::ZERO || answer.len() <= max {
+    /// Refuses a transaction with a call that only reads: every node would execute it, and store it with its answer.
+    pub(super) fn check_changes(&self, callee: &dyn Chaincode, function: &str) -> Result<(), Rejection> {
+        let ordered = self.transaction != Hash::ZERO && self.rules.has_budgets();
+        if !ordered || !callee.reads().contains(&function) {
             return Ok(());
         }
-        Err(Rejection::new(Code::LimitExceeded, "the answer is too long for a transaction")
-            .found(format!("{} bytes", answer.len()))
-            .wanted(format!("at most {max} bytes"))
-            .next("ask with a query: a call that only reads needs no transaction"))
+        let name = callee.name();
+        Err(Rejection::new(Code::QueryOnly, format!("{name} {function} only reads: it is no transaction"))
+            .found("a transaction")
+            .wanted("a query")
+            .next(format!("ask it as a query: ledgerctl query {name} {function}")))
+    }
+
+    /// Refuses a call that went on although its budget was used up, and a query that has changed something although its
+    /// function is said to only read.
+    pub(super) fn check_kept(&self, callee: &dyn Chaincode, function: &str) -> Result<(), Rejection> {
+        self.meter.within()?;
+        let used = self.meter.used();
+        let asked = self.transaction == Hash::ZERO && callee.reads().contains(&function);
+        if !asked || used.writes + used.event_bytes == 0 {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::Internal, format!("{} {function} is said to only read", callee.name()))
+            .found(format!("{} writes and {} bytes of events", used.writes, used.event_bytes))
+            .wanted("nothing that it changes")
+            .next("report it: this is a fault of the chaincode"))
     }
 
     /// A code that speaks of a node, such as [`Code::Overloaded`], tells clients to try again: no verdict on a call.
@@ -86,7 +107,9 @@ impl<'a> Context<'a> {
 
     /// The value of one of this chaincode's keys.
     pub fn get(&self, key: &[u8]) -> Option<Bytes> {
-        self.overlay.get(&self.full_key(key))
+        let value = self.overlay.get(&self.full_key(key));
+        self.environment.meter.read(1, key.len() + value.as_ref().map_or(0, Bytes::len));
+        value
     }
 
     /// Writes one of this chaincode's keys. Beyond the limits (1 KiB a key, 1 MiB a value) the call is rejected
@@ -100,12 +123,14 @@ impl<'a> Context<'a> {
             );
             return;
         }
+        self.environment.meter.write(key.len() + value.len());
         let key = self.full_key(key);
         self.overlay.write(key, Some(value));
     }
 
     /// Deletes one of this chaincode's keys.
     pub fn delete(&mut self, key: &[u8]) {
+        self.environment.meter.write(key.len());
         let key = self.full_key(key);
         self.overlay.write(key, None);
     }
@@ -123,13 +148,35 @@ impl<'a> Context<'a> {
 
     /// As [`Context::range`], of the keys that are greater than `after`: the next page.
     pub fn range_after(&self, prefix: &[u8], after: Option<&[u8]>, limit: usize) -> Vec<(Bytes, Bytes)> {
-        let own = self.chaincode.len() + 1;
-        let after = after.map(|after| self.full_key(after));
-        self.overlay
-            .range_after(&self.full_key(prefix), after.as_deref(), limit)
-            .into_iter()
-            .map(|(key, value)| (key.slice(own..), value))
-            .collect()
+        let (own, prefix) = (self.chaincode.len() + 1, self.full_key(prefix));
+        let mut after = after.map(|after| self.full_key(after));
+        let mut found = Vec::new();
+        while found.len() < limit {
+            let wanted = RANGE_PART.min(limit - found.len());
+            let part = self.overlay.range_after(&prefix, after.as_deref(), wanted);
+            let bytes = part.iter().map(|(key, value)| key.len() - own + value.len()).sum();
+            self.environment.meter.read(part.len() + 1, bytes);
+            let last = part.len() < wanted;
+            after = part.last().map(|(key, _)| key.clone());
+            found.extend(part.into_iter().map(|(key, value)| (key.slice(own..), value)));
+            if last {
+                break;
+            }
+        }
+        found
+    }
+
+    /// Reads for an answer that this node may remember from another call, or another node may. They are not counted, so that
+    /// all nodes count alike. The cost of the answer is to be charged whether or not it was remembered
+    /// ([`Context::charge_steps`]).
+    pub fn remembered<T>(&self, body: impl FnOnce() -> T) -> T {
+        self.environment.meter.uncounted(body)
+    }
+
+    /// Charges the steps of an answer to the budget of `owner`, an organisation. The same question is charged once in a
+    /// block; `question` names it. Steps stand for work that is not read or written, such as the evaluation of policies.
+    pub fn charge_steps(&self, owner: &str, steps: u64, question: impl FnOnce() -> Hash) {
+        self.environment.meter.steps(owner, steps, question);
     }
 
     /// The signer of the transaction.
@@ -183,6 +230,7 @@ impl<'a> Context<'a> {
             );
             return;
         }
+        self.environment.meter.event(subject.len() + payload.len());
         self.events.push(Event {
             chaincode: self.chaincode.to_owned(),
             name: name.to_owned(),
@@ -259,13 +307,16 @@ impl<'a> Context<'a> {
 
     fn tell(&mut self, hook: impl Fn(&dyn Chaincode, &mut Context<'_>)) -> Result<(), Rejection> {
         let (environment, depth) = (self.environment, self.depth + 1);
-        for chaincode in environment.registry.iter() {
-            run((environment, None), chaincode.name(), depth, self.overlay, self.events, |ctx| {
-                hook(chaincode, ctx);
-                Ok(Bytes::new())
-            })?;
-        }
-        Ok(())
+        // The end of somebody's rights must not fail because there are many.
+        environment.meter.uncounted(|| {
+            for chaincode in environment.registry.iter() {
+                run((environment, None), chaincode.name(), depth, self.overlay, self.events, |ctx| {
+                    hook(chaincode, ctx);
+                    Ok(Bytes::new())
+                })?;
+            }
+            Ok(())
+        })
     }
 
     fn full_key(&self, key: &[u8]) -> Bytes {
@@ -286,7 +337,8 @@ impl<'a> Context<'a> {
     }
 }
 
-/// Runs one call in a layer of its own: kept if it succeeds, undone if it is rejected, panics or exceeded a limit.
+/// Runs one call in a layer of its own: kept if it succeeds, undone if it is rejected, panics, exceeded a limit or is over its
+/// budget. The caller at the bottom has the reason from the meter.
 pub(super) fn run(
     (environment, approved): (Environment<'_>, Option<&ApprovedBy>),
     chaincode: &'static str,
@@ -302,11 +354,14 @@ pub(super) fn run(
         let response = body(&mut ctx)?;
         ctx.limit_exceeded.map_or(Ok(response), Err)
     }))
-    .unwrap_or_else(|_| {
-        Err(Rejection::new(
-            Code::ChaincodePanic,
-            format!("chaincode {chaincode:?} panicked; nothing it wrote was kept"),
-        ))
+    .unwrap_or_else(|panic| {
+        Err(match panic.is::<Stopped>() {
+            true => Rejection::new(Code::OverBudget, "the call uses more than it may"),
+            false => Rejection::new(
+                Code::ChaincodePanic,
+                format!("chaincode {chaincode:?} panicked; nothing it wrote was kept"),
+            ),
+        })
     });
     // A panic inside a nested call leaves that call's layers open.
     while overlay.depth() > layers + 1 {

@@ -121,7 +121,8 @@ impl Registry {
     /// Executes one call: its writes are in the overlay and its events in `events` only if it succeeds.
     ///
     /// # Errors
-    /// The rejection of the chaincode, [`Code::UnknownChaincode`], or [`Code::NeedsApproval`].
+    /// The rejection of the chaincode, [`Code::UnknownChaincode`], [`Code::NeedsApproval`], [`Code::QueryOnly`] or
+    /// [`Code::OverBudget`].
     pub fn invoke(
         environment: Environment<'_>,
         overlay: &mut Overlay,
@@ -132,12 +133,17 @@ impl Registry {
     ) -> Result<Bytes, Rejection> {
         let callee = environment.registry.find(chaincode)?;
         check_ordinary(callee, function)?;
-        run((environment, None), callee.name(), 0, overlay, events, |ctx| {
+        environment.check_changes(callee, function)?;
+        let meter = environment.meter;
+        meter.begin(environment.submitter.map_or("", |submitter| submitter.organisation.as_str()));
+        let answered = run((environment, None), callee.name(), 0, overlay, events, |ctx| {
             let answer =
                 callee.invoke(ctx, function, args).map_err(|refused| environment.speaks_of_the_call(refused))?;
-            environment.check_answer(&answer)?;
+            meter.answer(answer.len())?;
+            environment.check_kept(callee, function)?;
             Ok(answer)
-        })
+        });
+        meter.end().and(answered)
     }
 
     /// The answer and the events of a successful call, if the call alone determines them ([`Chaincode::foretell`]).

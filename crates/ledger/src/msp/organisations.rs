@@ -5,8 +5,8 @@ use super::allowance;
 use super::caller::{admin, object, text};
 use super::nodes;
 use super::proposals::{self, decide};
-use super::quorums;
 use super::store::{self, ORGANISATIONS, former_key, json, organisation_key};
+use super::{quorums, quotas};
 use crate::chaincode::Context;
 use crate::network::FoundingOrganisation;
 use bytes::Bytes;
@@ -193,6 +193,7 @@ fn execute_remove(ctx: &mut Context<'_>, name: &str) -> Result<Bytes, Rejection>
         proposals::forget_organisation(ctx, name)?;
         quorums::forget_organisation(ctx, name)?;
         allowance::forget(ctx, name);
+        quotas::forget_organisation(ctx, name);
     }
     let answer = json(&describe(&organisation)?)?;
     ctx.emit("organisation_removed", name, answer.clone());

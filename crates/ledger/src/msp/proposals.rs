@@ -15,6 +15,7 @@ use super::quorums;
 use super::store::{self, NEXT_PROPOSAL, PROPOSALS, REVOKED, json, proposal_key};
 use super::{NAME, organisations};
 use crate::chaincode::{ADMINS_PER_ORGANISATION_MAX, ApprovedBy, Call, Chaincode, Context, Quorum, quorum_of};
+use crate::page::Paging;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
@@ -138,15 +139,20 @@ fn standing(ctx: &Context<'_>) -> Result<Vec<Proposal>, Rejection> {
 /// The proposals that have not expired, with the approvals that count.
 fn known(ctx: &Context<'_>) -> Result<Vec<Proposal>, Rejection> {
     let mut proposals: Vec<Proposal> = store::list(ctx, PROPOSALS.as_bytes(), PROPOSALS_MAX)?;
-    proposals.retain(|proposal| proposal.expires >= ctx.block_time());
     proposals.sort_by_key(|proposal| (proposal.created, proposal.id));
-    if ctx.rules().proposes_calls() {
-        for proposal in &mut proposals {
-            proposal.approved_by.retain(|approval| !is_revoked(ctx, approval));
-            proposal.count_organisations();
-        }
+    Ok(proposals.into_iter().filter_map(|proposal| counted(ctx, proposal)).collect())
+}
+
+/// A proposal that has not expired, with the approvals that count.
+fn counted(ctx: &Context<'_>, mut proposal: Proposal) -> Option<Proposal> {
+    if proposal.expires < ctx.block_time() {
+        return None;
     }
-    Ok(proposals)
+    if ctx.rules().proposes_calls() {
+        proposal.approved_by.retain(|approval| !is_revoked(ctx, approval));
+        proposal.count_organisations();
+    }
+    Some(proposal)
 }
 
 fn is_revoked(ctx: &Context<'_>, approval: &Approval) -> bool {
@@ -154,13 +160,17 @@ fn is_revoked(ctx: &Context<'_>, approval: &Approval) -> bool {
     ctx.get(&[REVOKED, &approval.issuer.0, &serial].concat()).is_some()
 }
 
-/// `proposals`: each with what it still needs.
-pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
-    let decisions = known(ctx)?.into_iter().map(|proposal| match proposal.failed {
+/// `proposals [PAGE_JSON]`: each with what it still needs.
+pub(super) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let decide = |proposal: Proposal| match proposal.failed {
         None => waiting(ctx, proposal),
         Some(_) => Ok(Decision::failed(proposal)),
-    });
-    json(&decisions.collect::<Result<Vec<_>, _>>()?)
+    };
+    if let Some(paging) = Paging::of(ctx, "msp proposals", args)? {
+        let read = |key: &[u8], value: &[u8]| counted(ctx, store::parse(key, value)?).map(decide).transpose();
+        return json(&paging.page(ctx, PROPOSALS.as_bytes(), read)?);
+    }
+    json(&known(ctx)?.into_iter().map(decide).collect::<Result<Vec<_>, _>>()?)
 }
 
 /// `propose {chaincode, function, args}`. A function of this chaincode is proposed by calling it.

@@ -4,6 +4,7 @@ use super::caller::{bad, submitter};
 use super::organisations;
 use super::store::{self, REVOKED, json};
 use crate::chaincode::{Context, Revocation};
+use crate::page::Paging;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
@@ -35,8 +36,11 @@ pub struct RevocationRecord {
     pub reason: String,
 }
 
-/// `revocations`
-pub(super) fn list(ctx: &Context<'_>) -> Result<Bytes, Rejection> {
+/// `revocations [PAGE_JSON]`
+pub(super) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    if let Some(paging) = Paging::of(ctx, "msp revocations", args)? {
+        return json(&paging.page(ctx, REVOKED, |key, value| store::parse::<RevocationRecord>(key, value).map(Some))?);
+    }
     json(&store::list::<RevocationRecord>(ctx, REVOKED, LIST_MAX)?)
 }
 

@@ -10,6 +10,7 @@
 //! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
 //! | `proposal/<id>` | [`super::Proposal`] |
+//! | `quota/<organisation>` | [`super::SetQuota`] |
 //! | `invitation/<name>` | [`super::Invitation`] |
 //! | `attestation/<organisation>/<node>` | [`super::AttestationRecord`] |
 //! | `certificate/<fingerprint, 32 bytes>` | a known certificate in DER |
@@ -73,6 +74,10 @@ pub(super) fn node_key(id: u64) -> String {
 
 pub(super) fn proposal_key(id: &Hash) -> String {
     format!("{PROPOSALS}{id}")
+}
+
+pub(super) fn quota_key(organisation: &str) -> String {
+    format!("quota/{organisation}")
 }
 
 pub(super) fn quorum_key(chaincode: &str, function: &str) -> String {

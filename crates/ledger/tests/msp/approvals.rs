@@ -1,4 +1,4 @@
-use crate::world::{DAY, Network, code, is_executed, json, waiting};
+use crate::world::{DAY, Network, code, is_executed, waiting};
 use ledger::msp::{Decision, NodeRole};
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
@@ -124,7 +124,8 @@ fn one_organisation_cannot_fill_the_list_of_proposals() {
     waiting(invite(&mut network, 2, 16));
     network.time += 8 * DAY;
     waiting(invite(&mut network, 1, 17));
-    let _: Vec<Decision> = json(network.admin(1, "proposals", &[]));
+    let standing: Vec<Decision> = network.query("proposals", &[]);
+    assert_eq!(standing.len(), 1, "the others have expired");
 }
 
 #[test]

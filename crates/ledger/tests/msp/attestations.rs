@@ -34,7 +34,7 @@ fn the_ledger_keeps_what_each_node_attested_last() {
 fn an_attestation_of_a_snapshot_stays_beside_newer_ones_and_may_come_late() {
     let mut network = Network::new(1, 1);
     for _ in 0..4 {
-        network.admin(1, "proposals", &[]).unwrap();
+        network.block(&[]);
     }
     network.node(1, "attest", &[&attest(4, 1, None)]).unwrap();
     network.node(1, "attest", &[&attest(3, 1, Some(7))]).unwrap();
@@ -48,7 +48,7 @@ fn an_attestation_of_a_snapshot_stays_beside_newer_ones_and_may_come_late() {
 fn a_node_does_not_go_back_nor_speak_of_what_is_to_come() {
     let mut network = Network::new(1, 1);
     for _ in 0..3 {
-        network.admin(1, "proposals", &[]).unwrap();
+        network.block(&[]);
     }
     network.node(1, "attest", &[&attest(3, 1, Some(1))]).unwrap();
     assert_eq!(code(&network.node(1, "attest", &[&attest(2, 1, None)])), Code::BadArgument);

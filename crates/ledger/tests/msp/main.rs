@@ -8,5 +8,6 @@ mod model;
 mod nodes;
 mod organisations;
 mod proposals;
+mod quotas;
 mod rules;
 mod world;

@@ -1,9 +1,8 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger::msp::{NodeRecord, RulesOverview, Speaks};
-use ledger::{Activation, Rules};
-use ledger::{Chaincode, Context};
+use ledger::msp::{MspChaincode, NodeRecord, RulesOverview, Speaks};
+use ledger::{Activation, Chaincode, Context, Page, Rules};
 use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
 use ledger_rejection::Rejection;
@@ -214,11 +213,56 @@ fn a_transaction_answers_with_little_under_the_newest_rules_and_a_query_with_mor
     assert_eq!(echo(&mut network).unwrap(), much);
     assert!(is_executed(network.admin(1, "activate_rules", &[&activate(3)])));
     let refused = echo(&mut network).unwrap_err();
-    assert!(refused.code == Code::LimitExceeded && refused.wanted.contains("524288"), "{refused}");
+    assert!(refused.code == Code::OverBudget && refused.wanted.contains("524288"), "{refused}");
     let caller = network.ledger.msps().verify(&member.certificate, &[], network.time).unwrap();
-    let (answer, _) =
-        network.ledger.query(&caller, network.time, "listener", "echo", std::slice::from_ref(&much)).unwrap();
-    assert_eq!(answer, much);
+    let ask =
+        |text: &Bytes| network.ledger.query(&caller, network.time, "listener", "echo", std::slice::from_ref(text));
+    assert_eq!(ask(&much).unwrap().0, much);
+    let refused = ask(&Bytes::from(vec![b'x'; 1024 * 1024 + 1])).unwrap_err();
+    assert!(refused.code == Code::OverBudget && refused.next.contains("pages"), "{refused}");
+}
+
+#[test]
+fn a_call_that_goes_on_for_ever_is_stopped_and_the_block_goes_on() {
+    let mut network = Network::new(1, 1);
+    let [member, other] = ["Salma", "Farhad"].map(|name| network.cas[0].user(name, "member", KeyKind::Ed25519));
+    let calls = [(&member, "hog"), (&member, "stare"), (&other, "arm")];
+    let calls = calls.map(|(by, function)| network.sign_for("listener", by, function, &[]));
+    let outcomes = network.block(&calls.each_ref());
+    let codes: Vec<_> = outcomes.iter().map(code).collect();
+    assert_eq!(codes, [Code::OverBudget, Code::OverBudget, Code::Ok]);
+    let refused = outcomes[0].as_ref().unwrap_err();
+    assert!(refused.found.contains("bytes written") && refused.next.contains("several"), "{refused}");
+    assert!(outcomes[1].as_ref().unwrap_err().found.contains("keys read"));
+    let admitted = network.sign_for("listener", &member, "hog", &[]);
+    let refused = network.ledger.admit(admitted.encoded().clone(), network.time).unwrap_err();
+    assert_eq!(refused.rejection.code, Code::OverBudget, "nobody orders it");
+}
+
+#[test]
+fn functions_of_msp_that_only_read_are_queries_and_no_transactions() {
+    let mut network = Network::new(2, 2);
+    let admin = network.cas[0].user("Reader", "admin", KeyKind::Ed25519);
+    for function in MspChaincode.reads() {
+        let args: &[&str] = match *function {
+            "organisation" | "quotas" => &["Org1"],
+            "identities" => &["{}"],
+            _ => &[],
+        };
+        let refused = network.call(&admin, function, args).unwrap_err();
+        assert!(refused.code == Code::QueryOnly && refused.next.contains("ledgerctl query msp"), "{refused}");
+        network.ask(&admin, function, args).unwrap();
+    }
+    for function in ["proposals", "revocations"] {
+        let page: Page<serde_json::Value> = network.query(function, &["{}"]);
+        assert_eq!((page.items.len(), page.next), (0, None));
+    }
+    let Err(refused) = network.call(&admin, "no_such_function", &[]) else { panic!("it exists") };
+    let functions: Vec<_> = refused.wanted.trim_start_matches("one of ").split(", ").map(str::to_owned).collect();
+    assert!(functions.len() > 30, "{refused}");
+    for function in functions.iter().filter(|function| !MspChaincode.reads().contains(&function.as_str())) {
+        assert_ne!(code(&network.call(&admin, function, &["x", "y", "z"])), Code::QueryOnly, "{function}");
+    }
 }
 
 #[test]

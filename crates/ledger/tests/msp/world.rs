@@ -39,6 +39,13 @@ impl Chaincode for Listener {
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match (function, args) {
             ("echo", [text]) => Ok(text.clone()),
+            // Both go on for ever, where nobody stops them.
+            ("hog", []) => loop {
+                ctx.put(b"hog", vec![0; 1024 * 1024]);
+            },
+            ("stare", []) => loop {
+                ctx.get(b"armed");
+            },
             ("overload", []) => Err(Rejection::new(Code::Overloaded, "as the test asked")),
             ("arm", []) => {
                 ctx.put(b"armed", "yes");
@@ -222,12 +229,16 @@ impl Network {
         answer
     }
 
+    /// The answer of a query.
+    pub(crate) fn ask(&self, by: &User, function: &str, args: &[&str]) -> Result<Bytes, Rejection> {
+        let caller = self.ledger.msps().verify(&by.certificate, &[], self.time).unwrap();
+        let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
+        self.ledger.query(&caller, self.time, "msp", function, &args).map(|(answer, _)| answer)
+    }
+
     /// The answer of a query, asked by the admin of Org1.
     pub(crate) fn query<T: DeserializeOwned>(&self, function: &str, args: &[&str]) -> T {
-        let caller = self.ledger.msps().verify(&self.admins[0].certificate, &[], self.time).unwrap();
-        let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
-        let (answer, _) = self.ledger.query(&caller, self.time, "msp", function, &args).unwrap();
-        serde_json::from_slice(&answer).unwrap()
+        serde_json::from_slice(&self.ask(&self.admins[0], function, args).unwrap()).unwrap()
     }
 
     /// Ids, names and roles of the nodes.

@@ -10,6 +10,10 @@ use ledger_raft::Lane;
 use ledger_rejection::{Code, Rejection};
 use std::sync::Arc;
 
+/// Longest transaction that overtakes data, in bytes. A policy of the largest size is longer; a call that takes a right away
+/// and a certificate have room.
+const URGENT_BYTES_MAX: usize = 8 * 1024;
+
 /// The node's circumstances when a call comes.
 pub struct Entrance<'a> {
     /// The ledger.
@@ -71,7 +75,7 @@ impl Entrance<'_> {
             return Err(turned(Box::new(Refusal::of_node(None, Some(transaction), rejection))));
         }
         let urgent = chaincode.is_some_and(|called| called.urgent(&body.function));
-        let lane = if urgent { Lane::Control } else { Lane::Data };
+        let lane = lane(urgent, transaction.encoded().len(), share, self.elapsed);
         match share.place(lane, transaction.encoded().len()) {
             Ok(place) => {
                 let ticket = Ticket { min_height, first_attempt, lane, since: self.elapsed };
@@ -82,5 +86,31 @@ impl Entrance<'_> {
                 Err(turned(Box::new(Refusal::of_node(who, Some(transaction), rejection))))
             }
         }
+    }
+}
+
+/// The lane of a call: what is urgent overtakes data while it is small and few.
+fn lane(urgent: bool, bytes: usize, share: &Share, elapsed: u64) -> Lane {
+    match urgent && bytes <= URGENT_BYTES_MAX && share.hurries(elapsed) {
+        true => Lane::Control,
+        false => Lane::Data,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gateway::Shares;
+
+    #[test]
+    fn nobody_puts_bulk_where_control_goes_first() {
+        let shares = Shares::new(120);
+        let share = shares.of("Org1/Farhad".into());
+        assert_eq!(lane(true, 300, &share, 0), Lane::Control);
+        assert_eq!(lane(false, 300, &share, 0), Lane::Data);
+        assert_eq!(lane(true, URGENT_BYTES_MAX + 1, &share, 0), Lane::Data, "large");
+        let control = (0..100_000).filter(|_| lane(true, 300, &share, 0) == Lane::Control).count();
+        assert!((500..2000).contains(&control), "{control} of them are many");
+        assert_eq!(lane(true, 300, &shares.of("Org1/Salma".into()), 0), Lane::Control, "another one's release");
     }
 }

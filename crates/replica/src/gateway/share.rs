@@ -14,6 +14,11 @@ use std::sync::{Arc, Mutex, PoisonError, Weak};
 /// Most bytes of transactions of one identity and lane in flight.
 const IN_FLIGHT_BYTES_MAX: usize = 64 * 1024 * 1024;
 
+/// Urgent calls of one identity that overtake data, in a second; and how many may come at once. A bridge or a fleet's manager
+/// renews hundreds of leases. Calls beyond that wait with the data, so that nobody can have everything done first.
+const URGENT_PER_SECOND: u64 = 512;
+const URGENT_AT_ONCE: u64 = 1024;
+
 /// The places of a node and the identities that share them.
 pub struct Shares {
     places: Arc<Places>,
@@ -42,6 +47,28 @@ pub struct Share {
     places: Arc<Places>,
     control: Used,
     data: Used,
+    urgent: Mutex<Allowance>,
+}
+
+/// The rest of [`URGENT_AT_ONCE`], in millionths of a call.
+struct Allowance {
+    left: u64,
+    /// Microseconds since the node started.
+    since: u64,
+}
+
+impl Allowance {
+    const FULL: u64 = URGENT_AT_ONCE * 1_000_000;
+
+    /// One more call, if it is allowed.
+    fn take(&mut self, elapsed: u64) -> bool {
+        let more = elapsed.saturating_sub(self.since).saturating_mul(URGENT_PER_SECOND);
+        self.since = self.since.max(elapsed);
+        self.left = self.left.saturating_add(more).min(Self::FULL);
+        let left = self.left.checked_sub(1_000_000);
+        self.left = left.unwrap_or(self.left);
+        left.is_some()
+    }
 }
 
 /// The transactions of an identity in flight.
@@ -79,6 +106,7 @@ impl Shares {
             places: Arc::clone(&self.places),
             control: Used::default(),
             data: Used::default(),
+            urgent: Mutex::new(Allowance { left: Allowance::FULL, since: 0 }),
         });
         identities.known.insert(name, Arc::downgrade(&share));
         share
@@ -104,6 +132,11 @@ impl Share {
     /// Its number at this node, for [`crate::gateway::Turns`].
     pub fn number(&self) -> u64 {
         self.number
+    }
+
+    /// May one more urgent call overtake data, so long after the node's start (microseconds)? Then it is counted.
+    pub(super) fn hurries(&self, elapsed: u64) -> bool {
+        self.urgent.lock().unwrap_or_else(PoisonError::into_inner).take(elapsed)
     }
 
     /// How many transactions of a lane have a place.
@@ -216,6 +249,17 @@ mod tests {
         let flooder = shares.of("A/x".into());
         let _floods = fill(&flooder, Lane::Data);
         flooder.place(Lane::Control, 1).unwrap();
+    }
+
+    #[test]
+    fn urgent_calls_of_one_identity_overtake_data_up_to_a_rate() {
+        let shares = Shares::new(120);
+        let [flooder, other] = ["A/x", "B/y"].map(|name| shares.of(name.into()));
+        let hurrying = |share: &Share, elapsed: u64| (0..10_000).filter(|_| share.hurries(elapsed)).count() as u64;
+        assert_eq!(hurrying(&flooder, 5_000_000), URGENT_AT_ONCE);
+        assert_eq!(hurrying(&other, 5_000_000), URGENT_AT_ONCE, "each has its own");
+        assert_eq!(hurrying(&flooder, 5_500_000), URGENT_PER_SECOND / 2);
+        assert_eq!(hurrying(&flooder, 3_600_000_000), URGENT_AT_ONCE, "what was not used is not kept for ever");
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::{
 };
 
 use futures::{FutureExt, StreamExt, future::BoxFuture};
-use ledger_api::{Subscription, v1::Delivery};
+use ledger_api::{Subscription, pages, v1::Delivery};
 use ledger_invariant::broken;
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
@@ -160,7 +160,11 @@ impl FromLedger {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
         let mut gate = Gate::new(gate, &route.service, clocks.now());
-        let (revoked, _): (Vec<Revoked>, u64) = ask(&*gateway, height, MSP, "revocations", &[]).await?;
+        let page = |args| {
+            let answer = gateway.query(height, MSP, "revocations", args);
+            async { Ok(answer.await?.response) }
+        };
+        let revoked: Vec<Revoked> = pages::follow("the answer to msp revocations", page).await?;
         for revoked in &revoked {
             gate.revoked(revoked);
         }

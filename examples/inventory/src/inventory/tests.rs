@@ -1,7 +1,7 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use super::*;
-use ledger::{Environment, Registry, Rules};
+use ledger::{Environment, Meter, Registry, Rules};
 use ledger_hash::Hash;
 use ledger_identity::key::PublicKey;
 use ledger_identity::{Identity, Role};
@@ -71,6 +71,7 @@ impl World {
             height: 1,
             time: NOW,
             transaction: Hash::ZERO,
+            meter: &Meter::of_block(Rules::NEWEST),
         };
         let args: Vec<_> = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
         let mut overlay = Overlay::new(self.state.clone());

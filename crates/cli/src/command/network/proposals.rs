@@ -2,7 +2,7 @@
 
 use super::change::decide;
 use super::decision::{Decided, joined, short, what};
-use super::{ask, json, nodes};
+use super::{json, nodes};
 use crate::answer;
 use crate::command::chaincode::Call;
 use crate::failure::Failure;
@@ -52,7 +52,8 @@ pub(crate) struct Withdraw {
 }
 
 pub(super) async fn run(session: &Session, output: &mut Output) -> Result<(), Failure> {
-    let decisions = ask(session, "proposals", vec![], "the proposals").await?;
+    let mut decisions: Vec<Decision> = session.list(MSP, "proposals").await?;
+    decisions.sort_by_key(|decision| decision.proposal.as_ref().map(|proposal| (proposal.created, proposal.id)));
     output.show(&Standing { decisions, nodes: nodes(session).await?.nodes, now: session.client.now() })
 }
 

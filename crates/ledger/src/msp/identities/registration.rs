@@ -1,6 +1,7 @@
 //! Names are registered and cancelled by the admins of their organisation.
 
 use super::super::caller::{admin, object};
+use super::super::quotas;
 use super::super::store::{self, identity_key, json, look_key};
 use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
 use crate::chaincode::Context;
@@ -156,8 +157,14 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord) -> Result<(), 
 
 /// Room for one more name.
 pub(super) fn make_room(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
-    if count(ctx, organisation, |number| number.saturating_add(1))? <= IDENTITIES_MAX {
+    let bounded = ctx.rules().has_budgets();
+    let most = if bounded { quotas::of(ctx, organisation)?.identities } else { IDENTITIES_MAX };
+    if count(ctx, organisation, |number| number.saturating_add(1))? <= most {
         return Ok(());
+    }
+    if bounded {
+        let free = "cancel registrations that nobody will use: ledgerctl identity list";
+        return Err(quotas::quota_reached(organisation, "identities", most, free));
     }
     Err(Rejection::new(Code::LimitExceeded, format!("no more names can be registered for {organisation}"))
         .found(format!("{IDENTITIES_MAX} names"))

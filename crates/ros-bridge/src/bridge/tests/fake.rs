@@ -141,6 +141,7 @@ impl Gateway for Fake {
             "grants" => self.grants.lock().unwrap().clone(),
             "authorize" => self.own.lock().unwrap().clone(),
             "GetSubmittingClientIdentity" => json!({ "id": "Org1/Salma" }),
+            "revocations" => json!({ "items": [] }),
             _ => json!([]),
         };
         std::future::ready(Ok(Answer { response: Bytes::from(value.to_string()), height })).boxed()

@@ -1,0 +1,105 @@
+//! Pages of lists: queries answer with a bounded part, and say where the next one begins.
+//!
+//! Their one argument is JSON of [`Paging`], their answer JSON of [`Page`]. Only queries have pages: what transactions answer
+//! belongs to the rules, and a list is no transaction since rules 3.
+
+use crate::chaincode::Context;
+use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use serde::{Deserialize, Serialize};
+
+/// Most elements of a page.
+pub const PAGE_MAX: usize = 256;
+/// Bytes of JSON after which a page ends. One more element may come on top.
+pub const PAGE_BYTES: usize = 256 * 1024;
+/// Longest place of a page, in bytes.
+const PLACE_BYTES_MAX: usize = 1024;
+
+/// The argument of a function that answers in pages.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Paging {
+    /// [`Page::next`] of the page before; the first page without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub after: Option<String>,
+    /// Most elements; [`PAGE_MAX`] without, and never more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub most: Option<usize>,
+}
+
+/// The answer of such a function.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Page<T> {
+    /// A part of the list, in its order. It may be empty although there are more.
+    pub items: Vec<T>,
+    /// Where the next page begins; none after the last one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub next: Option<String>,
+}
+
+impl Paging {
+    /// Is this the argument of a query for a page?
+    pub(crate) fn is_asked(ctx: &Context<'_>, argument: &Bytes) -> bool {
+        ctx.transaction() == Hash::ZERO && argument.starts_with(b"{")
+    }
+
+    /// The argument of a query for a page; none if the call is no query, or has other arguments.
+    ///
+    /// # Errors
+    /// [`Code::BadArgument`] if the argument is JSON of something else.
+    pub fn of(ctx: &Context<'_>, function: &str, args: &[Bytes]) -> Result<Option<Self>, Rejection> {
+        let [argument] = args else { return Ok(None) };
+        if !Self::is_asked(ctx, argument) {
+            return Ok(None);
+        }
+        let usable = |paging: &Self| paging.after.as_ref().is_none_or(|after| after.len() <= PLACE_BYTES_MAX);
+        let paging = serde_json::from_slice(argument).ok().filter(usable);
+        paging.map(Some).ok_or_else(|| {
+            Rejection::new(Code::BadArgument, format!("{function} is asked for no page"))
+                .found(format!("{} bytes", argument.len()))
+                .wanted(format!(r#"{{"after": "PLACE", "most": NUMBER}}, each of which may be left out; a place has at most {PLACE_BYTES_MAX} bytes"#))
+                .next("begin with {}; the answer says where the next page begins")
+        })
+    }
+
+    /// The page of the keys that start with `prefix`, each with what `read` makes of key and value; none where it makes
+    /// nothing. A place is what follows the prefix of a key, in hexadecimal digits.
+    ///
+    /// # Errors
+    /// As `read`; [`Code::BadArgument`] for a place that is none.
+    pub fn page<T: Serialize>(
+        &self,
+        ctx: &Context<'_>,
+        prefix: &[u8],
+        mut read: impl FnMut(&[u8], &[u8]) -> Result<Option<T>, Rejection>,
+    ) -> Result<Page<T>, Rejection> {
+        let most = self.most.unwrap_or(PAGE_MAX).clamp(1, PAGE_MAX);
+        let after = self.after.as_ref().map(|place| hex::decode(place).map_err(|_| no_place(place))).transpose()?;
+        let mut after = after.map(|place| [prefix, &place].concat());
+        let (mut items, mut bytes) = (Vec::new(), 0);
+        // Values may be large: one at a time.
+        for _ in 0..most {
+            let Some((key, value)) = ctx.range_after(prefix, after.as_deref(), 1).pop() else {
+                return Ok(Page { items, next: None });
+            };
+            if let Some(item) = read(&key, &value)? {
+                bytes += serde_json::to_vec(&item).map_or(0, |json| json.len());
+                items.push(item);
+            }
+            after = Some(key.to_vec());
+            if bytes >= PAGE_BYTES {
+                break;
+            }
+        }
+        let next = after.as_ref().and_then(|last| last.strip_prefix(prefix)).map(hex::encode);
+        Ok(Page { items, next })
+    }
+}
+
+fn no_place(place: &str) -> Rejection {
+    Rejection::new(Code::BadArgument, "a page begins at no place")
+        .found(format!("{} bytes", place.len()))
+        .wanted("the field next of the page before")
+        .next("begin with {}; the answer says where the next page begins")
+}

@@ -1,0 +1,120 @@
+//! Members that want more of everybody's machines than is theirs: each attack is refused, and the robots go on.
+
+use crate::hostile::Target;
+use crate::support::connect;
+use crate::support::wire::{self, code, submit};
+use bytes::Bytes;
+use ledger::transaction::Transaction;
+use ledger_abac::{PolicyEntry, RobotAsset};
+use ledger_api::Client;
+use ledger_rejection::Code;
+
+/// Functions that only read, with arguments that they take.
+const READS: [(&str, &str, &[&str]); 8] = [
+    ("abac", "policies", &[]),
+    ("abac", "robots", &[]),
+    ("abac", "grants", &[]),
+    ("abac", "authorize", &["Turtlebot4"]),
+    ("abac", "GetSubmittingClientIdentity", &[]),
+    ("msp", "nodes", &[]),
+    ("msp", "proposals", &[]),
+    ("msp", "organisation", &["Org1"]),
+];
+
+fn arguments(args: &[&str]) -> Vec<Bytes> {
+    args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect()
+}
+
+async fn height(client: &Client) -> u64 {
+    client.status().await.unwrap().height
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_member_without_rights_has_nothing_read_executed_or_stored_by_all() {
+    let mut target = Target::start().await;
+    let salma = connect(&target.salma).await;
+    let channel = wire::channel(&target.salma, true).await;
+    target.survived("the beginning").await;
+    let before = height(&salma).await;
+    for round in 0..100 {
+        for (chaincode, function, args) in READS {
+            let transaction = target.signed(|body| {
+                (body.chaincode, body.function, body.args) = (chaincode.into(), function.into(), arguments(args));
+            });
+            let answer = submit(&channel, transaction.encoded().clone()).await.unwrap();
+            assert_eq!(code(&answer), u32::from(Code::QueryOnly.number()), "{function}: {answer:?}");
+            assert_eq!((answer.height, answer.response.len()), (0, 0), "{function} in round {round}");
+        }
+    }
+    assert_eq!(height(&salma).await, before, "no block was made of eight hundred of them");
+    // Somebody says that it is a repetition: it is ordered so that the chain decides, and answers with nothing.
+    let repeated: Transaction = target.signed(|body| body.function = "policies".into());
+    let answer = wire::submit_again(&channel, repeated.encoded().clone()).await.unwrap();
+    assert_eq!((code(&answer), answer.response.len()), (u32::from(Code::QueryOnly.number()), 0), "{answer:?}");
+    // Asked as what they are, they are answered.
+    for (chaincode, function, args) in READS {
+        salma.query(chaincode, function, arguments(args)).await.unwrap();
+    }
+    target.survived("reads as transactions").await;
+    target.end("reads");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn policies_of_many_wildcards_are_refused_and_hold_up_nobody() {
+    let mut target = Target::start().await;
+    // Org1 owns no robot here; its admin attacks those of Org2.
+    let boss = connect(&target.admin).await;
+    let text = |pattern: &str, times: usize| {
+        let like = format!("principal.name like \"{pattern}b\" || ").repeat(times);
+        format!("permit (principal, action, resource) when {{ {like} principal.name == \"{}\" }};", "a".repeat(1000))
+    };
+    let put = async |number: usize, text: String| {
+        boss.invoke("abac", "policy", vec!["put".into(), format!("p{number}").into(), text.into()]).await
+    };
+    for (pattern, times) in [("*a".repeat(2000), 1), ("*a".repeat(100), 1), ("*a".repeat(30), 20)] {
+        let refused = put(0, text(&pattern, times)).await.unwrap_err();
+        assert_eq!(refused.code, Code::PolicyInvalid, "{refused}");
+        assert!(refused.found.contains("wildcards"), "{refused}");
+        target.survived("a policy of many wildcards").await;
+    }
+    // What is small enough each is bounded together.
+    let mut stand = 0;
+    for number in 0..64 {
+        match put(number, text(&format!("*{}", "a".repeat(200)), 20)).await {
+            Ok(_) => stand += 1,
+            Err(refused) => {
+                assert!(refused.code == Code::PolicyInvalid && refused.found.ends_with("steps"), "{refused}")
+            }
+        }
+        target.survived("one more costly policy").await;
+    }
+    assert!((1..10).contains(&stand), "{stand} of 64 stand");
+    target.end("wildcards");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn long_lists_come_in_pages_and_no_answer_is_large() {
+    let mut target = Target::start().await;
+    let owner = connect(&target.fleet.owner()).await;
+    // A long stop message makes a robot's record large; a hundred of them are 13 MB.
+    let stop = "00".repeat(60 * 1024);
+    let robot = |number: usize| {
+        format!(
+            r#"{{"name":"R{number}","attribute_required":"R","services":[{{"topic":"/c","type":"geometry_msgs/msg/Twist","stop_hex":"00010000{stop}"}}]}}"#
+        )
+    };
+    for number in 0..100 {
+        owner.invoke("abac", "setup", vec![robot(number).into()]).await.unwrap();
+    }
+    let refused = owner.query("abac", "robots", Vec::new()).await.unwrap_err();
+    assert!(refused.code == Code::OverBudget && refused.next.contains("pages"), "{refused}");
+    let robots: Vec<RobotAsset> = owner.list("abac", "robots").await.unwrap();
+    assert_eq!(robots.len(), 102, "those of the beginning, too");
+    let policies: Vec<PolicyEntry> = owner.list("abac", "policies").await.unwrap();
+    assert_eq!(policies.len(), 1);
+    let ctl = target.fleet.ctl();
+    let listed = tokio::task::spawn_blocking(move || ctl.as_("Salma").run(&["robot", "list"])).await.unwrap();
+    assert!(listed.ok().stdout.contains("R99"));
+    target.survived("long lists").await;
+    target.end("pages");
+}
