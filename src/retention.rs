@@ -1,9 +1,12 @@
 //! Drops old blocks and their results, as the setting `storage.retention` wants; archives them first if there is an
 //! archive.
 
+use crate::space::Space;
 use ledger::Ledger;
 use ledger::network::Genesis;
 use ledger_rejection::Rejection;
+use ledger_replica::space::Measured;
+use ledger_replica::trust;
 use ledger_storage::archive::{Extent, archive};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::retention::{Kept, Retention};
@@ -11,11 +14,15 @@ use ledger_storage::snapshot::Snapshots;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+/// With less than this part of the disk free, blocks are dropped that no two organisations have attested yet.
+const FREE_MIN: u64 = 4;
+
 /// The settings and stores that decide about old blocks.
 pub(crate) struct Pruner {
     pub ledger: Arc<Ledger>,
     pub store: Arc<BlockStore>,
     pub snapshots: Arc<Snapshots>,
+    pub space: Arc<Space>,
     pub retention: Retention,
     /// Where finished segments are copied to before they are dropped.
     pub archive: Option<PathBuf>,
@@ -24,6 +31,18 @@ pub(crate) struct Pruner {
 }
 
 impl Pruner {
+    /// The height up to which blocks are needless: a snapshot of this node, and one that two organisations attest, hold
+    /// what follows from them. A node that comes back finds either the blocks or a snapshot to believe. With little space
+    /// left, the own snapshot is enough.
+    fn needless(&self) -> Result<Option<u64>, Rejection> {
+        let shared = trust::shared(&self.ledger)?.map_or(0, |(height, _)| height);
+        self.snapshots.pin(shared);
+        let oldest = self.snapshots.oldest().map(|snapshot| snapshot.manifest().height);
+        let Measured { free, total } = self.space.measured();
+        let is_scarce = free < total / FREE_MIN;
+        Ok(if is_scarce { oldest } else { oldest.map(|oldest| oldest.min(shared)) })
+    }
+
     /// Drops what is not to be kept any more.
     ///
     /// # Errors
@@ -32,10 +51,11 @@ impl Pruner {
         if self.retention == Retention::Forever {
             return Ok(());
         }
+        let limit = self.needless()?;
         let time_of = |height| self.ledger.block_hashes(height).ok().flatten().map(|block| block.time);
         let keep_from = self.retention.keep_from(&Kept {
             finished: &self.store.finished(),
-            oldest_snapshot: self.snapshots.oldest().map(|snapshot| snapshot.manifest().height),
+            oldest_snapshot: limit,
             time: self.ledger.tip().time,
             time_of: &time_of,
         });

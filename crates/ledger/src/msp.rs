@@ -71,7 +71,7 @@ mod store;
 pub use action::Action;
 pub use address::never_dialled;
 pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
-pub use attestations::{Attest, Attestation, AttestationRecord};
+pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
     CERTIFICATES_MAX, CancelRegistration, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX, IDENTITIES_PAGE_MAX,

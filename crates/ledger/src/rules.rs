@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds |
+//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds; what two organisations attest stays until they attest something newer |
 //!
 //! ```
 //! use ledger::Rules;
@@ -80,6 +80,11 @@ impl Rules {
 
     /// Does the network decide how many nodes an organisation has? Before, it was half of all that there may be.
     pub(crate) const fn nodes_are_allowed(self) -> bool {
+        self.0 >= 3
+    }
+
+    /// Does the ledger remember the newest snapshot that two organisations attest, when nodes go on to newer ones?
+    pub(crate) const fn keeps_shared_snapshots(self) -> bool {
         self.0 >= 3
     }
 

@@ -12,6 +12,7 @@
 
 use crate::REJOIN;
 use bytes::Bytes;
+use ledger::msp::{Attestation, NodeRole};
 use ledger::network::FoundingOrganisation;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, msp};
@@ -264,6 +265,20 @@ fn with_ca(known: &Msps, declared: &Msps, ca: Hash) -> Result<Msps, Rejection> {
     Ok(trusted)
 }
 
+/// Height and content of the newest snapshot that nodes of two organisations attest, or of one if only one has nodes. A node
+/// that was away longer than blocks are kept can believe this one, so it is given to others, and older blocks than it are
+/// needless.
+///
+/// # Errors
+/// A fault of the store.
+pub fn shared(ledger: &Ledger) -> Result<Option<(u64, Hash)>, Rejection> {
+    let nodes = msp::nodes(&**ledger.state())?;
+    let present = nodes.iter().filter(|node| node.role != NodeRole::Removed);
+    let organisations: BTreeSet<_> = present.map(|node| node.organisation.as_str()).collect();
+    let records = msp::attestations(&**ledger.state())?;
+    Ok(msp::shared_snapshot(&records, organisations.len().min(ORGANISATIONS_MIN)))
+}
+
 /// The transactions on the ledger that attest a snapshot; a node gives them to others with its manifest. `block` reads
 /// the transactions of a block, if it is still kept.
 ///
@@ -277,8 +292,8 @@ pub fn attestations(
     let (height, content) = (snapshot.manifest().height, snapshot.content());
     let mut attested = Vec::new();
     for record in msp::attestations(&**ledger.state())? {
-        let said = record.snapshot.filter(|said| said.attest.height == height && said.attest.content == Some(content));
-        let Some(said) = said else { continue };
+        let same = |said: &&Attestation| said.attest.height == height && said.attest.content == Some(content);
+        let Some(said) = record.snapshots().find(same) else { continue };
         let Some(place) = ledger.transaction(&said.transaction)? else { continue };
         let Some(transactions) = block(place.height)? else { continue };
         let Some(transaction) = transactions.get(place.index as usize) else { continue };

@@ -36,6 +36,7 @@ use crate::state::{State, Tip};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use std::io::{self, ErrorKind};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 
 /// How many snapshots a node keeps.
@@ -54,6 +55,8 @@ pub struct Snapshots {
     making: Mutex<()>,
     /// And one fetched.
     fetching: Mutex<()>,
+    /// The height of one that is kept although newer ones are there; 0 = none.
+    pinned: AtomicU64,
 }
 
 impl Snapshots {
@@ -75,7 +78,8 @@ impl Snapshots {
                 Err(fault) => return Err(fault),
             }
         }
-        Ok(Self { disk, network, kept: RwLock::new(kept), making: Mutex::default(), fetching: Mutex::default() })
+        let (making, fetching, pinned) = Default::default();
+        Ok(Self { disk, network, kept: RwLock::new(kept), making, fetching, pinned })
     }
 
     /// The newest.
@@ -86,6 +90,11 @@ impl Snapshots {
     /// The oldest: blocks before it can be dropped.
     pub fn oldest(&self) -> Option<Arc<Snapshot>> {
         self.kept().first().map(Arc::clone)
+    }
+
+    /// Keeps the one of this height, beside the newest ones, until another one is pinned.
+    pub fn pin(&self, height: u64) {
+        self.pinned.store(height, Ordering::Relaxed);
     }
 
     /// The one of a height.
@@ -142,8 +151,15 @@ impl Snapshots {
             kept.retain(|other| other.manifest().height != height);
             kept.push(Arc::clone(&snapshot));
             kept.sort_by_key(|snapshot| snapshot.manifest().height);
-            let surplus = kept.len().saturating_sub(SNAPSHOTS_KEPT);
-            kept.drain(..surplus).collect()
+            let pinned = self.pinned.load(Ordering::Relaxed);
+            let is_loose = |snapshot: &Arc<Snapshot>| snapshot.manifest().height != pinned;
+            let mut surplus = kept.iter().filter(|other| is_loose(other)).count().saturating_sub(SNAPSHOTS_KEPT);
+            let goes = |other: &mut Arc<Snapshot>| {
+                let goes = surplus > 0 && is_loose(other);
+                surplus -= usize::from(goes);
+                goes
+            };
+            kept.extract_if(.., goes).collect()
         };
         for dropped in &dropped {
             let name = file::name(dropped.manifest().height);

@@ -12,6 +12,7 @@ use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Most attestations: one of each node.
 pub(super) const ATTESTATIONS_MAX: usize = NODES_MAX;
@@ -57,6 +58,29 @@ pub struct AttestationRecord {
     /// The newest snapshot it attested.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub snapshot: Option<Attestation>,
+    /// The newest before it that a node of another organisation attests, too. So there is always one that two organisations
+    /// attest, once there was. Since rules 3.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub shared: Option<Attestation>,
+}
+
+impl AttestationRecord {
+    /// The snapshots that the node attests.
+    pub fn snapshots(&self) -> impl Iterator<Item = &Attestation> {
+        self.snapshot.iter().chain(&self.shared)
+    }
+}
+
+/// Height and content of the newest snapshot that nodes of so many organisations attest.
+pub fn shared_snapshot(records: &[AttestationRecord], organisations: usize) -> Option<(u64, Hash)> {
+    let mut attested: BTreeMap<(u64, Hash), BTreeSet<&str>> = BTreeMap::new();
+    for record in records {
+        for Attestation { attest, .. } in record.snapshots() {
+            let content = attest.content.unwrap_or(Hash::ZERO);
+            attested.entry((attest.height, content)).or_default().insert(&record.organisation);
+        }
+    }
+    attested.into_iter().rfind(|(_, by)| by.len() >= organisations).map(|(snapshot, _)| snapshot)
 }
 
 /// `attestations`
@@ -94,12 +118,13 @@ pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     }
     let statement = Attestation { time: ctx.block_time(), transaction: ctx.transaction(), attest };
     let snapshot = statement.attest.content.is_some().then(|| statement.clone());
-    let (latest, snapshot) = match before {
-        Some(before) => (
-            if statement.attest.height < latest_height { before.latest } else { statement.clone() },
-            snapshot.or(before.snapshot),
-        ),
-        None => (statement.clone(), snapshot),
+    let (latest, snapshot, shared) = match before {
+        Some(before) => {
+            let shared = still_shared(ctx, &before, snapshot.as_ref())?;
+            let latest = if statement.attest.height < latest_height { before.latest } else { statement.clone() };
+            (latest, snapshot.or(before.snapshot), shared)
+        }
+        None => (statement.clone(), snapshot, None),
     };
     let record = AttestationRecord {
         organisation: caller.organisation.clone(),
@@ -107,10 +132,30 @@ pub(super) fn attest(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
         id: record.id,
         latest,
         snapshot,
+        shared,
     };
     store::write(ctx, &key, &record)?;
     ctx.emit("attested", &caller.id(), json(&statement)?);
     Ok(Bytes::new())
+}
+
+/// The snapshot that a node keeps on attesting beside a newer one: its last one, if another organisation attests that.
+fn still_shared(
+    ctx: &Context<'_>,
+    before: &AttestationRecord,
+    newer: Option<&Attestation>,
+) -> Result<Option<Attestation>, Rejection> {
+    let last = before.snapshot.as_ref().filter(|_| ctx.rules().keeps_shared_snapshots());
+    let (Some(last), Some(newer)) = (last, newer) else { return Ok(before.shared.clone()) };
+    if last.attest.height == newer.attest.height {
+        return Ok(before.shared.clone());
+    }
+    let same =
+        |said: &Attestation| (said.attest.height, said.attest.content) == (last.attest.height, last.attest.content);
+    let records = store::list::<AttestationRecord>(ctx, ATTESTATIONS.as_bytes(), ATTESTATIONS_MAX)?;
+    let others = records.iter().filter(|record| record.organisation != before.organisation);
+    let is_shared = others.flat_map(AttestationRecord::snapshots).any(same);
+    Ok(if is_shared { Some(last.clone()) } else { before.shared.clone() })
 }
 
 /// Forgets what a node said that was removed.

@@ -141,6 +141,30 @@ fn where_blocks_come_quickly_a_snapshot_is_made_once_in_a_period_and_by_all_node
 }
 
 #[test]
+fn a_pinned_snapshot_stays_beside_the_newest_ones_until_another_one_is_pinned() {
+    let chain = Chain::paced(100, 10 * SECOND, 10);
+    let (place, results, disk) = (tempfile::tempdir().unwrap(), SimDisk::new(1), SimDisk::new(2));
+    let (ledger, snapshots) = (chain.world.ledger_on(place.path(), &results), chain.snapshots(&disk));
+    let (mut made, mut kept) = (Vec::new(), Vec::new());
+    for entry in &chain.entries {
+        ledger.apply(entry).unwrap();
+        ledger.flush(Some(&snapshots)).unwrap();
+        let newest = snapshots.newest().map_or(0, |newest| newest.manifest().height);
+        if newest == 0 || made.last() == Some(&newest) {
+            continue;
+        }
+        made.push(newest);
+        // The first one is pinned for a while.
+        snapshots.pin(if made.len() < 5 { made[0] } else { 0 });
+        kept.push(snapshots.oldest().unwrap().manifest().height);
+    }
+    assert!(made.len() > 6, "{made:?}");
+    assert_eq!(kept[..5], [made[0]; 5], "{made:?}");
+    assert_eq!(kept[5..], made[4..made.len() - 1]);
+    assert_eq!(disk.list().unwrap().len(), 2);
+}
+
+#[test]
 fn a_result_that_cannot_be_read_costs_a_snapshot_and_stops_nobody() {
     let chain = Chain::new(30);
     let (place, results, disk) = (tempfile::tempdir().unwrap(), SimDisk::new(1), SimDisk::new(2));

@@ -1,4 +1,5 @@
 use crate::world::{Network, code, is_executed};
+use ledger::Rules;
 use ledger::msp::{self, AttestationRecord};
 use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
@@ -42,6 +43,32 @@ fn an_attestation_of_a_snapshot_stays_beside_newer_ones_and_may_come_late() {
     let record = known(&network).remove(0);
     let snapshot = record.snapshot.unwrap().attest;
     assert_eq!((record.latest.attest.height, snapshot.height, snapshot.content), (5, 3, Some(Hash([7; 32]))));
+}
+
+#[test]
+fn what_two_organisations_attest_is_remembered_until_they_attest_something_newer() {
+    for (rules, remembered) in [(Rules::FIRST, None), (Rules::NEWEST, Some((2, Hash([2; 32]))))] {
+        let mut network = Network::founded_with(rules, 2, 2);
+        for _ in 0..9 {
+            network.admin(1, "proposals", &[]).unwrap();
+        }
+        let mut snapshot = |node: usize, height: u8| {
+            network.node(node, "attest", &[&attest(height.into(), 1, Some(height))]).unwrap();
+            msp::shared_snapshot(&known(&network), 2)
+        };
+        assert_eq!(snapshot(1, 2), None);
+        assert_eq!(snapshot(2, 2), Some((2, Hash([2; 32]))));
+        // One goes on, the other is late and attests others.
+        for height in [3, 4, 5] {
+            assert_eq!(snapshot(1, height), remembered, "{rules}: {height}");
+        }
+        for height in [3, 4] {
+            assert_eq!(snapshot(2, height), remembered, "{rules}: {height}");
+        }
+        assert_eq!(snapshot(2, 5), Some((5, Hash([5; 32]))));
+        assert_eq!(snapshot(2, 6), remembered.map(|_| (5, Hash([5; 32]))));
+        assert_eq!(snapshot(1, 7), remembered.map(|_| (5, Hash([5; 32]))));
+    }
 }
 
 #[test]
