@@ -19,7 +19,8 @@ mod blocks;
 mod serve;
 mod snapshot;
 
-pub(crate) use serve::Source;
+pub(crate) use ask::Asked;
+pub(crate) use serve::{Reader, Source};
 
 use crate::instance::Fate;
 use crate::orderer::{Log, Seat};

@@ -15,6 +15,10 @@ use std::process::ExitCode;
 
 /// The exit code of a program that was interrupted, as shells have it: 128 and the number of SIGINT.
 const INTERRUPTED: u8 = 130;
+/// The exit code of a node that does not belong to its network any more.
+const NO_MEMBER: u8 = 6;
+/// The exit code of a node whose network has another history.
+const FORKED: u8 = 7;
 
 /// A permissioned ledger for ROS 2 fleets in one binary.
 #[derive(Parser)]
@@ -88,6 +92,8 @@ pub fn run_with(builder: NodeBuilder, arguments: impl IntoIterator<Item = OsStri
             eprint_line(&report(&rejection));
             ExitCode::from(match rejection.code {
                 Code::ShuttingDown => INTERRUPTED,
+                Code::NotAMember => NO_MEMBER,
+                Code::Forked => FORKED,
                 code => code.class().exit_code().max(Class::Failure.exit_code()),
             })
         }

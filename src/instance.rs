@@ -19,6 +19,7 @@ pub(crate) use fate::Fate;
 
 use crate::catch_up::Bootstrap;
 use crate::clock::Clock;
+use crate::company::Asking;
 use crate::conductor::Conductor;
 use crate::config::Config;
 use crate::enrolment::EnrolmentService;
@@ -63,6 +64,7 @@ pub(crate) struct Prepared {
     wired: Wired,
     /// Attests, and hears of the attestations of others.
     testimony: (Testimony, mpsc::UnboundedReceiver<Seen>),
+    asking: Asking,
     joined: Option<Joined>,
     timing: Timing,
     ballot: Ballot,
@@ -84,9 +86,9 @@ pub(crate) struct Instance {
     housekeeping: Housekeeping,
     scrub: Scrub,
     conductor: JoinHandle<()>,
-    /// The tasks beside: renewing the certificate, attesting, watching whether the node still belongs here, telling the
-    /// ledger the knowledge of its CA, and which rules it speaks.
-    beside: [JoinHandle<()>; 5],
+    /// The tasks beside: renewing the certificate, attesting, asking the others, watching whether the node still belongs
+    /// here, telling the ledger the knowledge of its CA, and which rules it speaks.
+    beside: [JoinHandle<()>; 6],
 }
 
 impl Standing {
@@ -118,7 +120,8 @@ impl Prepared {
         let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger, clock.clone()));
         let standing = Standing::find(&papers, &stores, config)?;
         let (wired, seen) = Wired::new((&papers, config), (&stores, &trust), (&standing, clock, host.members()))?;
-        let housekeeping = wired.housekeeping(pruner(&stores, config)).map_err(|error| no_thread(&error))?;
+        let housekeeping =
+            wired.housekeeping(pruner(&stores, &wired.links, config)).map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
         let enrolment = wired.enrolment((host, &papers), document, &trust);
         let renewer = Renewer {
@@ -137,8 +140,8 @@ impl Prepared {
             members: Arc::clone(&wired.members),
         };
         let (joined, timing, registrar) = (standing.joined, config.order.timing(), enrolment);
-        let testimony = (wired.testimony(config), seen);
-        Ok((Self { wired, testimony, joined, timing, ballot, renewer, registrar, housekeeping }, services))
+        let (testimony, asking) = ((wired.testimony(config), seen), wired.asking(config));
+        Ok((Self { wired, testimony, asking, joined, timing, ballot, renewer, registrar, housekeeping }, services))
     }
 
     /// Starts the engine, which asks the other nodes first. Its services must be served by now: others that start at the same
@@ -147,8 +150,8 @@ impl Prepared {
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
-        let Self { wired, testimony: (testimony, seen), joined, timing, ballot, renewer, registrar, housekeeping } =
-            self;
+        let Self { wired, testimony: (testimony, seen), asking, joined, timing, ballot, renewer, .. } = self;
+        let (registrar, housekeeping) = (self.registrar, self.housekeeping);
         let telling = Telling { author: wired.author(), me: wired.me.id };
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
         let catch_up = wired.catch_up(bootstrap, ballot, stopping);
@@ -162,6 +165,7 @@ impl Prepared {
         let beside = [
             tokio::spawn(vital_task(renewer.keep())),
             tokio::spawn(vital_task(testimony.run(seen))),
+            tokio::spawn(vital_task(asking.run())),
             tokio::spawn(vital_task(belonging)),
             tokio::spawn(vital_task(telling.run())),
             tokio::spawn(vital_task(registrar.keep_registered())),
@@ -195,11 +199,12 @@ impl Instance {
     }
 }
 
-fn pruner(stores: &Stores, config: &Config) -> Pruner {
+fn pruner(stores: &Stores, links: &Links, config: &Config) -> Pruner {
     Pruner {
         ledger: Arc::clone(&stores.ledger),
         store: Arc::clone(&stores.store),
         snapshots: Arc::clone(&stores.snapshots),
+        space: Arc::clone(&links.space),
         retention: config.storage.retention,
         archive: Some(config.storage.archive.clone()).filter(|path| !path.as_os_str().is_empty()),
         data: config.data.clone(),

@@ -28,6 +28,7 @@
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
 //! | `bridge` | the bridge inside a node |
 //! | `peers` | TLS connections between nodes |
+//! | `company` | what the other nodes say about the chain, and what this one stops for |
 //! | `gateway` | the gRPC API |
 //! | `ca`, `enrolment` | the certificate authority of an organisation and its API |
 //! | `identity` | which of the network's nodes this is |
@@ -46,6 +47,7 @@ pub mod ca;
 mod catch_up;
 mod clock;
 mod command;
+mod company;
 mod conductor;
 pub mod config;
 mod demo;

@@ -1,8 +1,8 @@
 //! Opening what a node keeps: blocks, which are the truth, and the world state, which is rebuilt if there is any doubt.
 
+use crate::company::DIVERGED_FILE;
 use crate::config::Config;
 use crate::random;
-use crate::witness::DIVERGED_FILE;
 use ledger::network::Genesis;
 use ledger::{Ledger, Registry};
 use ledger_hash::Hash;

@@ -9,9 +9,11 @@ use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{ChainRequest, ChainResponse};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
-use ledger_replica::catch_up::{Heard, Holding, Look, Stage, Who};
+use ledger_replica::catch_up::{ASK_TIME_MAX, Heard, Holding, Look, Stage, Who};
+use ledger_replica::company::Point;
 use std::time::Duration;
 use tokio::time::{Instant, timeout};
+use tonic::Response;
 use tonic::transport::Channel;
 
 /// The connection to a node that was asked.
@@ -132,9 +134,8 @@ impl Dialer {
     }
 
     async fn ask_one(&self, member: &Member, network: Hash) -> Result<Option<Offer>, String> {
-        let who =
-            Who { id: member.id, organisation: member.organisation.clone(), name: member.full_name(), vouched: false };
-        offer(who, Contact { address: member.address.clone(), channel: self.channel(member).await? }, network).await
+        offer(who(member), Contact { address: member.address.clone(), channel: self.channel(member).await? }, network)
+            .await
     }
 
     async fn ask_first(&self, address: &str, ca: Hash, network: Hash) -> Result<Option<Offer>, String> {
@@ -151,14 +152,60 @@ pub(super) async fn all(answers: Answers) -> Vec<Offer> {
 
 /// The blocks of a node; none if it is of another network.
 async fn offer(who: Who, peer: Contact, network: Hash) -> Result<Option<Offer>, String> {
-    let answer = PeerClient::new(peer.channel.clone()).chain(ChainRequest {}).await;
-    let chain: ChainResponse = answer.map_err(|status| status.message().to_owned())?.into_inner();
-    let has = Holding {
+    let chain = chain(&peer.channel, ChainRequest::default()).await?;
+    Ok((chain.network == network.as_ref()).then_some(Offer { who, has: holding(&chain), peer }))
+}
+
+async fn chain(channel: &Channel, request: ChainRequest) -> Result<ChainResponse, String> {
+    let answer = PeerClient::new(channel.clone()).chain(request).await;
+    answer.map(Response::into_inner).map_err(|status| status.message().to_owned())
+}
+
+fn holding(chain: &ChainResponse) -> Holding {
+    Holding {
         height: chain.height,
         first_height: chain.first_height,
         snapshot_height: chain.snapshot_height,
         yours: chain.yours,
         you_vote: chain.you_vote,
-    };
-    Ok((chain.network == network.as_ref()).then_some(Offer { who, has, peer }))
+    }
+}
+
+/// A node's answer about its chain, at a height that both have.
+pub(crate) struct Asked {
+    /// The node that says so.
+    pub who: Who,
+    /// Its blocks.
+    pub has: Holding,
+    /// Its chain at the height that was asked for, or lower.
+    pub at: Option<Point>,
+    /// It does not know the asking node as a member.
+    pub stranger: bool,
+}
+
+impl Dialer {
+    /// Tells these members what this node has, and asks what they have there. Nodes that are silent or of another
+    /// network are left out.
+    pub(crate) async fn compare(&self, members: &[Member], network: Hash, own: Option<Point>) -> Vec<Asked> {
+        let mut request = ChainRequest::default();
+        if let Some(Point { height, hash, digest }) = own {
+            request = ChainRequest { height, block_hash: hash.0.to_vec().into(), digest: digest.0.to_vec().into() };
+        }
+        let asked = members.iter().filter(|member| member.id != self.me).map(|member| {
+            let request = request.clone();
+            async move {
+                let answer = async { chain(&self.channel(member).await?, request).await };
+                let answer = timeout(Duration::from_micros(ASK_TIME_MAX), answer).await;
+                let chain = answer.ok()?.ok().filter(|chain| chain.network == network.as_ref())?;
+                let (hash, digest) = (Hash::from_slice(&chain.block_hash), Hash::from_slice(&chain.digest));
+                let at = hash.zip(digest).map(|(hash, digest)| Point { height: chain.compared_height, hash, digest });
+                Some(Asked { who: who(member), has: holding(&chain), at, stranger: chain.stranger })
+            }
+        });
+        asked.collect::<FuturesUnordered<_>>().filter_map(|answer| async move { answer }).collect().await
+    }
+}
+
+fn who(member: &Member) -> Who {
+    Who { id: member.id, organisation: member.organisation.clone(), name: member.full_name(), vouched: false }
 }

@@ -2,16 +2,20 @@
 
 use super::blocks::to_wire;
 use crate::blocks::Blocks;
+use crate::company::Company;
 use crate::orderer::Seat;
 use crate::peers::Member;
 use crate::stores::Stores;
 use ledger::Ledger;
 use ledger_api::to_status;
 use ledger_api::v1::{
-    self, Attested, BlockEntries, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse, WritesResponse,
+    self, Attested, BlockEntries, ChainRequest, ChainResponse, DigestResponse, SnapshotChunk, SnapshotResponse,
+    WritesResponse,
 };
+use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Holding, store_holds};
+use ledger_replica::company::Point;
 use ledger_replica::trust;
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
@@ -24,8 +28,11 @@ use tonic::Status;
 const MESSAGE_BYTES: usize = 1024 * 1024;
 /// Messages read ahead for a node that is slower than this one's disk.
 const AHEAD_MAX: usize = 2;
-/// Streams of blocks at a time; each takes a thread while it reads.
+/// Streams of blocks at a time; each takes a thread while it reads. Those who are no members leave half of them free.
 const STREAMS_MAX: usize = 8;
+
+/// A reader: a member, or a node of an organisation of the network that is no member, such as one that was removed.
+pub(crate) type Reader = Option<Member>;
 
 /// The service that gives blocks and snapshots to others.
 pub(crate) struct Source {
@@ -34,28 +41,40 @@ pub(crate) struct Source {
     snapshots: Arc<Snapshots>,
     blocks: Arc<Blocks>,
     seat: Arc<Seat>,
+    company: Arc<Company>,
     streams: Arc<Semaphore>,
 }
 
 impl Source {
     /// Gives what is in the node's stores.
-    pub(crate) fn new(stores: &Stores, blocks: Arc<Blocks>, seat: Arc<Seat>) -> Self {
+    pub(crate) fn new(stores: &Stores, blocks: Arc<Blocks>, seat: Arc<Seat>, company: Arc<Company>) -> Self {
         let Stores { ledger, store, snapshots, .. } = stores.clone();
-        Self { ledger, store, snapshots, blocks, seat, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
+        Self { ledger, store, snapshots, blocks, seat, company, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
     }
 
-    /// The blocks of this node, and its knowledge of the asking one.
-    pub(crate) fn chain(&self, asking: &Member) -> ChainResponse {
+    /// The blocks of this node, and its knowledge of the asking one. That is no member if none is given.
+    pub(crate) fn chain(&self, asking: Option<&Member>, request: &ChainRequest) -> ChainResponse {
         let stores = (&*self.ledger, &*self.store, &*self.snapshots);
+        let id = asking.map_or(0, |asking| asking.id);
         let Holding { height, first_height, snapshot_height, yours, you_vote } =
-            Holding::of(stores, self.seat.status().as_ref(), asking.id);
+            Holding::of(stores, self.seat.status().as_ref(), id);
+        let told = Hash::from_slice(&request.block_hash).zip(Hash::from_slice(&request.digest));
+        if let (Some(asking), Some((hash, digest))) = (asking, told) {
+            self.company.told(asking, Point { height: request.height, hash, digest });
+        }
+        let own = self.company.own(request.height).filter(|own| own.height > 0);
+        let hash = |hash: fn(&Point) -> Hash| own.map(|own| hash(&own).0.to_vec().into()).unwrap_or_default();
         ChainResponse {
+            compared_height: own.map_or(0, |own| own.height),
+            block_hash: hash(|own| own.hash),
+            digest: hash(|own| own.digest),
+            stranger: asking.is_none(),
             network: self.ledger.network().0.to_vec().into(),
             first_height,
             height,
             term: self.store.term(height).unwrap_or_default(),
             snapshot_height,
-            yours,
+            yours: yours.max(self.company.confirmed(id)),
             you_vote,
         }
     }
@@ -64,7 +83,11 @@ impl Source {
     ///
     /// # Errors
     /// [`Code::Pruned`] if they are not here any more, [`Code::Overloaded`] if too many nodes ask.
-    pub(crate) fn blocks(self: &Arc<Self>, from: u64) -> Result<ReceiverStream<Result<BlockEntries, Status>>, Status> {
+    pub(crate) fn blocks(
+        self: &Arc<Self>,
+        from: u64,
+        reader: &Reader,
+    ) -> Result<ReceiverStream<Result<BlockEntries, Status>>, Status> {
         let first = self.store.first_index();
         if from < first {
             return Err(to_status(
@@ -73,7 +96,7 @@ impl Source {
                     .next("take a snapshot first, or ask a node that keeps more"),
             ));
         }
-        let permit = self.permit()?;
+        let permit = self.permit(reader)?;
         let (messages, stream) = mpsc::channel(AHEAD_MAX);
         let source = Arc::clone(self);
         tokio::task::spawn_blocking(move || source.send_blocks(from, &messages, permit));
@@ -130,24 +153,31 @@ impl Source {
         Ok(DigestResponse { digest: digest.0.to_vec().into(), block_hash: hash.0.to_vec().into() })
     }
 
-    fn permit(&self) -> Result<OwnedSemaphorePermit, Status> {
-        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| {
-            to_status(&Rejection::new(Code::Overloaded, "too many nodes fetch from here").next("ask another node"))
-        })
+    fn permit(&self, reader: &Reader) -> Result<OwnedSemaphorePermit, Status> {
+        let overloaded =
+            || to_status(&Rejection::new(Code::Overloaded, "too many nodes fetch from here").next("ask another node"));
+        if reader.is_none() && self.streams.available_permits() <= STREAMS_MAX / 2 {
+            return Err(overloaded());
+        }
+        Arc::clone(&self.streams).try_acquire_owned().map_err(|_| overloaded())
     }
 
-    /// The newest snapshot's manifest, and the transactions that attest it.
+    /// The manifest of the newest snapshot that two organisations attest, and the transactions that attest it. While there is
+    /// none, of the newest.
     ///
     /// # Errors
     /// A fault of the store.
     pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
-        let Some(newest) = self.snapshots.newest() else { return Ok(SnapshotResponse::default()) };
+        let shared = trust::shared(&self.ledger).map_err(|fault| to_status(&fault))?;
+        let shared = shared
+            .and_then(|(height, content)| self.snapshots.get(height).filter(|snapshot| snapshot.content() == content));
+        let Some(given) = shared.or_else(|| self.snapshots.newest()) else { return Ok(SnapshotResponse::default()) };
         let block = |height| Ok(self.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
-        let attested = trust::attestations(&self.ledger, &newest, block).map_err(|fault| to_status(&fault))?;
+        let attested = trust::attestations(&self.ledger, &given, block).map_err(|fault| to_status(&fault))?;
         let attestations = attested.into_iter();
         let attestations =
             attestations.map(|trust::Attested { transaction, certificate }| Attested { transaction, certificate });
-        Ok(SnapshotResponse { manifest: newest.manifest().to_bytes(), attestations: attestations.collect() })
+        Ok(SnapshotResponse { manifest: given.manifest().to_bytes(), attestations: attestations.collect() })
     }
 
     /// The pieces of a snapshot, from one on.
@@ -156,8 +186,8 @@ impl Source {
     /// [`Code::NotFound`] if it is not kept (any more), [`Code::Overloaded`] if too many nodes ask.
     pub(crate) fn chunks(
         &self,
-        height: u64,
-        from: u32,
+        (height, from): (u64, u32),
+        reader: &Reader,
     ) -> Result<ReceiverStream<Result<SnapshotChunk, Status>>, Status> {
         let snapshot = self.snapshots.get(height).ok_or_else(|| {
             to_status(
@@ -165,7 +195,7 @@ impl Source {
                     .next("ask for the newest one"),
             )
         })?;
-        let permit = self.permit()?;
+        let permit = self.permit(reader)?;
         let (messages, stream) = mpsc::channel(AHEAD_MAX);
         tokio::task::spawn_blocking(move || {
             let _permit = permit;

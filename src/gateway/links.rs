@@ -24,9 +24,13 @@ impl Links {
     /// Can nothing be ordered through this node at the moment: no leader is known or reached, it lacks too much, or its
     /// disk is full?
     pub(crate) fn is_cut_off(&self) -> bool {
+        !self.reaches_leader() || self.space.is_full()
+    }
+
+    /// Does this node follow a leader that it reaches, or lead?
+    pub(crate) fn reaches_leader(&self) -> bool {
         let leader = self.seat.status().and_then(|ordering| ordering.role.leader);
-        let reached = leader.is_some_and(|id| self.is_connected(id));
-        !reached || self.seat.catching_up_to().is_some() || self.space.is_full()
+        self.seat.catching_up_to().is_none() && leader.is_some_and(|id| self.is_connected(id))
     }
 
     /// Is this node connected with that one, or is it that one?

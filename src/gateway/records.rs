@@ -1,8 +1,9 @@
 //! Questions about the committed state and the chain.
 
-use super::{Current, status};
+use super::{Current, Links, status};
 use crate::blocks::Blocks;
 use crate::clock::Clock;
+use crate::company::Company;
 use crate::waiters::verdict_of;
 use bytes::Bytes;
 use ledger::{Ledger, Outcome};
@@ -12,6 +13,7 @@ use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::{BlockKind, EmittedEvent, Event};
 use std::sync::Arc;
+use std::time::Duration;
 use tonic::Status;
 
 /// The state, blocks and transactions of a node.
@@ -24,6 +26,10 @@ pub(crate) struct Records {
     pub current: Current,
     /// The node's clock.
     pub clock: Clock,
+    /// Knows since when no leader is reached.
+    pub company: Arc<Company>,
+    /// The ways to the leader.
+    pub links: Links,
 }
 
 impl Records {
@@ -33,13 +39,27 @@ impl Records {
         }
         self.current.reach_height(request.min_height).await.map_err(|rejection| status(&rejection))?;
         let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
-        Ok(match answer {
-            Ok((response, height)) => QueryResponse { verdict: Some(Verdict::default()), response, height },
-            Err(rejection) => {
-                let height = self.ledger.tip().height;
-                QueryResponse { verdict: Some((&rejection).into()), response: Bytes::new(), height }
-            }
+        let (verdict, response, height) = match answer {
+            Ok((response, height)) => (Verdict::default(), response, height),
+            Err(rejection) => ((&rejection).into(), Bytes::new(), self.ledger.tip().height),
+        };
+        let cut_off = if request.may_be_stale { self.company.cut_off_for(&self.links) } else { Duration::ZERO };
+        Ok(QueryResponse {
+            verdict: Some(verdict),
+            response,
+            height,
+            time: self.time_of(height).map_err(|rejection| status(&rejection))?,
+            stale_for: u64::try_from(cut_off.as_micros()).unwrap_or(u64::MAX),
         })
+    }
+
+    /// Block time of a height; 0 if it is not known any more.
+    fn time_of(&self, height: u64) -> Result<u64, Rejection> {
+        let tip = self.ledger.tip();
+        if tip.height == height {
+            return Ok(tip.time);
+        }
+        Ok(self.ledger.block_hashes(height)?.map_or(0, |block| block.time))
     }
 
     /// A block. One that this node does not have yet may be committed.

@@ -3,6 +3,7 @@
 use super::{Audience, Links};
 use crate::blocks::Blocks;
 use crate::clock::Clock;
+use crate::company::Company;
 use crate::config::Limits;
 use crate::denials::Denials;
 use crate::orderer::Executed;
@@ -43,8 +44,10 @@ pub(crate) struct Chain {
     pub ledger: Arc<Ledger>,
     /// Executed blocks.
     pub blocks: Arc<Blocks>,
-    /// Compares what others attest.
+    /// Attests.
     pub witness: Arc<Witness>,
+    /// Compares its chain with the others'.
+    pub company: Arc<Company>,
 }
 
 /// How much a node is used.
@@ -120,7 +123,7 @@ impl Description {
             first_height: self.chain.blocks.first_height(),
             snapshot_height: self.chain.witness.snapshot_height(),
             catching_up_to: self.links.seat.catching_up_to().unwrap_or_default(),
-            divergence: self.chain.witness.divergence(),
+            divergence: self.chain.company.describe(),
             in_flight: self.usage.shares.in_flight() as u64,
             in_flight_max: self.usage.limits.in_flight_max,
             waiting_control: ordering.as_ref().map_or(0, |ordering| ordering.control.transactions as u64),

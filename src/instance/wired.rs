@@ -5,6 +5,7 @@ use super::{Fate, Standing};
 use crate::blocks::Blocks;
 use crate::catch_up::{Bootstrap, CatchUp, Destination, Source};
 use crate::clock::{Clock, wall};
+use crate::company::{Asking, Company};
 use crate::config::Config;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{
@@ -62,6 +63,7 @@ pub(super) struct Followers {
     waiters: Arc<Waiters>,
     directory: Arc<Directory>,
     witness: Arc<Witness>,
+    company: Arc<Company>,
     blocks: Arc<Blocks>,
     current: Current,
     executed: Arc<Executed>,
@@ -73,7 +75,7 @@ impl Followers {
         stores: &Stores,
         directory: &Arc<Directory>,
         seat: &Arc<Seat>,
-        clock: Clock,
+        (clock, company): (Clock, Company),
     ) -> (Self, mpsc::UnboundedReceiver<Seen>) {
         let blocks = Arc::new(Blocks::new(Arc::clone(&stores.ledger), Arc::clone(&stores.store)));
         let (witness, seen) = Witness::new();
@@ -81,6 +83,7 @@ impl Followers {
             waiters: Arc::default(),
             directory: Arc::clone(directory),
             witness,
+            company: Arc::new(company),
             current: Current::new(Arc::clone(seat), Arc::clone(&blocks), clock.clone()),
             blocks,
             executed: Arc::default(),
@@ -128,7 +131,8 @@ impl Wired {
             trust: Arc::clone(trust),
             paces: Arc::default(),
         };
-        let (followers, seen) = Followers::new(stores, &standing.directory, &seat, clock.clone());
+        let company = Company::new(ledger, &me.organisation, config.data.clone());
+        let (followers, seen) = Followers::new(stores, &standing.directory, &seat, (clock.clone(), company));
         let (peers, space) = (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)));
         peers.follow(&standing.directory);
         let outside = Outside {
@@ -162,6 +166,8 @@ impl Wired {
             blocks: Arc::clone(blocks),
             current: current.clone(),
             clock: clock.clone(),
+            company: Arc::clone(&self.followers.company),
+            links: self.links.clone(),
         };
         let subscriptions = Subscriptions {
             ledger: Arc::clone(ledger),
@@ -205,9 +211,13 @@ impl Wired {
     }
 
     fn description(&self, config: &Config, started: Instant, audience: Arc<Audience>) -> Description {
-        let Followers { clock, blocks, witness, executed, .. } = &self.followers;
-        let chain =
-            Chain { ledger: Arc::clone(&self.stores.ledger), blocks: Arc::clone(blocks), witness: Arc::clone(witness) };
+        let Followers { clock, blocks, witness, company, executed, .. } = &self.followers;
+        let chain = Chain {
+            ledger: Arc::clone(&self.stores.ledger),
+            blocks: Arc::clone(blocks),
+            witness: Arc::clone(witness),
+            company: Arc::clone(company),
+        };
         let usage = Usage {
             shares: Arc::clone(&self.shares),
             audience,
@@ -234,10 +244,22 @@ impl Wired {
             snapshots: Arc::clone(&self.stores.snapshots),
             directory: Arc::clone(&self.links.directory),
             witness: Arc::clone(&self.followers.witness),
-            fate: self.engines.outside.fate.clone(),
-            dialer: self.dialer.clone(),
+            company: Arc::clone(&self.followers.company),
             me: self.me.full_name(),
             every: Duration::from_millis(config.order.attest_ms),
+        }
+    }
+
+    /// Asks the others whether they have the same chain.
+    pub(super) fn asking(&self, config: &Config) -> Asking {
+        let outside = self.engines.outside.clone();
+        Asking {
+            company: Arc::clone(&self.followers.company),
+            ledger: Arc::clone(&self.stores.ledger),
+            links: self.links.clone(),
+            dialer: self.dialer.clone(),
+            fate: outside.fate,
+            behind: outside.behind,
             data: config.data.clone(),
         }
     }
@@ -269,9 +291,11 @@ impl Wired {
 
     pub(super) fn peer_service(&self, votes: Ballot) -> PeerService<Deliver> {
         let Links { seat, directory, peers, .. } = self.links.clone();
-        let source = Source::new(&self.stores, Arc::clone(&self.followers.blocks), Arc::clone(&seat));
+        let company = Arc::clone(&self.followers.company);
+        let source =
+            Source::new(&self.stores, Arc::clone(&self.followers.blocks), Arc::clone(&seat), Arc::clone(&company));
         let deliver: Deliver = Box::new(move |from, message| {
-            if votes.withholds(&message) {
+            if votes.withholds(&message) || company.withholds(from, &message) {
                 return true;
             }
             // Without an orderer, or with a full inbox, the message is lost, as a network might lose it: ordering

@@ -7,11 +7,11 @@
 //! Interrupted, it is finished by the same command, which asks for another number: numbers cost nothing.
 
 use super::{Records, enter};
+use crate::company::{CONFIRMED_FILE, DIVERGED_FILE};
 use crate::config::Config;
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
 use crate::identity::{JOINED_FILE, Joined};
 use crate::setup::public_address;
-use crate::witness::DIVERGED_FILE;
 use ledger::network::{GENESIS_BYTES_MAX, Genesis};
 use ledger_api::tls::{ServerTrust, TlsIdentity};
 use ledger_api::{Client, Credentials, Options};
@@ -26,8 +26,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Files that follow from the blocks, or hold them.
-const SET_ASIDE: [&str; 5] = [BLOCKS_DIRECTORY, STATE_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, DIVERGED_FILE];
+/// Files that follow from the blocks, hold them, or say what others had.
+const SET_ASIDE: [&str; 6] =
+    [BLOCKS_DIRECTORY, STATE_DIRECTORY, RESULTS_DIRECTORY, SNAPSHOTS_DIRECTORY, DIVERGED_FILE, CONFIRMED_FILE];
 
 /// The arguments of `ledgerd rejoin`.
 #[derive(Clone, Debug, clap::Args)]

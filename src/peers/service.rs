@@ -1,7 +1,7 @@
 //! The service that other nodes call.
 
 use super::{Member, Peers};
-use crate::catch_up::Source;
+use crate::catch_up::{Reader, Source};
 use crate::host::Caller;
 use ledger_api::v1::peer_server::Peer;
 use ledger_api::v1::{self, PeerClosed, PeerFrame};
@@ -33,22 +33,32 @@ impl<D: Fn(u64, PeerMessage) -> bool> PeerService<D> {
 
     /// The calling node, which must be a member now.
     fn sender<T>(&self, request: &Request<T>) -> Result<Member, Status> {
+        self.reader(request)?.ok_or_else(|| {
+            let caller = request.extensions().get::<Caller>().and_then(|caller| caller.identity.as_ref());
+            Status::permission_denied(format!(
+                "found {}, wanted a node that belongs to this network now; one that was removed joins again as a new one",
+                caller.map(|identity| identity.id()).unwrap_or_default()
+            ))
+        })
+    }
+
+    /// The calling node, also one that is no member: so one that was removed while it was away gets the blocks that say so.
+    /// Everybody with a certificate may read them at the gateway, too.
+    fn reader<T>(&self, request: &Request<T>) -> Result<Reader, Status> {
         let caller = request.extensions().get::<Caller>();
         let identity = caller
             .and_then(|caller| caller.identity.as_ref())
             .ok_or_else(|| Status::unauthenticated("found no certificate, wanted one of a node of this network"))?;
-        let members = self.members.borrow();
-        let member =
-            members.iter().find(|member| member.organisation == identity.organisation && member.name == identity.name);
-        match member {
-            Some(member) if identity.role == Role::Node => Ok(member.clone()),
-            _ => Err(Status::permission_denied(format!(
-                "found {} with role {}, wanted a node that belongs to this network now; one that was removed joins again \
-                 as a new one",
+        if identity.role != Role::Node {
+            return Err(Status::permission_denied(format!(
+                "found {} with role {}, wanted a node of this network",
                 identity.id(),
                 identity.role
-            ))),
+            )));
         }
+        let members = self.members.borrow();
+        let own = |member: &&Member| member.organisation == identity.organisation && member.name == identity.name;
+        Ok(members.iter().find(own).cloned())
     }
 }
 
@@ -91,19 +101,19 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
     }
 
     async fn chain(&self, request: Request<v1::ChainRequest>) -> Result<Response<v1::ChainResponse>, Status> {
-        let asking = self.sender(&request)?;
-        Ok(Response::new(self.source.chain(&asking)))
+        let reader = self.reader(&request)?;
+        Ok(Response::new(self.source.chain(reader.as_ref(), request.get_ref())))
     }
 
     type BlocksStream = ReceiverStream<Result<v1::BlockEntries, Status>>;
 
     async fn blocks(&self, request: Request<v1::BlocksRequest>) -> Result<Response<Self::BlocksStream>, Status> {
-        self.sender(&request)?;
-        self.source.blocks(request.into_inner().from_height).map(Response::new)
+        let reader = self.reader(&request)?;
+        self.source.blocks(request.into_inner().from_height, &reader).map(Response::new)
     }
 
     async fn snapshot(&self, request: Request<v1::SnapshotRequest>) -> Result<Response<v1::SnapshotResponse>, Status> {
-        self.sender(&request)?;
+        self.reader(&request)?;
         let source = Arc::clone(&self.source);
         let answer = tokio::task::spawn_blocking(move || source.snapshot()).await;
         answer.map_err(|_| Status::internal("a thread panicked"))?.map(Response::new)
@@ -115,13 +125,13 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
         &self,
         request: Request<v1::SnapshotChunksRequest>,
     ) -> Result<Response<Self::SnapshotChunksStream>, Status> {
-        self.sender(&request)?;
+        let reader = self.reader(&request)?;
         let v1::SnapshotChunksRequest { height, from_chunk } = request.into_inner();
-        self.source.chunks(height, from_chunk).map(Response::new)
+        self.source.chunks((height, from_chunk), &reader).map(Response::new)
     }
 
     async fn digest(&self, request: Request<v1::DigestRequest>) -> Result<Response<v1::DigestResponse>, Status> {
-        self.sender(&request)?;
+        self.reader(&request)?;
         self.source.digest(request.into_inner().height).map(Response::new)
     }
 

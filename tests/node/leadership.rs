@@ -99,8 +99,18 @@ async fn a_query_sees_what_anybody_was_told_and_without_a_leader_only_who_takes_
     let hasty = Options { deadline: Duration::from_secs(2), ..Options::default() };
     let nodes = vec![network.fleet.nodes[3].address.clone()];
     let learner = Client::connect_with(nodes, network.owner.credentials().unwrap(), hasty).await.unwrap();
-    let own = learner.query_at(0, "abac", "robots", Vec::new()).await.unwrap();
-    assert_eq!(own.response, asked.response);
+    assert_eq!(asked.stale_for, 0);
+    let own = until("the learner says how old its answer is", || async {
+        let own = learner.query_at(0, "abac", "robots", Vec::new()).await.unwrap();
+        (own.stale_for >= 1_000_000).then_some(own)
+    })
+    .await;
+    assert!(own.response == asked.response && own.time >= asked.time, "{own:?}");
+    let there =
+        Context { name: "there".into(), nodes: vec![network.fleet.nodes[3].address.clone()], ..network.owner.clone() };
+    there.save(&network.fleet.home()).unwrap();
+    let ran = network.fleet.ctl().as_("there").run(&["query", "--stale", "abac", "robots"]).ok();
+    assert!(ran.stderr.contains("the node has reached no leader for"), "{ran:?}");
     let refused = learner.query("abac", "robots", Vec::new()).await.unwrap_err();
     assert_eq!(refused.code, Code::NoLeader, "{refused}");
     for node in 0..2 {

@@ -1,9 +1,10 @@
 //! Members that abuse their rights: what they may do to others is little, and they are told so.
 
-use crate::support::network::{NodeWish, free_address, now};
+use crate::support::network::{NodeWish, free_address, message, now, register_robots};
 use crate::support::process::Process;
 use crate::support::{Fleet, connect, until};
 use ledger_api::{Client, Context};
+use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
 use serde_json::json;
@@ -21,6 +22,7 @@ fn found() -> (Fleet, Vec<Process>) {
     let voters = ["node1", "node2", "node3"].map(|name| wish(name, "Org1", true));
     let wishes: Vec<_> = voters.into_iter().chain([wish("node4", "Org2", false)]).collect();
     let fleet = Fleet::found_with(&wishes, now());
+    fleet.nodes.iter().for_each(|place| place.configure("[order]\nattest_ms = 100"));
     let nodes = fleet.nodes.iter().map(|place| place.start()).collect();
     (fleet, nodes)
 }
@@ -103,5 +105,43 @@ async fn an_address_that_never_answers_is_dialled_less_and_less_and_some_are_nev
     let each = f64::log2(begun.elapsed().as_secs_f64() / 0.05).ceil() + 2.0;
     let dials = dials.load(Ordering::Relaxed) as f64;
     assert!(dials <= 4.0 * each, "{dials} dials by four nodes, at most {each} by each");
+    nodes.iter_mut().for_each(Process::check);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn nodes_that_attest_nonsense_are_shown_and_stop_nobody_however_many_they_are() {
+    let (fleet, mut nodes) = found();
+    let owner = at(&fleet, 0, &fleet.owner()).await;
+    register_robots(&owner, "open").await;
+    let zero = Hash::ZERO;
+    for name in ["liar1", "liar2", "liar3", "liar4", "liar5"] {
+        let liar = puppet(&fleet, name).await;
+        join(&liar, &free_address()).await.unwrap();
+        let height = liar.status().await.unwrap().height;
+        let nonsense = json!({"height": height, "hash": zero.to_string(), "digest": zero.to_string()}).to_string();
+        liar.invoke("msp", "attest", vec![nonsense.into()]).await.unwrap();
+    }
+    for node in 0..4 {
+        let observer = at(&fleet, node, &fleet.owner()).await;
+        until("every node shows who differs", || async {
+            let differs = observer.status().await.ok()?.divergence;
+            differs.contains("Org2/liar1 has another block at height").then_some(())
+        })
+        .await;
+    }
+    // They have asked each other by now, at least once more, and go on.
+    let boss = at(&fleet, 0, &fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"])).await;
+    tokio::time::sleep(Duration::from_secs(3)).await;
+    boss.invoke("abac", "set", message(0, 1, b"forwards")).await.unwrap();
+    nodes.iter_mut().for_each(Process::check);
+    // Who has left is shown no more.
+    for name in ["liar1", "liar2", "liar3", "liar4", "liar5"] {
+        let leave = json!({"organisation": "Org2", "name": name, "role": "removed"}).to_string();
+        owner.invoke("msp", "set_node_role", vec![leave.into()]).await.unwrap();
+    }
+    for node in 0..4 {
+        let observer = at(&fleet, node, &fleet.owner()).await;
+        until("nobody differs", || async { observer.status().await.ok()?.divergence.is_empty().then_some(()) }).await;
+    }
     nodes.iter_mut().for_each(Process::check);
 }

@@ -26,6 +26,7 @@ mod crowd;
 mod disk_full;
 mod footprint;
 mod greedy;
+mod histories;
 mod hostile;
 mod instances;
 mod join;

@@ -204,6 +204,8 @@ codes! {
     Diverged = 5006 "DIVERGED" Failure;
     /// The network executes blocks by rules that this release does not speak.
     UnknownRules = 5007 "UNKNOWN_RULES" Failure;
+    /// The network has another history than this node.
+    Forked = 5008 "FORKED" Failure;
 
     /// A topic or type name is not a ROS 2 name.
     BadName = 6001 "BAD_NAME" Invalid;

@@ -8,6 +8,7 @@
 //! | `replica` | [`Replica`]: the engine and its duties; events in, effects out |
 //! | [`conductor`] | when a node has an engine: starting, ending, catching up |
 //! | [`catch_up`] | what a node fetches from others, from whom, and whom it believes |
+//! | [`company`] | what the others say while the node runs, and what it stops for |
 //! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
 //! | [`trust`] | whether a snapshot is believed |
 //! | [`witness`] | what a node attests, and when |
@@ -50,6 +51,7 @@
 
 pub mod catch_up;
 mod clock;
+pub mod company;
 pub mod conductor;
 mod executor;
 pub mod gateway;

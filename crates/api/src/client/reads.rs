@@ -21,6 +21,10 @@ pub struct Answer {
     pub response: Bytes,
     /// Height of the state that answered.
     pub height: u64,
+    /// Block time of that height, microseconds since the UNIX epoch.
+    pub time: u64,
+    /// For so long the node has reached no leader, microseconds; 0 if it reaches one.
+    pub stale_for: u64,
 }
 
 impl Client {
@@ -68,7 +72,8 @@ impl Client {
             async move { up.gateway().query(request).await }
         };
         let answer = self.ask(ask, |answer| accepted(answer.verdict.as_ref())).await?;
-        Ok(Answer { response: answer.response, height: answer.height })
+        let v1::QueryResponse { response, height, time, stale_for, .. } = answer;
+        Ok(Answer { response, height, time, stale_for })
     }
 
     /// How the node is that the client is connected to.

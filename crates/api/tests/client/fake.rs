@@ -341,7 +341,7 @@ impl Gateway for Shared {
         let request = request.into_inner();
         let response = Bytes::from(request.min_height.to_string());
         let verdict = Some(v1::Verdict::default());
-        Ok(Response::new(v1::QueryResponse { verdict, response, height: request.min_height }))
+        Ok(Response::new(v1::QueryResponse { verdict, response, height: request.min_height, ..Default::default() }))
     }
 
     type SubscribeStream = Deliveries;

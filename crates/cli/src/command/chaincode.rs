@@ -6,6 +6,7 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
 use crate::session::Session;
+use crate::time::moment;
 use ::bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
@@ -75,8 +76,18 @@ struct Invoked {
 struct Queried {
     /// Height of the state that answered.
     height: u64,
+    /// Its block time, microseconds since the UNIX epoch.
+    time: u64,
+    /// For so long the node has reached no leader, microseconds.
+    #[serde(skip_serializing_if = "is_zero")]
+    stale_for: u64,
     #[serde(flatten)]
     answer: Answer,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde gives a reference")]
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 fn write_answer(answer: &Answer, out: &mut dyn Write) -> io::Result<()> {
@@ -120,7 +131,16 @@ impl Query {
             true => client.query_at(0, &chaincode, &function, args).await?,
             false => client.query(&chaincode, &function, args).await?,
         };
-        output.show(&Queried { height: answer.height, answer: Answer::read(&answer.response) })
+        let ledger_api::Answer { response, height, time, stale_for } = answer;
+        output.show(&Queried { height, time, stale_for, answer: Answer::read(&response) })?;
+        if stale_for > 0 {
+            output.note(&format!(
+                "as of block {height}, {}: the node has reached no leader for {} s, and others may know more",
+                moment(time),
+                stale_for / 1_000_000
+            ));
+        }
+        Ok(())
     }
 }
 
@@ -142,7 +162,7 @@ mod tests {
     #[test]
     fn an_empty_response_prints_nothing() {
         let mut out = Vec::new();
-        Queried { height: 0, answer: Answer::read(b"") }.text(&mut out).unwrap();
+        Queried { height: 0, time: 0, stale_for: 0, answer: Answer::read(b"") }.text(&mut out).unwrap();
         assert!(out.is_empty());
     }
 }

@@ -50,7 +50,7 @@ fn what_two_organisations_attest_is_remembered_until_they_attest_something_newer
     for (rules, remembered) in [(Rules::FIRST, None), (Rules::NEWEST, Some((2, Hash([2; 32]))))] {
         let mut network = Network::founded_with(rules, 2, 2);
         for _ in 0..9 {
-            network.admin(1, "proposals", &[]).unwrap();
+            network.block(&[]);
         }
         let mut snapshot = |node: usize, height: u8| {
             network.node(node, "attest", &[&attest(height.into(), 1, Some(height))]).unwrap();

@@ -4,7 +4,6 @@
 //! difference is found by halving. The key is found by comparing what the block wrote, if that is recent enough to be
 //! known to both.
 
-use super::judge::{Judge, halve};
 use crate::peers::{Dialer, Directory, Member};
 use bytes::Bytes;
 use ledger::Ledger;
@@ -19,8 +18,12 @@ use tonic::transport::Channel;
 const SEARCH_TIME_MAX: Duration = Duration::from_secs(5);
 
 /// Describes the first difference between this node and one that contradicts it, as well as it can be found.
-pub(super) async fn find(ledger: &Ledger, directory: &Directory, dialer: &Dialer, judge: &Judge) -> String {
-    let Some((name, height)) = judge.first() else { return String::new() };
+pub(super) async fn find(
+    ledger: &Ledger,
+    directory: &Directory,
+    dialer: &Dialer,
+    (name, height): (&str, u64),
+) -> String {
     let members = directory.members();
     let Some(member) = members.iter().find(|member| member.full_name() == name) else {
         return format!("the digest of {name} at height {height}");
@@ -69,4 +72,27 @@ async fn first_key(ledger: &Ledger, peer: &mut PeerClient<Channel>, height: u64)
     let own: BTreeMap<_, Bytes> = own.into_iter().map(|write| (write.key.clone(), hash(&write))).collect();
     let keys = theirs.keys().chain(own.keys()).filter(|key| theirs.get(*key) != own.get(*key));
     Ok(keys.min().map(|key| key.escape_ascii().to_string()))
+}
+
+/// The next height to compare when the digests agree at `agreed` and differ at `differing`; none when that is the first
+/// difference.
+fn halve(agreed: u64, differing: u64) -> Option<u64> {
+    (differing > agreed + 1).then(|| agreed + (differing - agreed) / 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn halving_finds_the_first_difference() {
+        let first = 777;
+        let (mut agreed, mut differing, mut questions) = (0, 10_000, 0);
+        while let Some(height) = halve(agreed, differing) {
+            questions += 1;
+            if height >= first { differing = height } else { agreed = height }
+        }
+        assert_eq!(differing, first);
+        assert!(questions <= 14, "{questions}");
+    }
 }

@@ -1,0 +1,72 @@
+//! The heights that voters have confirmed, in a file: a voter whose disk was set back is noticed also after a restart.
+
+use ledger_durable::{PUBLIC_MODE, read, replace};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Name of the file in the data directory: JSON, the number of each voter with a height.
+pub(crate) const CONFIRMED_FILE: &str = "confirmed.json";
+/// Largest such file, in bytes.
+const CONFIRMED_BYTES_MAX: usize = 64 * 1024;
+/// Time between two writes.
+const WRITE_EVERY: Duration = Duration::from_secs(10);
+
+/// The file.
+pub(super) struct Confirmed {
+    path: PathBuf,
+    written: Mutex<(Option<Instant>, BTreeMap<u64, u64>)>,
+}
+
+impl Confirmed {
+    /// In this data directory.
+    pub(super) fn of(data: PathBuf) -> Self {
+        Self { path: data.join(CONFIRMED_FILE), written: Mutex::default() }
+    }
+
+    /// Its content; nothing if it is missing or cannot be read, as it only adds to what other nodes know.
+    pub(super) fn read(&self) -> BTreeMap<u64, u64> {
+        if !self.path.exists() {
+            return BTreeMap::new();
+        }
+        let read = read(&self.path, CONFIRMED_BYTES_MAX).map_err(|fault| fault.to_string());
+        let parsed = read.and_then(|bytes| serde_json::from_slice(&bytes).map_err(|error| error.to_string()));
+        parsed.unwrap_or_else(|reason| {
+            tracing::warn!(file = %self.path.display(), reason, "the heights that voters had confirmed cannot be read, and are forgotten");
+            BTreeMap::new()
+        })
+    }
+
+    /// Writes it, if that is worth a write.
+    pub(super) fn write(&self, confirmed: &BTreeMap<u64, u64>) {
+        let mut written = self.written.lock().unwrap_or_else(PoisonError::into_inner);
+        let (at, before) = &*written;
+        if before == confirmed || at.is_some_and(|at| at.elapsed() < WRITE_EVERY) {
+            return;
+        }
+        let wrote = serde_json::to_vec(confirmed).map_err(|error| error.to_string());
+        let wrote = wrote.and_then(|bytes| replace(&self.path, &bytes, PUBLIC_MODE).map_err(|fault| fault.to_string()));
+        match wrote {
+            Ok(()) => *written = (Some(Instant::now()), confirmed.clone()),
+            Err(reason) => tracing::debug!(reason, "cannot keep what voters have confirmed; tried again in a moment"),
+        }
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_voters_confirmed_is_there_after_a_restart_and_a_damaged_file_is_not_believed() {
+        let place = tempfile::tempdir().unwrap();
+        let confirmed = BTreeMap::from([(1, 200), (3, 150)]);
+        assert_eq!(Confirmed::of(place.path().to_owned()).read(), BTreeMap::new());
+        Confirmed::of(place.path().to_owned()).write(&confirmed);
+        assert_eq!(Confirmed::of(place.path().to_owned()).read(), confirmed);
+        std::fs::write(place.path().join(CONFIRMED_FILE), "{\"1\":").unwrap();
+        assert_eq!(Confirmed::of(place.path().to_owned()).read(), BTreeMap::new());
+    }
+}
