@@ -144,7 +144,8 @@ impl Gateway for Fake {
             "revocations" => json!({ "items": [] }),
             _ => json!([]),
         };
-        std::future::ready(Ok(Answer { response: Bytes::from(value.to_string()), height })).boxed()
+        std::future::ready(Ok(Answer { response: Bytes::from(value.to_string()), height, time: 0, stale_for: 0 }))
+            .boxed()
     }
 
     fn node(&self) -> String {
