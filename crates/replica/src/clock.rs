@@ -1,41 +1,75 @@
 //! The clock of a ledger, from which a leader makes block time.
 
-use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// How far a block's time may be ahead of the clock of a voter that acknowledges it, microseconds.
+pub const AHEAD_MAX: u64 = 2_000_000;
+/// Where block time is ahead of the machine's clock, this clock loses one part of so many: so it comes back.
+const SLOWER: u64 = 16;
 
 /// A clock that never goes back, not even behind the block time that the network has seen.
 ///
 /// Block time does not go back, so a leader whose machine's clock was set back would let it stand still. No lease would
 /// end, and every new transaction would come too late, until the machine's clock has caught up. The same holds for a
 /// new leader whose machine is behind the old one's. This clock goes on from where block time was, by the machine's
-/// monotonic time, and follows the machine's clock again once that is ahead. Clones share what they have observed.
+/// monotonic time, and follows the machine's clock again once that is ahead. Meanwhile it runs a sixteenth slower, so that
+/// every network comes back to the time of its machines. Clones share what they have observed.
 ///
 /// The machine's clocks are told with each call: `wall` may be wrong and jump, `elapsed` grows steadily. All times are in
 /// microseconds.
 #[derive(Clone, Debug)]
 pub struct Clock {
-    /// Block time when `elapsed` was 0, or what newer block time makes of it. Never the machine's clock: one that was wrong
-    /// at the start and is set right later must not stay wrong here.
-    base: Arc<AtomicU64>,
+    anchor: Arc<Mutex<Anchor>>,
+}
+
+/// A block time, and when this node saw it. Never the machine's clock: one that was wrong at the start and is set right later
+/// must not stay wrong here.
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    block_time: u64,
+    elapsed: u64,
+}
+
+impl Anchor {
+    /// Block time as it goes on by itself.
+    fn at(self, elapsed: u64) -> u64 {
+        self.block_time.saturating_add(going_on(elapsed.saturating_sub(self.elapsed)))
+    }
+}
+
+/// The progress of a clock that is ahead, in a time.
+pub(crate) fn going_on(elapsed: u64) -> u64 {
+    elapsed - elapsed / SLOWER
 }
 
 impl Clock {
     /// The clock of a ledger with this newest block time, since the UNIX epoch. It never shows less.
     pub fn of(block_time: u64, elapsed: u64) -> Self {
-        let clock = Self { base: Arc::default() };
-        clock.observe(block_time, elapsed);
-        clock
+        Self { anchor: Arc::new(Mutex::new(Anchor { block_time, elapsed })) }
     }
 
     /// The time since the UNIX epoch, on a machine whose clocks show this.
     pub fn at(&self, wall: u64, elapsed: u64) -> u64 {
-        wall.max(self.base.load(Ordering::Relaxed).saturating_add(elapsed))
+        wall.max(self.anchor().at(elapsed))
     }
 
-    /// Takes note of the newest block's time, which the clock is not behind from now on. Where the machine's clock is
-    /// behind, the nodes go on from the same block and so agree, but for the time that it took to reach them.
+    /// The latest block time that a voter with this clock acknowledges: [`AHEAD_MAX`] ahead of its machine, or block time
+    /// as it goes on where that is further.
+    pub fn accepts_until(&self, wall: u64, elapsed: u64) -> u64 {
+        wall.saturating_add(AHEAD_MAX).max(self.anchor().at(elapsed))
+    }
+
+    /// Takes note of a block's time, which the clock is not behind from now on. Where the machine's clock is behind, the
+    /// nodes go on from the same block and so agree, but for the time that it took to reach them.
     pub fn observe(&self, block_time: u64, elapsed: u64) {
-        self.base.store(block_time.saturating_sub(elapsed), Ordering::Relaxed);
+        let mut anchor = self.anchor.lock().unwrap_or_else(PoisonError::into_inner);
+        if block_time > anchor.at(elapsed) {
+            *anchor = Anchor { block_time, elapsed };
+        }
+    }
+
+    fn anchor(&self) -> Anchor {
+        *self.anchor.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -44,11 +78,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn it_goes_on_when_the_machines_clock_is_set_back_and_follows_it_ahead() {
+    fn it_goes_on_a_little_slower_when_the_machines_clock_is_set_back_and_follows_it_ahead() {
         let clock = Clock::of(1_000, 0);
-        assert_eq!(clock.at(1_500, 500), 1_500);
-        assert_eq!(clock.at(200, 600), 1_600, "set back: it goes on");
-        assert_eq!(clock.at(9_000, 700), 9_000, "set ahead: it follows");
+        assert_eq!(clock.at(1_500, 480), 1_500);
+        assert_eq!(clock.at(200, 1_600), 2_500, "set back: it goes on");
+        assert_eq!(clock.at(9_000, 1_700), 9_000, "set ahead: it follows");
     }
 
     #[test]
@@ -61,9 +95,35 @@ mod tests {
     fn it_is_never_behind_a_block_that_was_seen() {
         let clock = Clock::of(1_000, 0);
         clock.observe(50_000, 100);
-        assert_eq!((clock.at(200, 100), clock.at(200, 150)), (50_000, 50_050));
-        clock.clone().observe(50_020, 200);
-        assert_eq!(clock.at(200, 250), 50_070, "the newest block counts: whoever made it was less ahead");
+        assert_eq!((clock.at(200, 100), clock.at(200, 260)), (50_000, 50_150));
+        clock.clone().observe(49_000, 260);
+        assert_eq!(clock.at(200, 260), 50_150, "an older block turns nothing back");
+    }
+
+    #[test]
+    fn blocks_that_are_executed_later_than_they_were_made_do_not_slow_it_down() {
+        let clock = Clock::of(10_000_000, 0);
+        // A leader makes each block by this clock; it is executed 2 ms later.
+        for made in (0..10_000_000).step_by(4_000) {
+            let block_time = clock.at(0, made);
+            clock.observe(block_time, made + 2_000);
+        }
+        assert_eq!(clock.at(0, 16_000_000), 10_000_000 + 15_000_000);
+    }
+
+    #[test]
+    fn it_comes_back_to_the_machines_clock() {
+        let clock = Clock::of(AHEAD_MAX, 0);
+        let wall = |elapsed| elapsed;
+        assert_eq!(clock.at(wall(16_000_000), 16_000_000), 17_000_000);
+        assert_eq!(clock.at(wall(32_000_000), 32_000_000), 32_000_000);
+    }
+
+    #[test]
+    fn a_voter_accepts_two_seconds_ahead_of_its_machine_and_block_time_as_it_goes_on() {
+        let clock = Clock::of(1_000_000, 0);
+        assert_eq!(clock.accepts_until(5_000_000, 160), 5_000_000 + AHEAD_MAX);
+        assert_eq!(Clock::of(50_000_000, 0).accepts_until(5_000_000, 160), 50_000_150);
     }
 
     #[test]

@@ -10,7 +10,7 @@
 //! | hand-over, answer to a read, *behind* | the leader of this term | no |
 //! | vote, pre-vote | voters | at most [`TERM_AHEAD_MAX`] ahead |
 //! | answers to them | voters, by a candidate | at most [`TERM_AHEAD_MAX`] ahead |
-//! | answers to append and heartbeat | members | of a voter, by a leader, see below |
+//! | answers to append and heartbeat | members | by a leader, see below |
 //! | *returned* transactions | the leader now, and the one before it | |
 //! | reads, *forwarded* transactions | members | no term |
 //!
@@ -19,14 +19,17 @@
 //! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). A learner, whose copy nobody counts, follows
 //! such a leader at once if it has no other.
 //!
-//! **Ends of terms.** A voter that is stuck in a later term ends the leader's term by saying so (Raft §5.1). A transfer of
-//! leadership makes a voter stand for election in spite of the leader's lease (thesis §3.10). Both are needed, and both
-//! could be done without end. So each voter may do so once in [`REST_TIMEOUTS`] election timeouts.
+//! **Ends of terms.** A member that is stuck in a later term cannot follow the leader (Raft §5.1); one that was a voter
+//! before may be such a one. The leader then stands for election again at once, in a term after that, and is elected by
+//! those that follow it: a pause of one write. A transfer of leadership makes a voter stand for election in spite of the
+//! leader's lease (thesis §3.10). Both are needed, and both could be done without end. So each voter, and all learners together,
+//! may do so once in [`REST_TIMEOUTS`] election timeouts.
 
 use super::Engine;
 use crate::interface::Output;
 use crate::message::{RaftKind, RaftMessage};
 use ledger_mutation::{Mutation, active};
+use raft::eraftpb::{Message, MessageType};
 use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};
 
 /// How far the term of a vote may be ahead. Terms grow by one with an election that a majority did not refuse
@@ -34,6 +37,8 @@ use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};
 const TERM_AHEAD_MAX: u64 = 1 << 24;
 /// A voter may end a leader's term before its time once in so many election timeouts: ten seconds by default.
 pub(super) const REST_TIMEOUTS: u64 = 50;
+/// Stands for all learners together: no node has this number.
+const LEARNERS: u64 = INVALID_ID;
 /// A node that hears unknown leaders, and no other, asks its peers for blocks after so many election timeouts.
 const LOOK_TIMEOUTS: usize = 10;
 /// Entries that are searched for changes of members.
@@ -77,14 +82,13 @@ impl Engine {
                 if !is_later {
                     return Ok(());
                 }
-                self.may_vote(from)?;
-                match role == StateRole::Leader
-                    && message.term <= term.saturating_add(TERM_AHEAD_MAX)
-                    && self.may_end_term(from)
-                {
-                    true => Ok(()),
-                    false => Err("a later term ends no leader's term again so soon"),
+                let stuck = role == StateRole::Leader
+                    && self.membership.contains(from)
+                    && message.term <= term.saturating_add(TERM_AHEAD_MAX);
+                if stuck && self.may_end_term(from) {
+                    self.lead_again_after(message.term);
                 }
+                Err("it is in a later term, to which no vote has led")
             }
             RaftKind::ReadIndex => Ok(()),
             RaftKind::Unspecified => Err("it is of an unknown kind"),
@@ -138,18 +142,31 @@ impl Engine {
         })
     }
 
-    /// A voter ends a leader's term before its time: not again for a while. The leader's own hand-over is free.
+    /// This leader stands for election again, in a term after this one: a member is stuck there.
+    fn lead_again_after(&mut self, term: u64) {
+        self.raw.raft.become_follower(term, INVALID_ID);
+        let mut stand = Message::default();
+        stand.set_msg_type(MessageType::MsgTimeoutNow);
+        (stand.from, stand.to, stand.term) = (self.config.id, self.config.id, term);
+        if let Err(error) = self.raw.step(stand) {
+            tracing::debug!(%error, "cannot stand for election again");
+        }
+    }
+
+    /// A member ends a leader's term before its time: not again for a while. The leader's own hand-over is free, and so is
+    /// its standing for election again.
     fn may_end_term(&mut self, from: u64) -> bool {
-        if self.raw.raft.lead_transferee == Some(from) {
+        if self.raw.raft.lead_transferee == Some(from) || self.raw.raft.leader_id == from {
             return true;
         }
+        let from = if self.membership.is_voter(from) { from } else { LEARNERS };
         let rest = REST_TIMEOUTS * self.config.election_tick as u64;
         let rests = self.ended_terms.get(&from).is_some_and(|at| self.ticks - at < rest);
         if rests {
             return false;
         }
         let membership = &self.membership;
-        self.ended_terms.retain(|node, _| membership.contains(*node));
+        self.ended_terms.retain(|node, _| *node == LEARNERS || membership.contains(*node));
         self.ended_terms.insert(from, self.ticks);
         true
     }

@@ -30,8 +30,6 @@ fn a_learner_neither_leads_nor_votes_nor_ends_a_term() {
         RaftKind::PreVote,
         RaftKind::VoteResponse,
         RaftKind::PreVoteResponse,
-        RaftKind::AppendResponse,
-        RaftKind::HeartbeatResponse,
         RaftKind::ReadIndexResponse,
     ] {
         for (mut node, role) in [(follower(), "follower"), (leader(1), "leader")] {
@@ -122,17 +120,40 @@ fn a_leader_shows_each_follower_its_newest_receipt_of_this_term() {
 }
 
 #[test]
-fn a_voter_ends_a_leaders_term_before_its_time_once_and_then_not_for_a_while() {
-    let stuck = |term: u64| message(3, RaftKind::AppendResponse, move |message| message.term = term);
+fn a_leader_stands_for_election_again_for_a_member_in_a_later_term_but_not_again_for_a_while() {
+    let stuck = |from: u64, term: u64| message(from, RaftKind::AppendResponse, move |message| message.term = term);
+    let elects = |node: &mut Engine| {
+        let term = node.raw.raft.term;
+        step(node, message(2, RaftKind::VoteResponse, move |message| message.term = term));
+        assert!(node.is_leader());
+        term
+    };
     let mut node = leader(1);
-    step(&mut node, stuck(2));
-    assert!(!node.is_leader(), "a voter that is stuck in a later term is helped");
-    let mut again = leader(1);
-    again.ended_terms.insert(3, again.ticks);
-    assert!(is_ignored(&step(&mut again, stuck(2))) && again.is_leader());
-    again.ticks += REST;
-    step(&mut again, stuck(2));
-    assert!(!again.is_leader());
+    node.membership = Membership::new([1, 2, 3], [8, 9]);
+    for (from, others) in [(3, [3, 3]), (9, [8, 9])] {
+        let before = node.raw.raft.term;
+        let out = step(&mut node, stuck(from, before + 4));
+        let asks = |output: &Output| match output {
+            Output::Send { to: 2, message: PeerMessage::Raft(message) } => {
+                message.kind == i32::from(RaftKind::Vote) && message.context[..] == *raft::CAMPAIGN_TRANSFER
+            }
+            _ => false,
+        };
+        assert!(out.iter().any(asks), "in spite of its own lease: {out:?}");
+        assert_eq!(elects(&mut node), before + 5);
+        for other in others {
+            let term = node.raw.raft.term;
+            step(&mut node, stuck(other, term + 1));
+            assert!(node.is_leader() && node.raw.raft.term == term, "not so soon");
+        }
+    }
+    node.ticks += REST;
+    let term = node.raw.raft.term;
+    step(&mut node, stuck(8, term + 1));
+    assert_eq!(elects(&mut node), term + 2);
+    let last = node.raw.raft.term;
+    step(&mut node, stuck(7, last + 1));
+    assert!(node.is_leader(), "one that is no member");
 }
 
 const REST: u64 = super::super::standing::REST_TIMEOUTS * 20;
