@@ -226,7 +226,7 @@ impl<W: Waiter> Replica<W> {
             submit_again: false,
             wrote_last: false,
             left_full_disk: None,
-            clocks: Clocks::default(),
+            clocks: Clocks::new(settings.timing.election_time()),
         })
     }
 

@@ -2,9 +2,10 @@
 //!
 //! Answers to a leader or a candidate carry the latest block time that their sender acknowledges now
 //! ([`crate::Clock::accepts_until`]). A leader gives a block no later time than a majority of the voters takes, so a wrong clock of
-//! its own does no harm. A voter acknowledges no block beyond its own limit, and takes nothing more from that leader in
-//! that term, unless others have committed the block. So a leader that lies about the time commits nothing, and voters that
-//! hear nothing of a leader elect another one.
+//! its own does no harm. A voter acknowledges no block beyond its own limit, unless others have committed it, and takes
+//! nothing from that leader for as long as an election takes. So a leader that lies about the time commits nothing, and
+//! voters that hear nothing of a leader elect another one. A voter whose own clock is the wrong one follows the others with
+//! such pauses.
 
 use super::Now;
 use crate::clock::going_on;
@@ -16,15 +17,30 @@ use ledger_storage::entry::EntryKind;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The knowledge of a node about the clocks of the others.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Clocks {
     /// The latest block time that a node acknowledges, and when it said so by this node's steady clock.
     heard: BTreeMap<u64, (u64, u64)>,
-    /// A block of a leader that was refused: term and height.
-    refused: Option<(u64, u64)>,
+    /// A block of a leader that was refused.
+    refused: Option<Refused>,
+    /// How long nothing is taken from such a leader, microseconds.
+    pause: u64,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Refused {
+    term: u64,
+    height: u64,
+    /// By the steady clock.
+    until: u64,
 }
 
 impl Clocks {
+    /// `election_time`: a voter that hears nothing of a leader for so long stands for election, microseconds.
+    pub(super) fn new(election_time: u64) -> Self {
+        Self { pause: election_time.saturating_mul(2), ..Self::default() }
+    }
+
     /// Puts this node's limit into an answer.
     pub(super) fn attach(now: Now, message: &mut PeerMessage) {
         if let PeerMessage::Raft(message) = message
@@ -67,18 +83,17 @@ impl Clocks {
         if !matches!(message.kind(), RaftKind::Append | RaftKind::Heartbeat) {
             return false;
         }
-        if let Some((refused_in, height)) = self.refused
-            && (term > refused_in || (term == refused_in && commit >= height))
-        {
-            self.refused = None;
-        }
+        self.refused = self.refused.filter(|refused| {
+            now.elapsed < refused.until && (term < refused.term || (term == refused.term && commit < refused.height))
+        });
         let blocks = message.entries.iter().filter(|entry| entry.index > commit);
         let mut blocks = blocks.filter(|entry| entry.kind == u32::from(EntryKind::Normal.code()));
         let time = |data: &Bytes| Payload::from_bytes(data.clone()).map_or(0, |payload| payload.time);
         if let Some(ahead) = blocks.find(|entry| time(&entry.data) > now.accepts_until) {
-            self.refused = Some((term, ahead.index));
+            let until = self.refused.map_or(now.elapsed + self.pause, |refused| refused.until);
+            self.refused = Some(Refused { term, height: ahead.index, until });
         }
-        self.refused.is_some_and(|(refused_in, _)| refused_in == term)
+        self.refused.is_some_and(|refused| refused.term == term)
     }
 }
 
@@ -139,19 +154,26 @@ mod tests {
     }
 
     #[test]
-    fn a_voter_refuses_a_block_that_is_too_far_ahead_and_that_leader_for_the_rest_of_its_term() {
-        let (mut clocks, now) = (Clocks::default(), now(100 * SECOND));
+    fn a_voter_refuses_a_block_that_is_too_far_ahead_and_that_leader_while_another_may_be_elected() {
+        let (mut clocks, now) = (Clocks::new(SECOND), now(100 * SECOND));
         assert!(!clocks.refuse(now, &append(1, 4, &[(5, 102 * SECOND)])), "at the bound");
         assert!(clocks.refuse(now, &append(1, 4, &[(5, 102 * SECOND + 1)])));
         let heartbeat = |term| RaftMessage { kind: RaftKind::Heartbeat.into(), ..append(term, 4, &[]) };
         assert!(clocks.refuse(now, &heartbeat(1)), "it leads nobody any more");
         assert!(!clocks.refuse(now, &answer(5)), "other messages pass");
-        assert!(!clocks.refuse(now, &heartbeat(2)), "another term");
+        assert!(!clocks.clone().refuse(now, &heartbeat(2)), "another term");
+        let later = |elapsed| Now { elapsed, ..now };
+        assert!(clocks.refuse(later(2 * SECOND - 1), &heartbeat(1)));
+        assert!(
+            !clocks.refuse(later(2 * SECOND), &heartbeat(1)),
+            "nobody else was elected: the own clock may be wrong"
+        );
+        assert!(clocks.refuse(later(2 * SECOND), &append(1, 4, &[(5, 103 * SECOND)])), "the block is refused again");
     }
 
     #[test]
     fn a_block_that_others_have_committed_is_taken_whatever_the_own_clock_shows() {
-        let (mut clocks, now) = (Clocks::default(), now(100 * SECOND));
+        let (mut clocks, now) = (Clocks::new(SECOND), now(100 * SECOND));
         assert!(clocks.refuse(now, &append(1, 4, &[(5, 200 * SECOND)])));
         assert!(!clocks.refuse(now, &append(1, 5, &[(5, 200 * SECOND)])), "the own clock is the wrong one");
         assert!(clocks.refuse(now, &append(1, 5, &[(6, 201 * SECOND)])), "the next is refused again");
