@@ -135,6 +135,8 @@ impl Blocks {
             ids: result.results.iter().map(TransactionResult::id).collect(),
             results: result.results,
             events: result.events,
+            certifiable: None,
+            governs: false,
         }))
     }
 }

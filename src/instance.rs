@@ -18,6 +18,7 @@ pub use fate::Ended;
 pub(crate) use fate::Fate;
 
 use crate::catch_up::Bootstrap;
+use crate::certificates::Certifying;
 use crate::clock::Clock;
 use crate::company::Asking;
 use crate::conductor::Conductor;
@@ -43,6 +44,7 @@ use ledger_invariant::vital_task;
 use ledger_rejection::Rejection;
 use ledger_replica::Timing;
 use ledger_replica::catch_up::Ballot;
+use ledger_replica::certifier::Event;
 use ledger_replica::gateway::Shares;
 use std::sync::Arc;
 use std::time::Instant;
@@ -65,6 +67,8 @@ pub(crate) struct Prepared {
     /// Attests, and hears of the attestations of others.
     testimony: (Testimony, mpsc::UnboundedReceiver<Seen>),
     asking: Asking,
+    /// States what was executed, and hears of executed blocks.
+    certifying: (Certifying, mpsc::UnboundedReceiver<Event>),
     joined: Option<Joined>,
     timing: Timing,
     ballot: Ballot,
@@ -86,9 +90,9 @@ pub(crate) struct Instance {
     housekeeping: Housekeeping,
     scrub: Scrub,
     conductor: JoinHandle<()>,
-    /// The tasks beside: renewing the certificate, attesting, asking the others, watching whether the node still belongs
-    /// here, telling the ledger the knowledge of its CA, and which rules it speaks.
-    beside: [JoinHandle<()>; 6],
+    /// The tasks beside: renewing the certificate, attesting, certifying, asking the others, watching whether the
+    /// node still belongs here, telling the ledger the knowledge of its CA, and which rules it speaks.
+    beside: [JoinHandle<()>; 7],
 }
 
 impl Standing {
@@ -119,7 +123,8 @@ impl Prepared {
         let clock = Clock::of(host.clocks(), stores.ledger.tip().time);
         let trust: Arc<dyn TrustSource> = Arc::new(Trust::new(&stores.ledger, clock.clone()));
         let standing = Standing::find(&papers, &stores, config)?;
-        let (wired, seen) = Wired::new((&papers, config), (&stores, &trust), (&standing, clock, host.members()))?;
+        let (wired, seen, stated) =
+            Wired::new((&papers, config), (&stores, &trust), (&standing, clock, host.members()))?;
         let housekeeping =
             wired.housekeeping(pruner(&stores, &wired.links, config)).map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
@@ -141,7 +146,10 @@ impl Prepared {
         };
         let (joined, timing, registrar) = (standing.joined, config.order.timing(), enrolment);
         let (testimony, asking) = ((wired.testimony(config), seen), wired.asking(config));
-        Ok((Self { wired, testimony, asking, joined, timing, ballot, renewer, registrar, housekeeping }, services))
+        let certifying = (wired.certifying()?, stated);
+        let prepared =
+            Self { wired, testimony, asking, certifying, joined, timing, ballot, renewer, registrar, housekeeping };
+        Ok((prepared, services))
     }
 
     /// Starts the engine, which asks the other nodes first. Its services must be served by now: others that start at the same
@@ -150,7 +158,8 @@ impl Prepared {
     /// # Errors
     /// A fault that keeps an engine from starting; a voter that has lost its blocks.
     pub(crate) async fn begin(self, stopping: watch::Receiver<bool>) -> Result<Instance, Rejection> {
-        let Self { wired, testimony: (testimony, seen), asking, joined, timing, ballot, renewer, .. } = self;
+        let Self { wired, testimony, asking, certifying, joined, timing, ballot, renewer, .. } = self;
+        let ((testimony, seen), (certifying, stated)) = (testimony, certifying);
         let (registrar, housekeeping) = (self.registrar, self.housekeeping);
         let telling = Telling { author: wired.author(), me: wired.me.id };
         let bootstrap = joined.map(|joined| Bootstrap { addresses: joined.bootstrap, ca: joined.ca });
@@ -166,6 +175,7 @@ impl Prepared {
             tokio::spawn(vital_task(renewer.keep())),
             tokio::spawn(vital_task(testimony.run(seen))),
             tokio::spawn(vital_task(asking.run())),
+            tokio::spawn(vital_task(certifying.run(stated))),
             tokio::spawn(vital_task(belonging)),
             tokio::spawn(vital_task(telling.run())),
             tokio::spawn(vital_task(registrar.keep_registered())),

@@ -45,6 +45,7 @@ mod blocks;
 mod bridge;
 pub mod ca;
 mod catch_up;
+mod certificates;
 mod clock;
 mod command;
 mod company;

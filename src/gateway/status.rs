@@ -2,6 +2,7 @@
 
 use super::{Audience, Links};
 use crate::blocks::Blocks;
+use crate::certificates::Certificates;
 use crate::clock::Clock;
 use crate::company::Company;
 use crate::config::Limits;
@@ -48,6 +49,8 @@ pub(crate) struct Chain {
     pub witness: Arc<Witness>,
     /// Compares its chain with the others'.
     pub company: Arc<Company>,
+    /// Certificates of blocks, and the proofs of lies.
+    pub certificates: Arc<Certificates>,
 }
 
 /// How much a node is used.
@@ -124,6 +127,8 @@ impl Description {
             snapshot_height: self.chain.witness.snapshot_height(),
             catching_up_to: self.links.seat.catching_up_to().unwrap_or_default(),
             divergence: self.chain.company.describe(),
+            certified: self.chain.certificates.certified(),
+            lies: self.chain.certificates.lies(&self.links.directory),
             in_flight: self.usage.shares.in_flight() as u64,
             in_flight_max: self.usage.limits.in_flight_max,
             waiting_control: ordering.as_ref().map_or(0, |ordering| ordering.control.transactions as u64),

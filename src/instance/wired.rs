@@ -4,6 +4,7 @@ use super::revocations::Revocations;
 use super::{Fate, Standing};
 use crate::blocks::Blocks;
 use crate::catch_up::{Bootstrap, CatchUp, Destination, Source};
+use crate::certificates::{Certificates, Certifying, Keys, era};
 use crate::clock::{Clock, wall};
 use crate::company::{Asking, Company};
 use crate::config::Config;
@@ -25,9 +26,10 @@ use crate::witness::{Seen, Testimony, Witness};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::tls::{TlsIdentity, TrustSource};
-use ledger_raft::{Input, Secret};
+use ledger_raft::{Input, PeerMessage, Secret};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Ballot;
+use ledger_replica::certifier::{Certifier, Event};
 use ledger_replica::gateway::Shares;
 use ledger_replica::{Executor, Observer, Retries};
 use std::io;
@@ -64,6 +66,7 @@ pub(super) struct Followers {
     directory: Arc<Directory>,
     witness: Arc<Witness>,
     company: Arc<Company>,
+    certificates: Arc<Certificates>,
     blocks: Arc<Blocks>,
     current: Current,
     executed: Arc<Executed>,
@@ -75,7 +78,7 @@ impl Followers {
         stores: &Stores,
         directory: &Arc<Directory>,
         seat: &Arc<Seat>,
-        (clock, company): (Clock, Company),
+        (clock, company, certificates): (Clock, Company, Arc<Certificates>),
     ) -> (Self, mpsc::UnboundedReceiver<Seen>) {
         let blocks = Arc::new(Blocks::new(Arc::clone(&stores.ledger), Arc::clone(&stores.store)));
         let (witness, seen) = Witness::new();
@@ -84,6 +87,7 @@ impl Followers {
             directory: Arc::clone(directory),
             witness,
             company: Arc::new(company),
+            certificates,
             current: Current::new(Arc::clone(seat), Arc::clone(&blocks), clock.clone()),
             blocks,
             executed: Arc::default(),
@@ -99,6 +103,7 @@ impl Followers {
             Arc::clone(&self.waiters) as _,
             Arc::clone(&self.directory) as _,
             Arc::clone(&self.witness) as _,
+            Arc::clone(&self.certificates) as _,
             Arc::clone(&self.blocks) as _,
             Arc::new(self.current.clone()),
             Arc::clone(&self.executed) as _,
@@ -115,12 +120,13 @@ impl Wired {
         Secret(self.identity.own().key.secret_for(&purpose))
     }
 
-    /// Makes the parts and tells them of each other. Answers also with the attestations that they will have seen.
+    /// Makes the parts and tells them of each other. Answers also with the attestations that they will have seen, and with
+    /// the blocks that the certifier will hear of.
     pub(super) fn new(
         (papers, config): (&Papers, &Config),
         (stores, trust): (&Stores, &Arc<dyn TrustSource>),
         (standing, clock, members): (&Standing, Clock, Arc<Members>),
-    ) -> Result<(Self, mpsc::UnboundedReceiver<Seen>), Rejection> {
+    ) -> Result<(Self, mpsc::UnboundedReceiver<Seen>, mpsc::UnboundedReceiver<Event>), Rejection> {
         let (me, identity, ledger) = (standing.me.clone(), papers.identity.clone(), &stores.ledger);
         let (seat, pace) = (Arc::new(Seat::empty()), Pace::of(config.profile)?);
         let dialer = Dialer {
@@ -132,7 +138,9 @@ impl Wired {
             paces: Arc::default(),
         };
         let company = Company::new(ledger, &me.organisation, config.data.clone());
-        let (followers, seen) = Followers::new(stores, &standing.directory, &seat, (clock.clone(), company));
+        let (certificates, stated) = Certificates::open(&config.data)?;
+        let (followers, seen) =
+            Followers::new(stores, &standing.directory, &seat, (clock.clone(), company, certificates));
         let (peers, space) = (Peers::new(dialer.clone()), Arc::new(Space::open(&config.data)));
         peers.follow(&standing.directory);
         let outside = Outside {
@@ -153,7 +161,8 @@ impl Wired {
         };
         let links = Links { me: me.id, seat, directory: Arc::clone(&standing.directory), peers, space };
         let shares = Arc::new(Shares::new(super::count(config.limits.in_flight_max)));
-        Ok((Self { me, identity, stores: stores.clone(), followers, links, engines, dialer, shares, members }, seen))
+        let stores = stores.clone();
+        Ok((Self { me, identity, stores, followers, links, engines, dialer, shares, members }, seen, stated))
     }
 
     /// The gateway of a node that started at this moment.
@@ -211,12 +220,13 @@ impl Wired {
     }
 
     fn description(&self, config: &Config, started: Instant, audience: Arc<Audience>) -> Description {
-        let Followers { clock, blocks, witness, company, executed, .. } = &self.followers;
+        let Followers { clock, blocks, witness, company, certificates, executed, .. } = &self.followers;
         let chain = Chain {
             ledger: Arc::clone(&self.stores.ledger),
             blocks: Arc::clone(blocks),
             witness: Arc::clone(witness),
             company: Arc::clone(company),
+            certificates: Arc::clone(certificates),
         };
         let usage = Usage {
             shares: Arc::clone(&self.shares),
@@ -264,6 +274,23 @@ impl Wired {
         }
     }
 
+    /// States what this node executed, and makes certificates of what others state.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(super) fn certifying(&self) -> Result<Certifying, Rejection> {
+        let ledger = &self.stores.ledger;
+        let keys = Keys::new(self.me.id, self.identity.clone(), Arc::clone(ledger));
+        Ok(Certifying {
+            certificates: Arc::clone(&self.followers.certificates),
+            certifier: Certifier::new(self.me.id, ledger.network(), keys, era(ledger)?),
+            store: Arc::clone(&self.stores.store),
+            peers: Arc::clone(&self.links.peers),
+            directory: Arc::clone(&self.links.directory),
+            me: self.me.id,
+        })
+    }
+
     /// Submits transactions of the node itself.
     pub(super) fn author(&self) -> Author {
         let ledger = Arc::clone(&self.stores.ledger);
@@ -294,7 +321,15 @@ impl Wired {
         let company = Arc::clone(&self.followers.company);
         let source =
             Source::new(&self.stores, Arc::clone(&self.followers.blocks), Arc::clone(&seat), Arc::clone(&company));
+        let certificates = Arc::clone(&self.followers.certificates);
         let deliver: Deliver = Box::new(move |from, message| {
+            let message = match message {
+                PeerMessage::Statement(statement) => {
+                    certificates.hear(from, statement);
+                    return true;
+                }
+                message => message,
+            };
             if votes.withholds(&message) || company.withholds(from, &message) {
                 return true;
             }

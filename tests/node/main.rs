@@ -19,6 +19,7 @@ mod support;
 
 mod ca;
 mod catch_up;
+mod certified;
 mod config;
 mod contexts;
 mod crash;

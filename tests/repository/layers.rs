@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 22] = [
+const LAYERS: [(&str, &[&str]); 23] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // "Did you mean": of names, not of a ledger.
@@ -22,6 +22,8 @@ const LAYERS: [(&str, &[&str]); 22] = [
     ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
     // For tests only.
     ("testkit", &["ledger-identity"]),
+    // Whatever a robot or an auditor checks alone: no file, no engine, no network.
+    ("ledger-light", &["ledger-hash", "ledger-identity", "ledger-rejection", "testkit"]),
     // Files: no signature, no chaincode.
     (
         "ledger-storage",
@@ -34,6 +36,7 @@ const LAYERS: [(&str, &[&str]); 22] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
+            "ledger-light",
             "ledger-mutation",
             "ledger-rejection",
             "ledger-storage",
@@ -60,6 +63,7 @@ const LAYERS: [(&str, &[&str]); 22] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
+            "ledger-light",
             "ledger-mutation",
             "ledger-raft",
             "ledger-rejection",
@@ -125,6 +129,7 @@ const LAYERS: [(&str, &[&str]); 22] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
+            "ledger-light",
             "ledger-raft",
             "ledger-rejection",
             "ledger-replica",
@@ -148,6 +153,7 @@ const LAYERS: [(&str, &[&str]); 22] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
+            "ledger-light",
             "ledger-mutation",
             "ledger-raft",
             "ledger-rejection",

@@ -97,6 +97,11 @@ impl Chaincode for AccessControl {
         NAME
     }
 
+    /// Services stand in the records of their robots. A message writes neither of them.
+    fn control_keys(&self) -> &'static [&'static str] {
+        &["grant/", "robot/"]
+    }
+
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         let decider = &self.decider;
         match function {

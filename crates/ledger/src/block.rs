@@ -5,6 +5,7 @@
 
 use bytes::Bytes;
 use ledger_hash::Hash;
+use ledger_light::merkle;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::INDEXED_TRANSACTIONS_MAX;
@@ -101,7 +102,7 @@ pub fn content(entry: &Entry) -> (Hash, Option<Payload>) {
     };
     let root = payload.as_ref().map_or_else(
         || opaque_root(&entry.data),
-        |payload| merkle_root(payload.transactions.iter().map(|transaction| leaf(transaction)).collect()),
+        |payload| merkle::root(payload.transactions.iter().map(|transaction| leaf(transaction)).collect()),
     );
     (root, payload)
 }
@@ -117,43 +118,10 @@ pub fn opaque_root(data: &[u8]) -> Hash {
     Hash::of(&[&[0x02], data])
 }
 
-/// Merkle root over the leaves (RFC 6962 §2.1): the hash of nothing for no leaves; an odd node is promoted.
-pub fn merkle_root(mut level: Vec<Hash>) -> Hash {
-    if level.is_empty() {
-        return Hash::of(&[]);
-    }
-    while level.len() > 1 {
-        level = level
-            .chunks(2)
-            .map(|pair| match pair {
-                [left, right] => Hash::of(&[&[0x01], &left.0, &right.0]),
-                [single] => *single,
-                _ => Hash::ZERO,
-            })
-            .collect();
-    }
-    level.first().copied().unwrap_or(Hash::ZERO)
-}
-
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-
-    #[test]
-    fn merkle_root_depends_on_every_leaf_and_on_their_order() {
-        let leaves: Vec<_> = (0u8..5).map(|i| leaf(&[i])).collect();
-        let root = merkle_root(leaves.clone());
-        let mut swapped = leaves.clone();
-        swapped.swap(0, 4);
-        assert_ne!(merkle_root(swapped), root);
-        for i in 0..leaves.len() {
-            let mut changed = leaves.clone();
-            *changed.get_mut(i).unwrap() = leaf(b"other");
-            assert_ne!(merkle_root(changed), root, "leaf {i}");
-        }
-        assert_eq!(merkle_root(vec![leaf(b"x")]), leaf(b"x"));
-    }
 
     #[test]
     fn an_empty_entry_is_an_empty_block() {

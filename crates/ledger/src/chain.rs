@@ -1,6 +1,7 @@
 //! The ledger of a node: the chain executed so far, and the questions that can be asked of it.
 
 mod admission;
+mod certified;
 mod readers;
 mod rules;
 mod storage;
@@ -10,6 +11,7 @@ pub use admission::{Admission, Ground, Refusal, Step};
 use crate::block::{Header, Payload, leaf};
 use crate::chaincode::{Context, Environment, Meter, Registry};
 use crate::execution::{Execution, Executor, genesis};
+use crate::facts::Certifiable;
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::members::Membership;
@@ -27,8 +29,8 @@ use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::Msps;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::Entry;
-use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
-use ledger_storage::results::{Place, ResultStore};
+use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Roots, TransactionResult};
+use ledger_storage::results::{Place, ResultStore, StoredResult};
 use ledger_storage::state::{Overlay, State, StateRead, Tip};
 use std::ops::Bound;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
@@ -50,6 +52,8 @@ pub struct Ledger {
     schedule: RwLock<Schedule>,
     /// Blocks between two snapshots.
     snapshot_every: u64,
+    /// Those of the newest block; none if its rules have none.
+    roots: Mutex<Option<Roots>>,
     identities: Identities,
     verified: Verified,
     /// Ids of executed transactions that block time has not passed.
@@ -78,6 +82,11 @@ pub struct Outcome {
     pub results: Vec<TransactionResult>,
     /// In the order in which they were emitted.
     pub events: Vec<EmittedEvent>,
+    /// The hashes that its voters sign; none before rules 3, and for a block that was executed long ago.
+    pub certifiable: Option<Certifiable>,
+    /// Does it change whom others trust: an organisation, a node, a member, a revocation, rules? Not known of a block that was
+    /// executed long ago.
+    pub governs: bool,
 }
 
 /// The link of a block to those before it, and to their effects.
@@ -89,6 +98,8 @@ pub struct BlockHashes {
     pub hash: Hash,
     /// State digest after the block.
     pub digest: Hash,
+    /// Control chain and results root; none before rules 3.
+    pub roots: Option<Roots>,
 }
 
 /// Where a transaction is and what became of it.
@@ -119,7 +130,7 @@ impl Ledger {
     ) -> Result<Self, Rejection> {
         let (founding, network) = Genesis::from_bytes(genesis_bytes)?;
         registry.install(Arc::new(MspChaincode))?;
-        let (first, writes, genesis) = genesis(&founding, network)?;
+        let (first, writes, genesis) = genesis(&founding, network, &registry)?;
         if state.tip().is_none() {
             state.commit(writes, first.clone(), false);
         }
@@ -136,7 +147,12 @@ impl Ledger {
         })?;
         window.forget_before(tip.time);
         let schedule = Schedule::new(founding.rules, msp::activations(&*state)?);
+        let roots = match tip.height {
+            0 => genesis.roots(),
+            height => results.get(height)?.and_then(|stored| stored.roots()),
+        };
         let ledger = Self {
+            roots: Mutex::new(roots),
             network,
             registry,
             identities: Identities::read(&*state)?,
@@ -152,6 +168,7 @@ impl Ledger {
             flushing: Mutex::default(),
         };
         ledger.rules_of(tip.height + 1)?;
+        ledger.check_roots(&tip, roots)?;
         Ok(ledger)
     }
 
@@ -203,6 +220,7 @@ impl Ledger {
         let executor = Executor {
             network: self.network,
             rules: self.rules_of(entry.index)?,
+            roots: *self.roots.lock().unwrap_or_else(PoisonError::into_inner),
             registry: &self.registry,
             identities: &self.identities,
             state: Arc::clone(&self.state) as Arc<dyn StateRead>,
@@ -211,7 +229,7 @@ impl Ledger {
         };
         let execution = executor.execute(&previous, entry)?;
         execution.check(&previous);
-        let Execution { tip, header, result, foretold, transactions, ids, writes } = execution;
+        let Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs } = execution;
         let changed_organisations = writes
             .range::<[u8], _>((Bound::Included(ORGANISATION_KEYS), Bound::Unbounded))
             .next()
@@ -227,6 +245,7 @@ impl Ledger {
         }
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).push(tip.height, &writes);
         let cut = self.is_snapshot_due(&tip);
+        *self.roots.lock().unwrap_or_else(PoisonError::into_inner) = certifiable.as_ref().map(|it| it.roots);
         self.state.commit(writes, tip, cut);
         if changed_organisations {
             self.identities.reload(&*self.state)?;
@@ -234,7 +253,8 @@ impl Ledger {
         if changed_rules {
             self.reload_rules()?;
         }
-        Ok(Outcome { header, hash, digest, kind, transactions, ids, results: result.results, events: result.events })
+        let (results, events) = (result.results, result.events);
+        Ok(Outcome { header, hash, digest, kind, transactions, ids, results, events, certifiable, governs })
     }
 
     /// The same for blocks that are about to be applied one after the other. It changes no verdict: applying them looks
@@ -358,10 +378,16 @@ impl Ledger {
     pub fn block_hashes(&self, height: u64) -> Result<Option<BlockHashes>, Rejection> {
         if height == 0 {
             let (hash, digest) = (self.genesis.hash(), self.genesis.digest());
-            return Ok(Some(BlockHashes { time: self.genesis.time, hash, digest }));
+            return Ok(Some(BlockHashes { time: self.genesis.time, hash, digest, roots: self.genesis.roots() }));
         }
         let stored = self.results.get(height)?;
-        Ok(stored.map(|stored| BlockHashes { time: stored.time(), hash: stored.hash(), digest: stored.digest() }))
+        let hashes = |stored: StoredResult| BlockHashes {
+            time: stored.time(),
+            hash: stored.hash(),
+            digest: stored.digest(),
+            roots: stored.roots(),
+        };
+        Ok(stored.map(hashes))
     }
 
     /// The results of executed blocks.

@@ -65,6 +65,13 @@ pub trait Chaincode: Send + Sync {
         &[]
     }
 
+    /// Beginnings of the keys (without the chaincode's name) that hold *control state*: who may do what now, which a robot or an
+    /// auditor believes only with a certificate. Each write to one of them makes its block one that voters certify, so no
+    /// key that usual traffic writes belongs here. Part of the rules: it may only change with their number.
+    fn control_keys(&self) -> &'static [&'static str] {
+        &[]
+    }
+
     /// Called at the start of every block, before its transactions, with the block's time: the place for what
     /// is due (leases, deadlines). There is no submitter.
     fn begin_block(&self, _ctx: &mut Context<'_>) {}

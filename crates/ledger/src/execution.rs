@@ -2,8 +2,9 @@
 
 mod check;
 
-use crate::block::{Header, Payload, leaf, merkle_root, opaque_root};
+use crate::block::{Header, Payload, leaf, opaque_root};
 use crate::chaincode::{Environment, Meter, Registry};
+use crate::facts::{self, Certifiable, ControlWrites};
 use crate::identities::Identities;
 use crate::msp::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::network::Genesis;
@@ -13,10 +14,11 @@ use crate::window::Window;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
+use ledger_light::merkle;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::{Entry, EntryKind};
-use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Event, TransactionResult};
+use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Event, Roots, TransactionResult};
 use ledger_storage::state::{Overlay, StateRead, Tip, WriteSet};
 use ring::digest::{Context as Sha256, SHA256};
 use std::collections::HashSet;
@@ -27,6 +29,8 @@ pub(crate) struct Executor<'a> {
     pub(crate) network: Hash,
     /// By which the block is executed.
     pub(crate) rules: Rules,
+    /// Those of the block before; none if its rules have none.
+    pub(crate) roots: Option<Roots>,
     pub(crate) registry: &'a Registry,
     pub(crate) identities: &'a Identities,
     pub(crate) state: Arc<dyn StateRead>,
@@ -48,6 +52,10 @@ pub(crate) struct Execution {
     pub(crate) ids: Vec<Hash>,
     /// To the world state.
     pub(crate) writes: WriteSet,
+    /// For voters to sign; none before rules 3.
+    pub(crate) certifiable: Option<Certifiable>,
+    /// It changes whom others trust.
+    pub(crate) governs: bool,
 }
 
 impl Executor<'_> {
@@ -59,7 +67,7 @@ impl Executor<'_> {
             EntryKind::ConfChange | EntryKind::ConfChangeV2 => (BlockKind::Membership, None),
         };
         let leaves: Option<Vec<Hash>> = payload.as_ref().map(|p| p.transactions.iter().map(|t| leaf(t)).collect());
-        let root = leaves.clone().map_or_else(|| opaque_root(&entry.data), merkle_root);
+        let root = leaves.clone().map_or_else(|| opaque_root(&entry.data), merkle::root);
         let Payload { time, transactions } = payload.unwrap_or_default();
         let time = time.max(previous.time);
         let header = Header { height: entry.index, term: entry.term, time, previous: previous.hash, root };
@@ -114,6 +122,8 @@ impl Executor<'_> {
         let writes = overlay.finish()?;
         let digest = digest(&previous.digest, &writes, &results);
         let hash = header.hash();
+        let governs = facts::govern(&writes, self.registry);
+        let certifiable = self.certifiable(previous, (&header, digest), (&results, &events), &writes)?;
         let result = BlockResult {
             term: header.term,
             time,
@@ -122,9 +132,29 @@ impl Executor<'_> {
             kind: kind.into(),
             results,
             events,
+            roots: certifiable.as_ref().map_or_else(Bytes::new, |it| it.roots.to_bytes()),
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
-        Ok(Execution { tip, header, result, foretold, transactions, ids, writes })
+        Ok(Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs })
+    }
+
+    /// The hashes over what executing gave, and whether voters sign them.
+    fn certifiable(
+        &self,
+        previous: &Tip,
+        (header, digest): (&Header, Hash),
+        outcome: (&[TransactionResult], &[EmittedEvent]),
+        writes: &WriteSet,
+    ) -> Result<Option<Certifiable>, Rejection> {
+        let Some(every) = self.rules.certifies_every() else { return Ok(None) };
+        let before = match self.roots {
+            Some(before) => before,
+            None => facts::begin(&*self.state, self.registry, previous.height)?,
+        };
+        let control = ControlWrites::of(writes, self.registry);
+        let roots = facts::roots(&before, (header.height, digest), outcome, &control)?;
+        let due = !control.is_empty() || header.time / every != previous.time / every;
+        Ok(Some(Certifiable { roots, due }))
     }
 
     fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
@@ -240,14 +270,25 @@ fn in_order(writes: &WriteSet) -> Vec<(&Bytes, &Option<Bytes>)> {
 }
 
 /// The tip, the writes and the result of the genesis block.
-pub(crate) fn genesis(genesis: &Genesis, network: Hash) -> Result<(Tip, WriteSet, BlockResult), Rejection> {
+pub(crate) fn genesis(
+    genesis: &Genesis,
+    network: Hash,
+    registry: &Registry,
+) -> Result<(Tip, WriteSet, BlockResult), Rejection> {
     let writes = found(genesis)?;
     let digest = digest(&Hash::ZERO, &writes, &[]);
+    let certified = Rules::find(genesis.rules).and_then(Rules::certifies_every).is_some();
+    let control = ControlWrites::of(&writes, registry);
+    let roots = match certified {
+        true => facts::roots(&facts::NOTHING, (0, digest), (&[], &[]), &control)?.to_bytes(),
+        false => Bytes::new(),
+    };
     let result = BlockResult {
         time: genesis.created,
         hash: Bytes::copy_from_slice(&network.0),
         digest: Bytes::copy_from_slice(&digest.0),
         kind: BlockKind::Genesis.into(),
+        roots,
         ..BlockResult::default()
     };
     Ok((Tip { height: 0, term: 0, time: genesis.created, hash: network, digest }, writes, result))

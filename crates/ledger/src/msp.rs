@@ -89,7 +89,7 @@ pub use proposals::{
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, invitation, members, nodes, organisations};
+pub use read::{attestations, invitation, members, nodes, organisations, voters};
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
@@ -250,6 +250,10 @@ impl Chaincode for MspChaincode {
     /// Functions that take rights away; for admins only.
     fn ends(&self, function: &str) -> bool {
         matches!(function, "revoke" | "set_node_role" | "remove_organisation" | "approve")
+    }
+
+    fn control_keys(&self) -> &'static [&'static str] {
+        &["members", "node/", "organisation/", "revoked/", "rules"]
     }
 
     fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {

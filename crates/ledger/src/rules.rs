@@ -9,7 +9,7 @@
 //! |---|---|
 //! | 1 | nothing; its code was given up before the first release |
 //! | 2 | transactions with fields that a transaction does not have are refused; `abac setup` refuses a robot that exists |
-//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds; what two organisations attest stays until they attest something newer |
+//! | 3 | every call has a budget, and one that only reads is a query; a proposal is a call of any function that needs approval, its quorum is data; a chaincode never refuses with a code of a node's own trouble; no admin revokes the certificate that it signs with; new names are readable, and look like no other one; addresses of nodes are names or dialled ones; the network decides how many nodes an organisation has; organisations have quotas, and policies more bounds; what two organisations attest stays until they attest something newer; voters certify what executing a block gave, its events included |
 //!
 //! ```
 //! use ledger::Rules;
@@ -86,6 +86,11 @@ impl Rules {
     /// Does the ledger remember the newest snapshot that two organisations attest, when nodes go on to newer ones?
     pub(crate) const fn keeps_shared_snapshots(self) -> bool {
         self.0 >= 3
+    }
+
+    /// Microseconds of block time in which at least the first block is certified; none before blocks are.
+    pub(crate) const fn certifies_every(self) -> Option<u64> {
+        if self.0 >= 3 { Some(200_000) } else { None }
     }
 
     /// These and all older ones that this release speaks, in words.

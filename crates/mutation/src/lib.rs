@@ -60,6 +60,12 @@ pub enum Mutation {
     OlderRulesAtTheActivation,
     /// Every member may send every message of the ordering protocol.
     BelieveAnybody,
+    /// The signature of a node that does not vote counts for a certificate.
+    CountALearner,
+    /// The signature of a voter counts twice for a certificate.
+    CountAVoterTwice,
+    /// A voter's statement about other results of a block counts for its certificate.
+    CountOtherResults,
 }
 
 /// Is this bug turned on?

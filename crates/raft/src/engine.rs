@@ -313,6 +313,8 @@ impl Engine {
             PeerMessage::Returned(_) => {
                 out.push(Output::Ignored { from, reason: "it returns transactions that it was not given" });
             }
+            // The node gives it to its certifier instead.
+            PeerMessage::Statement(_) => {}
         }
     }
 

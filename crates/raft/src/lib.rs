@@ -41,7 +41,7 @@ pub use interface::{Input, Lane, Output, Role, RoleChange};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
     CONTEXT_BYTES_MAX, ENTRIES_MAX, LogBegin, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
-    Transactions, WireEntry,
+    STATEMENT_BYTES_MAX, SignedStatement, Transactions, WireEntry,
 };
 pub use queue::{
     CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX, DATA_QUEUE_TRANSACTIONS_MAX,

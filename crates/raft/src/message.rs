@@ -1,7 +1,9 @@
 //! Messages between nodes about ordering, in our own protobuf types.
 //!
 //! ```text
-//! message PeerMessage { oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; } }
+//! message PeerMessage {
+//!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6; }
+//! }
 //! message Raft {
 //!   uint32 kind        = 1;   // RaftKind; there is no 0
 //!   uint64 term        = 2;   // 1 or more, except in read_index
@@ -18,6 +20,7 @@
 //!   uint64 accepts_until = 13; // answers: the latest block time that the sender acknowledges
 //! }
 //! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
+//! message Statement { bytes signed = 1; }                     // see ledger-light; not for the engine
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
 //! ```
 //! Sender and receiver are not in the message: they are the two ends of an authenticated connection. Messages that the
@@ -40,6 +43,8 @@ pub const ENTRIES_MAX: usize = 1024;
 pub const CONTEXT_BYTES_MAX: usize = 64;
 /// Length of a receipt.
 pub(crate) const RECEIPT_BYTES: usize = 32;
+/// Longest signed statement in a message: the certificate of a node (16 KiB), and what is around it.
+pub const STATEMENT_BYTES_MAX: usize = 17 * 1024;
 /// Largest term. Leaves room to count on without overflow after a hostile peer named one.
 const TERM_MAX: u64 = 1 << 62;
 /// Most fields in a message: every repeated one at its limit, and the others.
@@ -60,6 +65,9 @@ pub enum PeerMessage {
     /// From the leader: what you need next was dropped here; fetch it from whoever has it.
     #[prost(message, tag = "4")]
     Behind(LogBegin),
+    /// From a voter to all members: what executing a block gave. Not about ordering, so not for the engine.
+    #[prost(message, tag = "6")]
+    Statement(SignedStatement),
 }
 
 impl PeerMessage {
@@ -71,7 +79,7 @@ impl PeerMessage {
 
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6")]
     kind: Option<PeerMessage>,
 }
 
@@ -81,6 +89,14 @@ pub struct LogBegin {
     /// Height of its oldest block.
     #[prost(uint64, tag = "1")]
     pub first_index: u64,
+}
+
+/// A statement about a block with the signature of the sender, as `ledger-light` encodes it.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct SignedStatement {
+    /// Its bytes.
+    #[prost(bytes = "bytes", tag = "1")]
+    pub signed: Bytes,
 }
 
 /// Transactions on their way to the leader, or back.
@@ -234,6 +250,7 @@ impl PeerMessage {
                 limit(sent.control.len() + sent.data.len(), TRANSACTIONS_MAX, "transactions")
             }
             Self::Behind(_) => Ok(()),
+            Self::Statement(statement) => limit(statement.signed.len(), STATEMENT_BYTES_MAX, "bytes of a statement"),
         }
     }
 }

@@ -11,6 +11,7 @@
 //! | [`company`] | what the others say while the node runs, and what it stops for |
 //! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
 //! | [`trust`] | whether a snapshot is believed |
+//! | [`certifier`] | what a voter states about its blocks, and when enough voters have signed |
 //! | [`witness`] | what a node attests, and when |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `clock` | [`Clock`]: the time of a ledger, which never goes back |
@@ -50,6 +51,7 @@
 #![forbid(unsafe_code)]
 
 pub mod catch_up;
+pub mod certifier;
 mod clock;
 pub mod company;
 pub mod conductor;

@@ -117,6 +117,28 @@ pub enum BlockKind {
     Genesis = 2,
 }
 
+/// The hashes over what executing a block gave, as its voters sign it (since rules 3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Roots {
+    /// The control chain after the block.
+    pub control: Hash,
+    /// The results root of the block.
+    pub results: Hash,
+}
+
+impl Roots {
+    /// Both, one after the other.
+    pub fn to_bytes(&self) -> Bytes {
+        [self.control.0, self.results.0].concat().into()
+    }
+
+    /// Reads both; none of bytes that are something else.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let (control, results) = bytes.split_at_checked(size_of::<Hash>())?;
+        Some(Self { control: Hash::from_slice(control)?, results: Hash::from_slice(results)? })
+    }
+}
+
 /// The result of executing a block.
 #[derive(Clone, PartialEq, Eq, prost::Message)]
 pub struct BlockResult {
@@ -141,9 +163,17 @@ pub struct BlockResult {
     /// In the order in which they were emitted.
     #[prost(message, repeated, tag = "7")]
     pub events: Vec<EmittedEvent>,
+    /// Its [`Roots`], 64 bytes; empty before rules 3.
+    #[prost(bytes = "bytes", tag = "10")]
+    pub roots: Bytes,
 }
 
 impl BlockResult {
+    /// Control chain and results root; none before rules 3.
+    pub fn roots(&self) -> Option<Roots> {
+        Roots::from_bytes(&self.roots)
+    }
+
     /// Hash of the block's header.
     pub fn hash(&self) -> Hash {
         Hash::from_slice(&self.hash).unwrap_or(Hash::ZERO)

@@ -122,6 +122,12 @@ pub struct Coverage {
     pub in_place: u64,
     /// Attestations that nodes submitted.
     pub attestations: u64,
+    /// Certificates that nodes made.
+    pub certificates: u64,
+    /// Statements of liars.
+    pub lies: u64,
+    /// Proofs of lies.
+    pub lies_proved: u64,
     /// Engines that could not write what they had when they ended, for lack of space.
     pub full_at_end: u64,
     /// Facts checked by the oracle.
@@ -156,6 +162,9 @@ impl Coverage {
         self.linearizable += other.linearizable;
         self.in_place += other.in_place;
         self.attestations += other.attestations;
+        self.certificates += other.certificates;
+        self.lies += other.lies;
+        self.lies_proved += other.lies_proved;
         self.full_at_end += other.full_at_end;
         self.checks += other.checks;
     }
@@ -188,6 +197,8 @@ impl fmt::Display for Coverage {
         writeln!(f, "linearizable      {} reads", self.linearizable)?;
         writeln!(f, "in place          {} times", self.in_place)?;
         writeln!(f, "attestations      {}", self.attestations)?;
+        writeln!(f, "certificates      {}", self.certificates)?;
+        writeln!(f, "lies              {} told, {} proved", self.lies, self.lies_proved)?;
         writeln!(f, "full at the end   {} engines", self.full_at_end)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;

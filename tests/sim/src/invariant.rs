@@ -5,6 +5,7 @@
 
 mod acknowledged;
 mod answered_is_seen;
+mod certified;
 mod chain_agreement;
 mod committed;
 mod denied_by_default;
@@ -26,6 +27,7 @@ mod state_agreement;
 
 pub use acknowledged::AcknowledgedIsDurable;
 pub use answered_is_seen::AnsweredIsSeen;
+pub use certified::CertificatesAreTrue;
 pub use chain_agreement::ChainAgreement;
 pub use committed::CommittedIsImmutable;
 pub use denied_by_default::DeniedByDefault;
@@ -128,6 +130,8 @@ pub struct Invariants {
     pub informed_votes: VotesAreInformed,
     /// Members come and go by transactions.
     pub members: MembersFollowTheLedger,
+    /// Certificates say what was executed.
+    pub certified: CertificatesAreTrue,
 }
 
 impl Invariants {
@@ -154,6 +158,7 @@ impl Invariants {
             snapshot_trust: SnapshotsAreAttested::default(),
             informed_votes: VotesAreInformed::default(),
             members: MembersFollowTheLedger::default(),
+            certified: CertificatesAreTrue::default(),
         }
     }
 

@@ -74,6 +74,14 @@ impl Links {
         arrivals
     }
 
+    /// When a statement about a block arrives, if it does: it may be lost, and overtake others.
+    pub fn statement(&self, now: u64, link: (u64, u64), random: &mut Random) -> Option<u64> {
+        let lost = random.per_mille(self.plan.lose_per_mille);
+        let at = now + random.between(self.plan.delay_min, self.plan.delay_max);
+        let free_from = self.clogged.get(&link).copied().unwrap_or(0);
+        (!lost && !self.is_cut(link)).then(|| at.max(free_from))
+    }
+
     /// A request or an answer between a client and a node: delayed or lost, never repeated, as on a connection.
     pub fn client(&mut self, now: u64, random: &mut Random, coverage: &mut Coverage) -> Option<u64> {
         if random.per_mille(self.plan.lose_per_mille / 2) {

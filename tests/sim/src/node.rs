@@ -12,13 +12,14 @@ pub use shelf::Shelf;
 
 use crate::clock::Clock;
 use crate::coverage::Fault;
-use crate::world::Fetching;
+use crate::world::{Fetching, Keys};
 use bytes::Bytes;
 use ledger::{Ledger, Rules};
 use ledger_hash::Hash;
 use ledger_raft::{Desired, Lane};
 use ledger_rejection::Code;
 use ledger_replica::catch_up::{Ballot, Holding, Look};
+use ledger_replica::certifier::Certifier;
 use ledger_replica::conductor::Conductor;
 use ledger_replica::gateway::{Desk, InFlight, Job, Share, Shares, Turn, Turns};
 use ledger_replica::space::{Space, Wrote};
@@ -139,6 +140,10 @@ pub struct Running {
     pub ballot: Ballot,
     /// The machine that fetches from peers.
     pub fetching: Option<Fetching>,
+    /// Makes certificates of what nodes state.
+    pub certifier: Certifier<Keys>,
+    /// Height of the newest block that this process has executed and that is to be certified.
+    pub stated: u64,
     /// The heights that the node has attested.
     pub said: Said,
     /// Height of the newest block that holds anything but attestations.

@@ -71,6 +71,7 @@ fn play(world: &mut World) -> Check {
     until(world, deadline, "every client has ended", |world| world.clients.iter().all(|client| !client.is_busy()))?;
     last_word(world, deadline)?;
     until(world, deadline, "all nodes have the same chain", agree)?;
+    until(world, deadline, "the newest block is certified", World::is_certified)?;
     compare(world)?;
     oracle::judge(world)
 }

@@ -14,12 +14,14 @@ mod lies;
 mod look;
 mod operator;
 mod start;
+mod statements;
 mod streams;
 mod witness;
 
 pub(crate) use fetch::Contact;
 pub use fetch::Fetching;
 pub use operator::Replacement;
+pub use statements::Keys;
 
 use crate::client::Client;
 use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
@@ -52,6 +54,8 @@ pub(crate) enum Event {
     Node { node: u64, start: u64, timer: Timer },
     /// A message arrives.
     Deliver { from: u64, to: u64, bytes: Bytes },
+    /// A statement about a block arrives.
+    Statement { from: u64, to: u64, signed: Bytes },
     /// A node is switched on.
     Start { node: u64 },
     /// A request arrives at a node.
@@ -92,6 +96,8 @@ pub(crate) enum Timer {
     Look,
     /// The node attests what it has computed.
     Attest,
+    /// Its newest statement is told again.
+    Tell,
     /// The world state is flushed, who waits too long is told.
     Housekeeping,
 }
@@ -111,6 +117,7 @@ pub(crate) struct Randoms {
     pub(crate) faults: Random,
     pub(crate) clients: Random,
     pub(crate) nodes: Random,
+    pub(crate) statements: Random,
 }
 
 /// A block as the first node executed it.
@@ -163,6 +170,8 @@ pub struct World {
     pub(crate) access: Option<Arc<dyn Chaincode>>,
     /// A member forges a copy of the next transaction that it hears of.
     pub(crate) forges_next: bool,
+    /// A node that lies about what executing gave, if one does.
+    pub(crate) liar: Option<u64>,
     queue: BTreeMap<(u64, u64), Event>,
     sequence: u64,
     /// Names faults that end.
@@ -191,8 +200,11 @@ impl World {
             faults: sequence("faults"),
             clients: sequence("clients"),
             nodes: sequence("nodes"),
+            statements: sequence("statements"),
         };
         let (voters, all) = (plan.voters, plan.voters + plan.learners);
+        let statements = &mut random.statements;
+        let liar = statements.percent(50).then(|| 1 + statements.below(all));
         let mut coverage = Coverage { seeds: 1, ..Coverage::default() };
         let mut nodes = BTreeMap::new();
         for id in 1..=all {
@@ -233,6 +245,7 @@ impl World {
             activation: None,
             access: None,
             forges_next: false,
+            liar,
             queue: BTreeMap::new(),
             sequence: 0,
             faults: 0,
@@ -280,7 +293,7 @@ impl World {
         // What is meant for a process that stands still waits until it goes on.
         let addressee = match &event {
             Event::Node { node, .. } | Event::Request { node, .. } => Some(*node),
-            Event::Deliver { to, .. } => Some(*to),
+            Event::Deliver { to, .. } | Event::Statement { to, .. } => Some(*to),
             _ => None,
         };
         match addressee.map_or(Awake::Yes, |id| self.awake(id)) {
@@ -295,6 +308,7 @@ impl World {
             Event::Node { node, start, timer } if self.start_of(node) == start => return self.timer(node, timer),
             Event::Node { .. } => {}
             Event::Deliver { from, to, bytes } => return self.deliver(from, to, bytes),
+            Event::Statement { from, to, signed } => return self.hear(from, to, &signed),
             Event::Request { node, request } => return self.request(node, request),
             Event::Start { node } => return self.start(node),
             Event::Answer { reply, clock, answer } => return self.answered(reply, clock, answer),

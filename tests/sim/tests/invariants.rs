@@ -45,6 +45,8 @@ fn block(height: u64, previous: Hash) -> Outcome {
         ids: Vec::new(),
         results: Vec::new(),
         events: Vec::new(),
+        certifiable: None,
+        governs: false,
     }
 }
 

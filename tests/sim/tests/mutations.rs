@@ -158,6 +158,21 @@ fn a_deadline_that_is_forgotten_is_noticed() {
 }
 
 #[test]
+fn a_learner_whose_signature_counts_is_noticed() {
+    caught(Mutation::CountALearner, &["certificates are true"]);
+}
+
+#[test]
+fn a_voter_that_counts_twice_is_noticed() {
+    caught(Mutation::CountAVoterTwice, &["certificates are true"]);
+}
+
+#[test]
+fn a_statement_about_other_results_that_counts_is_noticed() {
+    caught(Mutation::CountOtherResults, &["certificates are true"]);
+}
+
+#[test]
 fn a_block_that_is_executed_by_older_rules_is_noticed() {
     caught(Mutation::OlderRulesAtTheActivation, &["rules by height"]);
 }

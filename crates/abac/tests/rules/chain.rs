@@ -15,6 +15,7 @@ use std::sync::Arc;
 const MAGIC: &[u8] = b"ledgerd chain of one rules number\n";
 
 /// The content of the file: `MAGIC`, the genesis, then each block as index, term, kind, data, hash, digest, events.
+/// Chains that reach rules 3 have the results root behind the events, zero before those rules.
 /// Numbers are `u64` BE; genesis and data are preceded by their length.
 pub(crate) struct Chain {
     pub(crate) genesis: Bytes,
@@ -28,6 +29,8 @@ pub(crate) struct Block {
     pub(crate) digest: Hash,
     /// Over everything that it emitted.
     pub(crate) events: Hash,
+    /// The results root that its voters sign; none before rules 3.
+    pub(crate) results: Option<Hash>,
 }
 
 /// Where the chain of a rules number is stored.
@@ -68,20 +71,23 @@ impl Chain {
             let (index, term) = (rest.number(), rest.number());
             let kind = EntryKind::from_code(rest.take(1)[0]).unwrap();
             let entry = Entry { index, term, kind, data: rest.part() };
-            blocks.push(Block { entry, hash: rest.hash(), digest: rest.hash(), events: rest.hash() });
+            let (hash, digest, events) = (rest.hash(), rest.hash(), rest.hash());
+            let results = (rules >= 3).then(|| rest.hash()).filter(|root| *root != Hash::ZERO);
+            blocks.push(Block { entry, hash, digest, events, results });
         }
         Self { genesis, blocks }
     }
 
-    pub(crate) fn to_bytes(&self) -> Vec<u8> {
+    pub(crate) fn to_bytes(&self, rules: u32) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
         part(&mut bytes, &self.genesis);
-        for Block { entry, hash, digest, events } in &self.blocks {
+        for Block { entry, hash, digest, events, results } in &self.blocks {
             bytes.extend(entry.index.to_be_bytes());
             bytes.extend(entry.term.to_be_bytes());
             bytes.push(entry.kind.code());
             part(&mut bytes, &entry.data);
-            [hash, digest, events].into_iter().for_each(|hash| bytes.extend(hash.0));
+            let results = (rules >= 3).then(|| results.unwrap_or(Hash::ZERO));
+            [hash, digest, events].into_iter().chain(&results).for_each(|hash| bytes.extend(hash.0));
         }
         bytes
     }

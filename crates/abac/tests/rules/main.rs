@@ -11,7 +11,7 @@ mod defaults;
 mod story;
 mod teller;
 
-use chain::{Chain, path};
+use chain::{Block, Chain, path};
 use ledger::Rules;
 use ledger_hash::Hash;
 use ledger_rejection::Code;
@@ -24,6 +24,7 @@ struct Replayed {
     hash: Hash,
     digest: Hash,
     events: Hash,
+    results: Option<Hash>,
 }
 
 #[test]
@@ -36,8 +37,10 @@ fn a_chain_of_every_released_rules_number_is_replayed_to_the_same_digests() {
             let height = block.entry.index;
             let outcome = ledger.apply(&block.entry).unwrap();
             let events = chain::digest_of_events(&outcome.events);
-            let replayed = Replayed { height, hash: outcome.hash, digest: outcome.digest, events };
-            let stored = Replayed { height, hash: block.hash, digest: block.digest, events: block.events };
+            let results = outcome.certifiable.as_ref().map(|it| it.roots.results);
+            let replayed = Replayed { height, hash: outcome.hash, digest: outcome.digest, events, results };
+            let Block { hash, digest, events, results, .. } = *block;
+            let stored = Replayed { height, hash, digest, events, results };
             assert_eq!(replayed, stored, "rules {rules}: {:?}", outcome.results);
         }
     }
@@ -49,11 +52,11 @@ fn a_stored_chain_ends_each_call_of_the_story_as_a_new_one_does() {
         let told = story::tell(rules);
         if std::env::var("STORE_RULES_CHAIN").is_ok_and(|number| number == rules.to_string()) {
             assert!(!path(rules).exists(), "{} exists; a released chain is never stored again", path(rules).display());
-            std::fs::write(path(rules), told.to_bytes()).unwrap();
+            std::fs::write(path(rules), told.to_bytes(rules)).unwrap();
         }
         let codes = |chain: &Chain| -> Vec<Vec<Code>> {
             let ledger = chain::open(&chain.genesis);
-            let apply = |block: &chain::Block| ledger.apply(&block.entry).unwrap().results;
+            let apply = |block: &Block| ledger.apply(&block.entry).unwrap().results;
             chain.blocks.iter().map(|block| apply(block).iter().map(TransactionResult::code).collect()).collect()
         };
         assert_eq!(codes(&Chain::load(rules)), codes(&told), "rules {rules}");

@@ -42,7 +42,7 @@ impl Ledger {
         Ok(())
     }
 
-    fn schedule(&self) -> RwLockReadGuard<'_, Schedule> {
+    pub(super) fn schedule(&self) -> RwLockReadGuard<'_, Schedule> {
         self.schedule.read().unwrap_or_else(PoisonError::into_inner)
     }
 

@@ -108,6 +108,23 @@ impl Registry {
         Ok(asked.into_iter().filter(of_concern).collect())
     }
 
+    /// Is this key of the world state control state?
+    pub(crate) fn is_control(&self, key: &[u8]) -> bool {
+        let Some(end) = key.iter().position(|byte| *byte == 0) else { return false };
+        let Some((name, key)) = key.split_at_checked(end) else { return false };
+        let chaincode = std::str::from_utf8(name).ok().and_then(|name| self.chaincodes.get(name));
+        let key = key.get(1..).unwrap_or_default();
+        chaincode.is_some_and(|found| found.control_keys().iter().any(|prefix| key.starts_with(prefix.as_bytes())))
+    }
+
+    /// The beginnings of all keys of control state, as the world state knows them.
+    pub(crate) fn control_keys(&self) -> impl Iterator<Item = Vec<u8>> {
+        self.iter().flat_map(|chaincode| {
+            let full = |prefix: &&str| [chaincode.name(), "\0", *prefix].concat().into_bytes();
+            chaincode.control_keys().iter().map(full).collect::<Vec<_>>()
+        })
+    }
+
     /// All installed chaincodes in order of their names.
     pub fn iter(&self) -> impl Iterator<Item = &dyn Chaincode> {
         self.chaincodes.values().map(AsRef::as_ref)

@@ -76,7 +76,17 @@ mod tests {
             ..BlockResult::default()
         };
         let (transactions, ids) = (vec![Bytes::new(); 2], vec![Hash([7; 32]), Hash([8; 32])]);
-        Execution { tip, header, result, foretold: vec![false; 2], transactions, ids, writes: WriteSet::new() }
+        Execution {
+            tip,
+            header,
+            result,
+            foretold: vec![false; 2],
+            transactions,
+            ids,
+            writes: WriteSet::new(),
+            certifiable: None,
+            governs: false,
+        }
     }
 
     /// A fault of the program, and the invariant that it breaks.

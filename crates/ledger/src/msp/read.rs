@@ -11,6 +11,7 @@ use crate::members::Membership;
 use crate::network::FoundingOrganisation;
 use crate::rules::Activation;
 use bytes::Bytes;
+use ledger_light::{Voter, Voters};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 
@@ -55,6 +56,17 @@ pub fn members(state: &dyn StateRead) -> Result<Membership, Rejection> {
     let record =
         state.get(MEMBERS_KEY)?.ok_or_else(|| Rejection::new(Code::Corrupt, "the world state holds no members"))?;
     parse(MEMBERS_KEY, &record)
+}
+
+/// The voters, with the names by which their certificates are known.
+///
+/// # Errors
+/// As [`members`].
+pub fn voters(state: &dyn StateRead) -> Result<Voters, Rejection> {
+    let Membership { voters, outgoing, .. } = members(state)?;
+    let nodes = nodes(state)?.into_iter().filter(|node| voters.contains(&node.id) || outgoing.contains(&node.id));
+    let nodes = nodes.map(|NodeRecord { id, organisation, name, .. }| (id, Voter { organisation, name })).collect();
+    Ok(Voters { nodes, voters, outgoing })
 }
 
 /// The rules that were activated, in order of heights.

@@ -4,6 +4,7 @@
 mod admission;
 mod archive;
 mod beside;
+mod certified;
 mod results;
 mod snapshot;
 mod together;

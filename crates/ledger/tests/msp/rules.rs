@@ -1,9 +1,13 @@
 use crate::world::{Network, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::block::Payload;
+use ledger::members::{Change, MembershipChange};
 use ledger::msp::{MspChaincode, NodeRecord, RulesOverview, Speaks};
 use ledger::{Activation, Chaincode, Context, Page, Rules};
+use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
+use ledger_light::control::{self, Write};
+use ledger_light::fact::Fact;
 use ledger_rejection::Code;
 use ledger_rejection::Rejection;
 use ledger_storage::entry::{Entry, EntryKind};
@@ -55,6 +59,38 @@ fn rules_are_activated_when_every_voter_speaks_them_and_more_than_half_of_the_or
     assert_eq!(network.event_names(), ["approved", "rules_activated", "executed"]);
     let again = network.admin(1, "activate_rules", &[&activate(newest)]);
     assert_eq!(code(&again), Code::BadArgument, "they are in force");
+}
+
+/// All control state of the network that there is.
+fn control_state(network: &Network) -> Vec<(Bytes, Hash)> {
+    let state = network.ledger.state().world(None, 1000).unwrap();
+    let control = ["members", "node/", "organisation/", "revoked/", "rules"].map(|key| format!("msp\0{key}"));
+    let is_control = |key: &Bytes| control.iter().any(|prefix| key.starts_with(prefix.as_bytes()));
+    state.into_iter().filter(|(key, _)| is_control(key)).map(|(key, value)| (key, Hash::of(&[&value]))).collect()
+}
+
+#[test]
+fn the_control_chain_of_a_network_with_older_rules_begins_with_all_control_state_at_the_activation() {
+    let mut network = old();
+    let newest = Rules::NEWEST.number();
+    (1..=3).for_each(|node| drop(network.node(node, "speak", &[&speaks(newest)]).unwrap()));
+    let id = waiting(network.admin(1, "activate_rules", &[&activate(newest)]));
+    assert!(is_executed(network.admin(2, "approve", &[&id])));
+    let (height, older) = (network.ledger.tip().height, old());
+    assert_eq!(network.ledger.block_hashes(height).unwrap().unwrap().roots, None);
+    let change = MembershipChange::new([Change::AddLearner(9)]).to_bytes();
+    let entry = Entry { kind: EntryKind::ConfChangeV2, data: change, ..next(&older) };
+    let moved = older.ledger.apply(&entry).unwrap();
+    assert!(moved.governs && moved.certifiable.is_none(), "the voters before rules 3 are those of its first block");
+    let state = control_state(&network);
+    assert!(state.iter().any(|(key, _)| &key[..] == b"msp\0rules") && state.len() >= 8, "{state:?}");
+    let writes: Vec<_> = state.iter().map(|(key, value)| Write { key, value: Some(*value) }).collect();
+    let begun = control::extend(Hash::ZERO, height, &writes).unwrap();
+    let first = network.ledger.apply(&next(&network)).unwrap();
+    let roots = first.certifiable.unwrap().roots;
+    assert_eq!(roots.control, begun, "an empty block leaves it as it is");
+    let ground = Fact::Ground { control: begun, digest: first.digest, previous: Hash::ZERO };
+    assert_eq!(roots.results, ledger_light::fact::root([ground]));
 }
 
 #[test]

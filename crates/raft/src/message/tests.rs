@@ -49,7 +49,13 @@ fn message() -> impl Strategy<Value = PeerMessage> {
         let lane = || prop::collection::vec(bytes(), 0..5);
         (lane(), lane(), 0..9999u32).prop_map(|(control, data, code)| Transactions { control, data, code })
     };
-    prop_oneof![raft, transactions().prop_map(PeerMessage::Forward), transactions().prop_map(PeerMessage::Returned)]
+    let statement = bytes().prop_map(|signed| PeerMessage::Statement(SignedStatement { signed }));
+    prop_oneof![
+        statement,
+        raft,
+        transactions().prop_map(PeerMessage::Forward),
+        transactions().prop_map(PeerMessage::Returned)
+    ]
 }
 
 proptest! {
@@ -106,6 +112,9 @@ fn limits_are_exact() {
     let context = |bytes| RaftMessage { context: vec![0; bytes].into(), ..raft(RaftKind::Heartbeat) };
     assert!(PeerMessage::decode(PeerMessage::Raft(context(CONTEXT_BYTES_MAX)).to_bytes()).is_ok());
     assert!(PeerMessage::decode(PeerMessage::Raft(context(CONTEXT_BYTES_MAX + 1)).to_bytes()).is_err());
+    let statement = |bytes| PeerMessage::Statement(SignedStatement { signed: vec![7; bytes].into() });
+    assert!(PeerMessage::decode(statement(STATEMENT_BYTES_MAX).to_bytes()).is_ok());
+    assert!(PeerMessage::decode(statement(STATEMENT_BYTES_MAX + 1).to_bytes()).is_err());
     assert!(PeerMessage::decode(vec![0; PEER_MESSAGE_BYTES_MAX + 1].into()).is_err());
 }
 

@@ -1,6 +1,6 @@
 //! The result of a block as it is kept: without what the block beside it tells.
 
-use crate::result::{BlockKind, BlockResult, EmittedEvent, TransactionResult};
+use crate::result::{BlockKind, BlockResult, EmittedEvent, Roots, TransactionResult};
 use bytes::{Buf, Bytes};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
@@ -42,7 +42,7 @@ struct Short {
     /// For each transaction [`FORETOLD`] and what follows it, or [`OTHERWISE`].
     #[prost(bytes = "bytes", tag = "8")]
     calls: Bytes,
-    /// Hash and digest of the block.
+    /// Hash and digest of the block, then its [`Roots`] if it has them.
     #[prost(bytes = "bytes", tag = "9")]
     link: Bytes,
 }
@@ -77,6 +77,7 @@ impl StoredResult {
             kind: result.kind,
             results: results.collect(),
             events: result.events.iter().filter(|emitted| !told(emitted.index)).cloned().collect(),
+            roots: result.roots.clone(),
         };
         Self { result: short, foretold }
     }
@@ -96,8 +97,8 @@ impl StoredResult {
                 results.push(outcome.clone());
             }
         }
-        let BlockResult { time, hash, digest, events, .. } = &self.result;
-        let link = [hash.as_ref(), digest].concat().into();
+        let BlockResult { time, hash, digest, events, roots, .. } = &self.result;
+        let link = [hash.as_ref(), digest, roots].concat().into();
         Short { time: *time, results, events: events.clone(), calls: calls.into(), link }.encode_to_vec().into()
     }
 
@@ -121,12 +122,13 @@ impl StoredResult {
             results.push(outcome.ok_or_else(|| unreadable("transactions without a result"))?);
             foretold.push(mark == FORETOLD);
         }
-        if others.next().is_some() || link.len() != 2 * size_of::<Hash>() {
+        if others.next().is_some() || ![2 * size_of::<Hash>(), 4 * size_of::<Hash>()].contains(&link.len()) {
             return Err(unreadable("results without a transaction, or no hash and digest"));
         }
-        let hash = link.split_to(size_of::<Hash>());
+        let (hash, digest) = (link.split_to(size_of::<Hash>()), link.split_to(size_of::<Hash>()));
         let kind = BlockKind::Transactions.into();
-        Ok(Self { result: BlockResult { term: 0, time, hash, digest: link, kind, results, events }, foretold })
+        let result = BlockResult { term: 0, time, hash, digest, kind, results, events, roots: link };
+        Ok(Self { result, foretold })
     }
 
     /// Block time, microseconds.
@@ -142,6 +144,11 @@ impl StoredResult {
     /// State digest after the block.
     pub fn digest(&self) -> Hash {
         self.result.digest()
+    }
+
+    /// Control chain and results root; none before rules 3.
+    pub fn roots(&self) -> Option<Roots> {
+        self.result.roots()
     }
 
     /// Does it take the block to read it?
@@ -192,7 +199,7 @@ mod tests {
     use super::*;
     use crate::result::Event;
 
-    fn stored() -> StoredResult {
+    fn stored(roots: &'static [u8]) -> StoredResult {
         let outcome = |n: u8| TransactionResult {
             response: Bytes::from(vec![n; 40]),
             id: Bytes::from(vec![n; 32]),
@@ -208,14 +215,19 @@ mod tests {
             kind: BlockKind::Transactions.into(),
             results: (1..=3).map(outcome).collect(),
             events: (0..3).map(|index| EmittedEvent { index: Some(index), event: event.clone() }).collect(),
+            roots: Bytes::from_static(roots),
         };
         StoredResult::short(&result, &[true, false, true])
     }
 
     #[test]
     fn a_short_result_reads_as_it_was_written() {
-        let stored = stored();
+        let stored = stored(&[]);
         assert_eq!(StoredResult::from_bytes(stored.to_bytes()).unwrap(), stored);
+        assert_eq!(stored.roots(), None);
+        let rooted = self::stored(&[5; 64]);
+        assert_eq!(StoredResult::from_bytes(rooted.to_bytes()).unwrap(), rooted);
+        assert_eq!(rooted.roots(), Some(Roots { control: Hash([5; 32]), results: Hash([5; 32]) }));
         assert_eq!(stored.result.events.len(), 1);
         let taken: Vec<_> = stored.taken().map(|(position, _, not_after)| (position, not_after)).collect();
         assert_eq!(taken, [(0, 1_000_001), (1, 1_000_002), (2, 1_000_003)]);
@@ -224,7 +236,7 @@ mod tests {
 
     #[test]
     fn a_short_result_that_was_cut_or_changed_is_refused_or_another_one() {
-        let (stored, bytes) = (stored(), stored().to_bytes());
+        let (stored, bytes) = (stored(&[5; 64]), stored(&[5; 64]).to_bytes());
         for cut in 0..bytes.len() {
             let read = StoredResult::from_bytes(bytes.slice(..cut));
             assert!(read.is_err() || read.unwrap() != stored, "cut at {cut}");

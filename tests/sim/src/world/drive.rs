@@ -1,6 +1,7 @@
 //! The order thread of a node: events into its replica, whose effects are carried out.
 
 use super::{Event as Happening, Timer, World};
+use crate::clock::SECOND;
 use crate::coverage::Fault;
 use crate::invariant::{Check, Violation};
 use crate::node::{Running, Verdict};
@@ -195,6 +196,10 @@ impl World {
             Timer::Answered(peer) => self.answered_question(id, peer),
             Timer::Look => self.looked(id, None),
             Timer::Attest => self.attest(id),
+            Timer::Tell => {
+                self.schedule_timer(id, SECOND, Timer::Tell);
+                self.tell_again(id)
+            }
             Timer::Housekeeping => self.keep_house(id),
         }
     }

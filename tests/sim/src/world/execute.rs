@@ -102,7 +102,7 @@ impl World {
             self.members.push(members);
             self.blocks.push(Block { entry: entry.clone(), outcome: outcome.clone() });
         }
-        Ok(())
+        self.state(id, ledger, outcome)
     }
 
     /// A client is about to hear that its transaction is in this block.

@@ -97,6 +97,7 @@ impl World {
             said.note(&own.latest.attest);
             own.snapshot.iter().for_each(|snapshot| said.note(&snapshot.attest));
         }
+        let certifier = self.certifier(id, &ledger);
         let (asked, election_time) = (self.asked_by(id, &ledger), self.plan.timing.election_time());
         let look = Look::new((self.now, id), members.voters, last, asked.len(), election_time, ballot.clone());
         let running = Running {
@@ -134,6 +135,8 @@ impl World {
             ballot,
             fetching: None,
             said,
+            certifier,
+            stated: 0,
             ordinary: tip,
             leading: false,
         };
@@ -145,6 +148,7 @@ impl World {
         self.schedule_timer(id, housekeeping, Timer::Housekeeping);
         let attest = self.random.nodes.below(2 * SECOND);
         self.schedule_timer(id, attest, Timer::Attest);
+        self.schedule_timer(id, SECOND, Timer::Tell);
         self.ask_all(id, &asked)
     }
 

@@ -50,6 +50,8 @@ struct Node {
     block_time: u64,
     state_digest: String,
     committed: u64,
+    /// Up to where a majority of the voters has signed what blocks gave.
+    certified: u64,
     last_index: u64,
     clock: u64,
     uptime_ms: u64,
@@ -70,6 +72,9 @@ struct Node {
     certificates: Vec<Certificate>,
     #[serde(skip_serializing_if = "String::is_empty")]
     divergence: String,
+    /// Nodes that were caught at a lie.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    lies: String,
     /// Points that need attention.
     attention: Vec<String>,
     /// When it was asked.
@@ -100,6 +105,7 @@ impl From<v1::StatusResponse> for Node {
             disk: Disk::of(&status),
             certificates: Certificate::of(&status),
             divergence: status.divergence,
+            lies: status.lies,
             attention: Vec::new(),
             now: 0,
             version: status.version,
@@ -116,6 +122,7 @@ impl From<v1::StatusResponse> for Node {
             block_time: status.block_time,
             state_digest: hex::encode(status.state_digest),
             committed: status.committed,
+            certified: status.certified,
             last_index: status.last_index,
             clock: status.clock,
             uptime_ms: status.uptime_ms,
@@ -139,9 +146,11 @@ impl Node {
     fn look(&mut self, now: u64) {
         let name = format!("{}/{}", self.organisation, self.node_name);
         let differs = (!self.divergence.is_empty()).then(|| format!("{name}: {}", self.divergence));
+        let lies = (!self.lies.is_empty()).then(|| self.lies.clone());
         let disk = self.disk.as_ref().and_then(|disk| disk.attention(&name));
         let ending = self.certificates.iter().filter_map(|certificate| certificate.attention(now));
-        self.attention = self.quorum.attention().into_iter().chain(disk).chain(differs).chain(ending).collect();
+        self.attention =
+            self.quorum.attention().into_iter().chain(disk).chain(differs).chain(lies).chain(ending).collect();
         self.now = now;
     }
 }
@@ -174,6 +183,8 @@ impl Facts for Node {
         table.pair("leader", format!("{leader}, term {}", self.term));
         table.pair("voters", self.quorum.text());
         table.pair("height", format!("{} of {} committed", self.height, self.committed));
+        table
+            .pair("certified", if self.certified == 0 { "nothing yet".to_owned() } else { self.certified.to_string() });
         table.pair("block hash", &self.block_hash);
         table.pair("block time", time::moment(self.block_time));
         table.pair("state digest", &self.state_digest);

@@ -84,6 +84,11 @@ struct Node {
     version: Option<String>,
     #[serde(skip_serializing_if = "String::is_empty")]
     divergence: String,
+    /// Newest height for which it has a certificate.
+    certified: Option<u64>,
+    /// Nodes that it has caught at a lie.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    lies: String,
     /// How much of the log is on its disk, as the leader knows.
     matched: Option<u64>,
     /// Last height that it has attested.
@@ -173,6 +178,8 @@ fn overview(context: &Context, known: &Nodes, attestations: &[AttestationRecord]
             catching_up_to: said.map(|said| said.catching_up_to).filter(|height| *height > 0),
             version: said.map(|said| said.version.clone()),
             divergence: said.map_or_else(String::new, |said| said.divergence.clone()),
+            certified: said.map(|said| said.certified).filter(|height| *height > 0),
+            lies: said.map_or_else(String::new, |said| said.lies.clone()),
             matched: match said {
                 Some(leader) if node.id == leader_id => Some(leader.last_index),
                 _ => matched.get(&node.id).copied().filter(|matched| *matched > 0),
@@ -227,6 +234,9 @@ impl Overview {
                 (false, _) => attention.push(format!("{name}: {}", node.reason)),
                 (true, false) => attention.push(format!("{name}: {}", node.divergence)),
                 (true, true) => {}
+            }
+            if !node.lies.is_empty() {
+                attention.push(format!("{name} has proofs: {}", node.lies));
             }
             attention.extend(node.disk.as_ref().and_then(|disk| disk.attention(&name)));
             attention.extend(node.certificate.as_ref().and_then(|certificate| certificate.attention(now)));

@@ -1,0 +1,47 @@
+//! The knowledge that a robot or an auditor needs to believe a block and a fact in it, without believing any one node.
+//!
+//! Executing a block gives facts: verdicts, events, writes of control state. Their Merkle root, the *results root*, is what
+//! voters sign. Enough signatures are a [`Certificate`]. Nothing here knows a file, a network, a clock or a chaincode, and
+//! everything that is read is bounded and may be hostile. docs/format.md has each byte.
+//!
+//! | module | what is there |
+//! |---|---|
+//! | [`merkle`] | the tree of RFC 6962: roots, and the path from a leaf to its root |
+//! | [`fact`] | the leaves: what executing a block gave |
+//! | [`control`] | the chain over all writes of control state, which shows that none was left out |
+//! | [`statement`] | what a voter says about a block, and its signature |
+//! | [`voters`] | whose signatures count, and how many are enough |
+//! | [`certificate`] | the statement with enough signatures |
+//! | [`lie`] | two statements of one node about one height |
+//!
+//! ```
+//! use ledger_hash::Hash;
+//! use ledger_light::{fact::Fact, merkle};
+//!
+//! let facts = [
+//!     Fact::Ground { control: Hash::ZERO, digest: Hash::ZERO, previous: Hash::ZERO },
+//!     Fact::Verdict { index: 0, id: Hash::ZERO, code: 0, response: Hash::of(&[b"done"]) },
+//! ];
+//! let leaves: Vec<Hash> = facts.iter().map(Fact::leaf).collect();
+//! let root = merkle::root(leaves.clone());
+//! let path = merkle::Path::new(&leaves, 1).ok_or("no such leaf")?;
+//! assert!(path.leads(leaves[1], root));
+//! assert!(!path.leads(leaves[0], root));
+//! # Ok::<(), &str>(())
+//! ```
+
+#![forbid(unsafe_code)]
+
+pub mod certificate;
+mod codec;
+pub mod control;
+pub mod fact;
+pub mod lie;
+pub mod merkle;
+pub mod statement;
+pub mod voters;
+
+pub use certificate::Certificate;
+pub use lie::Lie;
+pub use statement::{Signature, Signed, Statement};
+pub use voters::{Voter, Voters};

@@ -1,0 +1,86 @@
+//! The voters whose signatures count for a block, and how many of them are enough: those as of the block before it.
+
+use crate::statement::{Signature, Statement};
+use ledger_identity::{Identity, Role};
+use ledger_rejection::{Code, Rejection};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A node as the ledger knows it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Voter {
+    /// The organisation that runs it.
+    pub organisation: String,
+    /// Common name of its certificates.
+    pub name: String,
+}
+
+/// The voters of a height.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Voters {
+    /// The nodes by their numbers; more than the voters does no harm.
+    pub nodes: BTreeMap<u64, Voter>,
+    /// The voters.
+    pub voters: BTreeSet<u64>,
+    /// While they change: the voters before, of whom a majority is needed, too. Empty otherwise.
+    pub outgoing: BTreeSet<u64>,
+}
+
+impl Voters {
+    /// The node's signature counts.
+    pub fn is_voter(&self, node: u64) -> bool {
+        self.voters.contains(&node) || self.outgoing.contains(&node)
+    }
+
+    /// Checks one signature: that the node votes, that this is its identity, and that it signed this. `identity` is what
+    /// the caller found for the certificate in the signature, by the organisations as of the block before.
+    ///
+    /// # Errors
+    /// [`Code::NotAMember`], [`Code::Untrusted`], [`Code::BadSignature`].
+    pub fn check(&self, statement: &Statement, signature: &Signature, identity: &Identity) -> Result<(), Rejection> {
+        let (node, signer) = (signature.node, identity.id());
+        let voter = self.nodes.get(&node).filter(|_| self.is_voter(node)).ok_or_else(|| {
+            Rejection::new(Code::NotAMember, "a statement is signed by a node that does not vote")
+                .found(format!("node {node}, {signer}"))
+                .wanted(format!("a voter of block {}", statement.height))
+        })?;
+        if identity.role != Role::Node || identity.organisation != voter.organisation || identity.name != voter.name {
+            return Err(Rejection::new(Code::Untrusted, "a statement is signed with the certificate of somebody else")
+                .found(format!("{signer} with role {}", identity.role))
+                .wanted(format!("node {node}, {}/{}", voter.organisation, voter.name)));
+        }
+        identity.public_key.verify(&statement.to_bytes(), &signature.signature).map_err(|error| {
+            Rejection::told(Code::BadSignature, &format!("a statement of {signer} is not what it signed: {error}"))
+        })
+    }
+
+    /// Are these signers enough? A majority of the voters, from two organisations at least if the voters have two; while
+    /// voters change, of both sets.
+    ///
+    /// # Errors
+    /// [`Code::Untrusted`] with what is missing.
+    pub fn enough(&self, signers: &BTreeSet<u64>) -> Result<(), Rejection> {
+        self.enough_of(&self.voters, signers)?;
+        if self.outgoing.is_empty() { Ok(()) } else { self.enough_of(&self.outgoing, signers) }
+    }
+
+    fn enough_of(&self, voters: &BTreeSet<u64>, signers: &BTreeSet<u64>) -> Result<(), Rejection> {
+        let signed: BTreeSet<u64> = voters.intersection(signers).copied().collect();
+        let short = |found: String, wanted: String| {
+            Err(Rejection::new(Code::Untrusted, "too few voters have signed").found(found).wanted(wanted))
+        };
+        if signed.len() * 2 <= voters.len() {
+            return short(format!("{} of {} voters", signed.len(), voters.len()), "more than half of them".to_owned());
+        }
+        match (self.organisations(&signed), self.organisations(voters)) {
+            (0..2, of @ 2..) => {
+                short("voters of one organisation".to_owned(), format!("of two at least, as voters have {of}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn organisations(&self, nodes: &BTreeSet<u64>) -> usize {
+        let known = nodes.iter().filter_map(|node| self.nodes.get(node));
+        known.map(|voter| &voter.organisation).collect::<BTreeSet<_>>().len()
+    }
+}

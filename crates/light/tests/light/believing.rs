@@ -1,0 +1,112 @@
+//! Each rule of a certificate, and of the proof of a lie, has a case that only this rule refuses.
+
+use crate::world::{NETWORK, NOW, World, statement};
+use ledger_hash::Hash;
+use ledger_identity::key::KeyKind;
+use ledger_light::{Certificate, Lie, Statement};
+use ledger_rejection::Code;
+
+fn code(world: &World, certificate: &Certificate) -> Code {
+    world.verify(certificate).map_or_else(|refused| refused.code, |()| Code::Ok)
+}
+
+#[test]
+fn a_majority_from_two_organisations_is_believed_and_nothing_less() {
+    let world = World::new();
+    for (signers, wanted) in [
+        (&[1, 3][..], Code::Ok),
+        (&[2, 3], Code::Ok),
+        (&[1, 2, 3], Code::Ok),
+        (&[1, 2], Code::Untrusted),
+        (&[3], Code::Untrusted),
+        (&[], Code::Untrusted),
+        (&[3, 4], Code::Untrusted),
+        (&[1, 3, 4], Code::NotAMember),
+        (&[1, 1], Code::Malformed),
+    ] {
+        assert_eq!(code(&world, &world.certificate(statement(5), signers)), wanted, "{signers:?}");
+    }
+}
+
+#[test]
+fn voters_of_one_organisation_certify_alone() {
+    let mut world = World::new();
+    world.voters.voters = [1, 2].into();
+    assert_eq!(code(&world, &world.certificate(statement(5), &[1, 2])), Code::Ok);
+    world.voters.voters = [1].into();
+    assert_eq!(code(&world, &world.certificate(statement(5), &[1])), Code::Ok);
+}
+
+#[test]
+fn while_voters_change_both_sets_must_agree() {
+    let mut world = World::new();
+    (world.voters.voters, world.voters.outgoing) = ([2, 3, 4].into(), [1, 2, 3].into());
+    for (signers, wanted) in [(&[2, 3][..], Code::Ok), (&[3, 4], Code::Untrusted), (&[1, 3], Code::Untrusted)] {
+        assert_eq!(code(&world, &world.certificate(statement(5), signers)), wanted, "{signers:?}");
+    }
+}
+
+#[test]
+fn a_signature_counts_for_its_node_its_network_and_its_statement_only() {
+    let world = World::new();
+    let good = world.certificate(statement(5), &[1, 3]);
+    let with = |change: &dyn Fn(&mut Certificate)| {
+        let mut changed = good.clone();
+        change(&mut changed);
+        code(&world, &changed)
+    };
+    assert_eq!(with(&|_| ()), Code::Ok);
+    assert_eq!(with(&|c| c.statement.network = Hash::ZERO), Code::WrongNetwork);
+    assert_eq!(with(&|c| c.statement.height += 1), Code::BadSignature);
+    assert_eq!(with(&|c| c.statement.time += 1), Code::BadSignature);
+    assert_eq!(with(&|c| c.statement.block = Hash::ZERO), Code::BadSignature);
+    assert_eq!(with(&|c| c.statement.results = Hash::ZERO), Code::BadSignature);
+    assert_eq!(with(&|c| c.signatures[0].node = 2), Code::Untrusted, "the certificate is of node 1");
+    let other = world.certificate(statement(6), &[1]).signatures[0].clone();
+    assert_eq!(with(&|c| c.signatures[0] = other.clone()), Code::BadSignature);
+    // A user of the node's name and organisation is no node.
+    let user = world.cas[0].user("node1", "member", KeyKind::P256);
+    let signed = statement(5).sign(1, user.certificate, &user.key).unwrap().signature;
+    assert_eq!(with(&|c| c.signatures[0] = signed.clone()), Code::Untrusted);
+}
+
+#[test]
+fn a_signers_certificate_must_be_valid_at_the_time_of_the_block() {
+    let world = World::new();
+    let late = Statement { time: NOW + 400 * 24 * 3600 * 1_000_000, ..statement(5) };
+    assert_eq!(code(&world, &world.certificate(late, &[1, 3])), Code::CertificateExpired);
+}
+
+#[test]
+fn two_statements_of_one_node_about_one_height_prove_a_lie_and_nothing_else_does() {
+    let world = World::new();
+    let other = Statement { results: Hash([3; 32]), ..statement(5) };
+    let lie = |first: &Statement, by: u64, second: &Statement, and: u64| {
+        let lie = Lie { first: world.sign(first, by), second: world.sign(second, and) };
+        assert_eq!(Lie::from_bytes(&lie.to_bytes()).unwrap(), lie);
+        lie.verify(|der, time| world.identify(der, time)).map(|liar| liar.id()).map_err(|refused| refused.code)
+    };
+    assert_eq!(lie(&statement(5), 3, &other, 3).unwrap(), "Org2/node3");
+    assert_eq!(lie(&statement(5), 3, &statement(5), 3), Err(Code::Malformed), "the same twice");
+    assert_eq!(lie(&statement(5), 3, &other, 1), Err(Code::Malformed), "two nodes");
+    assert_eq!(lie(&statement(6), 3, &other, 3), Err(Code::Malformed), "two heights");
+    let elsewhere = Statement { network: Hash::ZERO, ..other };
+    assert_eq!(lie(&statement(5), 3, &elsewhere, 3), Err(Code::Malformed), "two networks");
+    let mut forged = Lie { first: world.sign(&statement(5), 3), second: world.sign(&other, 3) };
+    forged.second.statement.results = Hash([4; 32]);
+    assert_eq!(forged.verify(|der, time| world.identify(der, time)).unwrap_err().code, Code::BadSignature);
+}
+
+#[test]
+fn the_encodings_are_read_as_they_were_written() {
+    let world = World::new();
+    let certificate = world.certificate(statement(5), &[1, 2, 3]);
+    assert_eq!(Certificate::from_bytes(&certificate.to_bytes()).unwrap(), certificate);
+    let twice = world.certificate(statement(5), &[1, 1]);
+    assert_eq!(Certificate::from_bytes(&twice.to_bytes()).unwrap_err().code, Code::Malformed);
+    let disordered = world.certificate(statement(5), &[3, 1]);
+    assert_eq!(Certificate::from_bytes(&disordered.to_bytes()).unwrap_err().code, Code::Malformed);
+    let signed = world.sign(&statement(5), 1);
+    assert_eq!(ledger_light::Signed::from_bytes(&signed.to_bytes()).unwrap(), signed);
+    assert_eq!(signed.statement.network, NETWORK);
+}

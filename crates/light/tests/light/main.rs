@@ -1,0 +1,7 @@
+//! The beliefs of a light client, and its doubts.
+#![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
+
+mod believing;
+mod hostile;
+mod vectors;
+mod world;

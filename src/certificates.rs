@@ -1,0 +1,216 @@
+//! Certificates of blocks: this node states what executing gave, hears what others state, and keeps what enough have signed.
+//!
+//! ```text
+//! certificates   the task around the machine of `ledger_replica::certifier`; the view of the rest of the node
+//!   keys         the node's key, and whose certificates are believed
+//!   inbox        statements of peers that wait: a few of each
+//!   kept         the files below the data directory
+//! ```
+//! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
+//! order and execute.
+
+mod inbox;
+mod kept;
+mod keys;
+
+pub(crate) use keys::Keys;
+
+use crate::peers::{Directory, Peers};
+use inbox::Inbox;
+use kept::Kept;
+use ledger::{Ledger, Outcome};
+use ledger_light::{Lie, Signed, Statement};
+use ledger_raft::{PeerMessage, SignedStatement};
+use ledger_rejection::Rejection;
+use ledger_replica::Observer;
+use ledger_replica::certifier::{Certifier, Effect, Era, Event};
+use ledger_storage::block_store::BlockStore;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::sync::mpsc;
+
+/// Pause before the disk is asked again for a block that is to be signed.
+const DISK_PAUSE: Duration = Duration::from_millis(2);
+/// Time between two writes of the newest certificate, at least: a crash loses that much of them.
+const KEEP_EVERY: Duration = Duration::from_secs(2);
+
+/// The view that the rest of the node has of its certificates.
+pub(crate) struct Certificates {
+    executed: mpsc::UnboundedSender<Event>,
+    heard: Inbox,
+    certified: AtomicU64,
+    /// Nodes that have lied, and the heights.
+    lies: Mutex<Vec<(u64, u64)>>,
+    kept: Kept,
+}
+
+impl Certificates {
+    /// With what the data directory holds, and the events of executed blocks.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(crate) fn open(data: &Path) -> Result<(Arc<Self>, mpsc::UnboundedReceiver<Event>), Rejection> {
+        let kept = Kept::open(data)?;
+        // Bounded by what is executed, which takes longer than signing.
+        let (executed, events) = mpsc::unbounded_channel();
+        let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.statement.height));
+        let lies = Mutex::new(kept.lies()?);
+        Ok((Arc::new(Self { executed, heard: Inbox::default(), certified, lies, kept }), events))
+    }
+
+    /// The newest height for which this node has a certificate; 0 if there is none.
+    pub(crate) fn certified(&self) -> u64 {
+        self.certified.load(Ordering::Relaxed)
+    }
+
+    /// The nodes that have lied, in words; empty if none has.
+    pub(crate) fn lies(&self, directory: &Directory) -> String {
+        let lies = self.lies.lock().unwrap_or_else(PoisonError::into_inner);
+        let words = |(node, height): &(u64, u64)| {
+            format!("{} has signed two different statements about block {height}", directory.name(*node))
+        };
+        lies.iter().map(words).collect::<Vec<_>>().join(", ")
+    }
+
+    /// A peer has sent a statement. It waits for the task, or is lost if too many of that peer wait.
+    pub(crate) fn hear(&self, from: u64, statement: SignedStatement) {
+        self.heard.put(from, statement.signed);
+    }
+
+    fn lied(&self, node: u64, height: u64) {
+        self.lies.lock().unwrap_or_else(PoisonError::into_inner).push((node, height));
+    }
+}
+
+impl Observer for Certificates {
+    fn executed(&self, outcome: &Arc<Outcome>, ledger: &Ledger) {
+        let (header, governs) = (&outcome.header, outcome.governs);
+        if let Some(certifiable) = outcome.certifiable.as_ref().filter(|certifiable| certifiable.due) {
+            let statement = Statement {
+                network: ledger.network(),
+                height: header.height,
+                time: header.time,
+                block: outcome.hash,
+                results: certifiable.roots.results,
+            };
+            let _stopping = self.executed.send(Event::Executed { statement, governs });
+        }
+        if governs {
+            match era(ledger) {
+                Ok(era) => drop(self.executed.send(Event::Voters(era))),
+                Err(fault) => tracing::error!(%fault, "cannot read the voters of the next block"),
+            }
+        }
+    }
+}
+
+/// The voters whose signatures count for the blocks after the ledger's newest.
+///
+/// # Errors
+/// A fault of the store.
+pub(crate) fn era(ledger: &Ledger) -> Result<Era, Rejection> {
+    Ok(Era { from: ledger.tip().height + 1, voters: ledger.voters()?, msps: ledger.msps() })
+}
+
+/// The task that makes certificates.
+pub(crate) struct Certifying {
+    /// The rest of the node.
+    pub certificates: Arc<Certificates>,
+    /// Decides.
+    pub certifier: Certifier<Keys>,
+    /// The log, whose blocks are signed.
+    pub store: Arc<BlockStore>,
+    /// The other nodes.
+    pub peers: Arc<Peers>,
+    /// The members of the network.
+    pub directory: Arc<Directory>,
+    /// This node's number.
+    pub me: u64,
+}
+
+impl Certifying {
+    /// Signs, hears and counts until the node stops.
+    pub(crate) async fn run(mut self, mut events: mpsc::UnboundedReceiver<Event>) {
+        let started = Instant::now();
+        let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
+        let (mut effects, mut written) = (Vec::new(), None);
+        loop {
+            let event = tokio::select! {
+                event = events.recv() => match event {
+                    Some(event) => event,
+                    None => return,
+                },
+                (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
+                    Ok(signed) => Event::Heard { from, signed },
+                    Err(reason) => {
+                        tracing::warn!(peer = self.directory.name(from), %reason, "a statement cannot be read");
+                        continue;
+                    }
+                },
+                () = tokio::time::sleep(DISK_PAUSE), if self.certifier.waits_for_disk() => Event::Time,
+                () = until(self.certifier.wait(now())) => Event::Time,
+            };
+            self.certifier.step(now(), event, &mut effects);
+            self.certifier.step(now(), Event::Durable(self.store.durable_index()), &mut effects);
+            for effect in effects.drain(..) {
+                self.act(effect, &mut written).await;
+            }
+        }
+    }
+
+    async fn act(&self, effect: Effect, written: &mut Option<Instant>) {
+        match effect {
+            Effect::Tell(signed) => {
+                let message = PeerMessage::Statement(SignedStatement { signed: signed.to_bytes() });
+                for member in self.directory.members().iter().filter(|member| member.id != self.me) {
+                    // Lost if it is not connected; the newest is told again.
+                    self.peers.send(member.id, &message);
+                }
+            }
+            Effect::Certified { certificate, governs } => {
+                let height = certificate.statement.height;
+                self.certificates.certified.fetch_max(height, Ordering::Relaxed);
+                let newest = height == self.certificates.certified();
+                let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
+                if due || governs {
+                    *written = if due { Some(Instant::now()) } else { *written };
+                    self.keep(move |kept| kept.certificate(&certificate, due, governs)).await;
+                }
+            }
+            Effect::Lied(lie) => self.lied(*lie).await,
+        }
+    }
+
+    async fn lied(&self, lie: Lie) {
+        let (node, height) = (lie.first.signature.node, lie.first.statement.height);
+        tracing::error!(
+            node = self.directory.name(node),
+            height,
+            first = %lie.first.statement.results,
+            second = %lie.second.statement.results,
+            "a node has signed two different statements about one block; the proof is kept"
+        );
+        self.certificates.lied(node, height);
+        self.keep(move |kept| kept.lie(&lie)).await;
+    }
+
+    /// Writes to the disk, on a thread that may wait for it.
+    async fn keep(&self, write: impl FnOnce(&Kept) -> Result<(), Rejection> + Send + 'static) {
+        let certificates = Arc::clone(&self.certificates);
+        match tokio::task::spawn_blocking(move || write(&certificates.kept)).await {
+            Ok(Ok(())) => {}
+            Ok(Err(fault)) => tracing::warn!(%fault, "a certificate or the proof of a lie is not kept"),
+            Err(_) => tracing::error!("a thread panicked while it wrote a certificate"),
+        }
+    }
+}
+
+/// Waits so many microseconds, or for ever.
+async fn until(microseconds: Option<u64>) {
+    match microseconds {
+        Some(wait) => tokio::time::sleep(Duration::from_micros(wait)).await,
+        None => std::future::pending().await,
+    }
+}
