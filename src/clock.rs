@@ -55,8 +55,7 @@ impl Clock {
     /// The time as a replica is told it.
     pub(crate) fn both(&self) -> Now {
         let elapsed = self.elapsed();
-        let wall = wall();
-        Now { clock: self.rule.at(wall, elapsed), elapsed, accepts_until: self.rule.accepts_until(wall, elapsed) }
+        Now { clock: self.rule.at(wall(), elapsed), elapsed }
     }
 
     /// Microseconds since the host was started, as the machine's monotonic clock has it.

@@ -93,8 +93,6 @@ pub struct Engine {
     barrier: u64,
     /// Newest block time this leader knows; the next is not older.
     last_time: u64,
-    /// No block gets a later time, unless an earlier block has.
-    latest_time: u64,
     /// A deadline passed: order a block even if nothing waits.
     wants_empty: bool,
     /// The last reported role.
@@ -190,7 +188,6 @@ impl Engine {
             applied,
             barrier: 0,
             last_time: 0,
-            latest_time: u64::MAX,
             wants_empty: false,
             told,
             attempts: 0,

@@ -2,8 +2,6 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// How far a block's time may be ahead of the clock of a voter that acknowledges it, microseconds.
-pub const AHEAD_MAX: u64 = 2_000_000;
 /// Where block time is ahead of the machine's clock, this clock loses one part of so many: so it comes back.
 const SLOWER: u64 = 16;
 
@@ -38,7 +36,7 @@ impl Anchor {
 }
 
 /// The progress of a clock that is ahead, in a time.
-pub(crate) fn going_on(elapsed: u64) -> u64 {
+fn going_on(elapsed: u64) -> u64 {
     elapsed - elapsed / SLOWER
 }
 
@@ -51,12 +49,6 @@ impl Clock {
     /// The time since the UNIX epoch, on a machine whose clocks show this.
     pub fn at(&self, wall: u64, elapsed: u64) -> u64 {
         wall.max(self.anchor().at(elapsed))
-    }
-
-    /// The latest block time that a voter with this clock acknowledges: [`AHEAD_MAX`] ahead of its machine, or block time
-    /// as it goes on where that is further.
-    pub fn accepts_until(&self, wall: u64, elapsed: u64) -> u64 {
-        wall.saturating_add(AHEAD_MAX).max(self.anchor().at(elapsed))
     }
 
     /// Takes note of a block's time, which the clock is not behind from now on. Where the machine's clock is behind, the
@@ -113,17 +105,10 @@ mod tests {
 
     #[test]
     fn it_comes_back_to_the_machines_clock() {
-        let clock = Clock::of(AHEAD_MAX, 0);
+        let clock = Clock::of(2_000_000, 0);
         let wall = |elapsed| elapsed;
         assert_eq!(clock.at(wall(16_000_000), 16_000_000), 17_000_000);
         assert_eq!(clock.at(wall(32_000_000), 32_000_000), 32_000_000);
-    }
-
-    #[test]
-    fn a_voter_accepts_two_seconds_ahead_of_its_machine_and_block_time_as_it_goes_on() {
-        let clock = Clock::of(1_000_000, 0);
-        assert_eq!(clock.accepts_until(5_000_000, 160), 5_000_000 + AHEAD_MAX);
-        assert_eq!(Clock::of(50_000_000, 0).accepts_until(5_000_000, 160), 50_000_150);
     }
 
     #[test]

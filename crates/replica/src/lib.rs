@@ -69,7 +69,7 @@ pub mod trust;
 mod waiters;
 pub mod witness;
 
-pub use clock::{AHEAD_MAX, Clock};
+pub use clock::Clock;
 pub use executor::{Executor, Observer, in_turns};
 pub use in_place::Circumstances;
 pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};

@@ -1,6 +1,5 @@
 //! The driver of the engine: inputs and time in, effects out.
 
-mod clocks;
 mod duties;
 mod ending;
 mod outputs;
@@ -13,7 +12,6 @@ use crate::reads::Known;
 use crate::ticks::Ticks;
 use crate::timing::Timing;
 use crate::waiters::{Waiter, Waiters};
-use clocks::Clocks;
 use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_invariant::invariant;
@@ -36,8 +34,6 @@ pub struct Now {
     pub clock: u64,
     /// Time since the node started. It grows steadily.
     pub elapsed: u64,
-    /// The latest block time that this node acknowledges: [`crate::Clock::accepts_until`].
-    pub accepts_until: u64,
 }
 
 /// How a replica is set up.
@@ -152,8 +148,6 @@ pub enum Work {
 
 /// The orderer of one node while it takes part, and everything that its order thread decides.
 pub struct Replica<W> {
-    /// This node's number.
-    id: u64,
     engine: Engine,
     executor: Arc<Executor>,
     waiters: Arc<Waiters<W>>,
@@ -182,8 +176,6 @@ pub struct Replica<W> {
     wrote_last: bool,
     /// When the leadership was given away last because of a full disk.
     left_full_disk: Option<u64>,
-    /// The clocks of the others.
-    clocks: Clocks,
 }
 
 impl<W: Waiter> Replica<W> {
@@ -208,7 +200,6 @@ impl<W: Waiter> Replica<W> {
         let engine = Engine::new(config, store).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
         Ok(Self {
-            id: settings.id,
             engine,
             executor,
             waiters,
@@ -226,14 +217,12 @@ impl<W: Waiter> Replica<W> {
             submit_again: false,
             wrote_last: false,
             left_full_disk: None,
-            clocks: Clocks::new(settings.timing.election_time()),
         })
     }
 
     /// Takes one event, and appends what the node must do to `out`.
     pub fn step(&mut self, now: Now, event: Event, out: &mut Vec<Effect>) {
         match event {
-            Event::Input(Input::Message { from, message }) => self.hear(now, from, message, out),
             Event::Input(input) => self.order(now, input, out),
             Event::Time { full } => self.time(now, full, out),
             Event::Written(result) => self.written(now, result, out),
@@ -294,18 +283,13 @@ impl<W: Waiter> Replica<W> {
             Some(_) => self.flush_due.saturating_sub(now.elapsed),
             None => u64::MAX,
         };
-        let until_deadline = match self.executor.deadline().saturating_sub(self.block_time(now)) {
+        let until_deadline = match self.executor.deadline().saturating_sub(now.clock) {
             // Asked for already.
             0 => u64::MAX,
             left if self.leading => left,
             _ => u64::MAX,
         };
         until_tick.min(until_write).min(until_deadline)
-    }
-
-    /// The time that a leader gives its next block.
-    fn block_time(&self, now: Now) -> u64 {
-        now.clock.min(self.clocks.latest(self.id, self.engine.membership(), now))
     }
 
     /// How ordering stands.

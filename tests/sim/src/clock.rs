@@ -58,11 +58,6 @@ impl Clock {
         self.rule.at(self.wall(virtual_now), self.elapsed(virtual_now))
     }
 
-    /// The latest block time that the process acknowledges, as a voter.
-    pub fn accepts_until(&self, virtual_now: u64) -> u64 {
-        self.rule.accepts_until(self.wall(virtual_now), self.elapsed(virtual_now))
-    }
-
     /// The machine's clock.
     pub fn wall(&self, virtual_now: u64) -> u64 {
         (EPOCH + self.monotonic(virtual_now)).saturating_add_signed(self.offset)

@@ -11,7 +11,7 @@ use crate::log::membership;
 use crate::message::convert::{change_into_raft, entry_from_raft, proposal};
 use crate::message::{ENTRIES_MAX, PeerMessage, RaftMessage};
 use ledger::block::Payload;
-use ledger::members::{Membership, MembershipChange};
+use ledger::members::MembershipChange;
 use ledger_invariant::invariant;
 use ledger_mutation::{Mutation, active};
 use ledger_storage::block_store::StoreError;
@@ -109,7 +109,7 @@ impl Engine {
             if cut.is_empty() && !self.queues.is_empty() {
                 return;
             }
-            let time = self.now.min(self.latest_time).max(self.last_time);
+            let time = self.now.max(self.last_time);
             let data = Payload { time, transactions: self.queues.peek(cut) }.to_bytes();
             let bytes = data.len();
             if let Err(error) = self.raw.step(proposal(self.config.id, EntryKind::Normal, data)) {
@@ -293,17 +293,6 @@ impl Engine {
     /// order: then [`Input::Tick`](crate::Input::Tick) changes nothing, and the driver may leave it out.
     pub fn needs_ticks(&self) -> bool {
         !(self.may_propose() && self.membership.nodes().len() == 1 && self.queues.is_empty())
-    }
-
-    /// From now on no block of this leader gets a later time than this, microseconds since the UNIX epoch, but for the time
-    /// of the block before it.
-    pub fn limit_time(&mut self, latest: u64) {
-        self.latest_time = latest;
-    }
-
-    /// The members as of the last height handed out.
-    pub fn membership(&self) -> &Membership {
-        &self.membership
     }
 
     /// Has this node a vote, as far as it has handed out what is committed?

@@ -1,6 +1,5 @@
 //! The engine's wishes, as effects for the node.
 
-use super::clocks::Clocks;
 use super::{Effect, LEARNER_WRITE_DELAY, Now, Replica};
 use crate::waiters::Waiter;
 use bytes::Bytes;
@@ -16,9 +15,6 @@ impl<W: Waiter> Replica<W> {
         if !matches!(input, Input::Tick) {
             self.ticks.note_work();
         }
-        if self.leading {
-            self.engine.limit_time(self.block_time(now));
-        }
         let mut outputs = std::mem::take(&mut self.outputs);
         self.engine.step(now.clock, input, &mut outputs);
         for output in outputs.drain(..) {
@@ -27,25 +23,9 @@ impl<W: Waiter> Replica<W> {
         self.outputs = outputs;
     }
 
-    /// Takes a message of a peer, unless its leader's clock is wrong.
-    pub(super) fn hear(&mut self, now: Now, from: u64, message: PeerMessage, out: &mut Vec<Effect>) {
-        if let PeerMessage::Raft(raft) = &message {
-            self.clocks.hear(now, from, raft);
-            if self.engine.is_voter() && self.clocks.refuse(now, raft) {
-                let reason =
-                    "its block time is more than 2 s ahead of this node's clock; one of the two clocks is wrong";
-                return out.push(Effect::Ignored { from, reason });
-            }
-        }
-        self.order(now, Input::Message { from, message }, out);
-    }
-
     fn carry_out(&mut self, now: Now, output: Output, out: &mut Vec<Effect>) {
         match output {
-            Output::Send { to, mut message } => {
-                Clocks::attach(now, &mut message);
-                out.push(Effect::Send { to, message });
-            }
+            Output::Send { to, message } => out.push(Effect::Send { to, message }),
             Output::Flush { ready } => {
                 if self.flush.is_none() {
                     let delay = if self.engine.is_voter() { 0 } else { LEARNER_WRITE_DELAY };
@@ -64,7 +44,6 @@ impl<W: Waiter> Replica<W> {
                 self.submit_again = change.leader.is_some();
             }
             Output::Membership { height, membership } => {
-                self.clocks.keep(&membership);
                 // Whoever sees the change on the ledger must find it in the status, too.
                 self.report(out);
                 out.push(Effect::Members { height, membership });

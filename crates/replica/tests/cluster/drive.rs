@@ -17,9 +17,7 @@ impl Cluster {
     /// Both clocks of a node.
     fn clocks(&self, id: u64) -> Now {
         let up = self.nodes[&id].up.as_ref();
-        let (wall, elapsed) = (self.wall(), self.now);
-        let accepts_until = up.map_or(0, |up| up.clock.accepts_until(wall, elapsed));
-        Now { clock: up.map_or(0, |up| up.clock.at(wall, elapsed)), elapsed, accepts_until }
+        Now { clock: up.map_or(0, |up| up.clock.at(self.wall(), self.now)), elapsed: self.now }
     }
 
     /// An engine starts in a process that runs.
