@@ -87,13 +87,13 @@ impl Certificates {
 impl Observer for Certificates {
     fn executed(&self, outcome: &Arc<Outcome>, ledger: &Ledger) {
         let (header, governs) = (&outcome.header, outcome.governs);
-        if let Some(certifiable) = outcome.certifiable.as_ref().filter(|certifiable| certifiable.due) {
+        if let Some(roots) = outcome.certifiable {
             let statement = Statement {
                 network: ledger.network(),
                 height: header.height,
                 time: header.time,
                 block: outcome.hash,
-                results: certifiable.roots.results,
+                results: roots.results,
             };
             let _stopping = self.executed.send(Event::Executed { statement, governs });
         }

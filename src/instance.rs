@@ -90,8 +90,8 @@ pub(crate) struct Instance {
     housekeeping: Housekeeping,
     scrub: Scrub,
     conductor: JoinHandle<()>,
-    /// The tasks beside: renewing the certificate, attesting, certifying, asking the others, watching whether the
-    /// node still belongs here, telling the ledger the knowledge of its CA, and which rules it speaks.
+    /// The tasks beside: renewing the certificate, attesting, certifying, asking the others, watching whether the node still
+    /// belongs here. Two tell the ledger the knowledge of its CA, and which rules it speaks.
     beside: [JoinHandle<()>; 7],
 }
 

@@ -174,8 +174,11 @@ impl Fixture {
     }
 
     fn listed(&self, name: &str) -> Option<IdentityRecord> {
-        let argument = serde_json::json!({ "name": name }).to_string();
-        let page: Identities = serde_json::from_slice(&self.admin(1, "identities", &argument).unwrap()).unwrap();
+        let argument = Bytes::from(serde_json::json!({ "name": name }).to_string());
+        let (ledger, now) = (&self.chain.ledger, self.chain.time.load(Ordering::Relaxed));
+        let admin = ledger.msps().verify(&self.admins[0].certificate, &[], now).unwrap();
+        let (page, _) = ledger.query(&admin, now, "msp", "identities", &[argument]).unwrap();
+        let page: Identities = serde_json::from_slice(&page).unwrap();
         page.identities.into_iter().next()
     }
 

@@ -7,11 +7,11 @@ mod rules;
 mod storage;
 
 pub use admission::{Admission, Ground, Refusal, Step};
+use certified::newest_roots;
 
 use crate::block::{Header, Payload, leaf};
 use crate::chaincode::{Context, Environment, Meter, Registry};
 use crate::execution::{Execution, Executor, genesis};
-use crate::facts::Certifiable;
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::members::Membership;
@@ -52,7 +52,7 @@ pub struct Ledger {
     schedule: RwLock<Schedule>,
     /// Blocks between two snapshots.
     snapshot_every: u64,
-    /// Those of the newest block; none if its rules have none.
+    /// Those of the newest block that is to be certified; none if its rules have none.
     roots: Mutex<Option<Roots>>,
     identities: Identities,
     verified: Verified,
@@ -82,8 +82,9 @@ pub struct Outcome {
     pub results: Vec<TransactionResult>,
     /// In the order in which they were emitted.
     pub events: Vec<EmittedEvent>,
-    /// The hashes that its voters sign; none before rules 3, and for a block that was executed long ago.
-    pub certifiable: Option<Certifiable>,
+    /// The hashes that its voters sign, if it is to be certified: blocks with control writes, and the first block of each window
+    /// of block time. None before rules 3, and for a block that was executed long ago.
+    pub certifiable: Option<Roots>,
     /// Does it change whom others trust: an organisation, a node, a member, a revocation, rules? Not known of a block that was
     /// executed long ago.
     pub governs: bool,
@@ -98,7 +99,7 @@ pub struct BlockHashes {
     pub hash: Hash,
     /// State digest after the block.
     pub digest: Hash,
-    /// Control chain and results root; none before rules 3.
+    /// Control chain and results root, if it is to be certified; none before rules 3.
     pub roots: Option<Roots>,
 }
 
@@ -147,10 +148,11 @@ impl Ledger {
         })?;
         window.forget_before(tip.time);
         let schedule = Schedule::new(founding.rules, msp::activations(&*state)?);
-        let roots = match tip.height {
-            0 => genesis.roots(),
-            height => results.get(height)?.and_then(|stored| stored.roots()),
+        let certifies = |height| {
+            let rules = registry.speaks(schedule.number_at(height));
+            rules.is_some_and(|rules| rules.certifies_every().is_some())
         };
+        let roots = newest_roots(tip.height, &genesis, &results, certifies)?;
         let ledger = Self {
             roots: Mutex::new(roots),
             network,
@@ -168,7 +170,6 @@ impl Ledger {
             flushing: Mutex::default(),
         };
         ledger.rules_of(tip.height + 1)?;
-        ledger.check_roots(&tip, roots)?;
         Ok(ledger)
     }
 
@@ -245,7 +246,9 @@ impl Ledger {
         }
         self.writes.lock().unwrap_or_else(PoisonError::into_inner).push(tip.height, &writes);
         let cut = self.is_snapshot_due(&tip);
-        *self.roots.lock().unwrap_or_else(PoisonError::into_inner) = certifiable.as_ref().map(|it| it.roots);
+        if certifiable.is_some() {
+            *self.roots.lock().unwrap_or_else(PoisonError::into_inner) = certifiable;
+        }
         self.state.commit(writes, tip, cut);
         if changed_organisations {
             self.identities.reload(&*self.state)?;

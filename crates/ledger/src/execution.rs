@@ -4,7 +4,7 @@ mod check;
 
 use crate::block::{Header, Payload, leaf, opaque_root};
 use crate::chaincode::{Environment, Meter, Registry};
-use crate::facts::{self, Certifiable, ControlWrites};
+use crate::facts::{self, ControlWrites};
 use crate::identities::Identities;
 use crate::msp::{self, MEMBERS_KEY, certificate_key, found, members_record};
 use crate::network::Genesis;
@@ -29,7 +29,7 @@ pub(crate) struct Executor<'a> {
     pub(crate) network: Hash,
     /// By which the block is executed.
     pub(crate) rules: Rules,
-    /// Those of the block before; none if its rules have none.
+    /// Those of the newest block before that is to be certified; none if there is none.
     pub(crate) roots: Option<Roots>,
     pub(crate) registry: &'a Registry,
     pub(crate) identities: &'a Identities,
@@ -52,8 +52,8 @@ pub(crate) struct Execution {
     pub(crate) ids: Vec<Hash>,
     /// To the world state.
     pub(crate) writes: WriteSet,
-    /// For voters to sign; none before rules 3.
-    pub(crate) certifiable: Option<Certifiable>,
+    /// For voters to sign, if it is to be certified; none before rules 3.
+    pub(crate) certifiable: Option<Roots>,
     /// It changes whom others trust.
     pub(crate) governs: bool,
 }
@@ -132,29 +132,31 @@ impl Executor<'_> {
             kind: kind.into(),
             results,
             events,
-            roots: certifiable.as_ref().map_or_else(Bytes::new, |it| it.roots.to_bytes()),
+            roots: certifiable.as_ref().map_or_else(Bytes::new, Roots::to_bytes),
         };
         let tip = Tip { height: header.height, term: header.term, time, hash, digest };
         Ok(Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs })
     }
 
-    /// The hashes over what executing gave, and whether voters sign them.
+    /// The hashes over what executing gave, if voters are to sign them: where control state was written, and for the first block
+    /// of each window of block time.
     fn certifiable(
         &self,
         previous: &Tip,
         (header, digest): (&Header, Hash),
         outcome: (&[TransactionResult], &[EmittedEvent]),
         writes: &WriteSet,
-    ) -> Result<Option<Certifiable>, Rejection> {
+    ) -> Result<Option<Roots>, Rejection> {
         let Some(every) = self.rules.certifies_every() else { return Ok(None) };
+        let control = ControlWrites::of(writes, self.registry);
+        if control.is_empty() && header.time / every == previous.time / every {
+            return Ok(None);
+        }
         let before = match self.roots {
             Some(before) => before,
             None => facts::begin(&*self.state, self.registry, previous.height)?,
         };
-        let control = ControlWrites::of(writes, self.registry);
-        let roots = facts::roots(&before, (header.height, digest), outcome, &control)?;
-        let due = !control.is_empty() || header.time / every != previous.time / every;
-        Ok(Some(Certifiable { roots, due }))
+        Ok(Some(facts::roots(&before, (header.height, digest), outcome, &control)?))
     }
 
     fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {

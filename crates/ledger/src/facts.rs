@@ -17,15 +17,6 @@ const PAIRS_AT_ONCE: usize = 256;
 /// Keys of the chaincode `msp` start with this.
 const MSP_KEYS: &[u8] = b"msp\0";
 
-/// A block for its voters to certify.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Certifiable {
-    /// The hashes over what executing it gave.
-    pub roots: Roots,
-    /// Is it to be certified? So are blocks with control writes, and the first block of each window of block time.
-    pub due: bool,
-}
-
 /// Do these writes change whom others trust: an organisation, a node, a member, a revocation, rules?
 pub(crate) fn govern(writes: &WriteSet, registry: &Registry) -> bool {
     let from: (Bound<&[u8]>, Bound<&[u8]>) = (Bound::Included(MSP_KEYS), Bound::Unbounded);

@@ -11,7 +11,6 @@
 //! | [`Chaincode`] | a program that every node executes; [`Context`] is all that it may know |
 //! | [`msp`] | the chaincode `msp`: organisations, identities, nodes, proposals, attestations |
 //! | [`network`], [`Rules`] | the genesis; the numbers of the rules by which blocks are executed |
-//! | [`Certifiable`] | the hashes over what executing a block gave, which its voters sign |
 //! | [`writes`] | what recent blocks wrote, to find where two nodes differ |
 //! | `verify` | checking a data directory offline (feature `verify`, which links sled) |
 //!
@@ -66,6 +65,5 @@ pub use chaincode::{
     ADMINS_PER_ORGANISATION_MAX, ApprovedBy, BLOCK_BUDGET, CALL_BUDGET, Call, Chaincode, Context, Environment,
     Foretold, Meter, NotAQuorum, QUERY_BUDGET, Quorum, Registry, Revocation, Usage,
 };
-pub use facts::Certifiable;
 pub use page::{PAGE_BYTES, PAGE_MAX, Page, Paging};
 pub use rules::{Activation, Rules};

@@ -37,7 +37,7 @@ fn a_chain_of_every_released_rules_number_is_replayed_to_the_same_digests() {
             let height = block.entry.index;
             let outcome = ledger.apply(&block.entry).unwrap();
             let events = chain::digest_of_events(&outcome.events);
-            let results = outcome.certifiable.as_ref().map(|it| it.roots.results);
+            let results = outcome.certifiable.as_ref().map(|it| it.results);
             let replayed = Replayed { height, hash: outcome.hash, digest: outcome.digest, events, results };
             let Block { hash, digest, events, results, .. } = *block;
             let stored = Replayed { height, hash, digest, events, results };

@@ -126,7 +126,7 @@ impl Teller {
         let entry = Entry { index: self.height() + 1, term: 1, kind, data };
         let outcome = self.ledger.apply(&entry).unwrap();
         let events = chain::digest_of_events(&outcome.events);
-        let results = outcome.certifiable.map(|it| it.roots.results);
+        let results = outcome.certifiable.map(|it| it.results);
         self.chain.blocks.push(Block { entry, hash: outcome.hash, digest: outcome.digest, events, results });
         outcome.results.iter().map(|result| (result.code(), result.response.clone())).collect()
     }

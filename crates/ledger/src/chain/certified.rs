@@ -4,8 +4,8 @@ use super::Ledger;
 use crate::msp;
 use ledger_light::Voters;
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::result::Roots;
-use ledger_storage::state::Tip;
+use ledger_storage::result::{BlockResult, Roots};
+use ledger_storage::results::ResultStore;
 
 impl Ledger {
     /// The voters as of [`Ledger::tip`]: those whose signatures count for the next block.
@@ -15,17 +15,28 @@ impl Ledger {
     pub fn voters(&self) -> Result<Voters, Rejection> {
         msp::voters(&*self.state)
     }
+}
 
-    /// A statement about a block builds on the roots of the block before it.
-    pub(super) fn check_roots(&self, tip: &Tip, roots: Option<Roots>) -> Result<(), Rejection> {
-        let rules = self.registry.speaks(self.schedule().number_at(tip.height));
-        let wanted = rules.is_some_and(|rules| rules.certifies_every().is_some());
-        if !wanted || roots.is_some() {
-            return Ok(());
+/// The roots of the newest block that is to be certified: the next such block builds on them. Blocks between two of them are
+/// of one window of block time, so few are looked at.
+///
+/// # Errors
+/// A fault of the store; [`Code::Corrupt`] if results are missing.
+pub(super) fn newest_roots(
+    tip: u64,
+    genesis: &BlockResult,
+    results: &ResultStore,
+    certifies: impl Fn(u64) -> bool,
+) -> Result<Option<Roots>, Rejection> {
+    for height in (1..=tip).rev().take_while(|height| certifies(*height)) {
+        let stored = results.get(height)?.ok_or_else(|| {
+            Rejection::new(Code::Corrupt, "a result is missing that the next certified block builds on")
+                .found(format!("none of block {height}"))
+                .next("delete the directories state/ and results/; the node makes both again from the blocks")
+        })?;
+        if let Some(roots) = stored.roots() {
+            return Ok(Some(roots));
         }
-        Err(Rejection::new(Code::Corrupt, "the result of the newest block lacks control chain and results root")
-            .found(format!("height {}", tip.height))
-            .wanted("both, as its rules say")
-            .next("delete the directories state/ and results/; the node makes both again from the blocks"))
     }
+    Ok(genesis.roots())
 }

@@ -2,12 +2,11 @@
 
 use crate::world::{Caller, NOW, SECOND, World, block, entry};
 use ledger::members::{Change, MembershipChange};
-use ledger::{Certifiable, Ledger, Outcome};
+use ledger::{Ledger, Outcome};
 use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
 use ledger_light::control::{self, Write};
 use ledger_light::fact::{self, Fact};
-use ledger_rejection::Code;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::result::Roots;
@@ -15,10 +14,6 @@ use ledger_storage::results::ResultStore;
 use ledger_storage::snapshot::Snapshots;
 use ledger_storage::state::{MemoryState, State};
 use std::sync::Arc;
-
-fn certifiable(outcome: &Outcome) -> &Certifiable {
-    outcome.certifiable.as_ref().unwrap()
-}
 
 fn roots(ledger: &Ledger, height: u64) -> Roots {
     ledger.block_hashes(height).unwrap().unwrap().roots.unwrap()
@@ -68,7 +63,7 @@ fn a_reader_computes_the_roots_from_what_it_is_told_and_control_writes_alone_mov
         assert_eq!(control.len(), usize::from(height == 3), "{told:?}");
         let writes: Vec<_> = control.iter().map(|write| Write { key: &write.key, value: write.value }).collect();
         let chain = control::extend(before.control, height, &writes).unwrap();
-        let (found, governs) = (certifiable(&outcome).roots, outcome.governs);
+        let (found, governs) = (outcome.certifiable.unwrap(), outcome.governs);
         assert_eq!(found.control, chain, "{height}");
         assert_eq!(found.results, recomputed(&outcome, chain, before.results, &writes), "{height}");
         assert_eq!((governs, roots(&ledger, height)), (height == 3, found));
@@ -81,7 +76,7 @@ fn a_reader_computes_the_roots_from_what_it_is_told_and_control_writes_alone_mov
 fn blocks_with_control_writes_and_the_first_of_each_window_are_due() {
     let world = World::new();
     let ledger = world.ledger();
-    let due = |outcome: &Outcome| certifiable(outcome).due;
+    let due = |outcome: &Outcome| outcome.certifiable.is_some();
     let at = |microseconds: u64| due(&block(&ledger, NOW + microseconds, &[]));
     let times = [(0, true), (0, false), (199_999, false), (200_000, true), (399_999, false), (SECOND, true)];
     for (time, wanted) in times {
@@ -126,17 +121,16 @@ fn a_restart_and_a_snapshot_go_on_with_the_same_roots() {
 }
 
 #[test]
-fn a_ledger_whose_newest_result_has_no_roots_is_made_again() {
+fn a_restart_between_two_certified_blocks_goes_on_from_the_one_before() {
     let world = World::new();
-    let ledger = world.ledger();
-    block(&ledger, NOW, &[]);
-    let tip = ledger.tip();
-    let mut result = ledger.result(1).unwrap().unwrap();
-    result.roots.clear();
-    let results = Arc::new(ResultStore::in_memory());
-    results.push(1, &result, &[]).unwrap();
-    let state = Arc::new(State::open(Box::new(MemoryState::default())).unwrap());
-    let world_state = ledger.state().world(None, 1000).unwrap();
-    state.commit(world_state.into_iter().map(|(key, value)| (key, Some(value))).collect(), tip, false);
-    assert_eq!(world.try_ledger_on(state, results).map(drop).unwrap_err().code, Code::Corrupt);
+    let (without, place, results) = (world.ledger(), tempfile::tempdir().unwrap(), SimDisk::new(1));
+    for height in 1..=9u64 {
+        let time = NOW + SECOND + height * 100_000;
+        let next = entry(&without, time, &[]);
+        let outcome = without.apply(&next).unwrap();
+        assert_eq!(outcome.certifiable.is_some(), height % 2 == 0 || height == 1, "{height}");
+        let restarted = world.ledger_on(place.path(), &results);
+        assert_eq!(restarted.apply(&next).unwrap().certifiable, outcome.certifiable, "{height}");
+        restarted.flush(None).unwrap();
+    }
 }

@@ -87,7 +87,7 @@ fn the_control_chain_of_a_network_with_older_rules_begins_with_all_control_state
     let writes: Vec<_> = state.iter().map(|(key, value)| Write { key, value: Some(*value) }).collect();
     let begun = control::extend(Hash::ZERO, height, &writes).unwrap();
     let first = network.ledger.apply(&next(&network)).unwrap();
-    let roots = first.certifiable.unwrap().roots;
+    let roots = first.certifiable.unwrap();
     assert_eq!(roots.control, begun, "an empty block leaves it as it is");
     let ground = Fact::Ground { control: begun, digest: first.digest, previous: Hash::ZERO };
     assert_eq!(roots.results, ledger_light::fact::root([ground]));

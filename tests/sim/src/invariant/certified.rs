@@ -59,7 +59,7 @@ impl CertificatesAreTrue {
         if first != statement {
             return Err(Violation::new(NAME, format!("two certificates for block {height}: {statement:?}, {first:?}")));
         }
-        let executed = block.and_then(|block| Some((block.hash, block.certifiable.as_ref()?.roots.results)));
+        let executed = block.and_then(|block| Some((block.hash, block.certifiable?.results)));
         if executed != Some((statement.block, statement.results)) {
             return Err(Violation::new(NAME, format!("a certificate of {statement:?}, executed was {executed:?}")));
         }

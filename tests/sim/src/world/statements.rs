@@ -49,7 +49,7 @@ impl World {
     /// A node has executed a block.
     pub(super) fn state(&mut self, id: u64, ledger: &Ledger, outcome: &Outcome) -> Check {
         let governs = outcome.governs;
-        if let Some(certifiable) = outcome.certifiable.as_ref().filter(|certifiable| certifiable.due) {
+        if let Some(roots) = outcome.certifiable {
             if let Some(running) = self.running(id) {
                 running.stated = outcome.header.height;
             }
@@ -58,7 +58,7 @@ impl World {
                 height: outcome.header.height,
                 time: outcome.header.time,
                 block: outcome.hash,
-                results: certifiable.roots.results,
+                results: roots.results,
             };
             self.certify(id, Event::Executed { statement, governs })?;
             self.state_falsely(id, statement)?;
@@ -162,7 +162,7 @@ impl World {
 
     /// Does every member have a certificate for the newest block that is due, if its process has executed it?
     pub fn is_certified(&self) -> bool {
-        let newest = self.blocks.iter().rev().find(|block| block.outcome.certifiable.as_ref().is_some_and(|it| it.due));
+        let newest = self.blocks.iter().rev().find(|block| block.outcome.certifiable.is_some());
         let Some(newest) = newest.map(|block| block.outcome.header.height) else { return true };
         let members = self.newest_members();
         let certified = |id: &u64| {
