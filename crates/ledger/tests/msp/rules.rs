@@ -86,7 +86,9 @@ fn the_control_chain_of_a_network_with_older_rules_begins_with_all_control_state
     assert!(state.iter().any(|(key, _)| &key[..] == b"msp\0rules") && state.len() >= 8, "{state:?}");
     let writes: Vec<_> = state.iter().map(|(key, value)| Write { key, value: Some(*value) }).collect();
     let begun = control::extend(Hash::ZERO, height, &writes).unwrap();
-    let first = network.ledger.apply(&next(&network)).unwrap();
+    let time = network.ledger.tip().time + 1_000_000;
+    let data = Payload { time, transactions: Vec::new() }.to_bytes();
+    let first = network.ledger.apply(&Entry { data, ..next(&network) }).unwrap();
     let roots = first.certifiable.unwrap();
     assert_eq!(roots.control, begun, "an empty block leaves it as it is");
     let ground = Fact::Ground { control: begun, digest: first.digest, previous: Hash::ZERO };
