@@ -35,7 +35,7 @@ use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};
 /// How far the term of a vote may be ahead. Terms grow by one with an election that a majority did not refuse
 /// beforehand, so no honest node is further ahead. A hostile voter needs centuries to use up all terms this way.
 const TERM_AHEAD_MAX: u64 = 1 << 24;
-/// A voter may end a leader's term before its time once in so many election timeouts: ten seconds by default.
+/// A member may end a leader's term before its time once in so many election timeouts: ten seconds by default.
 pub(super) const REST_TIMEOUTS: u64 = 50;
 /// Stands for all learners together: no node has this number.
 const LEARNERS: u64 = INVALID_ID;
@@ -129,9 +129,6 @@ impl Engine {
     fn will_vote(&self, node: u64) -> bool {
         let last = self.store.last_index();
         let first = (self.emitted + 1).max(last.saturating_sub(CHANGES_SCAN_MAX));
-        if first > last || !self.membership.contains(node) && node == INVALID_ID {
-            return false;
-        }
         let entries = (first..=last).filter_map(|index| self.store.entry(index).ok().flatten());
         let mut members = self.membership.clone();
         entries.into_iter().any(|entry| {
