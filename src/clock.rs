@@ -55,7 +55,8 @@ impl Clock {
     /// The time as a replica is told it.
     pub(crate) fn both(&self) -> Now {
         let elapsed = self.elapsed();
-        Now { clock: self.rule.at(wall(), elapsed), elapsed }
+        let wall = wall();
+        Now { clock: self.rule.at(wall, elapsed), elapsed, accepts_until: self.rule.accepts_until(wall, elapsed) }
     }
 
     /// Microseconds since the host was started, as the machine's monotonic clock has it.

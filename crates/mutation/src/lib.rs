@@ -66,6 +66,10 @@ pub enum Mutation {
     CountAVoterTwice,
     /// A voter's statement about other results of a block counts for its certificate.
     CountOtherResults,
+    /// A voter acknowledges a block of any time.
+    AcknowledgeAnyTime,
+    /// A leader takes the time of its blocks from its own clock alone.
+    OrderByOneClock,
 }
 
 /// Is this bug turned on?

@@ -12,10 +12,12 @@ mod request;
 mod standing;
 mod status;
 mod submit;
+mod time;
 
 pub use config::{EngineConfig, EngineError};
 pub use receipt::Secret;
 pub use status::{PeerStatus, Replication, Status};
+pub use time::TIME_AHEAD_MAX;
 
 use crate::interface::{Input, Output, Role, RoleChange};
 use crate::log::Log;
@@ -32,6 +34,7 @@ use raft::{RawNode, StateRole};
 use receipt::Receipts;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use time::Times;
 
 /// The number of entries, committed but not executed, beyond which a node does not stand for election. It could not
 /// order before it has caught up, and counting changes of members among them would cost it the election timeout.
@@ -93,6 +96,8 @@ pub struct Engine {
     barrier: u64,
     /// Newest block time this leader knows; the next is not older.
     last_time: u64,
+    /// Clocks, and block time that is ahead of them.
+    times: Times,
     /// A deadline passed: order a block even if nothing waits.
     wants_empty: bool,
     /// The last reported role.
@@ -188,6 +193,7 @@ impl Engine {
             applied,
             barrier: 0,
             last_time: 0,
+            times: Times::new(),
             wants_empty: false,
             told,
             attempts: 0,
@@ -282,6 +288,9 @@ impl Engine {
         match message {
             PeerMessage::Raft(mut message) => {
                 if let Err(reason) = self.check_standing(from, &mut message) {
+                    return out.push(Output::Ignored { from, reason });
+                }
+                if let Err(reason) = self.check_time(from, &mut message) {
                     return out.push(Output::Ignored { from, reason });
                 }
                 if let Some(acknowledged) = self.has_lost_blocks(&message) {

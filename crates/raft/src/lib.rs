@@ -36,7 +36,7 @@ mod message;
 mod queue;
 mod reconcile;
 
-pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Secret, Status};
+pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Secret, Status, TIME_AHEAD_MAX};
 pub use interface::{Input, Lane, Output, Role, RoleChange};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{

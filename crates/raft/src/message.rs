@@ -17,6 +17,7 @@
 //!   repeated Entry entries = 10;   // append only
 //!   uint64 receipt_index = 11; // heartbeat: a block that the receiver has acknowledged in this term
 //!   bytes  receipt     = 12;  // append_response: a code over its index; heartbeat: the receiver's own code
+//!   uint64 accepts_until = 13; // responses to append and heartbeat: the latest block time that the sender acknowledges
 //! }
 //! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
 //! message Statement { bytes signed = 1; }                     // see ledger-light; not for the engine
@@ -151,6 +152,9 @@ pub struct RaftMessage {
     /// A receipt of what was acknowledged, for whoever made it.
     #[prost(bytes = "bytes", tag = "12")]
     pub receipt: Bytes,
+    /// Responses to append and heartbeat: the latest block time that the sender acknowledges, microseconds since the UNIX epoch.
+    #[prost(uint64, tag = "13")]
+    pub accepts_until: u64,
 }
 
 /// An entry on the wire.

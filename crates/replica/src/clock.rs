@@ -1,5 +1,6 @@
 //! The clock of a ledger, from which a leader makes block time.
 
+use ledger_raft::TIME_AHEAD_MAX;
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Where block time is ahead of the machine's clock, this clock loses one part of so many: so it comes back.
@@ -49,6 +50,12 @@ impl Clock {
     /// The time since the UNIX epoch, on a machine whose clocks show this.
     pub fn at(&self, wall: u64, elapsed: u64) -> u64 {
         wall.max(self.anchor().at(elapsed))
+    }
+
+    /// The latest block time that a voter with this clock acknowledges: [`TIME_AHEAD_MAX`] ahead of its machine, or block time
+    /// as it goes on where that is further. Nobody adds to the latter, so no leader gets further ahead block by block.
+    pub fn accepts_until(&self, wall: u64, elapsed: u64) -> u64 {
+        wall.saturating_add(TIME_AHEAD_MAX).max(self.anchor().at(elapsed))
     }
 
     /// Takes note of a block's time, which the clock is not behind from now on. Where the machine's clock is behind, the
@@ -109,6 +116,23 @@ mod tests {
         let wall = |elapsed| elapsed;
         assert_eq!(clock.at(wall(16_000_000), 16_000_000), 17_000_000);
         assert_eq!(clock.at(wall(32_000_000), 32_000_000), 32_000_000);
+    }
+
+    #[test]
+    fn a_voter_acknowledges_two_seconds_ahead_of_its_machine_or_block_time_as_it_goes_on() {
+        let clock = Clock::of(1_000_000, 0);
+        assert_eq!(clock.accepts_until(5_000_000, 160), 5_000_000 + TIME_AHEAD_MAX);
+        assert_eq!(Clock::of(50_000_000, 0).accepts_until(5_000_000, 160), 50_000_150);
+    }
+
+    #[test]
+    fn blocks_at_the_bound_lead_no_voter_further_ahead() {
+        let clock = Clock::of(0, 0);
+        for elapsed in (0..1_000_000).step_by(1_000) {
+            let latest = clock.accepts_until(elapsed, elapsed);
+            assert!(latest <= elapsed + TIME_AHEAD_MAX);
+            clock.observe(latest, elapsed);
+        }
     }
 
     #[test]

@@ -34,6 +34,8 @@ pub struct Now {
     pub clock: u64,
     /// Time since the node started. It grows steadily.
     pub elapsed: u64,
+    /// The latest block time that this node acknowledges, as a voter: [`crate::Clock::accepts_until`].
+    pub accepts_until: u64,
 }
 
 /// How a replica is set up.
@@ -284,7 +286,7 @@ impl<W: Waiter> Replica<W> {
             None => u64::MAX,
         };
         let until_deadline = match self.executor.deadline().saturating_sub(now.clock) {
-            // Asked for already.
+            // Asked for already, or to be asked for when block time has come so far: a tick looks.
             0 => u64::MAX,
             left if self.leading => left,
             _ => u64::MAX,

@@ -157,7 +157,7 @@ impl Node {
     }
 
     fn clocks(&self) -> Now {
-        Now { clock: EPOCH + self.now, elapsed: self.now }
+        Now { clock: EPOCH + self.now, elapsed: self.now, accepts_until: u64::MAX }
     }
 
     fn step(&mut self, event: Event) -> Vec<Effect> {

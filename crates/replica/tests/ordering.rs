@@ -407,7 +407,7 @@ fn block_time_never_goes_back_across_leaders_and_restarts() {
     cluster.submit(1, Lane::Data, "a");
     cluster.run(1);
     cluster.crash(1);
-    cluster.set_back = 500 * 1_000_000;
+    cluster.ahead.insert(1, -500 * 1_000_000);
     cluster.start(1);
     cluster.elect();
     cluster.submit(1, Lane::Data, "b");

@@ -20,6 +20,8 @@ pub struct Clock {
     drift_ppm: i64,
     /// The process's view of the time.
     rule: replica::Clock,
+    /// The latest that the wall clock has shown, but for what it shows now.
+    latest: u64,
     /// Monotonic time when the process was started. Below zero if the machine ran fast before it was set right.
     started: i64,
 }
@@ -27,17 +29,19 @@ pub struct Clock {
 impl Clock {
     /// A machine whose clock is wrong by `offset` and runs wrong by `drift_ppm`.
     pub fn new(offset: i64, drift_ppm: i64) -> Self {
-        Self { offset, drift_ppm, rule: replica::Clock::of(0, 0), started: 0 }
+        Self { offset, drift_ppm, rule: replica::Clock::of(0, 0), latest: 0, started: 0 }
     }
 
     /// Somebody sets the wall clock.
-    pub fn step(&mut self, by: i64) {
+    pub fn step(&mut self, virtual_now: u64, by: i64) {
+        self.latest = self.latest(virtual_now);
         self.offset += by;
     }
 
     /// The wall clock is set right, and kept right. The process sees no jump of its monotonic clock.
     pub fn heal(&mut self, virtual_now: u64) {
         let elapsed = self.elapsed(virtual_now);
+        self.latest = self.latest(virtual_now);
         (self.offset, self.drift_ppm) = (0, 0);
         self.started = signed(virtual_now) - signed(elapsed);
     }
@@ -58,9 +62,19 @@ impl Clock {
         self.rule.at(self.wall(virtual_now), self.elapsed(virtual_now))
     }
 
+    /// The latest block time that the process acknowledges, as a voter.
+    pub fn accepts_until(&self, virtual_now: u64) -> u64 {
+        self.rule.accepts_until(self.wall(virtual_now), self.elapsed(virtual_now))
+    }
+
     /// The machine's clock.
     pub fn wall(&self, virtual_now: u64) -> u64 {
         (EPOCH + self.monotonic(virtual_now)).saturating_add_signed(self.offset)
+    }
+
+    /// The latest time that the machine's clock has shown.
+    pub fn latest(&self, virtual_now: u64) -> u64 {
+        self.latest.max(self.wall(virtual_now))
     }
 
     fn elapsed(&self, virtual_now: u64) -> u64 {

@@ -56,6 +56,8 @@ faults! {
     StateLost "world state lost";
     /// Somebody sets a machine's clock.
     ClockStep "clock step";
+    /// Somebody sets a machine's clock hours ahead, and right again after a while.
+    ClockHours "clock hours ahead";
     /// A machine's clock runs wrong.
     ClockDrift "clock drift";
     /// A process stands still while the others go on.

@@ -16,6 +16,7 @@ mod fair_share;
 mod grant_exclusivity;
 mod in_order;
 mod informed_votes;
+mod keeps_time;
 mod leader_completeness;
 mod log_matching;
 mod members;
@@ -38,6 +39,7 @@ pub use fair_share::FairShare;
 pub use grant_exclusivity::GrantExclusivity;
 pub use in_order::{Call, InOrder};
 pub use informed_votes::VotesAreInformed;
+pub use keeps_time::BlockTimeKeepsToTheClocks;
 pub use leader_completeness::LeaderCompleteness;
 pub use log_matching::LogMatching;
 pub use members::MembersFollowTheLedger;
@@ -132,6 +134,8 @@ pub struct Invariants {
     pub members: MembersFollowTheLedger,
     /// Certificates say what was executed.
     pub certified: CertificatesAreTrue,
+    /// No block is further ahead than a majority allows.
+    pub keeps_time: BlockTimeKeepsToTheClocks,
 }
 
 impl Invariants {
@@ -159,6 +163,7 @@ impl Invariants {
             informed_votes: VotesAreInformed::default(),
             members: MembersFollowTheLedger::default(),
             certified: CertificatesAreTrue::default(),
+            keeps_time: BlockTimeKeepsToTheClocks::default(),
         }
     }
 

@@ -108,6 +108,8 @@ pub(crate) enum Undo {
     Cut(u64),
     /// There is room on the disk.
     FullDisk(u64),
+    /// A clock is set right that was far ahead.
+    ClockHours,
 }
 
 /// Random sequences, one for each purpose.
@@ -174,6 +176,8 @@ pub struct World {
     pub(crate) liar: Option<u64>,
     queue: BTreeMap<(u64, u64), Event>,
     sequence: u64,
+    /// The node whose clock is hours ahead, and by how much.
+    pub(crate) hours_ahead: Option<(u64, i64)>,
     /// Names faults that end.
     pub(crate) faults: u64,
     /// Counts calls that nobody waits for.
@@ -248,6 +252,7 @@ impl World {
             liar,
             queue: BTreeMap::new(),
             sequence: 0,
+            hours_ahead: None,
             faults: 0,
             floods: 0,
             flooded: 0,

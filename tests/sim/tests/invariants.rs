@@ -15,9 +15,9 @@ use ledger_storage::entry::{Entry, EntryKind, HardState};
 use ledger_storage::result::{BlockKind, EmittedEvent, Event, TransactionResult};
 use ledgerd_sim::client::{Call, sign};
 use ledgerd_sim::invariant::{
-    AcknowledgedIsDurable, ChainAgreement, CommittedIsImmutable, DeniedByDefault, ElectionSafety, EpochsGrow,
-    ExactlyOnce, Executed, GrantExclusivity, LeaderCompleteness, LogMatching, MembersFollowTheLedger,
-    RevokedStaysRevoked, SnapshotsAreAttested, StateAgreement, VotesAreInformed,
+    AcknowledgedIsDurable, BlockTimeKeepsToTheClocks, ChainAgreement, CommittedIsImmutable, DeniedByDefault,
+    ElectionSafety, EpochsGrow, ExactlyOnce, Executed, GrantExclusivity, LeaderCompleteness, LogMatching,
+    MembersFollowTheLedger, RevokedStaysRevoked, SnapshotsAreAttested, StateAgreement, VotesAreInformed,
 };
 use ledgerd_sim::people::People;
 use std::sync::Arc;
@@ -272,4 +272,17 @@ fn members_that_no_transaction_wanted_are_noticed() {
     members.at_rest(&Membership::new([1], [2]), &records).unwrap();
     let removed = [record(1, NodeRole::Voter), record(2, NodeRole::Removed)];
     members.at_rest(&Membership::new([1, 2], []), &removed).unwrap_err();
+}
+
+#[test]
+fn block_time_that_no_majority_can_have_acknowledged_is_noticed() {
+    let voters = [1, 2, 3].into();
+    let clock = |voter: u64| [0, 9_000_000, 5_000_000, 1_000_000][voter as usize];
+    let mut keeps_time = BlockTimeKeepsToTheClocks::default();
+    let mut at = |now: u64, time: u64| keeps_time.executed(now, (1, time), &[&voters], clock);
+    at(0, 7_000_000).unwrap();
+    at(0, 7_000_001).unwrap_err();
+    at(500, 7_000_501).unwrap();
+    at(1_000_000, 8_000_001).unwrap();
+    at(1_000_000, 8_000_002).unwrap_err();
 }

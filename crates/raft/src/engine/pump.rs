@@ -57,6 +57,7 @@ impl Engine {
             self.last_time = self.newest_time();
             self.heard = self.membership.nodes().into_iter().map(|node| (node, self.ticks)).collect();
             self.receipts.begin_term(change.term);
+            self.times.begin_term();
         }
         if leads || role != Role::Leader {
             self.own.clear();
@@ -109,7 +110,7 @@ impl Engine {
             if cut.is_empty() && !self.queues.is_empty() {
                 return;
             }
-            let time = self.now.max(self.last_time);
+            let time = self.block_time(self.now);
             let data = Payload { time, transactions: self.queues.peek(cut) }.to_bytes();
             let bytes = data.len();
             if let Err(error) = self.raw.step(proposal(self.config.id, EntryKind::Normal, data)) {
@@ -194,6 +195,7 @@ impl Engine {
             }
         }
         self.membership = next.clone();
+        self.times.keep(&next);
         let nodes = next.nodes();
         self.heard.retain(|node, _| nodes.contains(node));
         for node in nodes {
@@ -339,6 +341,7 @@ impl Engine {
             let to = message.to;
             if let Some(mut message) = RaftMessage::from_raft(message) {
                 self.receipts.attach(to, &mut message);
+                self.times.attach(&mut message);
                 out.push(Output::Send { to, message: PeerMessage::Raft(message) });
             }
         }

@@ -4,6 +4,7 @@ mod bounds;
 mod learners;
 mod promises;
 mod standing;
+mod time;
 
 use super::*;
 use crate::Lane;

@@ -46,6 +46,7 @@ impl RaftMessage {
             entries: entries.into_iter().map(WireEntry::from_raft).collect(),
             receipt_index: 0,
             receipt: Bytes::new(),
+            accepts_until: 0,
         })
     }
 

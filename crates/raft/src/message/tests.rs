@@ -41,6 +41,7 @@ fn message() -> impl Strategy<Value = PeerMessage> {
                 entries: if kind == i32::from(RaftKind::Append) { entries.collect() } else { Vec::new() },
                 receipt_index: 0,
                 receipt: Bytes::new(),
+                accepts_until: 0,
             })
         },
     );

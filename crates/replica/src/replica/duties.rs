@@ -38,7 +38,7 @@ impl<W: Waiter> Replica<W> {
     /// Orders an empty block when something is due and no traffic moved block time past it.
     fn meet_deadline(&mut self, now: Now, out: &mut Vec<Effect>) {
         let deadline = self.executor.deadline();
-        if !self.leading || now.clock < deadline {
+        if !self.leading || self.engine.block_time(now.clock) < deadline {
             return;
         }
         let asking_for = (deadline, self.executor.ledger().tip().height);

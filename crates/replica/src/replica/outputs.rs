@@ -16,6 +16,7 @@ impl<W: Waiter> Replica<W> {
             self.ticks.note_work();
         }
         let mut outputs = std::mem::take(&mut self.outputs);
+        self.engine.accept_time_until(now.accepts_until);
         self.engine.step(now.clock, input, &mut outputs);
         for output in outputs.drain(..) {
             self.carry_out(now, output, out);

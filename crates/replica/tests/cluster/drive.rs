@@ -17,7 +17,9 @@ impl Cluster {
     /// Both clocks of a node.
     fn clocks(&self, id: u64) -> Now {
         let up = self.nodes[&id].up.as_ref();
-        Now { clock: up.map_or(0, |up| up.clock.at(self.wall(), self.now)), elapsed: self.now }
+        let (wall, elapsed) = (self.wall(id), self.now);
+        let accepts_until = up.map_or(0, |up| up.clock.accepts_until(wall, elapsed));
+        Now { clock: up.map_or(0, |up| up.clock.at(wall, elapsed)), elapsed, accepts_until }
     }
 
     /// An engine starts in a process that runs.

@@ -72,8 +72,10 @@ pub struct Cluster {
     pub nodes: BTreeMap<u64, Node>,
     /// Virtual time, microseconds.
     pub now: u64,
-    /// How far all wall clocks were set back, microseconds.
-    pub set_back: u64,
+    /// How far wall clocks are ahead, by node, microseconds.
+    pub ahead: BTreeMap<u64, i64>,
+    /// A node that takes the others to acknowledge any block time.
+    pub deceived: Option<u64>,
     pub random: Random,
     pub faults: Faults,
     /// Directed links that lose everything.
@@ -123,7 +125,8 @@ impl Cluster {
         let mut cluster = Self {
             nodes: BTreeMap::new(),
             now: 0,
-            set_back: 0,
+            ahead: BTreeMap::new(),
+            deceived: None,
             random: Random::seeded(seed),
             faults: CALM,
             cut: BTreeSet::new(),
@@ -154,8 +157,13 @@ impl Cluster {
         self.genesis.1
     }
 
-    fn wall(&self) -> u64 {
-        EPOCH + self.now - self.set_back
+    /// The clock of a machine that is right.
+    pub fn time(&self) -> u64 {
+        EPOCH + self.now
+    }
+
+    fn wall(&self, id: u64) -> u64 {
+        self.time().saturating_add_signed(self.ahead.get(&id).copied().unwrap_or(0))
     }
 
     /// A new, empty node that knows the genesis.
@@ -194,7 +202,7 @@ impl Cluster {
 
     /// A client waits at a node for the verdict on a transaction; answers with its bytes.
     pub fn awaited(&mut self, id: u64, lane: Lane, text: &str) -> Option<Bytes> {
-        let (network, now) = (self.network(), self.wall());
+        let (network, now) = (self.network(), self.wall(id));
         let up = self.nodes.get(&id)?.up.as_ref()?;
         let now = up.clock.at(now, self.now);
         let function = if text == "alarm" { "alarm" } else { "note" };
@@ -236,7 +244,12 @@ impl Cluster {
             match event {
                 // A message of before a restart may still come.
                 Event::Deliver { from, to, bytes } => {
-                    let message = PeerMessage::decode(bytes).unwrap();
+                    let mut message = PeerMessage::decode(bytes).unwrap();
+                    if let PeerMessage::Raft(answer) = &mut message
+                        && self.deceived == Some(to)
+                    {
+                        answer.accepts_until = u64::MAX;
+                    }
                     self.input(to, Input::Message { from, message });
                 }
                 Event::Input(input) => self.input(id, *input),

@@ -16,7 +16,7 @@ const NODES_MAX: usize = 14;
 const LEFT_MAX: u64 = 48 * 1024;
 
 /// The faults that happen at a moment; the others are rates.
-const AT_A_MOMENT: [Fault; 22] = [
+const AT_A_MOMENT: [Fault; 23] = [
     Fault::Clog,
     Fault::Partition,
     Fault::OneWay,
@@ -29,6 +29,7 @@ const AT_A_MOMENT: [Fault; 22] = [
     Fault::FullDisk,
     Fault::StateLost,
     Fault::ClockStep,
+    Fault::ClockHours,
     Fault::Pause,
     Fault::ClientCrash,
     Fault::Transfer,
@@ -104,6 +105,7 @@ impl World {
             Fault::BitFlip if self.may_lose(id) => self.flip(id),
             Fault::Replacement if self.may_lose(id) => self.lose(id),
             Fault::ClockStep => self.set_clock(id),
+            Fault::ClockHours => self.set_hours_ahead(id),
             Fault::Pause => {
                 self.coverage.fault(fault);
                 let long = self.random.faults.percent(30);
@@ -145,6 +147,7 @@ impl World {
                     node.shelf.set_full(false);
                 }
             }
+            Undo::ClockHours => self.set_right(),
         }
     }
 
@@ -153,6 +156,7 @@ impl World {
         self.note(format_args!("everything heals"));
         self.chaos = false;
         self.links.heal();
+        self.set_right();
         for id in self.usable() {
             if !self.desired.voters.contains(&id) && !self.desired.learners.contains(&id) {
                 // Taken out long ago, and switched off at last.
@@ -273,7 +277,26 @@ impl World {
         let wall = node.clock.wall(self.now);
         // Certificates began a year before, so a clock is never set that far back.
         let by = if back { -(by.min((wall + 3600 * SECOND).saturating_sub(EPOCH)) as i64) } else { by as i64 };
-        node.clock.step(by);
+        node.clock.step(self.now, by);
+    }
+
+    /// One clock at a time, so that it is never a majority.
+    fn set_hours_ahead(&mut self, id: u64) {
+        let by = self.random.faults.between(3600 * SECOND, 10 * 3600 * SECOND) as i64;
+        let time = self.random.faults.between(SECOND, 12 * SECOND);
+        let Some(node) = self.nodes.get_mut(&id).filter(|_| self.hours_ahead.is_none()) else { return };
+        node.clock.step(self.now, by);
+        self.hours_ahead = Some((id, by));
+        self.coverage.fault(Fault::ClockHours);
+        self.schedule(time, Event::Undo(Undo::ClockHours));
+    }
+
+    fn set_right(&mut self) {
+        if let Some((id, by)) = self.hours_ahead.take()
+            && let Some(node) = self.nodes.get_mut(&id)
+        {
+            node.clock.step(self.now, -by);
+        }
     }
 
     fn hand_over(&mut self) -> Check {

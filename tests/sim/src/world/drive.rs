@@ -21,7 +21,10 @@ impl World {
 
     /// Both clocks of a node.
     pub(super) fn clocks(&self, id: u64) -> Now {
-        Now { clock: self.nodes.get(&id).map_or(0, |node| node.clock.now(self.now)), elapsed: self.now }
+        let Some(clock) = self.nodes.get(&id).map(|node| &node.clock) else {
+            return Now { clock: 0, elapsed: self.now, accepts_until: 0 };
+        };
+        Now { clock: clock.now(self.now), elapsed: self.now, accepts_until: clock.accepts_until(self.now) }
     }
 
     /// Hands an input to a node; while its thread is busy with the disk, it waits in the inbox.

@@ -97,12 +97,23 @@ impl World {
             }
             let members = ledger.members().unwrap_or_default();
             self.records = msp::nodes(&**ledger.state()).unwrap();
+            self.keeps_time(outcome)?;
             let before = self.newest_members().clone();
             self.invariants.members.executed(&before, &members, &self.records)?;
             self.members.push(members);
             self.blocks.push(Block { entry: entry.clone(), outcome: outcome.clone() });
         }
         self.state(id, ledger, outcome)
+    }
+
+    /// Looks at block time, before the block changes members.
+    fn keeps_time(&mut self, outcome: &Outcome) -> Check {
+        let (now, block) = (self.now, (outcome.header.height, outcome.header.time));
+        let newest = self.members.last();
+        let before = self.members.iter().rev().find(|set| Some(*set) != newest);
+        let sets: Vec<_> = before.into_iter().chain(newest).flat_map(|set| [&set.voters, &set.outgoing]).collect();
+        let latest = |voter| self.nodes.get(&voter).map_or(0, |node| node.clock.latest(now));
+        self.invariants.keeps_time.executed(now, block, &sets, latest)
     }
 
     /// A client is about to hear that its transaction is in this block.
