@@ -2,7 +2,8 @@
 
 use crate::log;
 use bytes::Bytes;
-use ledger_raft::{Engine, EngineConfig, Input, Lane, Membership, Output};
+use ledger_raft::{Ballot, Ballots, Engine, EngineConfig, Input, Lane, Membership, Output};
+use ledger_rejection::Rejection;
 use ledger_storage::block_store::BlockStore;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,6 +11,19 @@ use tempfile::TempDir;
 
 const LEADER: u64 = 1;
 const LEARNER: u64 = 2;
+
+/// Votes without keys: there is one election, before anything is measured.
+struct Names;
+
+impl Ballots for Names {
+    fn sign(&self, ballot: Ballot) -> Result<Bytes, Rejection> {
+        Ok(format!("{ballot:?}").into())
+    }
+
+    fn check(&self, _ballot: Ballot, _signed: &[u8], _now: u64) -> Result<(), Rejection> {
+        Ok(())
+    }
+}
 
 /// An engine and its log.
 struct Member {
@@ -102,7 +116,7 @@ impl Member {
         let (log, store) = log();
         let store = Arc::new(store);
         let config = EngineConfig::new(id, Membership::new([LEADER], [LEARNER]), id);
-        Self { engine: Engine::new(config, Arc::clone(&store)).unwrap(), store, _log: log }
+        Self { engine: Engine::new(config, Arc::clone(&store), Arc::new(Names)).unwrap(), store, _log: log }
     }
 
     fn step(&mut self, now: u64, input: Input) -> Vec<Output> {

@@ -1,4 +1,4 @@
-//! The node's key for statements, and whose certificates are believed in those of others.
+//! The node's key for statements and votes, and whose certificates are believed in those of others.
 
 use bytes::Bytes;
 use ledger::Ledger;
@@ -6,7 +6,7 @@ use ledger_api::tls::TlsIdentity;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Signed, Statement};
+use ledger_light::{Signature, Signed, Statement, Vote};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::certifier::Signing;
 use std::collections::HashMap;
@@ -58,11 +58,16 @@ impl Signing for Keys {
         statement.sign(self.me, Bytes::copy_from_slice(own.certificate()), &own.key)
     }
 
+    fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection> {
+        let own = self.identity.own();
+        vote.sign(Bytes::copy_from_slice(own.certificate()), &own.key)
+    }
+
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], time: u64) -> Result<Identity, Rejection> {
         let identity = self.find(msps, certificate, time)?;
         // By the newest state: a certificate that was revoked since is not believed either.
         if self.ledger.is_revoked(&Hash(identity.issuer), &identity.serial)? {
-            return Err(Rejection::new(Code::Revoked, "a statement is signed with a revoked certificate")
+            return Err(Rejection::new(Code::Revoked, "a statement or a vote is signed with a revoked certificate")
                 .found(identity.id())
                 .wanted("a certificate that is not revoked")
                 .next("renew the certificate of that node"));

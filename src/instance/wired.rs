@@ -31,7 +31,7 @@ use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Ballot;
 use ledger_replica::certifier::{Certifier, Event};
 use ledger_replica::gateway::Shares;
-use ledger_replica::{Executor, Observer, Retries};
+use ledger_replica::{Executor, Observer, Retries, Voting};
 use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -151,8 +151,10 @@ impl Wired {
             behind: watch::Sender::new(None),
             fate: Fate::new(config),
         };
+        let keys = Keys::new(me.id, identity.clone(), Arc::clone(ledger));
         let engines = Engines {
             executor: followers.executor(ledger, &members),
+            ballots: Arc::new(Voting::new(Arc::clone(ledger), keys)),
             waiters: Arc::clone(&followers.waiters),
             clock,
             log: Log { store: Arc::clone(&stores.store), space: Arc::clone(&space) },

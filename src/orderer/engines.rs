@@ -12,6 +12,7 @@ use crate::peers::{Directory, Peers};
 use crate::slice::Turns;
 use crate::space::Space;
 use crate::waiters::Waiters;
+use ledger_raft::Ballots;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::space::Wrote;
@@ -26,6 +27,8 @@ use tokio::sync::watch;
 pub(crate) struct Engines {
     /// Executes blocks, and tells everybody whom they concern.
     pub executor: Arc<Executor>,
+    /// The node's key for votes.
+    pub ballots: Arc<dyn Ballots>,
     /// Clients that wait for a verdict.
     pub waiters: Arc<Waiters>,
     /// The node's clock.
@@ -84,7 +87,8 @@ impl Engines {
         self.outside.behind.send_replace(None);
         let (store, executor, waiters) =
             (Arc::clone(&self.log.store), Arc::clone(&self.executor), Arc::clone(&self.waiters));
-        let replica = Replica::start(settings, store, executor, waiters, self.outside.directory.desired())?;
+        let (desired, ballots) = (self.outside.directory.desired(), Arc::clone(&self.ballots));
+        let replica = Replica::start(settings, store, executor, waiters, desired, ballots)?;
         Orderer::start(replica, self).map_err(|error| no_thread(&error))
     }
 }

@@ -1,6 +1,6 @@
-//! A learner that lies about the ordering protocol, with its real certificate: bytes made by hand, to real voters.
+//! Members that lie about the ordering protocol, with their real certificates: bytes made by hand, to real voters.
 
-use crate::support::network::{NodeWish, free_address, message, register_robots};
+use crate::support::network::{NodePlace, NodeWish, free_address, message, register_robots};
 use crate::support::{Fleet, Process, connect, wire};
 use bytes::Bytes;
 use futures::StreamExt;
@@ -54,8 +54,8 @@ async fn say(liar: &Context, address: &str, said: Vec<Bytes>) {
     PeerClient::new(channel).messages(frames.boxed()).await.unwrap();
 }
 
-#[tokio::test]
-async fn a_learner_that_names_a_later_term_ends_no_voter_and_leads_nobody() {
+/// A network of three voters and a learner, `robot`.
+fn found() -> Fleet {
     let wish = |name: &str, organisation: &str, voter| NodeWish {
         name: name.into(),
         organisation: organisation.into(),
@@ -64,7 +64,57 @@ async fn a_learner_that_names_a_later_term_ends_no_voter_and_leads_nobody() {
     };
     let wishes =
         [wish("a", "Org1", true), wish("b", "Org1", true), wish("c", "Org2", true), wish("robot", "Org2", false)];
-    let fleet = Fleet::found_with(&wishes, crate::support::network::now());
+    Fleet::found_with(&wishes, crate::support::network::now())
+}
+
+/// Speaks with the certificate of a node that does not run.
+fn as_node(place: &NodePlace, any: &Context) -> Context {
+    let pem = std::fs::read(place.data.join("node.pem")).unwrap();
+    let chain = CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().unwrap();
+    let key = SigningKey::from_pkcs8_pem(&std::fs::read_to_string(place.data.join("node.key")).unwrap()).unwrap();
+    Context { chain, key: Arc::new(key), ..any.clone() }
+}
+
+#[tokio::test]
+async fn a_voter_that_says_that_it_was_elected_leads_nobody_without_the_votes() {
+    let fleet = found();
+    let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
+    let mut nodes: Vec<Process> = fleet.nodes[..2].iter().map(|node| node.start()).collect();
+    register_robots(&connect(&owner).await, "exclusive").await;
+    let client = connect(&salma).await;
+    client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
+
+    let liar = as_node(&fleet.nodes[2], &salma);
+    let term = 1_000_000;
+    let mandate = |voters: &[u64], signed: &[u8]| -> Bytes {
+        let votes = voters.iter().map(|node| part(2, &[number(1, *node), part(2, signed)].concat()));
+        part(7, &[vec![number(1, term)], votes.collect()].concat().concat()).into()
+    };
+    let block = |data: &[u8]| part(10, &[number(1, 1), number(2, term), number(3, 1), part(4, data)].concat());
+    for (round, made_up) in [&b"one"[..], b"another"].into_iter().enumerate() {
+        for (node, data) in fleet.nodes[..2].iter().zip([made_up, b"and to the other voter another one"]) {
+            let lies = vec![
+                raft(&[number(1, HEARTBEAT), number(2, term)]),
+                mandate(&[3], b""),
+                mandate(&[1, 2, 3], &[7; 90]),
+                raft(&[number(1, HEARTBEAT), number(2, term)]),
+                raft(&[number(1, APPEND), number(2, term), number(5, 1), block(data)]),
+            ];
+            say(&liar, &node.address, lies).await;
+        }
+        client.invoke("abac", "set", message(1, 1 + round as u64, b"go on")).await.unwrap();
+    }
+    for node in &mut nodes {
+        node.check();
+        assert!(node.stderr().contains("have not elected it"), "{}", node.stderr());
+        assert!(!node.stderr().contains("leader=\"Org2/c\""), "{}", node.stderr());
+        node.interrupt();
+    }
+}
+
+#[tokio::test]
+async fn a_learner_that_names_a_later_term_ends_no_voter_and_leads_nobody() {
+    let fleet = found();
     let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
     let mut nodes: Vec<Process> = fleet.nodes[..3].iter().map(|node| node.start()).collect();
     register_robots(&connect(&owner).await, "exclusive").await;
@@ -72,11 +122,7 @@ async fn a_learner_that_names_a_later_term_ends_no_voter_and_leads_nobody() {
     client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
 
     // The learner's node does not run: this test speaks with its certificate.
-    let place = &fleet.nodes[3];
-    let pem = std::fs::read(place.data.join("node.pem")).unwrap();
-    let chain = CertificateDer::pem_slice_iter(&pem).collect::<Result<Vec<_>, _>>().unwrap();
-    let key = SigningKey::from_pkcs8_pem(&std::fs::read_to_string(place.data.join("node.key")).unwrap()).unwrap();
-    let liar = Context { chain, key: Arc::new(key), ..salma.clone() };
+    let liar = as_node(&fleet.nodes[3], &salma);
 
     let (term, height) = (1_000_000, 1_000_000);
     let empty_block = part(10, &[number(1, 1), number(2, term), number(3, 1)].concat());

@@ -10,6 +10,7 @@
 //! | [`fact`] | the leaves: what executing a block gave |
 //! | [`control`] | the chain over all writes of control state, which shows that none was left out |
 //! | [`statement`] | what a voter says about a block, and its signature |
+//! | [`vote`] | who is to lead, as a voter says, and its signature |
 //! | [`voters`] | whose signatures count, and how many are enough |
 //! | [`certificate`] | the statement with enough signatures |
 //! | [`lie`] | two statements of one node about one height |
@@ -39,9 +40,11 @@ pub mod fact;
 pub mod lie;
 pub mod merkle;
 pub mod statement;
+pub mod vote;
 pub mod voters;
 
 pub use certificate::Certificate;
 pub use lie::Lie;
 pub use statement::{Signature, Signed, Statement};
+pub use vote::Vote;
 pub use voters::{Voter, Voters};

@@ -15,8 +15,8 @@ pub const STATEMENT_BYTES: usize = DOMAIN.len() + 8 + 8 + 3 * 32;
 pub const SIGNATURE_BYTES_MAX: usize = 72;
 /// Longest encoding of a signed statement.
 pub const SIGNED_BYTES_MAX: usize = STATEMENT_BYTES + ENCLOSED_BYTES_MAX;
-/// Longest encoding of a signature.
-pub(crate) const ENCLOSED_BYTES_MAX: usize = 8 + 4 + CERTIFICATE_BYTES_MAX + 4 + SIGNATURE_BYTES_MAX;
+/// Longest encoding of a signature with its certificate.
+pub const ENCLOSED_BYTES_MAX: usize = 8 + 4 + CERTIFICATE_BYTES_MAX + 4 + SIGNATURE_BYTES_MAX;
 
 /// The outcome of a block, as a voter states it. An honest node makes one statement for each height, ever.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +41,7 @@ pub struct Signature {
     pub node: u64,
     /// The node's certificate, DER: keys are renewed, and who checks need not have seen each of them.
     pub certificate: Bytes,
-    /// The signature of [`Statement::to_bytes`] by the certificate's key.
+    /// The signature of [`Statement::to_bytes`], or of [`Vote::to_bytes`](crate::Vote::to_bytes), by the certificate's key.
     pub signature: Bytes,
 }
 
@@ -91,15 +91,39 @@ impl Statement {
     /// # Errors
     /// [`Code::Internal`] if the system's randomness fails.
     pub fn sign(&self, node: u64, certificate: Bytes, key: &SigningKey) -> Result<Signed, Rejection> {
-        let signature = key.sign(&self.to_bytes());
-        if signature.is_empty() {
-            return Err(Rejection::new(Code::Internal, "the system's source of randomness failed"));
-        }
-        Ok(Signed { statement: *self, signature: Signature { node, certificate, signature: signature.into() } })
+        let signature = Signature::make(node, certificate, key, &self.to_bytes())?;
+        Ok(Signed { statement: *self, signature })
     }
 }
 
 impl Signature {
+    /// The signature of these bytes.
+    pub(crate) fn make(node: u64, certificate: Bytes, key: &SigningKey, signed: &[u8]) -> Result<Self, Rejection> {
+        let signature = key.sign(signed);
+        if signature.is_empty() {
+            return Err(Rejection::new(Code::Internal, "the system's source of randomness failed"));
+        }
+        Ok(Self { node, certificate, signature: signature.into() })
+    }
+
+    /// Its bytes.
+    pub fn to_bytes(&self) -> Bytes {
+        let mut bytes = Vec::new();
+        self.write(&mut bytes);
+        bytes.into()
+    }
+
+    /// Reads its bytes. It is not checked.
+    ///
+    /// # Errors
+    /// [`Code::TooLarge`], [`Code::Malformed`].
+    pub fn from_bytes(bytes: &[u8]) -> Result<Self, Rejection> {
+        let mut reader = Reader::new("a signature", ENCLOSED_BYTES_MAX, b"", bytes)?;
+        let signature = Self::read(&mut reader)?;
+        reader.end()?;
+        Ok(signature)
+    }
+
     pub(crate) fn write(&self, bytes: &mut Vec<u8>) {
         bytes.extend_from_slice(&self.node.to_be_bytes());
         put(bytes, &self.certificate);

@@ -1,6 +1,7 @@
 //! The voters whose signatures count for a block, and how many of them are enough: those as of the block before it.
 
 use crate::statement::{Signature, Statement};
+use crate::vote::Vote;
 use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, BTreeSet};
@@ -37,19 +38,52 @@ impl Voters {
     /// # Errors
     /// [`Code::NotAMember`], [`Code::Untrusted`], [`Code::BadSignature`].
     pub fn check(&self, statement: &Statement, signature: &Signature, identity: &Identity) -> Result<(), Rejection> {
-        let (node, signer) = (signature.node, identity.id());
-        let voter = self.nodes.get(&node).filter(|_| self.is_voter(node)).ok_or_else(|| {
-            Rejection::new(Code::NotAMember, "a statement is signed by a node that does not vote")
-                .found(format!("node {node}, {signer}"))
-                .wanted(format!("a voter of block {}", statement.height))
-        })?;
-        if identity.role != Role::Node || identity.organisation != voter.organisation || identity.name != voter.name {
-            return Err(Rejection::new(Code::Untrusted, "a statement is signed with the certificate of somebody else")
-                .found(format!("{signer} with role {}", identity.role))
-                .wanted(format!("node {node}, {}/{}", voter.organisation, voter.name)));
+        let node = signature.node;
+        if !self.is_voter(node) {
+            return Err(Rejection::new(Code::NotAMember, "a statement is signed by a node that does not vote")
+                .found(format!("node {node}, {}", identity.id()))
+                .wanted(format!("a voter of block {}", statement.height)));
         }
-        identity.public_key.verify(&statement.to_bytes(), &signature.signature).map_err(|error| {
-            Rejection::told(Code::BadSignature, &format!("a statement of {signer} is not what it signed: {error}"))
+        self.check_signer("a statement", &statement.to_bytes(), signature, identity)
+    }
+
+    /// Checks the signature of one vote: that this is the identity of the voter, and that it signed this. Whether the node
+    /// votes, the caller knows. `identity` as for [`Voters::check`].
+    ///
+    /// # Errors
+    /// [`Code::NotAMember`], [`Code::Untrusted`], [`Code::BadSignature`].
+    pub fn check_vote(&self, vote: &Vote, signature: &Signature, identity: &Identity) -> Result<(), Rejection> {
+        if signature.node != vote.voter {
+            return Err(Rejection::new(Code::BadSignature, "a vote is signed by another node")
+                .found(format!("node {}", signature.node))
+                .wanted(format!("node {}", vote.voter)));
+        }
+        self.check_signer("a vote", &vote.to_bytes(), signature, identity)
+    }
+
+    fn check_signer(
+        &self,
+        what: &str,
+        signed: &[u8],
+        signature: &Signature,
+        identity: &Identity,
+    ) -> Result<(), Rejection> {
+        let (node, signer) = (signature.node, identity.id());
+        let known = self.nodes.get(&node).ok_or_else(|| {
+            Rejection::new(Code::NotAMember, format!("{what} is signed by a node that nobody knows"))
+                .found(format!("node {node}, {signer}"))
+                .wanted("a node of this network")
+        })?;
+        if identity.role != Role::Node || identity.organisation != known.organisation || identity.name != known.name {
+            return Err(Rejection::new(
+                Code::Untrusted,
+                format!("{what} is signed with the certificate of somebody else"),
+            )
+            .found(format!("{signer} with role {}", identity.role))
+            .wanted(format!("node {node}, {}/{}", known.organisation, known.name)));
+        }
+        identity.public_key.verify(signed, &signature.signature).map_err(|error| {
+            Rejection::told(Code::BadSignature, &format!("{what} of {signer} is not what it signed: {error}"))
         })
     }
 

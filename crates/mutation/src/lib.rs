@@ -60,6 +60,8 @@ pub enum Mutation {
     OlderRulesAtTheActivation,
     /// Every member may send every message of the ordering protocol.
     BelieveAnybody,
+    /// A voter that says that it was elected need not show it.
+    FollowWithoutMandate,
     /// The signature of a node that does not vote counts for a certificate.
     CountALearner,
     /// The signature of a voter counts twice for a certificate.

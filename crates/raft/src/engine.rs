@@ -5,6 +5,7 @@ mod behind;
 mod config;
 mod guard;
 mod logger;
+mod mandate;
 mod promises;
 mod pump;
 mod receipt;
@@ -15,6 +16,7 @@ mod submit;
 mod time;
 
 pub use config::{EngineConfig, EngineError};
+pub use mandate::{Ballot, Ballots};
 pub use receipt::Secret;
 pub use status::{PeerStatus, Replication, Status};
 pub use time::TIME_AHEAD_MAX;
@@ -29,9 +31,11 @@ use ledger::members::Membership;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, STAGED_BYTES_MAX};
 use ledger_storage::entry::EntryKind;
+use mandate::Mandates;
 use promises::Promised;
 use raft::{RawNode, StateRole};
 use receipt::Receipts;
+use standing::Doubt;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use time::Times;
@@ -121,6 +125,8 @@ pub struct Engine {
     stranger_leads: bool,
     /// Receipts of the followers, and the means to make own ones.
     receipts: Receipts,
+    /// Signed votes, and who has shown them.
+    mandates: Mandates,
     /// Reads taken in from others; makes their names unique, see `guard.rs`.
     reads: u64,
     /// Wall-clock time of this step, microseconds.
@@ -132,11 +138,12 @@ pub struct Engine {
 }
 
 impl Engine {
-    /// Starts from what the store holds. Nothing is sent before the first [`Engine::step`].
+    /// Starts from what the store holds. Nothing is sent before the first [`Engine::step`]. `ballots` has the key of this
+    /// node.
     ///
     /// # Errors
     /// [`EngineError`] when the store, the state machine's height and the configuration do not fit together.
-    pub fn new(config: EngineConfig, store: Arc<BlockStore>) -> Result<Self, EngineError> {
+    pub fn new(config: EngineConfig, store: Arc<BlockStore>, ballots: Arc<dyn Ballots>) -> Result<Self, EngineError> {
         let (applied, last, stored) = (config.applied, store.last_index(), store.hard_state());
         if applied > last {
             return Err(EngineError::StateAhead { applied, last });
@@ -205,6 +212,7 @@ impl Engine {
             ended_terms: BTreeMap::new(),
             stranger_leads: false,
             receipts: Receipts::new(config.id, &config.secret),
+            mandates: Mandates::new(ballots),
             reads: 0,
             promised: Promised::NONE,
             failed: false,
@@ -287,8 +295,10 @@ impl Engine {
         }
         match message {
             PeerMessage::Raft(mut message) => {
-                if let Err(reason) = self.check_standing(from, &mut message) {
-                    return out.push(Output::Ignored { from, reason });
+                match self.check_standing(from, &mut message) {
+                    Ok(()) => {}
+                    Err(Doubt::Unproven { term }) => return self.want_mandate(from, term, out),
+                    Err(Doubt::Because(reason)) => return out.push(Output::Ignored { from, reason }),
                 }
                 if let Err(reason) = self.check_time(from, &mut message) {
                     return out.push(Output::Ignored { from, reason });
@@ -319,6 +329,8 @@ impl Engine {
             PeerMessage::Returned(_) => {
                 out.push(Output::Ignored { from, reason: "it returns transactions that it was not given" });
             }
+            PeerMessage::Mandate(mandate) => self.mandate_shown(from, &mandate, out),
+            PeerMessage::MandateWanted(wanted) => self.mandate_wanted(from, wanted.term, out),
             // The node gives it to its certifier instead.
             PeerMessage::Statement(_) => {}
         }

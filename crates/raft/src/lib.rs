@@ -9,7 +9,8 @@
 //!                                                  Persisted, messages -> majority -> Commit in order, once
 //! ```
 //!
-//! Its limits: it verifies no signature, executes nothing and knows no addresses. A transaction is bytes.
+//! Its limits: it has no key, executes nothing and knows no addresses. A transaction is bytes. Votes are signed and checked
+//! behind [`Ballots`].
 //!
 //! The driver's duties, all of them:
 //! - call [`Engine::step`] with [`Input::Tick`] at a steady pace, and once at the start;
@@ -36,12 +37,15 @@ mod message;
 mod queue;
 mod reconcile;
 
-pub use engine::{Engine, EngineConfig, EngineError, PeerStatus, Replication, Secret, Status, TIME_AHEAD_MAX};
+pub use engine::{
+    Ballot, Ballots, Engine, EngineConfig, EngineError, PeerStatus, Replication, Secret, Status, TIME_AHEAD_MAX,
+};
 pub use interface::{Input, Lane, Output, Role, RoleChange};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
-    CONTEXT_BYTES_MAX, ENTRIES_MAX, LogBegin, MessageError, PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind, RaftMessage,
-    STATEMENT_BYTES_MAX, SignedStatement, Transactions, WireEntry,
+    CONTEXT_BYTES_MAX, ENTRIES_MAX, LogBegin, Mandate, MandateWanted, MessageError, PEER_MESSAGE_BYTES_MAX,
+    PeerMessage, RaftKind, RaftMessage, STATEMENT_BYTES_MAX, SignedStatement, SignedVote, Transactions, VOTE_BYTES_MAX,
+    WireEntry,
 };
 pub use queue::{
     CONTROL_QUEUE_BYTES_MAX, CONTROL_QUEUE_TRANSACTIONS_MAX, DATA_QUEUE_BYTES_MAX, DATA_QUEUE_TRANSACTIONS_MAX,

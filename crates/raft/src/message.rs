@@ -2,7 +2,8 @@
 //!
 //! ```text
 //! message PeerMessage {
-//!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6; }
+//!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6;
+//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; }
 //! }
 //! message Raft {
 //!   uint32 kind        = 1;   // RaftKind; there is no 0
@@ -18,9 +19,13 @@
 //!   uint64 receipt_index = 11; // heartbeat: a block that the receiver has acknowledged in this term
 //!   bytes  receipt     = 12;  // append_response: a code over its index; heartbeat: the receiver's own code
 //!   uint64 accepts_until = 13; // responses to append and heartbeat: the latest block time that the sender acknowledges
+//!   bytes  vote        = 14;  // vote_response that grants: the signature of the vote
 //! }
 //! message Entry { uint64 index = 1; uint64 term = 2; uint32 kind = 3; bytes data = 4; }   // kind: 1 block, 3 members
 //! message Statement { bytes signed = 1; }                     // see ledger-light; not for the engine
+//! message Mandate { uint64 term = 1; repeated SignedVote votes = 2; }   // in ascending order of nodes
+//! message SignedVote { uint64 node = 1; bytes signed = 2; }   // the vote of that node for the sender; see ledger-light
+//! message MandateWanted { uint64 term = 1; }                  // to a node that speaks as a leader: show your mandate
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
 //! ```
 //! Sender and receiver are not in the message: they are the two ends of an authenticated connection. Messages that the
@@ -31,6 +36,7 @@ pub(crate) mod convert;
 
 use bytes::Bytes;
 use ledger::block::{PAYLOAD_BYTES_MAX, TRANSACTIONS_MAX};
+use ledger::members::NODES_MAX;
 use ledger_storage::entry::EntryKind;
 use prost::Message as _;
 use prost::encoding::{DecodeContext, WireType, decode_key, decode_varint, skip_field};
@@ -45,10 +51,14 @@ pub const CONTEXT_BYTES_MAX: usize = 64;
 pub(crate) const RECEIPT_BYTES: usize = 32;
 /// Longest signed statement in a message: the certificate of a node (16 KiB), and what is around it.
 pub const STATEMENT_BYTES_MAX: usize = 17 * 1024;
+/// Longest signature of a vote in a message: the certificate of a node (16 KiB), and what is around it.
+pub const VOTE_BYTES_MAX: usize = 17 * 1024;
 /// Largest term. Leaves room to count on without overflow after a hostile peer named one.
 const TERM_MAX: u64 = 1 << 62;
 /// Most fields in a message: every repeated one at its limit, and the others.
 const FIELDS_MAX: usize = ENTRIES_MAX + TRANSACTIONS_MAX + 16;
+
+const _: () = assert!(NODES_MAX * (VOTE_BYTES_MAX + 32) < PEER_MESSAGE_BYTES_MAX);
 
 /// A message between two nodes.
 #[derive(Clone, PartialEq, prost::Oneof)]
@@ -68,6 +78,12 @@ pub enum PeerMessage {
     /// From a voter to all members: what executing a block gave. Not about ordering, so not for the engine.
     #[prost(message, tag = "6")]
     Statement(SignedStatement),
+    /// From a leader: a majority has elected me in this term.
+    #[prost(message, tag = "7")]
+    Mandate(Mandate),
+    /// To a node that speaks as a leader: show your mandate.
+    #[prost(message, tag = "8")]
+    MandateWanted(MandateWanted),
 }
 
 impl PeerMessage {
@@ -79,7 +95,7 @@ impl PeerMessage {
 
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8")]
     kind: Option<PeerMessage>,
 }
 
@@ -97,6 +113,36 @@ pub struct SignedStatement {
     /// Its bytes.
     #[prost(bytes = "bytes", tag = "1")]
     pub signed: Bytes,
+}
+
+/// The signed votes that have made the sender the leader of a term.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct Mandate {
+    /// The term.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
+    /// In ascending order of nodes.
+    #[prost(message, repeated, tag = "2")]
+    pub votes: Vec<SignedVote>,
+}
+
+/// A vote with the signature of the voter.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct SignedVote {
+    /// The voter.
+    #[prost(uint64, tag = "1")]
+    pub node: u64,
+    /// The signature, as `ledger-light` encodes it.
+    #[prost(bytes = "bytes", tag = "2")]
+    pub signed: Bytes,
+}
+
+/// A member lacks the mandate of the leader of a term.
+#[derive(Clone, Copy, PartialEq, Eq, prost::Message)]
+pub struct MandateWanted {
+    /// The term.
+    #[prost(uint64, tag = "1")]
+    pub term: u64,
 }
 
 /// Transactions on their way to the leader, or back.
@@ -155,6 +201,9 @@ pub struct RaftMessage {
     /// Responses to append and heartbeat: the latest block time that the sender acknowledges, microseconds since the UNIX epoch.
     #[prost(uint64, tag = "13")]
     pub accepts_until: u64,
+    /// A vote that is granted: its signature, as `ledger-light` encodes it.
+    #[prost(bytes = "bytes", tag = "14")]
+    pub vote: Bytes,
 }
 
 /// An entry on the wire.
@@ -249,9 +298,22 @@ impl PeerMessage {
             Self::Forward(sent) | Self::Returned(sent) => {
                 limit(sent.control.len() + sent.data.len(), TRANSACTIONS_MAX, "transactions")
             }
-            Self::Behind(_) => Ok(()),
+            Self::Behind(_) | Self::MandateWanted(_) => Ok(()),
+            Self::Mandate(mandate) => mandate.check(),
             Self::Statement(statement) => limit(statement.signed.len(), STATEMENT_BYTES_MAX, "bytes of a statement"),
         }
+    }
+}
+
+impl Mandate {
+    fn check(&self) -> Result<(), MessageError> {
+        limit(self.votes.len(), NODES_MAX, "votes")?;
+        let longest = self.votes.iter().map(|vote| vote.signed.len()).max();
+        limit(longest.unwrap_or(0), VOTE_BYTES_MAX, "bytes of a vote")?;
+        if self.term > TERM_MAX || !self.votes.is_sorted_by(|one, next| one.node < next.node) {
+            return Err(MessageError::Malformed("votes out of order, or a term out of range".to_owned()));
+        }
+        Ok(())
     }
 }
 
@@ -260,6 +322,7 @@ impl RaftMessage {
         limit(self.entries.len(), ENTRIES_MAX, "entries")?;
         limit(self.context.len(), CONTEXT_BYTES_MAX, "bytes of context")?;
         limit(self.receipt.len(), RECEIPT_BYTES, "bytes of a receipt")?;
+        limit(self.vote.len(), VOTE_BYTES_MAX, "bytes of a vote")?;
         let malformed = |what: &str| Err(MessageError::Malformed(what.to_owned()));
         let kind = match RaftKind::try_from(self.kind) {
             Ok(RaftKind::Unspecified) | Err(_) => return malformed("unknown kind of Raft message"),

@@ -12,7 +12,7 @@ use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
 use ledger_invariant::invariant;
-use ledger_light::{Certificate, Lie, Signed, Statement, Voters};
+use ledger_light::{Certificate, Lie, Signature, Signed, Statement, Vote, Voters};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::Rejection;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -50,6 +50,12 @@ pub trait Signing {
     /// # Errors
     /// If the system's randomness fails.
     fn sign(&self, statement: &Statement) -> Result<Signed, Rejection>;
+
+    /// Signs a vote of this node.
+    ///
+    /// # Errors
+    /// As [`Signing::sign`].
+    fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection>;
 
     /// The owner of this certificate at that time (microseconds since the UNIX epoch), by these organisations. A revoked one is
     /// nobody's.

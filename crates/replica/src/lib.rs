@@ -12,6 +12,7 @@
 //! | [`opening`] | opening what a node computed, which is rebuilt from the blocks if there is any doubt |
 //! | [`trust`] | whether a snapshot is believed |
 //! | [`certifier`] | what a voter states about its blocks, and when enough voters have signed |
+//! | `voting` | [`Voting`]: signs votes in elections, and checks those of others |
 //! | [`witness`] | what a node attests, and when |
 //! | `executor` | [`Executor`]: applies committed blocks and tells the [`Observer`]s |
 //! | `clock` | [`Clock`]: the time of a ledger, which never goes back |
@@ -66,6 +67,7 @@ pub mod space;
 mod ticks;
 mod timing;
 pub mod trust;
+mod voting;
 mod waiters;
 pub mod witness;
 
@@ -76,6 +78,7 @@ pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIG
 pub use replica::{Effect, Event, FULL_DISK_PAUSE, LEARNER_WRITE_DELAY, Last, Now, Replica, Settings, Work};
 pub use retries::Retries;
 pub use timing::{ELECTION_TIME_MAX, ELECTION_TIME_MIN, Timing};
+pub use voting::Voting;
 pub use waiters::{Answer, Executed, WAIT_MAX, Waiter, Waiters};
 
 /// How a node comes back that must not go on as it is.

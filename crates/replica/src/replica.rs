@@ -15,7 +15,7 @@ use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_invariant::invariant;
-use ledger_raft::{Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
+use ledger_raft::{Ballots, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -181,7 +181,7 @@ pub struct Replica<W> {
 }
 
 impl<W: Waiter> Replica<W> {
-    /// Goes on from what the log holds and what is executed.
+    /// Goes on from what the log holds and what is executed. `ballots` has the node's key for votes.
     ///
     /// # Errors
     /// [`Code::Corrupt`] if log, state and settings do not fit together; a fault of the store.
@@ -191,6 +191,7 @@ impl<W: Waiter> Replica<W> {
         executor: Arc<Executor>,
         waiters: Arc<Waiters<W>>,
         desired: Desired,
+        ballots: Arc<dyn Ballots>,
     ) -> Result<Self, Rejection> {
         let given = executor.ledger().tip().height;
         let mut config = EngineConfig::new(settings.id, executor.ledger().members()?, settings.seed);
@@ -199,7 +200,8 @@ impl<W: Waiter> Replica<W> {
         config.heartbeat_tick = settings.timing.heartbeat_ticks();
         config.data_wait_us = settings.timing.data_wait;
         config.secret = settings.secret;
-        let engine = Engine::new(config, store).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
+        let engine =
+            Engine::new(config, store, ballots).map_err(|error| Rejection::new(Code::Corrupt, error.to_string()))?;
         executor.look_at_deadline();
         Ok(Self {
             engine,

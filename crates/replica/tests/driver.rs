@@ -2,6 +2,9 @@
 
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+#[path = "cluster/names.rs"]
+mod names;
+
 use bytes::Bytes;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
@@ -21,6 +24,7 @@ use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::results::ResultStore;
 use ledger_storage::state::{MemoryState, State};
+use names::Names;
 use std::sync::{Arc, mpsc};
 use testkit::{Ca, User};
 
@@ -132,8 +136,14 @@ impl Node {
             secret: Secret::default(),
         };
         let desired = Desired { voters: [1].into(), learners: [].into() };
-        let replica =
-            Replica::start(&settings, Arc::clone(&store), Arc::clone(&executor), Arc::clone(&waiters), desired);
+        let replica = Replica::start(
+            &settings,
+            Arc::clone(&store),
+            Arc::clone(&executor),
+            Arc::clone(&waiters),
+            desired,
+            Arc::new(Names),
+        );
         let mut node = Self {
             replica: replica.unwrap(),
             executor,

@@ -86,6 +86,8 @@ faults! {
     Hostile "hostile transaction";
     /// A learner says what only a leader or a voter may say.
     Lie "lie of a learner";
+    /// A voter says that it was elected, although it was not, and tells each member of another block.
+    Pose "voter posed as leader";
     /// A client sends much at once, over many streams, and waits for nothing.
     Flood "flood of calls";
 }

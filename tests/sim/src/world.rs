@@ -39,7 +39,7 @@ use ledger::msp::NodeRecord;
 use ledger::network::{FoundingNode, Genesis};
 use ledger::{Chaincode, Outcome, Rules};
 use ledger_hash::Hash;
-use ledger_raft::Desired;
+use ledger_raft::{Desired, SignedVote};
 use ledger_storage::entry::Entry;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -174,6 +174,8 @@ pub struct World {
     pub(crate) forges_next: bool,
     /// A node that lies about what executing gave, if one does.
     pub(crate) liar: Option<u64>,
+    /// The votes of the newest election.
+    pub(crate) old_votes: Vec<SignedVote>,
     queue: BTreeMap<(u64, u64), Event>,
     sequence: u64,
     /// The node whose clock is hours ahead, and by how much.
@@ -250,6 +252,7 @@ impl World {
             access: None,
             forges_next: false,
             liar,
+            old_votes: Vec::new(),
             queue: BTreeMap::new(),
             sequence: 0,
             hours_ahead: None,

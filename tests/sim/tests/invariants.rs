@@ -88,6 +88,15 @@ fn a_second_leader_or_a_second_vote_in_a_term_is_noticed() {
 }
 
 #[test]
+fn a_leader_that_was_not_elected_and_is_followed_is_noticed() {
+    let mut safety = ElectionSafety::default();
+    safety.leads(1, 5).unwrap();
+    safety.follows(2, 5, 1).unwrap();
+    safety.follows(2, 5, 3).unwrap_err();
+    safety.follows(2, 6, 1).unwrap_err();
+}
+
+#[test]
 fn logs_that_differ_before_a_place_where_they_agree_are_noticed() {
     let mut matching = LogMatching::default();
     matching.look(1, &store(&[entry(1, 1, "a"), entry(2, 3, "b")])).unwrap();

@@ -207,6 +207,11 @@ fn a_leader_that_orders_by_its_own_clock_alone_does_no_harm() {
 }
 
 #[test]
+fn a_leader_that_nobody_elected_is_noticed_when_it_is_followed() {
+    caught(Mutation::FollowWithoutMandate, &["only elected leaders are followed"]);
+}
+
+#[test]
 fn members_that_may_say_everything_are_noticed() {
     caught(
         Mutation::BelieveAnybody,
@@ -216,6 +221,7 @@ fn members_that_may_say_everything_are_noticed() {
             "log matching",
             "chain agreement",
             "the oracle agrees",
+            "only elected leaders are followed",
         ],
     );
 }

@@ -72,6 +72,9 @@ impl Engine {
         let leading = change.role == Role::Leader;
         tracing::debug!(node = self.config.id, leading, leader = change.leader, term = change.term, "leadership");
         out.push(Output::Role(change));
+        if leads {
+            self.show_mandate_to_all(change.term, out);
+        }
     }
 
     /// This node leads, has executed everything that was there before, and is not handing over.
@@ -342,6 +345,7 @@ impl Engine {
             if let Some(mut message) = RaftMessage::from_raft(message) {
                 self.receipts.attach(to, &mut message);
                 self.times.attach(&mut message);
+                self.mandates.attach(self.config.id, to, &mut message);
                 out.push(Output::Send { to, message: PeerMessage::Raft(message) });
             }
         }

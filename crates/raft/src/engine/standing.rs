@@ -6,7 +6,7 @@
 //!
 //! | message | taken from | with a later term |
 //! |---|---|---|
-//! | append, heartbeat | voters; by a learner without a leader from anybody, see below | yes |
+//! | append, heartbeat | voters that show their mandate; by a learner without a leader from strangers, too, see below | yes |
 //! | hand-over, answer to a read, *behind* | the leader of this term | no |
 //! | vote, pre-vote | voters | at most [`TERM_AHEAD_MAX`] ahead |
 //! | answers to them | voters, by a candidate | at most [`TERM_AHEAD_MAX`] ahead |
@@ -14,10 +14,13 @@
 //! | *returned* transactions | the leader now, and the one before it | |
 //! | reads, *forwarded* transactions | members | no term |
 //!
+//! A leader shows in addition that it was elected, see `engine/mandate.rs`: what it says in a term counts from then on.
+//!
 //! **The voters.** A node knows the voters as of the last block that it handed out. A change that waits in its log
 //! counts as well, because a leader was allowed to append it. A node that lags further does not know a new voter yet. It
-//! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). A learner, whose copy nobody counts, follows
-//! such a leader at once if it has no other.
+//! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). It does the same if a leader shows a mandate that
+//! its voters have not given. A learner, whose copy nobody counts, follows at once a leader of which it does not know that
+//! it votes, if it has no other. That leader need not show a mandate, because a learner that lags so far cannot check it.
 //!
 //! **Ends of terms.** A member that is stuck in a later term cannot follow the leader (Raft §5.1); one that was a voter
 //! before may be such a one. The leader then stands for election again at once, in a term after that, and is elected by
@@ -29,6 +32,7 @@ use super::Engine;
 use crate::interface::Output;
 use crate::message::{RaftKind, RaftMessage};
 use ledger_mutation::{Mutation, active};
+use ledger_storage::entry::Entry;
 use raft::eraftpb::{Message, MessageType};
 use raft::{CAMPAIGN_TRANSFER, INVALID_ID, StateRole};
 
@@ -44,25 +48,49 @@ const LOOK_TIMEOUTS: usize = 10;
 /// Entries that are searched for changes of members.
 const CHANGES_SCAN_MAX: u64 = 256;
 
+/// Why a message is not taken.
+#[derive(Debug)]
+pub(super) enum Doubt {
+    /// A voter speaks as the leader of a term and has not shown that it was elected.
+    Unproven {
+        /// That term.
+        term: u64,
+    },
+    /// No honest peer sends it, or this node cannot take it now.
+    Because(&'static str),
+}
+
+impl From<&'static str> for Doubt {
+    fn from(reason: &'static str) -> Self {
+        Self::Because(reason)
+    }
+}
+
+fn doubt(reason: &'static str) -> Result<(), Doubt> {
+    Err(reason.into())
+}
+
 impl Engine {
     /// Why this message is not taken from this peer. A claim in it that the sender may not make is taken out.
-    pub(super) fn check_standing(&mut self, from: u64, message: &mut RaftMessage) -> Result<(), &'static str> {
-        let Ok(kind) = RaftKind::try_from(message.kind) else { return Err("it is of an unknown kind") };
+    pub(super) fn check_standing(&mut self, from: u64, message: &mut RaftMessage) -> Result<(), Doubt> {
+        let Ok(kind) = RaftKind::try_from(message.kind) else { return doubt("it is of an unknown kind") };
         if active(Mutation::BelieveAnybody) {
             return Ok(());
         }
         let (term, role) = (self.raw.raft.term, self.raw.raft.state);
         let is_later = message.term > term;
         match kind {
+            // In a settled term this is all.
+            RaftKind::Append | RaftKind::Heartbeat if self.mandates.is_elected(from, message.term) => Ok(()),
             RaftKind::Append | RaftKind::Heartbeat => self.may_lead(from, message.term),
             RaftKind::TimeoutNow | RaftKind::ReadIndexResponse => match self.is_leader_of(from, message.term) {
                 true => Ok(()),
-                false => Err("only the leader of this term says that"),
+                false => doubt("only the leader of this term says that"),
             },
             RaftKind::Vote | RaftKind::PreVote => {
                 self.may_vote(from)?;
                 if message.term > term.saturating_add(TERM_AHEAD_MAX) {
-                    return Err("its term is further ahead than elections make it");
+                    return doubt("its term is further ahead than elections make it");
                 }
                 if message.context[..] == *CAMPAIGN_TRANSFER && !self.may_end_term(from) {
                     // It stands for election like any other: the leader's lease counts.
@@ -73,10 +101,13 @@ impl Engine {
             RaftKind::VoteResponse | RaftKind::PreVoteResponse => {
                 self.may_vote(from)?;
                 let asked = matches!(role, StateRole::Candidate | StateRole::PreCandidate);
-                match is_later && (!asked || message.term > term.saturating_add(TERM_AHEAD_MAX)) {
-                    true => Err("it answers with a later term to nobody who asked"),
-                    false => Ok(()),
+                if is_later && (!asked || message.term > term.saturating_add(TERM_AHEAD_MAX)) {
+                    return doubt("it answers with a later term to nobody who asked");
                 }
+                if kind == RaftKind::VoteResponse {
+                    self.take_vote(from, message)?;
+                }
+                Ok(())
             }
             RaftKind::AppendResponse | RaftKind::HeartbeatResponse => {
                 if !is_later {
@@ -88,10 +119,10 @@ impl Engine {
                 if stuck && self.may_end_term(from) {
                     self.lead_again_after(message.term);
                 }
-                Err("it is in a later term, to which no vote has led")
+                doubt("it is in a later term, to which no vote has led")
             }
             RaftKind::ReadIndex => Ok(()),
-            RaftKind::Unspecified => Err("it is of an unknown kind"),
+            RaftKind::Unspecified => doubt("it is of an unknown kind"),
         }
     }
 
@@ -105,19 +136,21 @@ impl Engine {
         self.leader() == Some(from) || self.told.leader == Some(from) || self.leader_before == Some(from)
     }
 
-    /// A leader is a voter. A node that cannot know whether this is one takes note.
-    fn may_lead(&mut self, from: u64, term: u64) -> Result<(), &'static str> {
+    /// A leader is a voter that was elected. A node that cannot know whether this is one takes note.
+    fn may_lead(&mut self, from: u64, term: u64) -> Result<(), Doubt> {
+        let is_past = term < self.raw.raft.term;
         if self.may_vote(from).is_ok() {
-            return Ok(());
+            let proven = is_past || active(Mutation::FollowWithoutMandate);
+            return if proven { Ok(()) } else { Err(Doubt::Unproven { term }) };
         }
-        if term < self.raw.raft.term {
-            return Err("a node without a vote speaks as a leader of an earlier term");
+        if is_past {
+            return doubt("a node without a vote speaks as a leader of an earlier term");
         }
         if !self.is_voter() && self.leader().is_none_or(|leader| leader == from) {
             return Ok(());
         }
         self.stranger_leads = true;
-        Err("a node without a vote speaks as a leader")
+        doubt("a node without a vote speaks as a leader")
     }
 
     fn may_vote(&self, from: u64) -> Result<(), &'static str> {
@@ -127,20 +160,18 @@ impl Engine {
 
     /// Does a change that waits in the log make this node a voter?
     fn will_vote(&self, node: u64) -> bool {
+        self.electorates().iter().any(|members| members.is_voter(node))
+    }
+
+    /// Entries that wait in the log, and may change the members.
+    pub(super) fn waiting_changes(&self) -> impl Iterator<Item = Entry> {
         let last = self.store.last_index();
         let first = (self.emitted + 1).max(last.saturating_sub(CHANGES_SCAN_MAX));
-        let entries = (first..=last).filter_map(|index| self.store.entry(index).ok().flatten());
-        let mut members = self.membership.clone();
-        entries.into_iter().any(|entry| {
-            if let Some(next) = members.after(&entry) {
-                members = next;
-            }
-            members.is_voter(node)
-        })
+        (first..=last).filter_map(|index| self.store.entry(index).ok().flatten())
     }
 
     /// This leader stands for election again, in a term after this one: a member is stuck there.
-    fn lead_again_after(&mut self, term: u64) {
+    pub(super) fn lead_again_after(&mut self, term: u64) {
         self.raw.raft.become_follower(term, INVALID_ID);
         let mut stand = Message::default();
         stand.set_msg_type(MessageType::MsgTimeoutNow);

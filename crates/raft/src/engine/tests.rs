@@ -2,13 +2,15 @@
 
 mod bounds;
 mod learners;
+mod mandate;
 mod promises;
 mod standing;
 mod time;
 
 use super::*;
 use crate::Lane;
-use crate::message::{RaftKind, RaftMessage, WireEntry};
+use crate::message::{Mandate, RaftKind, RaftMessage, SignedVote, WireEntry};
+use bytes::Bytes;
 use ledger_storage::block_store::Options;
 use ledger_storage::disk::SimDisk;
 
@@ -18,11 +20,50 @@ fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     options.segment_bytes = 1 << 16;
     let (store, _) = BlockStore::open(Arc::new(disk), options).unwrap();
     let members = Membership::new(voters.iter().copied(), learners.iter().copied());
-    Engine::new(EngineConfig::new(id, members, id), Arc::new(store)).unwrap()
+    Engine::new(EngineConfig::new(id, members, id), Arc::new(store), Arc::new(Names(id))).unwrap()
+}
+
+/// Signs by writing down what is voted, and the voter. Real keys are tested where they are used.
+struct Names(u64);
+
+impl Ballots for Names {
+    fn sign(&self, ballot: Ballot) -> Result<Bytes, Rejection> {
+        assert_eq!(ballot.voter, self.0, "only its own votes");
+        Ok(signed(ballot.term, ballot.candidate, ballot.voter))
+    }
+
+    fn check(&self, ballot: Ballot, found: &[u8], _now: u64) -> Result<(), Rejection> {
+        let good = signed(ballot.term, ballot.candidate, ballot.voter)[..] == *found;
+        good.then_some(()).ok_or_else(|| Rejection::new(Code::BadSignature, "not signed by it"))
+    }
+}
+
+fn signed(term: u64, candidate: u64, voter: u64) -> Bytes {
+    [term, candidate, voter].map(u64::to_be_bytes).concat().into()
+}
+
+fn mandate(term: u64, leader: u64, voters: &[u64]) -> Input {
+    let votes = voters.iter().map(|node| SignedVote { node: *node, signed: signed(term, leader, *node) });
+    Input::Message { from: leader, message: PeerMessage::Mandate(Mandate { term, votes: votes.collect() }) }
+}
+
+/// Steps as with honest peers: all voters have elected whoever of them leads, and voters sign their votes.
+fn step(engine: &mut Engine, mut input: Input) -> Vec<Output> {
+    if let Input::Message { from, message: PeerMessage::Raft(message) } = &mut input {
+        let (from, leads) = (*from, matches!(message.kind(), RaftKind::Append | RaftKind::Heartbeat));
+        let voters: Vec<u64> = engine.membership.voters.iter().copied().collect();
+        if leads && voters.contains(&from) && message.term >= engine.raw.raft.term {
+            bare_step(engine, mandate(message.term, from, &voters));
+        }
+        if message.kind() == RaftKind::VoteResponse && !message.reject {
+            message.vote = signed(message.term, engine.config.id, from);
+        }
+    }
+    bare_step(engine, input)
 }
 
 /// Steps, with a disk that is done at once and an executor that keeps up.
-fn step(engine: &mut Engine, input: Input) -> Vec<Output> {
+fn bare_step(engine: &mut Engine, input: Input) -> Vec<Output> {
     let (mut all, mut inputs) = (Vec::new(), vec![input]);
     while let Some(input) = inputs.pop() {
         let mut out = Vec::new();
@@ -130,7 +171,7 @@ fn less_is_ordered_ahead_while_execution_takes_long() {
     assert!(engine.is_leader());
     // Orders and executes a transaction; what its block leaves to the next one.
     let mut room_after = |took: u64| {
-        let mut inputs = vec![Input::Submit { lane: Lane::Data, transaction: bytes::Bytes::from_static(b"drive") }];
+        let mut inputs = vec![Input::Submit { lane: Lane::Data, transaction: Bytes::from_static(b"drive") }];
         while let Some(input) = inputs.pop() {
             let mut out = Vec::new();
             engine.step(1000, input, &mut out);
@@ -175,7 +216,7 @@ fn a_true_refusal_still_leads_the_probe_back() {
 #[test]
 fn hostile_messages_change_nothing_and_never_panic() {
     let huge = u64::MAX;
-    let entry = |index| WireEntry { index, term: 1, kind: 1, data: bytes::Bytes::new() };
+    let entry = |index| WireEntry { index, term: 1, kind: 1, data: Bytes::new() };
     let hostile = [
         message(2, RaftKind::Heartbeat, |message| message.commit = huge),
         message(2, RaftKind::Append, |message| {
@@ -226,7 +267,7 @@ fn follower() -> Engine {
     step(
         &mut engine,
         message(2, RaftKind::Append, |message| {
-            message.entries = vec![WireEntry { index: 1, term: 1, kind: 1, data: bytes::Bytes::new() }];
+            message.entries = vec![WireEntry { index: 1, term: 1, kind: 1, data: Bytes::new() }];
             message.commit = 1;
         }),
     );
@@ -242,9 +283,10 @@ fn nothing_that_promises_goes_out_before_it_is_on_disk() {
     engine.step(0, vote, &mut out);
     let [Output::Role(_), Output::Flush { ready }] = out[..] else { panic!("found {out:?}") };
     out.clear();
+    engine.step(0, mandate(3, 2, &[1, 2]), &mut out);
     let append = message(2, RaftKind::Append, |message| {
         message.term = 3;
-        message.entries = vec![WireEntry { index: 1, term: 3, kind: 1, data: bytes::Bytes::new() }];
+        message.entries = vec![WireEntry { index: 1, term: 3, kind: 1, data: Bytes::new() }];
     });
     engine.step(0, append.clone(), &mut out);
     let flushed: Vec<_> = out.iter().filter(|output| matches!(output, Output::Flush { .. })).cloned().collect();
@@ -389,7 +431,7 @@ fn read_ready(out: &[Output]) -> Vec<u64> {
         .collect()
 }
 
-fn heartbeat_contexts(out: &[Output]) -> Vec<bytes::Bytes> {
+fn heartbeat_contexts(out: &[Output]) -> Vec<Bytes> {
     out.iter()
         .filter_map(|output| match output {
             Output::Send { to: 3, message: PeerMessage::Raft(message) }
@@ -453,11 +495,11 @@ fn without_names_of_the_leaders_own_the_crate_answers_from_late_acknowledgements
 fn a_heartbeat_that_knows_less_is_answered_with_what_is_committed_on_this_disk() {
     let mut engine = engine(1, &[1, 2, 3], &[]);
     let append = message(2, RaftKind::Append, |message| {
-        message.entries =
-            (1..=3).map(|index| WireEntry { index, term: 1, kind: 1, data: bytes::Bytes::new() }).collect();
+        message.entries = (1..=3).map(|index| WireEntry { index, term: 1, kind: 1, data: Bytes::new() }).collect();
         message.commit = 2;
     });
     let mut out = Vec::new();
+    engine.step(0, mandate(1, 2, &[2, 3]), &mut out);
     engine.step(0, append, &mut out);
     let heartbeat = |commit| message(2, RaftKind::Heartbeat, |message| message.commit = commit);
     out.clear();

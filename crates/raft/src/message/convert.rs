@@ -47,6 +47,7 @@ impl RaftMessage {
             receipt_index: 0,
             receipt: Bytes::new(),
             accepts_until: 0,
+            vote: Bytes::new(),
         })
     }
 

@@ -42,6 +42,7 @@ fn message() -> impl Strategy<Value = PeerMessage> {
                 receipt_index: 0,
                 receipt: Bytes::new(),
                 accepts_until: 0,
+                vote: Bytes::new(),
             })
         },
     );

@@ -22,6 +22,10 @@ impl Signing for Keys {
         statement.sign(self.0, self.1.certificate.clone(), &self.1.key)
     }
 
+    fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection> {
+        vote.sign(self.1.certificate.clone(), &self.1.key)
+    }
+
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], time: u64) -> Result<Identity, Rejection> {
         msps.verify(certificate, &[], time).map_err(Rejection::from)
     }

@@ -1,5 +1,6 @@
 //! The threads of a node: events into its replica, whose effects are carried out.
 
+use super::names::Names;
 use super::{Cluster, Event, UNIT};
 use ledger_raft::{Input, Lane, PeerMessage, Role, Secret};
 use ledger_rejection::Code;
@@ -34,7 +35,7 @@ impl Cluster {
         let node = self.nodes.get_mut(&id).unwrap();
         let up = node.up.as_mut().unwrap();
         let (store, executor, waiters) = (Arc::clone(&up.store), Arc::clone(&up.executor), Arc::clone(&up.waiters));
-        up.replica = Some(Replica::start(&settings, store, executor, waiters, desired).unwrap());
+        up.replica = Some(Replica::start(&settings, store, executor, waiters, desired, Arc::new(Names)).unwrap());
         (up.writing, up.turn_at) = (false, u64::MAX);
         node.start += 1;
         self.schedule(id, UNIT, Event::Turn);

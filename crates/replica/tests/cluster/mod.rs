@@ -9,6 +9,7 @@
 //!   drive      the threads of a process: events into the replica, whose effects are carried out
 //!   catch_up   old blocks go, disks are lost, and what is lacking is fetched
 //!   people     who signs
+//!   names      who votes
 //! ```
 #![allow(
     dead_code,
@@ -20,6 +21,7 @@
 
 mod catch_up;
 mod drive;
+mod names;
 mod node;
 mod people;
 

@@ -1,10 +1,11 @@
 //! Election safety (Raft §5.2): at most one leader can be elected in a given term, because every voter votes at most
-//! once in it, whatever happens to it in between.
+//! once in it, whatever happens to it in between. Nobody follows a node that was not elected, whatever it claims.
 
 use super::{Check, Violation};
 use std::collections::BTreeMap;
 
 const NAME: &str = "election safety";
+const UNELECTED: &str = "only elected leaders are followed";
 
 /// The leader and the votes of every term.
 #[derive(Default)]
@@ -25,6 +26,20 @@ impl ElectionSafety {
         }
     }
 
+    /// A node takes another one for the leader of a term.
+    ///
+    /// # Errors
+    /// That one was not elected.
+    pub fn follows(&mut self, node: u64, term: u64, leader: u64) -> Check {
+        match self.leaders.get(&term) {
+            Some(elected) if *elected == leader => Ok(()),
+            elected => Err(Violation::new(
+                UNELECTED,
+                format!("node {node} follows node {leader} in term {term}, and {elected:?} was elected"),
+            )),
+        }
+    }
+
     /// A node votes for a candidate.
     ///
     /// # Errors
@@ -37,6 +52,11 @@ impl ElectionSafety {
                 format!("node {node} votes for {candidate} in term {term}, and had voted for {before}"),
             )),
         }
+    }
+
+    /// The leader of a term.
+    pub fn leader_of(&self, term: u64) -> Option<u64> {
+        self.leaders.get(&term).copied()
     }
 
     /// How many leaders there were.

@@ -16,7 +16,7 @@ const NODES_MAX: usize = 14;
 const LEFT_MAX: u64 = 48 * 1024;
 
 /// The faults that happen at a moment; the others are rates.
-const AT_A_MOMENT: [Fault; 23] = [
+const AT_A_MOMENT: [Fault; 24] = [
     Fault::Clog,
     Fault::Partition,
     Fault::OneWay,
@@ -39,6 +39,7 @@ const AT_A_MOMENT: [Fault; 23] = [
     Fault::Hostile,
     Fault::Lie,
     Fault::Lie,
+    Fault::Pose,
     Fault::Flood,
 ];
 
@@ -102,6 +103,7 @@ impl World {
             Fault::FullDisk => self.fill(id),
             Fault::Flood => self.flood(id),
             Fault::Lie => self.lie(),
+            Fault::Pose => self.pose(),
             Fault::BitFlip if self.may_lose(id) => self.flip(id),
             Fault::Replacement if self.may_lose(id) => self.lose(id),
             Fault::ClockStep => self.set_clock(id),

@@ -120,6 +120,9 @@ impl World {
         if running.leading {
             self.invariants.election_safety.leads(id, change.term)?;
         }
+        if let Some(leader) = change.leader {
+            self.invariants.election_safety.follows(id, change.term, leader)?;
+        }
         if elected {
             self.invariants.leader_completeness.elected(id, change.term, &running.store)?;
         }
@@ -143,7 +146,15 @@ impl World {
                 format_args!("n{id} > n{to} {kind:?} term {term} index {index} +{entries} commit {commit}{reject}");
             self.trace.note(self.now, what);
         } else {
-            self.note(format_args!("n{id} > n{to} transactions"));
+            let what = match &message {
+                PeerMessage::Mandate(mandate) => {
+                    self.old_votes.clone_from(&mandate.votes);
+                    format!("mandate of term {}", mandate.term)
+                }
+                PeerMessage::MandateWanted(wanted) => format!("where is the mandate of term {}", wanted.term),
+                _ => "transactions".to_owned(),
+            };
+            self.note(format_args!("n{id} > n{to} {what}"));
             // A connection that is broken is known to be, or not yet.
             if self.links.is_cut((id, to)) && self.random.nodes.percent(50) {
                 return self.step(id, Event::Unsent { to, message });

@@ -1,10 +1,11 @@
-//! Lies of a member that has no vote, about the ordering protocol.
+//! Lies about the ordering protocol: of a member that has no vote, and of a voter that nobody has elected.
 
 use super::{Event, World};
 use crate::coverage::Fault;
 use bytes::Bytes;
 use ledger::block::Payload;
-use ledger_raft::{PeerMessage, RaftKind, RaftMessage, Status, Transactions, WireEntry};
+use ledger_light::Vote;
+use ledger_raft::{Mandate, PeerMessage, RaftKind, RaftMessage, SignedVote, Status, Transactions, WireEntry};
 use ledger_rejection::Code;
 
 /// The name of a transfer of leadership in a request for a vote.
@@ -61,6 +62,63 @@ impl World {
                 return PeerMessage::Returned(Transactions { control, data: Vec::new(), code });
             }
         })
+    }
+
+    /// A voter says to all that it leads: in a later term, or in the one of the leader that there is. It tells each member of
+    /// another block.
+    pub(super) fn pose(&mut self) {
+        let members = self.newest_members().clone();
+        let voters: Vec<u64> = members.voters.iter().copied().filter(|id| self.is_up(*id)).collect();
+        let Some(liar) = self.random.faults.pick(&voters).copied() else { return };
+        let others = members.nodes().into_iter().filter(|id| *id != liar);
+        let heard: Vec<Status> = others.filter_map(|id| Some(self.running(id)?.replica.as_ref()?.status())).collect();
+        // One that does not know that it votes may follow a stranger, as a learner.
+        let victims: Vec<Status> = heard.into_iter().filter(|status| status.membership.is_voter(liar)).collect();
+        let newest = victims.iter().map(|status| status.role.term).max().unwrap_or(0);
+        let taken = self.invariants.election_safety.leader_of(newest).is_some_and(|leader| leader != liar);
+        // No election reaches the later term before the lie arrives.
+        let later = newest + self.random.faults.between(100, 1000);
+        let term = if taken && self.random.faults.percent(30) { newest } else { later };
+        for status in victims {
+            self.coverage.fault(Fault::Pose);
+            let mandate = self.made_up_mandate(liar, term);
+            let append = self.made_up_block(&status, term);
+            self.note(format_args!("n{liar} poses to n{} as the leader of term {term}", status.id));
+            for message in [mandate, append] {
+                for at in self.links.send(self.now, (liar, status.id), &mut self.random.network, &mut self.coverage) {
+                    self.schedule_at(at, Event::Deliver { from: liar, to: status.id, bytes: message.to_bytes() });
+                }
+            }
+        }
+    }
+
+    fn is_up(&self, id: u64) -> bool {
+        self.nodes.get(&id).is_some_and(|node| node.up.is_some() && !node.lost)
+    }
+
+    /// A mandate that nobody gave: without votes, with the own vote alone or under all names, or with those of an election that was.
+    fn made_up_mandate(&mut self, liar: u64, term: u64) -> PeerMessage {
+        let node = self.people.node(liar, self.plan.organisations);
+        let vote = Vote { network: self.network, term, candidate: liar, voter: liar };
+        let own = vote.sign(node.certificate.clone(), &node.key).unwrap().to_bytes();
+        let under = |nodes: Vec<u64>| nodes.into_iter().map(|node| SignedVote { node, signed: own.clone() }).collect();
+        let votes = match self.random.faults.below(4) {
+            0 => Vec::new(),
+            1 => under(vec![liar]),
+            2 => under(self.newest_members().voters.iter().copied().collect()),
+            _ => self.old_votes.clone(),
+        };
+        PeerMessage::Mandate(Mandate { term, votes })
+    }
+
+    fn made_up_block(&mut self, status: &Status, term: u64) -> PeerMessage {
+        let made_up = Bytes::copy_from_slice(&self.random.faults.number().to_be_bytes());
+        let data = Payload { time: 1, transactions: vec![made_up] }.to_bytes();
+        let (index, commit) = (status.commit, status.commit + 1);
+        let entries = vec![WireEntry { index: commit, term, kind: 1, data }];
+        let log_term = self.term_of(status.id, index);
+        let kind = RaftKind::Append.into();
+        PeerMessage::Raft(RaftMessage { kind, index, commit, log_term, entries, term, ..RaftMessage::default() })
     }
 
     /// The term of a block in the log of a node.

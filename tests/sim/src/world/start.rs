@@ -17,7 +17,7 @@ use ledger_replica::gateway::{Shares, Turns};
 use ledger_replica::opening::Opening;
 use ledger_replica::space::Space;
 use ledger_replica::witness::Said;
-use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Waiters};
+use ledger_replica::{Executor, Reads, Replica, Retries, Settings, Voting, Waiters};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
@@ -260,7 +260,8 @@ impl World {
             Settings { id, seed, timing: self.plan.timing, secret: Secret([u8::try_from(id % 251).unwrap_or(0); 32]) };
         let Running { store, executor, waiters, wanted, .. } = running;
         let (store, executor, waiters) = (Arc::clone(store), Arc::clone(executor), Arc::clone(waiters));
-        Replica::start(&settings, store, executor, waiters, wanted.clone())
+        let ballots = Arc::new(Voting::new(Arc::clone(executor.ledger()), self.keys(id)));
+        Replica::start(&settings, store, executor, waiters, wanted.clone(), ballots)
             .map_err(|fault| Violation::new(UNEXPLAINED, format!("node {id} cannot order: {fault}")))
     }
 

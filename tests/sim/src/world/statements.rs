@@ -8,7 +8,7 @@ use ledger::{Ledger, Outcome};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Signed, Statement};
+use ledger_light::{Signature, Signed, Statement, Vote};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::certifier::{Certifier, Effect, Era, Event, Signing};
 use std::sync::Arc;
@@ -24,6 +24,11 @@ impl Signing for Keys {
     fn sign(&self, statement: &Statement) -> Result<Signed, Rejection> {
         let node = self.people.node(self.id, self.organisations);
         statement.sign(self.id, node.certificate.clone(), &node.key)
+    }
+
+    fn sign_vote(&self, vote: &Vote) -> Result<Signature, Rejection> {
+        let node = self.people.node(self.id, self.organisations);
+        vote.sign(node.certificate.clone(), &node.key)
     }
 
     fn identify(&self, msps: &Arc<Msps>, certificate: &[u8], _time: u64) -> Result<Identity, Rejection> {
@@ -42,8 +47,12 @@ fn era(ledger: &Ledger) -> Era {
 impl World {
     /// The certifier of a node that starts.
     pub(super) fn certifier(&self, id: u64, ledger: &Ledger) -> Certifier<Keys> {
-        let keys = Keys { id, people: Arc::clone(&self.people), organisations: self.plan.organisations };
-        Certifier::new(id, self.network, keys, era(ledger))
+        Certifier::new(id, self.network, self.keys(id), era(ledger))
+    }
+
+    /// The keys of a node.
+    pub(super) fn keys(&self, id: u64) -> Keys {
+        Keys { id, people: Arc::clone(&self.people), organisations: self.plan.organisations }
     }
 
     /// A node has executed a block.

@@ -69,9 +69,10 @@ fn what_is_held_back_goes_to_a_learner_that_becomes_a_voter_and_is_forgotten_by_
 #[test]
 fn a_learner_hands_out_what_is_committed_before_its_own_disk_has_it() {
     let commits = |engine: &mut Engine| {
-        let entries = (1..=2).map(|index| WireEntry { index, term: 1, kind: 1, data: bytes::Bytes::new() }).collect();
+        let entries = (1..=2).map(|index| WireEntry { index, term: 1, kind: 1, data: Bytes::new() }).collect();
         let append = message(1, RaftKind::Append, |message| (message.entries, message.commit) = (entries, 2));
         let mut out = Vec::new();
+        engine.step(1000, mandate(1, 1, &[1, 2]), &mut out);
         engine.step(1000, append, &mut out);
         engine.step(1000, Input::Applied { height: 2, at: 1000 }, &mut out);
         assert_eq!(engine.store.durable_index(), 0);

@@ -197,6 +197,7 @@ fn a_voter_that_a_change_in_the_log_makes_is_believed_before_the_change_is_commi
     let entries = vec![WireEntry { index: 1, term: 1, kind: 3, data: promote(9) }];
     step(&mut node, message(1, RaftKind::Append, |message| message.entries = entries));
     assert!(!node.membership.is_voter(9), "it is not committed");
+    step(&mut node, mandate(2, 9, &[1, 3, 9]));
     step(&mut node, lead(2));
     assert_eq!(node.leader(), Some(9));
 }

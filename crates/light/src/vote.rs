@@ -1,0 +1,39 @@
+//! A vote in an election of the leader, and the signature of the voter below it.
+
+use crate::statement::Signature;
+use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::key::SigningKey;
+use ledger_rejection::Rejection;
+
+/// In front of the bytes that are signed, so that they are of no other kind.
+const DOMAIN: &[u8] = b"ledgerd vote v1\0";
+
+/// A voter elects a candidate. An honest voter gives one vote in a term, ever.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Vote {
+    /// Name of the network.
+    pub network: Hash,
+    /// The term.
+    pub term: u64,
+    /// The node that is to lead in it.
+    pub candidate: u64,
+    /// The node that says so.
+    pub voter: u64,
+}
+
+impl Vote {
+    /// The bytes that are signed.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let numbers = [self.term, self.candidate, self.voter].map(u64::to_be_bytes);
+        [DOMAIN, &self.network.0, &numbers.concat()].concat()
+    }
+
+    /// Signs it as the voter, with this certificate.
+    ///
+    /// # Errors
+    /// [`Code::Internal`](ledger_rejection::Code::Internal) if the system's randomness fails.
+    pub fn sign(&self, certificate: Bytes, key: &SigningKey) -> Result<Signature, Rejection> {
+        Signature::make(self.voter, certificate, key, &self.to_bytes())
+    }
+}

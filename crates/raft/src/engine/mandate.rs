@@ -1,0 +1,284 @@
+//! Mandates: a leader shows that a majority of the voters has elected it, before anybody follows it in a new term.
+//!
+//! ```text
+//! vote             the voter signs term, candidate and itself, once its vote is on its disk
+//! vote_response    the candidate checks the signature, and only then counts the vote
+//! mandate          the winner shows the signed votes to every member before its first append of the term
+//! append           taken from a leader whose mandate for this very term was checked
+//! wanted           a member that lacks the mandate asks for it: messages are lost, and nobody keeps it over a start
+//! ```
+//! **Which voters count.** Those that Raft counts: a majority of the voters, and of the outgoing ones while they change. A
+//! node knows the voters as of the last block that it handed out, and each set that a change in its log leads to. A
+//! leader that was elected by other voters is not believed. Either the node lags, and asks its peers for blocks. Or the
+//! voters have changed since the election. Then the leader notices with the next question for its mandate that it does not
+//! suffice any more, and stands for election again.
+//!
+//! **Costs.** Signatures are made and checked in elections only. In a settled term a message costs a comparison.
+//! A node that shows something wrong is not heard again about that until the next heartbeat is due.
+
+use super::Engine;
+use crate::interface::Output;
+use crate::message::{Mandate, MandateWanted, PeerMessage, RaftKind, RaftMessage, SignedVote};
+use bytes::Bytes;
+use ledger::members::Membership;
+use ledger_rejection::Rejection;
+use raft::StateRole;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// A vote in an election.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Ballot {
+    /// The term.
+    pub term: u64,
+    /// The node that is to lead in it.
+    pub candidate: u64,
+    /// The node that says so.
+    pub voter: u64,
+}
+
+/// The key of this node for votes, and how votes of others are checked.
+pub trait Ballots: Send + Sync {
+    /// Signs a vote of this node.
+    ///
+    /// # Errors
+    /// If the system's randomness fails.
+    fn sign(&self, ballot: Ballot) -> Result<Bytes, Rejection>;
+
+    /// Has the voter signed this vote? `now` is the time at which its certificate must be valid, microseconds since the UNIX
+    /// epoch.
+    ///
+    /// # Errors
+    /// The reason why this is not its vote.
+    fn check(&self, ballot: Ballot, signed: &[u8], now: u64) -> Result<(), Rejection>;
+}
+
+/// A leader that has shown its mandate.
+struct Elected {
+    term: u64,
+    leader: u64,
+    /// The nodes whose votes it showed.
+    by: BTreeSet<u64>,
+}
+
+/// When something was last done for a node, in ticks.
+#[derive(Default)]
+struct Rests(BTreeMap<u64, u64>);
+
+impl Rests {
+    /// Less than `pause` has gone by since. What is older is forgotten.
+    fn rests(&mut self, node: u64, now: u64, pause: usize) -> bool {
+        self.0.retain(|_, at| now - *at < pause as u64);
+        self.0.contains_key(&node)
+    }
+
+    fn begin(&mut self, node: u64, now: u64) {
+        self.0.insert(node, now);
+    }
+}
+
+/// Votes that this node was given, and the mandates of others.
+pub(super) struct Mandates {
+    ballots: Arc<dyn Ballots>,
+    /// The term in which this node stood for election last.
+    term: u64,
+    /// The signed votes for this node in that term.
+    votes: BTreeMap<u64, Bytes>,
+    /// The leader of the newest term of which a mandate was checked.
+    elected: Option<Elected>,
+    /// Nodes that have shown something that was not believed.
+    doubted: Rests,
+    /// Nodes that were asked for their mandate.
+    asked: Rests,
+    /// Nodes that were shown this node's mandate because they asked.
+    shown: Rests,
+}
+
+impl Mandates {
+    pub(super) fn new(ballots: Arc<dyn Ballots>) -> Self {
+        let (doubted, asked, shown) = (Rests::default(), Rests::default(), Rests::default());
+        Self { ballots, term: 0, votes: BTreeMap::new(), elected: None, doubted, asked, shown }
+    }
+
+    /// Has the node shown a mandate for this very term?
+    pub(super) fn is_elected(&self, node: u64, term: u64) -> bool {
+        self.elected.as_ref().is_some_and(|elected| (elected.leader, elected.term) == (node, term))
+    }
+
+    /// Signs the vote in an answer to a candidate. It is on the disk: answers wait for that.
+    pub(super) fn attach(&self, voter: u64, candidate: u64, message: &mut RaftMessage) {
+        if message.kind != i32::from(RaftKind::VoteResponse) || message.reject {
+            return;
+        }
+        match self.ballots.sign(Ballot { term: message.term, candidate, voter }) {
+            Ok(signed) => message.vote = signed,
+            Err(reason) => tracing::warn!(%reason, candidate, "a vote is not signed, so it does not count"),
+        }
+    }
+
+    fn keep_vote(&mut self, term: u64, voter: u64, signed: Bytes) {
+        if self.term != term {
+            (self.term, self.votes) = (term, BTreeMap::new());
+        }
+        self.votes.insert(voter, signed);
+    }
+
+    fn mandate(&self) -> Mandate {
+        let votes = self.votes.iter().map(|(node, signed)| SignedVote { node: *node, signed: signed.clone() });
+        Mandate { term: self.term, votes: votes.collect() }
+    }
+
+    /// Voters that have signed a vote for this node and one for another in the same term.
+    fn double_votes(&self, found: &Elected) -> BTreeSet<u64> {
+        let own = self.votes.keys().filter(|_| self.term == found.term);
+        let of_other = self.elected.iter().filter(|elected| elected.term == found.term);
+        let others = of_other.flat_map(|elected| &elected.by);
+        own.chain(others).filter(|voter| found.by.contains(voter)).copied().collect()
+    }
+}
+
+/// Do these nodes elect, as Raft counts?
+fn elect(voters: &BTreeSet<u64>, members: &Membership) -> bool {
+    let most = |of: &BTreeSet<u64>| of.intersection(voters).count() * 2 > of.len();
+    most(&members.voters) && (members.outgoing.is_empty() || most(&members.outgoing))
+}
+
+impl Engine {
+    /// Takes the signature from a vote for this node. One without it is not counted: the leader that it elects would have
+    /// nothing to show.
+    pub(super) fn take_vote(&mut self, voter: u64, message: &RaftMessage) -> Result<(), &'static str> {
+        let (me, term) = (self.config.id, self.raw.raft.term);
+        let counts = matches!(self.raw.raft.state, StateRole::Candidate | StateRole::Leader) && message.term == term;
+        if message.reject || !counts || (self.mandates.term == term && self.mandates.votes.contains_key(&voter)) {
+            return Ok(());
+        }
+        self.hear_proof(voter)?;
+        let ballot = Ballot { term, candidate: me, voter };
+        match self.mandates.ballots.check(ballot, &message.vote, self.now) {
+            Ok(()) => {
+                self.mandates.keep_vote(term, voter, message.vote.clone());
+                Ok(())
+            }
+            Err(reason) => {
+                tracing::warn!(voter, term, %reason, "a vote for this node does not count");
+                self.mandates.doubted.begin(voter, self.ticks);
+                Err("it votes for this node without its signature")
+            }
+        }
+    }
+
+    /// A node that has shown something that was not believed rests for a while: checking costs time.
+    fn hear_proof(&mut self, from: u64) -> Result<(), &'static str> {
+        match self.mandates.doubted.rests(from, self.ticks, self.config.heartbeat_tick) {
+            true => Err("it has shown before what nobody believes"),
+            false => Ok(()),
+        }
+    }
+
+    /// This node is elected: it shows everybody its mandate, before the first append of the term.
+    pub(super) fn show_mandate_to_all(&mut self, term: u64, out: &mut Vec<Output>) {
+        let me = self.config.id;
+        match self.mandates.ballots.sign(Ballot { term, candidate: me, voter: me }) {
+            Ok(signed) => self.mandates.keep_vote(term, me, signed),
+            Err(reason) => tracing::warn!(%reason, "this node cannot sign its own vote"),
+        }
+        let mandate = self.mandates.mandate();
+        for to in self.membership.nodes().into_iter().filter(|node| *node != me) {
+            out.push(Output::Send { to, message: PeerMessage::Mandate(mandate.clone()) });
+        }
+    }
+
+    /// A voter speaks as the leader of a term and has not shown its mandate: it is asked for it.
+    pub(super) fn want_mandate(&mut self, of: u64, term: u64, out: &mut Vec<Output>) {
+        if !self.mandates.asked.rests(of, self.ticks, self.config.heartbeat_tick) {
+            self.mandates.asked.begin(of, self.ticks);
+            out.push(Output::Send { to: of, message: PeerMessage::MandateWanted(MandateWanted { term }) });
+        }
+    }
+
+    /// A member asks the leader for its mandate. One that does not suffice for the voters of today is of no use to it.
+    pub(super) fn mandate_wanted(&mut self, by: u64, term: u64, out: &mut Vec<Output>) {
+        if !self.is_leader() || self.raw.raft.term != term || !self.membership.contains(by) {
+            return;
+        }
+        if self.mandates.shown.rests(by, self.ticks, self.config.heartbeat_tick) {
+            return;
+        }
+        self.mandates.shown.begin(by, self.ticks);
+        let voters = self.mandates.votes.keys().copied().collect();
+        if !elect(&voters, &self.membership) {
+            tracing::info!(term, "the voters have changed since they elected this node: it stands for election again");
+            return self.lead_again_after(term);
+        }
+        out.push(Output::Send { to: by, message: PeerMessage::Mandate(self.mandates.mandate()) });
+    }
+
+    /// A node shows its mandate.
+    pub(super) fn mandate_shown(&mut self, by: u64, mandate: &Mandate, out: &mut Vec<Output>) {
+        if mandate.term < self.raw.raft.term || self.mandates.is_elected(by, mandate.term) {
+            return;
+        }
+        let checked = self.hear_proof(by).and_then(|()| self.check_mandate(by, mandate));
+        if let Ok(found) = &checked {
+            self.report_double_votes(found, out);
+        }
+        match checked.and_then(|elected| self.only_leader_of_term(elected)) {
+            Ok(elected) => self.mandates.elected = Some(elected),
+            Err(reason) => out.push(Output::Ignored { from: by, reason }),
+        }
+    }
+
+    fn check_mandate(&mut self, leader: u64, mandate: &Mandate) -> Result<Elected, &'static str> {
+        let term = mandate.term;
+        let electorates = self.electorates();
+        let votes = |node: u64| electorates.iter().any(|members| members.is_voter(node));
+        let is_good = |vote: &&SignedVote| {
+            let ballot = Ballot { term, candidate: leader, voter: vote.node };
+            let checked = self.mandates.ballots.check(ballot, &vote.signed, self.now);
+            checked.inspect_err(|reason| tracing::debug!(leader, %reason, "a vote in a mandate does not count")).is_ok()
+        };
+        let enough = |voters: &BTreeSet<u64>| electorates.iter().any(|members| elect(voters, members));
+        // Counting is cheap, so it comes first.
+        let claimed = mandate.votes.iter().map(|vote| vote.node).collect();
+        let by = match votes(leader) && enough(&claimed) {
+            true => {
+                mandate.votes.iter().filter(|vote| votes(vote.node)).filter(is_good).map(|vote| vote.node).collect()
+            }
+            false => BTreeSet::new(),
+        };
+        if enough(&by) {
+            return Ok(Elected { term, leader, by });
+        }
+        self.mandates.doubted.begin(leader, self.ticks);
+        self.stranger_leads = true;
+        Err("the voters that this node knows have not elected it")
+    }
+
+    /// A voter that has signed two votes in one term has lied.
+    fn report_double_votes(&self, found: &Elected, out: &mut Vec<Output>) {
+        for voter in self.mandates.double_votes(found) {
+            tracing::error!(voter, term = found.term, "a voter has signed votes for two candidates in one term");
+            out.push(Output::Ignored { from: voter, reason: "it has signed votes for two candidates in one term" });
+        }
+    }
+
+    /// The first leader of a term stays the only one: a second one was elected by voters that voted twice.
+    fn only_leader_of_term(&mut self, found: Elected) -> Result<Elected, &'static str> {
+        match &self.mandates.elected {
+            Some(first) if first.term == found.term => {
+                self.mandates.doubted.begin(found.leader, self.ticks);
+                Err("another node was elected in this term")
+            }
+            _ => Ok(found),
+        }
+    }
+
+    /// The members that this node knows, then those that each change in its log leads to.
+    pub(super) fn electorates(&self) -> Vec<Membership> {
+        let mut electorates = vec![self.membership.clone()];
+        for entry in self.waiting_changes() {
+            electorates.extend(electorates.last().and_then(|members| members.after(&entry)));
+        }
+        electorates
+    }
+}
