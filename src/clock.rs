@@ -2,8 +2,9 @@
 
 use ledger::{Ledger, Outcome};
 use ledger_replica::{Now, Observer};
+use rustix::time::{ClockId, clock_gettime};
 use std::sync::Arc;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 /// The machine's clock, microseconds since the UNIX epoch. It may be set back at any time.
 pub(crate) fn wall() -> u64 {
@@ -11,21 +12,32 @@ pub(crate) fn wall() -> u64 {
     u64::try_from(since.as_micros()).unwrap_or(u64::MAX)
 }
 
+/// A clock that nobody sets, microseconds. It goes on while the machine sleeps, so that a laptop that wakes up has no clock
+/// that jumped.
+fn steady() -> u64 {
+    let now = clock_gettime(ClockId::Boottime);
+    let micros = i128::from(now.tv_sec) * 1_000_000 + i128::from(now.tv_nsec) / 1000;
+    u64::try_from(micros).unwrap_or(0)
+}
+
 /// The clocks of the machine, as a host gives them to its ledgers.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Machine {
-    since: Instant,
+    /// By the steady clock, microseconds.
+    since: u64,
+    /// An operator says that its wall clock is right.
+    pub(crate) is_confirmed: bool,
 }
 
 impl Machine {
     /// The steady clock begins now.
     pub(crate) fn start() -> Self {
-        Self { since: Instant::now() }
+        Self { since: steady(), is_confirmed: false }
     }
 
     /// Microseconds since the start, steadily.
     fn elapsed(self) -> u64 {
-        u64::try_from(self.since.elapsed().as_micros()).unwrap_or(u64::MAX)
+        steady().saturating_sub(self.since)
     }
 }
 
@@ -39,7 +51,11 @@ pub(crate) struct Clock {
 impl Clock {
     /// The clock of a ledger with this newest block time, microseconds since the UNIX epoch. It never shows less.
     pub(crate) fn of(machine: Machine, block_time: u64) -> Self {
-        Self { rule: ledger_replica::Clock::of(block_time, machine.elapsed()), machine }
+        let rule = ledger_replica::Clock::of(block_time, machine.elapsed());
+        if machine.is_confirmed {
+            rule.confirm(wall(), machine.elapsed());
+        }
+        Self { rule, machine }
     }
 
     /// The machine's clock, microseconds since the UNIX epoch: certificates are valid by it.
@@ -56,7 +72,8 @@ impl Clock {
     pub(crate) fn both(&self) -> Now {
         let elapsed = self.elapsed();
         let wall = wall();
-        Now { clock: self.rule.at(wall, elapsed), elapsed, accepts_until: self.rule.accepts_until(wall, elapsed) }
+        let (accepts_until, doubt) = (self.rule.accepts_until(wall, elapsed), self.rule.doubt(wall, elapsed));
+        Now { clock: self.rule.at(wall, elapsed), elapsed, accepts_until, doubt }
     }
 
     /// Microseconds since the host was started, as the machine's monotonic clock has it.

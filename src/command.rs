@@ -39,7 +39,7 @@ enum Command {
     /// Starts a network of one node for playing, with both organisations and the robots of the paper.
     Dev(dev::Options),
     /// Starts a configured node.
-    Run(WithConfig),
+    Run(RunOptions),
     /// Checks a configuration and names every fault at once.
     Check(WithConfig),
     /// Founds a network of one organisation with one node, in the directory that the configuration names.
@@ -68,6 +68,16 @@ struct WithConfig {
     /// The configuration file.
     #[arg(long, value_name = "FILE")]
     config: PathBuf,
+}
+
+#[derive(clap::Args)]
+struct RunOptions {
+    /// The configuration file.
+    #[arg(long, value_name = "FILE")]
+    config: PathBuf,
+    /// The machine's clock is right although it was behind block time: the only voter of a network goes on.
+    #[arg(long)]
+    trust_clock: bool,
 }
 
 /// Runs the command line with a node that has these chaincodes; the whole of `main`.
@@ -104,8 +114,9 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
     match command {
         Command::Demo(options) => block_on(demo::run(options)),
         Command::Dev(options) => block_on(dev::run(builder, options)),
-        Command::Run(WithConfig { config }) => {
+        Command::Run(RunOptions { config, trust_clock }) => {
             let config = load(&config)?;
+            let builder = if trust_clock { builder.clone().trust_clock() } else { builder.clone() };
             telemetry::start(&config.log);
             block_on(async move {
                 let stop = stop_signal();
@@ -126,7 +137,14 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
         Command::Init(options) => setup::init(&options).map(|text| print_line(&text)),
         Command::Join(options) => {
             block_on(async { join::join(&options).await.map(|text| print_line(&text)) })?;
-            if options.run { execute(Command::Run(WithConfig { config: options.config }), builder) } else { Ok(()) }
+            if options.run {
+                {
+                    let options = RunOptions { config: options.config, trust_clock: false };
+                    execute(Command::Run(options), builder)
+                }
+            } else {
+                Ok(())
+            }
         }
         Command::Rejoin(options) => {
             let config = load(&options.config)?;

@@ -73,6 +73,12 @@ impl Host {
         self.address
     }
 
+    /// The same, where an operator has confirmed the machine's clock.
+    pub(crate) fn trusting_its_clock(mut self) -> Self {
+        self.clocks.is_confirmed = true;
+        self
+    }
+
     /// The clocks of this machine.
     pub(crate) fn clocks(&self) -> Machine {
         self.clocks

@@ -20,6 +20,7 @@ use std::time::Instant;
 pub struct NodeBuilder {
     registry: Registry,
     faults: Vec<Rejection>,
+    trusts_clock: bool,
 }
 
 impl NodeBuilder {
@@ -37,6 +38,13 @@ impl NodeBuilder {
     #[must_use]
     pub fn rules_up_to(mut self, newest: Rules) -> Self {
         self.registry.speak_up_to(newest);
+        self
+    }
+
+    /// An operator says that the machine's clock is right, whatever block time is.
+    #[must_use]
+    pub fn trust_clock(mut self) -> Self {
+        self.trusts_clock = true;
         self
     }
 
@@ -58,7 +66,7 @@ impl NodeBuilder {
     /// # Errors
     /// The fault, in words for the operator.
     pub async fn start(&self, config: &Config) -> Result<Node, Rejection> {
-        Node::start(self.registry()?, config, None).await.map_err(|reason| advised(reason, config))
+        self.start_at(config, None).await.map_err(|reason| advised(reason, config))
     }
 
     /// Starts a node behind the listener of this host, beside the nodes of other networks that are there. The setting
@@ -67,7 +75,11 @@ impl NodeBuilder {
     /// # Errors
     /// As [`NodeBuilder::start`]; [`Code::BadConfiguration`] if the host serves this network already.
     pub async fn start_on(&self, host: &Host, config: &Config) -> Result<Node, Rejection> {
-        Node::start(self.registry()?, config, Some(host)).await.map_err(|reason| advised(reason, config))
+        self.start_at(config, Some(host)).await.map_err(|reason| advised(reason, config))
+    }
+
+    async fn start_at(&self, config: &Config, host: Option<&Host>) -> Result<Node, Rejection> {
+        Node::start((self.registry()?, self.trusts_clock), config, host).await
     }
 }
 
@@ -86,7 +98,11 @@ impl Node {
         NodeBuilder::default()
     }
 
-    async fn start(registry: Registry, config: &Config, host: Option<&Host>) -> Result<Self, Rejection> {
+    async fn start(
+        (registry, trusts_clock): (Registry, bool),
+        config: &Config,
+        host: Option<&Host>,
+    ) -> Result<Self, Rejection> {
         let started = Instant::now();
         let genesis = std::fs::read(config.data.join(GENESIS_FILE)).map_err(|error| nothing_here(config, &error))?;
         let stores = Stores::open(config, &genesis, registry)?;
@@ -96,6 +112,7 @@ impl Node {
             Some(host) => host.clone(),
             None => Host::listen(&config.listen).await?,
         };
+        let host = if trusts_clock { host.trusting_its_clock() } else { host };
         let (prepared, services) = Prepared::new((&host, papers), config, (stores, genesis.into()), started)?;
         let serving = host.serve(network, identity, services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {

@@ -3,6 +3,7 @@
 mod ahead;
 mod behind;
 mod config;
+mod doubt;
 mod guard;
 mod logger;
 mod mandate;
@@ -16,6 +17,7 @@ mod submit;
 mod time;
 
 pub use config::{EngineConfig, EngineError};
+pub use doubt::ClockDoubt;
 pub use mandate::{Ballot, Ballots};
 pub use receipt::Secret;
 pub use status::{PeerStatus, Replication, Status};
@@ -38,6 +40,7 @@ use receipt::Receipts;
 use standing::Doubt;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
+use submit::no_leader;
 use time::Times;
 
 /// The number of entries, committed but not executed, beyond which a node does not stand for election. It could not
@@ -102,6 +105,8 @@ pub struct Engine {
     last_time: u64,
     /// Clocks, and block time that is ahead of them.
     times: Times,
+    /// Why this node does not believe its clock.
+    doubt: Option<ClockDoubt>,
     /// A deadline passed: order a block even if nothing waits.
     wants_empty: bool,
     /// The last reported role.
@@ -201,6 +206,7 @@ impl Engine {
             barrier: 0,
             last_time: 0,
             times: Times::new(),
+            doubt: None,
             wants_empty: false,
             told,
             attempts: 0,
@@ -284,7 +290,7 @@ impl Engine {
         self.tell_who_is_behind(out);
         self.leaderless_ticks = if self.told.leader.is_some() { 0 } else { self.leaderless_ticks + 1 };
         if self.leaderless_ticks > 2 * self.config.election_tick {
-            self.drop_waiting(out);
+            self.drop_waiting(&no_leader(), out);
         }
         self.look_for_leader(out);
     }

@@ -189,6 +189,8 @@ codes! {
     Behind = 4005 "BEHIND" Unreachable;
     /// The node is shutting down.
     ShuttingDown = 4006 "SHUTTING_DOWN" Unreachable;
+    /// The clock of the only voter is in doubt, so it orders nothing.
+    ClockJumped = 4007 "CLOCK_JUMPED" Unreachable;
 
     /// The disk is full; nothing more is accepted.
     DiskFull = 5001 "DISK_FULL" Failure;

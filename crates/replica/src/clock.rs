@@ -1,6 +1,6 @@
 //! The clock of a ledger, from which a leader makes block time.
 
-use ledger_raft::TIME_AHEAD_MAX;
+use ledger_raft::{ClockDoubt, TIME_AHEAD_MAX};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Where block time is ahead of the machine's clock, this clock loses one part of so many: so it comes back.
@@ -19,6 +19,8 @@ const SLOWER: u64 = 16;
 #[derive(Clone, Debug)]
 pub struct Clock {
     anchor: Arc<Mutex<Anchor>>,
+    /// The furthest that the machine's clock was ahead of the steady one, as far as it is believed.
+    believed: Arc<Mutex<Option<i128>>>,
 }
 
 /// A block time, and when this node saw it. Never the machine's clock: one that was wrong at the start and is set right later
@@ -44,7 +46,7 @@ fn going_on(elapsed: u64) -> u64 {
 impl Clock {
     /// The clock of a ledger with this newest block time, since the UNIX epoch. It never shows less.
     pub fn of(block_time: u64, elapsed: u64) -> Self {
-        Self { anchor: Arc::new(Mutex::new(Anchor { block_time, elapsed })) }
+        Self { anchor: Arc::new(Mutex::new(Anchor { block_time, elapsed })), believed: Arc::default() }
     }
 
     /// The time since the UNIX epoch, on a machine whose clocks show this.
@@ -56,6 +58,28 @@ impl Clock {
     /// as it goes on where that is further. Nobody adds to the latter, so no leader gets further ahead block by block.
     pub fn accepts_until(&self, wall: u64, elapsed: u64) -> u64 {
         wall.saturating_add(TIME_AHEAD_MAX).max(self.anchor().at(elapsed))
+    }
+
+    /// Is the machine's clock to be doubted? It is when it jumps ahead by more than [`TIME_AHEAD_MAX`] against the steady clock.
+    /// It is, too, from the start on while it is behind block time by more than that. A clock that is set back is not
+    /// doubted: this one goes on.
+    pub fn doubt(&self, wall: u64, elapsed: u64) -> Option<ClockDoubt> {
+        let offset = i128::from(wall) - i128::from(elapsed);
+        let behind = self.anchor().at(elapsed).saturating_sub(wall);
+        let mut believed = self.believed.lock().unwrap_or_else(PoisonError::into_inner);
+        let jump = believed.map(|believed| u64::try_from(offset - believed).unwrap_or(0));
+        match jump {
+            None if behind > TIME_AHEAD_MAX => return Some(ClockDoubt::Behind(behind)),
+            Some(jump) if jump > TIME_AHEAD_MAX => return Some(ClockDoubt::Ahead(jump)),
+            _ => *believed = (*believed).max(Some(offset)),
+        }
+        None
+    }
+
+    /// An operator says that the machine's clock is right, whatever block time is.
+    pub fn confirm(&self, wall: u64, elapsed: u64) {
+        let mut believed = self.believed.lock().unwrap_or_else(PoisonError::into_inner);
+        *believed = Some(i128::from(wall) - i128::from(elapsed));
     }
 
     /// Takes note of a block's time, which the clock is not behind from now on. Where the machine's clock is behind, the
@@ -133,6 +157,30 @@ mod tests {
             assert!(latest <= elapsed + TIME_AHEAD_MAX);
             clock.observe(latest, elapsed);
         }
+    }
+
+    #[test]
+    fn a_machines_clock_that_jumps_ahead_is_doubted_until_it_is_right_again() {
+        let clock = Clock::of(0, 0);
+        let jumps = [0, TIME_AHEAD_MAX, 60_000_000, 40_000_000, 3_000_000, 0];
+        let doubts = jumps.map(|by| clock.doubt(1_000_000_000 + by, 0));
+        let ahead = |by| Some(ClockDoubt::Ahead(by - TIME_AHEAD_MAX));
+        assert_eq!(doubts, [None, None, ahead(60_000_000), ahead(40_000_000), None, None]);
+        assert_eq!(clock.doubt(1_500_000_000, 500_000_000), None, "time goes on");
+        assert_eq!(clock.clone().doubt(2_000_000_000, 500_000_000), Some(ClockDoubt::Ahead(497_000_000)));
+        clock.confirm(2_000_000_000, 500_000_000);
+        assert_eq!(clock.doubt(2_000_000_000, 500_000_000), None);
+    }
+
+    #[test]
+    fn a_machines_clock_that_is_behind_block_time_from_the_start_is_doubted_until_it_is_set() {
+        let clock = Clock::of(1_000_000_000, 0);
+        assert_eq!(clock.doubt(5, 0), Some(ClockDoubt::Behind(999_999_995)));
+        assert_eq!(clock.doubt(7_000_000_000, 16), None, "set at last");
+        assert_eq!(clock.doubt(5, 32), None, "set back later");
+        let confirmed = Clock::of(1_000_000_000, 0);
+        confirmed.confirm(5, 0);
+        assert_eq!((confirmed.doubt(5, 0), confirmed.at(5, 0)), (None, 1_000_000_000));
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_invariant::invariant;
-use ledger_raft::{Ballots, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
+use ledger_raft::{Ballots, ClockDoubt, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, StoreError};
 use ledger_storage::entry::Entry;
@@ -36,6 +36,8 @@ pub struct Now {
     pub elapsed: u64,
     /// The latest block time that this node acknowledges, as a voter: [`crate::Clock::accepts_until`].
     pub accepts_until: u64,
+    /// Why the machine's clock may be wrong: [`crate::Clock::doubt`].
+    pub doubt: Option<ClockDoubt>,
 }
 
 /// How a replica is set up.

@@ -6,6 +6,7 @@ mod cluster;
 use cluster::Cluster;
 use ledger::block::Payload;
 use ledger_raft::{Input, Lane, TIME_AHEAD_MAX};
+use ledger_rejection::Code;
 use ledger_storage::entry::EntryKind;
 
 const SECOND: u64 = 1_000_000;
@@ -119,4 +120,47 @@ fn where_most_clocks_were_ahead_for_a_while_block_time_goes_on_and_everybody_agr
         cluster.run(200);
     }
     cluster.until("all have all", 400, Cluster::converged);
+}
+
+#[test]
+fn the_only_voter_waits_for_a_clock_that_has_jumped_ahead_and_orders_nothing_by_it() {
+    let mut cluster = Cluster::new(6, &[1], &[]);
+    cluster.elect();
+    order(&mut cluster, 1, "before");
+    cluster.ahead.insert(1, YEAR);
+    cluster.run(10);
+    cluster.submit(1, Lane::Data, "a year ahead");
+    cluster.run(10);
+    assert_eq!(cluster.nodes[&1].dropped, [("a year ahead".to_owned(), Code::ClockJumped)]);
+    cluster.ahead.clear();
+    cluster.run(10);
+    order(&mut cluster, 1, "right again");
+    assert!(ahead(&cluster) <= 0);
+    cluster.ahead.insert(1, SECOND.cast_signed() * 60);
+    cluster.crash(1);
+    cluster.start(1);
+    cluster.elect();
+    order(&mut cluster, 1, "a restart confirms it");
+}
+
+#[test]
+fn the_only_voter_whose_clock_is_behind_block_time_at_the_start_waits_for_the_clock_or_for_an_operator() {
+    for confirms in [false, true] {
+        let mut cluster = Cluster::new(7, &[1], &[]);
+        cluster.elect();
+        order(&mut cluster, 1, "before");
+        cluster.crash(1);
+        cluster.ahead.insert(1, -3600 * SECOND.cast_signed());
+        cluster.start(1);
+        cluster.elect();
+        cluster.submit(1, Lane::Data, "an hour behind");
+        cluster.run(10);
+        assert_eq!(cluster.nodes[&1].dropped, [("an hour behind".to_owned(), Code::ClockJumped)]);
+        match confirms {
+            true => cluster.confirm_clock(1),
+            false => cluster.ahead.clear(),
+        }
+        cluster.run(10);
+        order(&mut cluster, 1, "after");
+    }
 }

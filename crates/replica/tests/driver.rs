@@ -167,7 +167,7 @@ impl Node {
     }
 
     fn clocks(&self) -> Now {
-        Now { clock: EPOCH + self.now, elapsed: self.now, accepts_until: u64::MAX }
+        Now { clock: EPOCH + self.now, elapsed: self.now, accepts_until: u64::MAX, doubt: None }
     }
 
     fn step(&mut self, event: Event) -> Vec<Effect> {

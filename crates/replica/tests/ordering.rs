@@ -409,6 +409,7 @@ fn block_time_never_goes_back_across_leaders_and_restarts() {
     cluster.crash(1);
     cluster.ahead.insert(1, -500 * 1_000_000);
     cluster.start(1);
+    cluster.confirm_clock(1);
     cluster.elect();
     cluster.submit(1, Lane::Data, "b");
     cluster.run(1);

@@ -2,6 +2,7 @@
 //!
 //! A node makes of them the time of its ledger by the rule of the replica. All times are in microseconds.
 
+use ledger_raft::ClockDoubt;
 use ledger_replica as replica;
 
 /// Virtual time 0 as a wall clock shows it: 2030-01-01, in microseconds since the UNIX epoch.
@@ -60,6 +61,11 @@ impl Clock {
     /// The process's view of the time, microseconds since the UNIX epoch.
     pub fn now(&self, virtual_now: u64) -> u64 {
         self.rule.at(self.wall(virtual_now), self.elapsed(virtual_now))
+    }
+
+    /// Does the process doubt its machine's clock?
+    pub fn doubt(&self, virtual_now: u64) -> Option<ClockDoubt> {
+        self.rule.doubt(self.wall(virtual_now), self.elapsed(virtual_now))
     }
 
     /// The latest block time that the process acknowledges, as a voter.

@@ -93,6 +93,9 @@ impl Engine {
         if !self.may_propose() {
             return;
         }
+        if self.refuse_in_doubt(out) {
+            return;
+        }
         self.drop_late(out);
         loop {
             let log = &self.raw.raft.raft_log;
@@ -297,7 +300,8 @@ impl Engine {
     /// Does time mean anything to this engine now? It does not to a leader with no other member and with nothing to
     /// order: then [`Input::Tick`](crate::Input::Tick) changes nothing, and the driver may leave it out.
     pub fn needs_ticks(&self) -> bool {
-        !(self.may_propose() && self.membership.nodes().len() == 1 && self.queues.is_empty())
+        let idles = self.membership.nodes().len() == 1 && self.queues.is_empty() && !self.waits_for_clock();
+        !(self.may_propose() && idles)
     }
 
     /// Has this node a vote, as far as it has handed out what is committed?

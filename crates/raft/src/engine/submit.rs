@@ -72,15 +72,15 @@ impl Engine {
         }
     }
 
-    /// No leader for too long: whoever waits should look for another node.
-    pub(super) fn drop_waiting(&mut self, out: &mut Vec<Output>) {
+    /// Gives everything back that waits: whoever waits for it should look for another node.
+    pub(super) fn drop_waiting(&mut self, reason: &Rejection, out: &mut Vec<Output>) {
         let control = self.queues.control.take(usize::MAX).into_iter().map(|waiting| (Lane::Control, waiting));
         let data = self.queues.data.take(usize::MAX).into_iter().map(|waiting| (Lane::Data, waiting));
-        give_back(control.chain(data).map(|(lane, waiting)| (lane, waiting, no_leader())), out);
+        give_back(control.chain(data).map(|(lane, waiting)| (lane, waiting, reason.clone())), out);
     }
 }
 
-fn no_leader() -> Rejection {
+pub(super) fn no_leader() -> Rejection {
     Rejection::new(Code::NoLeader, "no leader is known, so nothing can be ordered now")
         .next("submit it again later, unchanged, or through another node")
 }

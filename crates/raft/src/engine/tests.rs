@@ -1,6 +1,7 @@
 //! The inside of the engine: progress of peers, and the decisions that the crate would have made.
 
 mod bounds;
+mod doubt;
 mod learners;
 mod mandate;
 mod promises;

@@ -17,6 +17,7 @@ impl<W: Waiter> Replica<W> {
         }
         let mut outputs = std::mem::take(&mut self.outputs);
         self.engine.accept_time_until(now.accepts_until);
+        self.engine.doubt_clock(now.doubt);
         self.engine.step(now.clock, input, &mut outputs);
         for output in outputs.drain(..) {
             self.carry_out(now, output, out);

@@ -19,8 +19,11 @@ impl Cluster {
     fn clocks(&self, id: u64) -> Now {
         let up = self.nodes[&id].up.as_ref();
         let (wall, elapsed) = (self.wall(id), self.now);
-        let accepts_until = up.map_or(0, |up| up.clock.accepts_until(wall, elapsed));
-        Now { clock: up.map_or(0, |up| up.clock.at(wall, elapsed)), elapsed, accepts_until }
+        let Some(clock) = up.map(|up| &up.clock) else {
+            return Now { clock: 0, elapsed, accepts_until: 0, doubt: None };
+        };
+        let (accepts_until, doubt) = (clock.accepts_until(wall, elapsed), clock.doubt(wall, elapsed));
+        Now { clock: clock.at(wall, elapsed), elapsed, accepts_until, doubt }
     }
 
     /// An engine starts in a process that runs.

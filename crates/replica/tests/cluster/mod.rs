@@ -168,6 +168,12 @@ impl Cluster {
         self.time().saturating_add_signed(self.ahead.get(&id).copied().unwrap_or(0))
     }
 
+    /// An operator says that the clock of a node is right.
+    pub fn confirm_clock(&self, id: u64) {
+        let up = self.nodes[&id].up.as_ref().unwrap();
+        up.clock.confirm(self.wall(id), self.now);
+    }
+
     /// A new, empty node that knows the genesis.
     pub fn join(&mut self, id: u64) {
         let node = Node::new(id, self.random.number(), self.founders.clone());

@@ -22,9 +22,10 @@ impl World {
     /// Both clocks of a node.
     pub(super) fn clocks(&self, id: u64) -> Now {
         let Some(clock) = self.nodes.get(&id).map(|node| &node.clock) else {
-            return Now { clock: 0, elapsed: self.now, accepts_until: 0 };
+            return Now { clock: 0, elapsed: self.now, accepts_until: 0, doubt: None };
         };
-        Now { clock: clock.now(self.now), elapsed: self.now, accepts_until: clock.accepts_until(self.now) }
+        let (accepts_until, doubt) = (clock.accepts_until(self.now), clock.doubt(self.now));
+        Now { clock: clock.now(self.now), elapsed: self.now, accepts_until, doubt }
     }
 
     /// Hands an input to a node; while its thread is busy with the disk, it waits in the inbox.
