@@ -3,6 +3,9 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Instant;
 
+/// A block that was just executed is not older than this by the node's clock, microseconds.
+const BLOCK_AGE_MAX: u64 = 1_000_000;
+
 /// Tells the node's time from the monotonic clock of this machine, so that nobody who sets its wall clock makes
 /// transactions expire.
 #[derive(Debug)]
@@ -30,6 +33,14 @@ impl Clock {
         self.node.store(clock.wrapping_sub(micros(self.base, moment)), Ordering::Relaxed);
     }
 
+    /// Takes note of the time of a block that was just executed. Block time that is ahead of the machines' clocks runs slower
+    /// than they do: then what is signed by this clock would live longer than it should.
+    pub(crate) fn executed(&self, block_time: u64) {
+        if self.now() > block_time.saturating_add(BLOCK_AGE_MAX) {
+            self.doubt();
+        }
+    }
+
     pub(crate) fn doubt(&self) {
         self.doubted.store(true, Ordering::Relaxed);
     }
@@ -47,4 +58,19 @@ pub(crate) fn middle(asked: Instant) -> Instant {
 
 fn micros(from: Instant, to: Instant) -> u64 {
     u64::try_from(to.saturating_duration_since(from).as_micros()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_has_run_ahead_of_block_time_is_doubted_once() {
+        let clock = Clock::new();
+        clock.learn(100_000_000, Instant::now());
+        clock.executed(100_000_000);
+        assert!(!clock.take_doubt(), "a block takes its time");
+        clock.executed(100_000_000 - BLOCK_AGE_MAX - 1);
+        assert!(clock.take_doubt() && !clock.take_doubt());
+    }
 }

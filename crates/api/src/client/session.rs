@@ -239,6 +239,9 @@ impl Session {
 
     fn answer(&self, answer: SubmitResponse, number: u64) {
         self.see(answer.height);
+        if answer.height > 0 {
+            self.clock.executed(answer.time);
+        }
         match self.in_flight.answer(answer) {
             Effect::Leave if self.several() => self.leave(number),
             Effect::Nothing | Effect::Leave => {}
