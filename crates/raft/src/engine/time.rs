@@ -91,8 +91,8 @@ impl Times {
 }
 
 impl Engine {
-    /// From now on a voter acknowledges no block of a later time, microseconds since the UNIX epoch: [`TIME_AHEAD_MAX`]
-    /// ahead of its clock, or block time as it goes on where that is further ahead.
+    /// From now on a voter acknowledges no block of a later time, microseconds since the UNIX epoch. The driver gives
+    /// [`TIME_AHEAD_MAX`] ahead of its clock, or block time as it goes on where that is further ahead.
     pub fn accept_time_until(&mut self, latest: u64) {
         self.times.accepts_until = if active(Mutation::AcknowledgeAnyTime) { u64::MAX } else { latest };
     }

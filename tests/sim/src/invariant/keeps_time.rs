@@ -1,5 +1,5 @@
-//! Block time keeps to the clocks of a majority: no committed block is further ahead of what a majority of machines have
-//! shown than the network allows, or than blocks before it were.
+//! Block time keeps to the clocks of a majority. No committed block is further ahead of them than the network allows, or
+//! than blocks before it were. A clock counts by the latest time that it has shown.
 
 use super::{Check, Violation};
 use ledger_raft::TIME_AHEAD_MAX;
