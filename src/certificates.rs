@@ -5,6 +5,7 @@
 //!   keys         the node's key, and whose certificates are believed
 //!   inbox        statements of peers that wait: a few of each
 //!   kept         the files below the data directory
+//!   recent       the newest certificates, for those who ask for a proof
 //! ```
 //! Executing a block costs a message to the task, and nothing else: signing and checking happen beside the threads that
 //! order and execute.
@@ -12,6 +13,7 @@
 mod inbox;
 mod kept;
 mod keys;
+mod recent;
 
 pub(crate) use keys::Keys;
 
@@ -19,12 +21,14 @@ use crate::peers::{Directory, Peers};
 use inbox::Inbox;
 use kept::Kept;
 use ledger::{Ledger, Outcome};
-use ledger_light::{Lie, Signed, Statement};
+use ledger_light::fact::Fact;
+use ledger_light::{Certificate, Lie, Proof, Signed, Statement};
 use ledger_raft::{PeerMessage, SignedStatement};
 use ledger_rejection::Rejection;
 use ledger_replica::Observer;
 use ledger_replica::certifier::{Certifier, Effect, Era, Event};
 use ledger_storage::block_store::BlockStore;
+use recent::Recent;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -33,7 +37,7 @@ use tokio::sync::mpsc;
 
 /// Pause before the disk is asked again for a block that is to be signed.
 const DISK_PAUSE: Duration = Duration::from_millis(2);
-/// Time between two writes of the newest certificate, at least: a crash loses that much of them.
+/// Time between two writes of the newest proof, at least: a crash loses that much of them.
 const KEEP_EVERY: Duration = Duration::from_secs(2);
 
 /// The view that the rest of the node has of its certificates.
@@ -43,6 +47,7 @@ pub(crate) struct Certificates {
     certified: AtomicU64,
     /// Nodes that have lied, and the heights.
     lies: Mutex<Vec<(u64, u64)>>,
+    recent: Recent,
     kept: Kept,
 }
 
@@ -55,9 +60,10 @@ impl Certificates {
         let kept = Kept::open(data)?;
         // Bounded by what is executed, which takes longer than signing.
         let (executed, events) = mpsc::unbounded_channel();
-        let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.statement.height));
+        let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
         let lies = Mutex::new(kept.lies()?);
-        Ok((Arc::new(Self { executed, heard: Inbox::default(), certified, lies, kept }), events))
+        let (heard, recent) = (Inbox::default(), Recent::default());
+        Ok((Arc::new(Self { executed, heard, certified, lies, recent, kept }), events))
     }
 
     /// The newest height for which this node has a certificate; 0 if there is none.
@@ -77,6 +83,39 @@ impl Certificates {
     /// A peer has sent a statement. It waits for the task, or is lost if too many of that peer wait.
     pub(crate) fn hear(&self, from: u64, statement: SignedStatement) {
         self.heard.put(from, statement.signed);
+    }
+
+    /// A proof of a certified block, with the facts that are wanted. Waits a while for the certificate. None if there is
+    /// none, or the block was executed too long ago.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) async fn prove(
+        &self,
+        ledger: &Ledger,
+        height: u64,
+        wanted: impl Fn(&Fact<'_>) -> bool,
+    ) -> Result<Option<Proof>, Rejection> {
+        let Some(certificate) = self.recent.wait_for(height).await else { return Ok(None) };
+        proof(ledger, certificate, wanted)
+    }
+
+    /// The proof of the newest certified block; none if there is none.
+    ///
+    /// # Errors
+    /// A fault of the store or of the disk.
+    pub(crate) fn newest(&self, ledger: &Ledger) -> Result<Option<Proof>, Rejection> {
+        let newest =
+            self.recent.newest().map(|certificate| proof(ledger, certificate, |_| false)).transpose()?.flatten();
+        newest.map_or_else(|| self.kept.newest(), |newest| Ok(Some(newest)))
+    }
+
+    /// The proof of a block that changed who governs, if this node has it.
+    ///
+    /// # Errors
+    /// A fault of the disk.
+    pub(crate) fn governing(&self, height: u64) -> Result<Option<Proof>, Rejection> {
+        self.kept.governing(height)
     }
 
     fn lied(&self, node: u64, height: u64) {
@@ -106,6 +145,16 @@ impl Observer for Certificates {
     }
 }
 
+/// A certificate, with facts of its block; none if the ledger cannot say any more what the block wrote.
+fn proof(
+    ledger: &Ledger,
+    certificate: Certificate,
+    wanted: impl Fn(&Fact<'_>) -> bool,
+) -> Result<Option<Proof>, Rejection> {
+    let facts = ledger.shown(certificate.statement.height, wanted)?;
+    Ok(facts.map(|facts| Proof { certificate, facts }))
+}
+
 /// The voters whose signatures count for the blocks after the ledger's newest.
 ///
 /// # Errors
@@ -120,6 +169,8 @@ pub(crate) struct Certifying {
     pub certificates: Arc<Certificates>,
     /// Decides.
     pub certifier: Certifier<Keys>,
+    /// Shows what executing a block gave.
+    pub ledger: Arc<Ledger>,
     /// The log, whose blocks are signed.
     pub store: Arc<BlockStore>,
     /// The other nodes.
@@ -174,13 +225,24 @@ impl Certifying {
                 self.certificates.certified.fetch_max(height, Ordering::Relaxed);
                 let newest = height == self.certificates.certified();
                 let due = newest && written.is_none_or(|before| before.elapsed() >= KEEP_EVERY);
+                self.certificates.recent.add(certificate.clone());
                 if due || governs {
                     *written = if due { Some(Instant::now()) } else { *written };
-                    self.keep(move |kept| kept.certificate(&certificate, due, governs)).await;
+                    self.keep_proof(certificate, due, governs).await;
                 }
             }
             Effect::Lied(lie) => self.lied(*lie).await,
         }
+    }
+
+    async fn keep_proof(&self, certificate: Certificate, newest: bool, governs: bool) {
+        let ledger = Arc::clone(&self.ledger);
+        self.keep(move |kept| match proof(&ledger, certificate, |_| false)? {
+            Some(proof) => kept.proof(&proof, newest, governs),
+            // It was certified long after it was executed. Another node has it.
+            None => Ok(()),
+        })
+        .await;
     }
 
     async fn lied(&self, lie: Lie) {
@@ -201,8 +263,8 @@ impl Certifying {
         let certificates = Arc::clone(&self.certificates);
         match tokio::task::spawn_blocking(move || write(&certificates.kept)).await {
             Ok(Ok(())) => {}
-            Ok(Err(fault)) => tracing::warn!(%fault, "a certificate or the proof of a lie is not kept"),
-            Err(_) => tracing::error!("a thread panicked while it wrote a certificate"),
+            Ok(Err(fault)) => tracing::warn!(%fault, "a proof is not kept"),
+            Err(_) => tracing::error!("a thread panicked while it wrote a proof"),
         }
     }
 }

@@ -9,6 +9,7 @@
 //!   current      makes the state as new as what was committed
 //!   subscribe    events as they happen; audience: their listeners
 //!   status       the description of the node; links: its ways to be ordered
+//!   proofs       proofs of what was certified
 //!   transfer     the leadership for another node
 //!   denied       the list of refusals
 //! ```
@@ -21,7 +22,7 @@ mod denied;
 mod intake;
 mod links;
 mod looks;
-
+mod proofs;
 mod records;
 mod status;
 mod submit;
@@ -38,14 +39,16 @@ use ledger::Ledger;
 pub(crate) use ledger_api::to_status as status;
 use ledger_api::v1::gateway_server::Gateway;
 use ledger_api::v1::{
-    Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, QueryRequest,
-    QueryResponse, StatusRequest, StatusResponse, SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord,
-    TransferLeadershipRequest, TransferLeadershipResponse,
+    Block, Delivery, DenialsRequest, DenialsResponse, GetBlockRequest, GetTransactionRequest, GovernanceRequest,
+    GovernanceStep, ProveRequest, ProveResponse, QueryRequest, QueryResponse, StatusRequest, StatusResponse,
+    SubmitRequest, SubmitResponse, SubscribeRequest, TransactionRecord, TransferLeadershipRequest,
+    TransferLeadershipResponse,
 };
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
 pub(crate) use links::Links;
 pub(crate) use looks::Looks;
+pub(crate) use proofs::Proofs;
 pub(crate) use records::Records;
 pub(crate) use status::{Chain, Description, Usage};
 use std::pin::Pin;
@@ -68,6 +71,8 @@ pub(crate) struct GatewayService {
     pub submissions: Arc<Submissions>,
     /// The state, blocks and transactions.
     pub records: Arc<Records>,
+    /// Proofs of what was certified.
+    pub proofs: Arc<Proofs>,
     /// Events as they happen.
     pub subscriptions: Arc<Subscriptions>,
     /// The description of the node.
@@ -152,6 +157,21 @@ impl Gateway for GatewayService {
     ) -> Result<Response<TransactionRecord>, Status> {
         let caller = self.caller(&request)?;
         answer(self.records.transaction(&caller, &request.into_inner().id).await)
+    }
+
+    type GovernanceStream = Pin<Box<dyn Stream<Item = Result<GovernanceStep, Status>> + Send>>;
+
+    async fn governance(
+        &self,
+        request: Request<GovernanceRequest>,
+    ) -> Result<Response<Self::GovernanceStream>, Status> {
+        self.caller(&request)?;
+        Ok(Response::new(Box::pin(self.proofs.governance(request.into_inner().after))))
+    }
+
+    async fn prove(&self, request: Request<ProveRequest>) -> Result<Response<ProveResponse>, Status> {
+        self.caller(&request)?;
+        answer(self.proofs.prove(request.into_inner()).await)
     }
 
     async fn denials(&self, request: Request<DenialsRequest>) -> Result<Response<DenialsResponse>, Status> {

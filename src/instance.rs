@@ -128,7 +128,7 @@ impl Prepared {
         let housekeeping =
             wired.housekeeping(pruner(&stores, &wired.links, config)).map_err(|error| no_thread(&error))?;
         let ballot = Ballot::default();
-        let enrolment = wired.enrolment((host, &papers), document, &trust);
+        let enrolment = wired.enrolment((host, &papers), document.clone(), &trust);
         let renewer = Renewer {
             data: config.data.clone(),
             identity: papers.identity.clone(),
@@ -138,7 +138,7 @@ impl Prepared {
             others: others_of_own_organisation(&wired.me, &wired.links.directory),
         };
         let services = Services {
-            gateway: wired.gateway(config, started),
+            gateway: wired.gateway(config, document, started),
             enrolment: enrolment.clone(),
             peer: wired.peer_service(ballot.clone()),
             trust,

@@ -1,15 +1,15 @@
-//! The files: the newest certificate, those of blocks that changed whom others trust, and the proofs of lies.
+//! The files: the proof of the newest certified block, those of blocks that changed who governs, and the proofs of lies.
 
 use ledger_durable::{PUBLIC_MODE, create_directory, failed, read, replace};
-use ledger_light::certificate::CERTIFICATE_BYTES_MAX;
-use ledger_light::{Certificate, Lie};
+use ledger_light::proof::PROOF_BYTES_MAX;
+use ledger_light::{Lie, Proof};
 use ledger_rejection::{Code, Rejection};
 use std::path::{Path, PathBuf};
 
 /// The directory in the data directory.
 const DIRECTORY: &str = "certificates";
-/// The newest certificate.
-const NEWEST: &str = "newest.cert";
+/// The proof of the newest certified block.
+const NEWEST: &str = "newest.proof";
 /// Most proofs that are kept of one node: one would be enough.
 const LIES_MAX: usize = 4;
 
@@ -24,24 +24,31 @@ impl Kept {
         Ok(Self(place))
     }
 
-    /// The newest certificate that was kept. One that cannot be read is as good as none: there will be a newer one.
-    pub(super) fn newest(&self) -> Result<Option<Certificate>, Rejection> {
-        let path = self.0.join(NEWEST);
+    /// The newest proof that was kept. One that cannot be read is as good as none: there will be a newer one.
+    pub(super) fn newest(&self) -> Result<Option<Proof>, Rejection> {
+        self.read(NEWEST)
+    }
+
+    /// The proof of a block that changed who governs.
+    pub(super) fn governing(&self, height: u64) -> Result<Option<Proof>, Rejection> {
+        self.read(&of_height(height))
+    }
+
+    fn read(&self, name: &str) -> Result<Option<Proof>, Rejection> {
+        let path = self.0.join(name);
         if !path.exists() {
             return Ok(None);
         }
-        let found = read(&path, CERTIFICATE_BYTES_MAX)?;
-        Ok(Certificate::from_bytes(&found)
-            .inspect_err(|reason| tracing::warn!(path = %path.display(), %reason, "a kept certificate is of no use"))
+        Ok(Proof::from_bytes(&read(&path, PROOF_BYTES_MAX)?)
+            .inspect_err(|reason| tracing::warn!(path = %path.display(), %reason, "a kept proof is of no use"))
             .ok())
     }
 
-    /// Keeps a certificate: as the newest, and for good if its block changed whom others trust.
-    pub(super) fn certificate(&self, certificate: &Certificate, newest: bool, governs: bool) -> Result<(), Rejection> {
-        let bytes = certificate.to_bytes();
+    /// Keeps a proof: as the newest, and for good if its block changed who governs.
+    pub(super) fn proof(&self, proof: &Proof, newest: bool, governs: bool) -> Result<(), Rejection> {
+        let bytes = proof.to_bytes();
         if governs {
-            let name = format!("{:020}.cert", certificate.statement.height);
-            replace(&self.0.join(name), &bytes, PUBLIC_MODE)?;
+            replace(&self.0.join(of_height(proof.certificate.statement.height)), &bytes, PUBLIC_MODE)?;
         }
         if newest { replace(&self.0.join(NEWEST), &bytes, PUBLIC_MODE) } else { Ok(()) }
     }
@@ -76,12 +83,16 @@ impl Kept {
     }
 }
 
+fn of_height(height: u64) -> String {
+    format!("{height:020}.proof")
+}
+
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use ledger_hash::Hash;
-    use ledger_light::{Signature, Signed, Statement};
+    use ledger_light::{Certificate, Signature, Signed, Statement};
 
     fn statement(height: u64) -> Statement {
         Statement { network: Hash::ZERO, height, time: 1, block: Hash::ZERO, results: Hash::ZERO }
@@ -94,29 +105,27 @@ mod tests {
     }
 
     #[test]
-    fn certificates_and_lies_are_found_again_and_lies_of_a_node_are_bounded() {
+    fn proofs_and_lies_are_found_again_and_lies_of_a_node_are_bounded() {
         let place = tempfile::tempdir().unwrap();
         let kept = Kept::open(place.path()).unwrap();
         assert_eq!((kept.newest().unwrap(), kept.lies().unwrap()), (None, Vec::new()));
         for (height, newest, governs) in [(5, true, true), (4, false, true), (6, true, false)] {
             let certificate = Certificate { statement: statement(height), signatures: Vec::new() };
-            kept.certificate(&certificate, newest, governs).unwrap();
+            kept.proof(&Proof { certificate, facts: Vec::new() }, newest, governs).unwrap();
         }
         for height in 1..=10 {
             kept.lie(&lie(3, height)).unwrap();
         }
         kept.lie(&lie(2, 7)).unwrap();
         let again = Kept::open(place.path()).unwrap();
-        assert_eq!(again.newest().unwrap().unwrap().statement.height, 6);
+        let height = |proof: Option<Proof>| proof.map(|proof| proof.certificate.statement.height);
+        assert_eq!(height(again.newest().unwrap()), Some(6));
         assert_eq!(again.lies().unwrap(), [(3, 1), (3, 2), (3, 3), (3, 4), (2, 7)]);
-        let directory = place.path().join(DIRECTORY);
-        for height in [4, 5] {
-            let found = std::fs::read(directory.join(format!("{height:020}.cert"))).unwrap();
-            assert_eq!(Certificate::from_bytes(&found).unwrap().statement.height, height);
+        for (at, wanted) in [(4, Some(4)), (5, Some(5)), (6, None)] {
+            assert_eq!(height(again.governing(at).unwrap()), wanted);
         }
-        assert!(!directory.join("00000000000000000006.cert").exists());
         // A damaged one is as good as none.
-        std::fs::write(directory.join(NEWEST), b"ledgerd certificate v1\0").unwrap();
+        std::fs::write(place.path().join(DIRECTORY).join(NEWEST), b"ledgerd proof v1\0").unwrap();
         assert_eq!(kept.newest().unwrap(), None);
     }
 }

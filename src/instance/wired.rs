@@ -10,7 +10,7 @@ use crate::company::{Asking, Company};
 use crate::config::Config;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{
-    Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Records, Submissions,
+    Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Proofs, Records, Submissions,
     Subscriptions, Usage,
 };
 use crate::host::{Deliver, Host, Members, Papers};
@@ -167,8 +167,8 @@ impl Wired {
         Ok((Self { me, identity, stores, followers, links, engines, dialer, shares, members }, seen, stated))
     }
 
-    /// The gateway of a node that started at this moment.
-    pub(super) fn gateway(&self, config: &Config, started: Instant) -> GatewayService {
+    /// The gateway of a node that started at this moment, in the network of that genesis.
+    pub(super) fn gateway(&self, config: &Config, document: Bytes, started: Instant) -> GatewayService {
         let audience = Audience::new(config.limits.subscribers_max, self.me.organisation.clone());
         let (ledger, denials) = (&self.stores.ledger, &self.engines.outside.denials);
         let Followers { clock, blocks, current, .. } = &self.followers;
@@ -188,7 +188,14 @@ impl Wired {
             clock: clock.clone(),
             denials: Arc::clone(denials),
         };
+        let proofs = Proofs {
+            ledger: Arc::clone(ledger),
+            genesis: document,
+            certificates: Arc::clone(&self.followers.certificates),
+            current: current.clone(),
+        };
         GatewayService {
+            proofs: Arc::new(proofs),
             ledger: Arc::clone(ledger),
             clock: clock.clone(),
             submissions: Arc::new(self.submissions(config)),
@@ -286,6 +293,7 @@ impl Wired {
         Ok(Certifying {
             certificates: Arc::clone(&self.followers.certificates),
             certifier: Certifier::new(self.me.id, ledger.network(), keys, era(ledger)?),
+            ledger: Arc::clone(ledger),
             store: Arc::clone(&self.stores.store),
             peers: Arc::clone(&self.links.peers),
             directory: Arc::clone(&self.links.directory),

@@ -1,4 +1,5 @@
-//! Certificates of blocks: signatures of voters of two organisations, and no block without them.
+//! Certificates of blocks: signatures of voters of two organisations, and no block without them; and readers that believe
+//! nothing else.
 
 use crate::support::network::{NodePlace, NodeWish, free_address, now};
 use crate::support::{Fleet, connect, until};
@@ -6,9 +7,7 @@ use bytes::Bytes;
 use ledger::network::Genesis;
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
-use ledger_identity::msp::{Msp, Msps};
-use ledger_light::{Certificate, Voter, Voters};
-use ledger_rejection::Rejection;
+use ledger_light::Proof;
 use serde_json::json;
 
 fn wish(name: &str, organisation: &str) -> NodeWish {
@@ -22,23 +21,12 @@ async fn robot(owner: &Client, name: &str) -> u64 {
     owner.invoke("abac", "setup", vec![Bytes::from(robot)]).await.unwrap().height
 }
 
-/// Checks the newest certificate in a data directory by nothing but the genesis.
+/// Checks the newest proof in a data directory by nothing but the genesis: nothing has changed who governs since.
 fn check_newest(place: &NodePlace) -> u64 {
-    let (genesis, network) = Genesis::from_bytes(&std::fs::read(place.data.join("genesis.json")).unwrap()).unwrap();
-    let mut msps = Msps::new();
-    for organisation in &genesis.organisations {
-        msps.insert(Msp::new(&organisation.name, &organisation.roots, &[] as &[Bytes]).unwrap()).unwrap();
-    }
-    let voter = |node: &ledger::network::FoundingNode| {
-        (node.id, Voter { organisation: node.organisation.clone(), name: node.name.clone() })
-    };
-    let nodes = genesis.nodes.iter().map(voter).collect();
-    let voters = Voters { nodes, voters: [1, 2, 3].into(), outgoing: [].into() };
-    let bytes = std::fs::read(place.data.join("certificates/newest.cert")).unwrap();
-    let certificate = Certificate::from_bytes(&bytes).unwrap();
-    let identify = |der: &[u8], time: u64| msps.verify(der, &[], time).map_err(Rejection::from);
-    certificate.verify(&network, &voters, identify).unwrap();
-    certificate.statement.height
+    let begun = Genesis::governance(&std::fs::read(place.data.join("genesis.json")).unwrap()).unwrap();
+    let bytes = std::fs::read(place.data.join("certificates/newest.proof")).unwrap();
+    begun.check(&Proof::from_bytes(&bytes).unwrap().certificate).unwrap();
+    Proof::from_bytes(&bytes).unwrap().certificate.statement.height
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
@@ -91,4 +79,46 @@ async fn what_voters_of_two_organisations_execute_is_certified_and_nothing_that_
     nodes[0] = fleet.nodes[0].start();
     let status = until("node1 answers alone", || async { at(0, &owner).await.status().await.ok() }).await;
     assert!(status.certified >= kept, "{} after {kept}", status.certified);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_reader_follows_who_governs_from_the_genesis_and_shows_how_a_robot_stands() {
+    let fleet = Fleet::found_with(&[wish("node1", "Org1"), wish("node2", "Org2"), wish("node3", "Org1")], now());
+    let owner = fleet.owner();
+    fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]);
+    fleet.issue("Org1", "admin", Role::Admin, &[]);
+    let mut nodes: Vec<_> = fleet.nodes.iter().map(NodePlace::start).collect();
+    let client = connect(&owner).await;
+    let registered = robot(&client, "Turtlebot4").await;
+    let ctl = |arguments: &[&str]| fleet.ctl().as_("Salma").run(arguments);
+    let place = tempfile::tempdir().unwrap();
+    let file = place.path().join("fleet.checkpoint").display().to_string();
+    let first = ctl(&["light", "Turtlebot4", "--checkpoint", &file, "-o", "json"]).ok().json();
+    assert_eq!((&first["robot"], &first["organisation"]), (&json!("Turtlebot4"), &json!("Org2")), "{first}");
+    assert!(first["height"].as_u64().unwrap() > registered && first["began_at"] == 0, "{first}");
+    let signed = first["signed_by"].as_array().unwrap();
+    assert!(signed.len() >= 2 && signed.contains(&json!("Org2/node2")), "{first}");
+
+    // Voters change: node3 becomes a learner. The reader goes on from its checkpoint, and from the genesis.
+    fleet.ctl().as_("admin").run(&["network", "demote", "Org1/node3"]).ok();
+    until("node3 only follows", || async {
+        let peers = client.status().await.ok()?.peers;
+        peers.iter().any(|peer| peer.name == "node3" && peer.role == "learner").then_some(())
+    })
+    .await;
+    for (began, arguments) in [
+        (first["height"].clone(), vec!["light", "Turtlebot4", "--checkpoint", &file, "-o", "json"]),
+        (json!(0), vec!["light", "Turtlebot4", "-o", "json"]),
+    ] {
+        let shown = ctl(&arguments).ok().json();
+        assert_eq!((&shown["voters"], &shown["began_at"]), (&json!(2), &began), "{shown}");
+    }
+    let text = ctl(&["light", "Turtlebot4"]).ok().stdout;
+    assert!(text.contains("(2 of 2 voters)") && text.contains("the genesis of network"), "{text}");
+    assert_eq!(ctl(&["light", "Turtlebot5"]).code, 3);
+
+    std::fs::write(&file, b"ledgerd checkpoint v1\0").unwrap();
+    let refused = ctl(&["light", "Turtlebot4", "--checkpoint", &file]);
+    assert!(refused.code == 3 && refused.stderr.contains("is not usable"), "{refused:?}");
+    nodes.iter_mut().for_each(|node| node.interrupt());
 }

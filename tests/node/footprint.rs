@@ -18,8 +18,8 @@ const TWIST: [u8; 52] = {
 };
 /// Most bytes that a command alone in its block takes: in the log, and in the results with their index.
 const COMMAND_BYTES_MAX: u64 = 500;
-/// Of a block that is certified, beside: control chain and results root. The first block of each window of block time is one.
-const ROOTS_BYTES: f64 = 64.0;
+/// Of a block that is certified, beside: governing chain, control chain and results root. The first block of each window of block time is one.
+const ROOTS_BYTES: f64 = 96.0;
 /// Length of such a window.
 const WINDOW: Duration = Duration::from_millis(200);
 /// Of the index, which is written when a file is finished, for each transaction.

@@ -26,6 +26,7 @@ use nearest::did_you_mean;
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
+/// | `declare ROBOT` | anybody | [`crate::Declaration`], certified |
 /// | `service SERVICE` | anybody | [`crate::ServiceState`] |
 /// | `grants [SERVICE]`, `grants PAGE_JSON` | anybody | [`crate::Grant`]s |
 /// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
@@ -43,11 +44,12 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 16] = [
+const FUNCTIONS: [&str; 17] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
     "configure",
+    "declare",
     "grants",
     "policies",
     "policy",
@@ -61,6 +63,9 @@ const FUNCTIONS: [&str; 16] = [
     "set",
     "setup",
 ];
+
+/// The rules since which voters certify what executing a block gave.
+const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
 const READS: [&str; 7] =
@@ -117,6 +122,7 @@ impl Chaincode for AccessControl {
             "remove" => robots::remove(ctx, args),
             "robots" => show::robots(ctx, args),
             "robot" => show::robot(ctx, args),
+            "declare" if ctx.rules().number() >= DECLARED_SINCE => show::declare(ctx, args),
             "service" => show::service(ctx, args),
             "grants" => hold::list(ctx, args),
             "policy" => policies::change(ctx, decider, args),

@@ -52,8 +52,8 @@ pub use actions::authorize::{Authorization, Caller};
 pub use actions::publish::MESSAGES_PER_CALL_MAX;
 pub use contract::AccessControl;
 pub use ledger_contract::{
-    Capabilities, Direction, Fencing, Grant, MessageEvent, Mode, PolicyChange, PolicyEntry, Published, Publishing,
-    Reason, Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec,
+    Capabilities, Declaration, Direction, Fencing, Grant, MessageEvent, Mode, PolicyChange, PolicyEntry, Published,
+    Publishing, Reason, Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec,
     ServiceState, SettingChange, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};

@@ -9,11 +9,13 @@
 //!     fresh       which of them no node has seen
 //!     clock       the node's clock
 //!   reads         queries, status, blocks
+//!   believing     answers that need no trust in a node
 //!   identities    the registry of the own organisation
 //!   leadership    choosing who leads
 //!   events        subscriptions that resume where they were cut off
 //! ```
 
+mod believing;
 mod clock;
 mod dialer;
 mod events;
@@ -25,6 +27,7 @@ mod learning;
 mod reads;
 mod session;
 
+pub use believing::Certified;
 pub use events::{EventStream, Subscription};
 pub use identities::{Registered, SECRET_LIFE};
 pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Pending};

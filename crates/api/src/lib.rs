@@ -32,8 +32,8 @@ pub mod tls;
 pub mod token;
 
 pub use client::{
-    Answer, Call, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options, Pending,
-    Registered, SECRET_LIFE, Subscription,
+    Answer, Call, Certified, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options,
+    Pending, Registered, SECRET_LIFE, Subscription,
 };
 pub use connect::Credentials;
 pub use context::{Context, home};

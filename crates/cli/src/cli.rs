@@ -1,8 +1,8 @@
 //! The table of commands.
 
 use crate::command::{
-    ca, chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, message, network, policy,
-    robot, whoami,
+    ca, chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, light, message, network,
+    policy, robot, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -70,6 +70,7 @@ enum Command {
     Policy(policy::Policy),
     Invoke(chaincode::Invoke),
     Query(chaincode::Query),
+    Light(light::Light),
     Status(ledger::Status),
     Block(ledger::Block),
     Tx(ledger::Tx),
@@ -112,6 +113,7 @@ impl Cli {
             Command::Policy(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,
             Command::Query(command) => command.run(global, output).await,
+            Command::Light(command) => command.run(global, output).await,
             Command::Status(command) => command.run(global, output).await,
             Command::Block(command) => command.run(global, output).await,
             Command::Tx(command) => command.run(global, output).await,

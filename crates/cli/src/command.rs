@@ -10,6 +10,7 @@ pub(crate) mod explain;
 pub(crate) mod grant;
 pub(crate) mod identity;
 pub(crate) mod ledger;
+pub(crate) mod light;
 pub(crate) mod message;
 pub(crate) mod network;
 pub(crate) mod policy;

@@ -26,7 +26,7 @@ pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabiliti
 pub use grant::{Grant, Reason, Released};
 pub use message::{MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};
-pub use robot::{RobotAsset, RobotEvent, RobotSpec};
+pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, Mode, ServiceSpec, ServiceState};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
 pub use word::{Told, Word};

@@ -1,5 +1,6 @@
 //! Robots: how their owner describes them, and how everybody sees them.
 
+use crate::grant::Grant;
 use crate::service::{ServiceSpec, ServiceState};
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +46,15 @@ pub struct RobotAsset {
     pub trusted: Vec<String>,
     /// Its services and their holders.
     pub services: Vec<ServiceState>,
+}
+
+/// Answer of `declare`: all that a robot's gate needs to know, at one height.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Declaration {
+    /// The robot with its services.
+    pub robot: RobotAsset,
+    /// The live grants of its services.
+    pub grants: Vec<Grant>,
 }
 
 /// Payload of the event `robot`.

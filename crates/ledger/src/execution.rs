@@ -14,7 +14,7 @@ use crate::window::Window;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
-use ledger_light::merkle;
+use ledger_light::{Change, merkle};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::{Entry, EntryKind};
@@ -119,11 +119,20 @@ impl Executor<'_> {
             overlay.write(Bytes::from_static(MEMBERS_KEY), Some(members_record(&members)?));
         }
 
-        let writes = overlay.finish()?;
+        let mut writes = overlay.finish()?;
+        let control = ControlWrites::of(&writes, self.registry);
+        let governs = control.govern();
+        let before = match self.is_certified(previous, &header, &control) {
+            true => Some(self.roots_before(previous, &mut writes)?),
+            false => None,
+        };
+        if governs && before.is_some() {
+            log_change(&facts::change(header.height, &writes, self.registry), &mut writes);
+        }
         let digest = digest(&previous.digest, &writes, &results);
         let hash = header.hash();
-        let governs = facts::govern(&writes, self.registry);
-        let certifiable = self.certifiable(previous, (&header, digest), (&results, &events), &writes)?;
+        let roots = |before| facts::roots(&before, (header.height, digest), (&results, &events), &control);
+        let certifiable = before.map(roots).transpose()?;
         let result = BlockResult {
             term: header.term,
             time,
@@ -138,25 +147,21 @@ impl Executor<'_> {
         Ok(Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs })
     }
 
-    /// The hashes over what executing gave, if voters are to sign them: where control state was written, and for the first block
-    /// of each window of block time.
-    fn certifiable(
-        &self,
-        previous: &Tip,
-        (header, digest): (&Header, Hash),
-        outcome: (&[TransactionResult], &[EmittedEvent]),
-        writes: &WriteSet,
-    ) -> Result<Option<Roots>, Rejection> {
-        let Some(every) = self.rules.certifies_every() else { return Ok(None) };
-        let control = ControlWrites::of(writes, self.registry);
-        if control.is_empty() && header.time / every == previous.time / every {
-            return Ok(None);
+    /// Are voters to sign what executing this block gave? Where control state was written, and for the first block of each
+    /// window of block time.
+    fn is_certified(&self, previous: &Tip, header: &Header, control: &ControlWrites) -> bool {
+        let every = self.rules.certifies_every();
+        every.is_some_and(|every| !control.is_empty() || header.time / every != previous.time / every)
+    }
+
+    /// The roots that a certified block builds on. A network that comes from older rules begins them, and the log of changes.
+    fn roots_before(&self, previous: &Tip, writes: &mut WriteSet) -> Result<Roots, Rejection> {
+        if let Some(before) = self.roots {
+            return Ok(before);
         }
-        let before = match self.roots {
-            Some(before) => before,
-            None => facts::begin(&*self.state, self.registry, previous.height)?,
-        };
-        Ok(Some(facts::roots(&before, (header.height, digest), outcome, &control)?))
+        let (roots, change) = facts::begin(&*self.state, self.registry, previous.height)?;
+        log_change(&change, writes);
+        Ok(roots)
     }
 
     fn environment<'a>(&'a self, header: &Header, meter: &'a Meter) -> Environment<'a> {
@@ -261,6 +266,11 @@ fn digest(previous: &Hash, writes: &WriteSet, results: &[TransactionResult]) -> 
         part(&result.response);
     }
     Hash::finish(sha)
+}
+
+/// Logs who governs from this block on, so that a reader can follow it from the beginning.
+fn log_change(change: &Change, writes: &mut WriteSet) {
+    writes.insert(msp::change_key(change.height), Some(change.to_bytes()));
 }
 
 /// The writes in the order of their keys, which is the same on every node.

@@ -89,12 +89,12 @@ pub use proposals::{
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, invitation, members, nodes, organisations, voters};
+pub use read::{attestations, changes, invitation, members, nodes, organisations, voters};
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
 pub(crate) use read::{activations, members_record};
-pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
+pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_key, change_key, revoked_key};
 
 use crate::chaincode::{Chaincode, Context, Quorum};
 use crate::members::Membership;

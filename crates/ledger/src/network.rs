@@ -1,11 +1,16 @@
 //! The genesis of a network: what all its nodes agree on before the first block.
 
+use crate::chaincode::Registry;
+use crate::facts;
+use crate::msp::{self, MspChaincode};
 use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_hash::Hash;
+use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// Most bytes of a genesis document.
 pub const GENESIS_BYTES_MAX: usize = 1024 * 1024;
@@ -132,6 +137,26 @@ impl Genesis {
     /// As [`Genesis::from_bytes`].
     pub fn network_of(bytes: &[u8]) -> Result<Hash, Rejection> {
         Self::from_bytes(bytes).map(|(_, network)| network)
+    }
+
+    /// Whom to believe at the genesis of a network: where a reader that pinned the network's name begins.
+    ///
+    /// # Errors
+    /// As [`Genesis::from_bytes`]; [`Code::UnknownRules`] if the network was founded with rules that certify nothing: then
+    /// a reader begins at a checkpoint.
+    pub fn governance(bytes: &[u8]) -> Result<Governance, Rejection> {
+        let (genesis, network) = Self::from_bytes(bytes)?;
+        if Rules::find(genesis.rules).and_then(Rules::certifies_every).is_none() {
+            let message = "the genesis of this network is certified by nobody";
+            return Err(Rejection::new(Code::UnknownRules, message)
+                .found(format!("rules {}", genesis.rules))
+                .wanted("a network that was founded with rules 3 or newer")
+                .next("begin at a checkpoint that somebody made whom you trust"));
+        }
+        let mut registry = Registry::default();
+        registry.install(Arc::new(MspChaincode))?;
+        let change = facts::change(0, &msp::found(&genesis)?, &registry);
+        Governance::founded(network, genesis.created, &change)
     }
 
     /// The node of that organisation and name.

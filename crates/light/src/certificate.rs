@@ -69,18 +69,23 @@ impl Certificate {
                 .found(self.statement.network.to_string())
                 .wanted(network.to_string()));
         }
-        // Counting is cheap, so it comes first.
         let mut signers = BTreeSet::new();
         if let Some(twice) = self.signatures.iter().find(|signature| !signers.insert(signature.node)) {
             return Err(Rejection::new(Code::Malformed, "a certificate has two signatures of one node")
                 .found(format!("node {} twice", twice.node))
                 .wanted("each node once"));
         }
+        // Counting is cheap, so it comes first.
         voters.enough(&signers)?;
+        // A signature that is not good counts for nothing, and spoils nothing.
+        let (mut good, mut refused) = (BTreeSet::new(), None);
         for signature in &self.signatures {
-            let identity = identify(&signature.certificate, self.statement.time)?;
-            voters.check(&self.statement, signature, &identity)?;
+            let identity = identify(&signature.certificate, self.statement.time);
+            match identity.and_then(|identity| voters.check(&self.statement, signature, &identity)) {
+                Ok(()) => drop(good.insert(signature.node)),
+                Err(reason) => refused = refused.or(Some(reason)),
+            }
         }
-        Ok(())
+        voters.enough(&good).map_err(|few| refused.unwrap_or(few))
     }
 }

@@ -1,6 +1,7 @@
-//! The control chain: a hash over every write of control state since the genesis.
+//! The two chains over control state: hashes over every write since the genesis. The *governing* chain covers the control
+//! state of the chaincode `msp`, the *control* chain that of all others.
 //!
-//! A reader that follows the writes of control state from its pinned beginning computes the same chain. A certified value of the chain then
+//! A reader that follows the writes from its pinned beginning computes the same chain. A certified value of the chain then
 //! shows that no write was left out, and none made up. It needs the value of no write: the hash of a value is enough.
 
 use ledger_hash::Hash;

@@ -25,6 +25,8 @@ const CONTROL: u8 = 4;
 pub enum Fact<'a> {
     /// The ground that the block stands on; the first leaf of each block.
     Ground {
+        /// The governing chain after the block.
+        governing: Hash,
         /// The control chain after the block.
         control: Hash,
         /// The state digest after the block.
@@ -76,9 +78,9 @@ impl<'a> Fact<'a> {
         let mut bytes = Vec::with_capacity(192);
         bytes.extend_from_slice(DOMAIN);
         match self {
-            Self::Ground { control, digest, previous } => {
+            Self::Ground { governing, control, digest, previous } => {
                 bytes.push(GROUND);
-                [control, digest, previous].iter().for_each(|hash| bytes.extend_from_slice(&hash.0));
+                [governing, control, digest, previous].iter().for_each(|hash| bytes.extend_from_slice(&hash.0));
             }
             Self::Verdict { index, id, code, response } => {
                 bytes.push(VERDICT);
@@ -109,7 +111,12 @@ impl<'a> Fact<'a> {
     pub fn from_bytes(bytes: &'a [u8]) -> Result<Self, Rejection> {
         let mut reader = Reader::new("a fact of a block", FACT_BYTES_MAX, DOMAIN, bytes)?;
         let fact = match reader.byte()? {
-            GROUND => Self::Ground { control: reader.hash()?, digest: reader.hash()?, previous: reader.hash()? },
+            GROUND => Self::Ground {
+                governing: reader.hash()?,
+                control: reader.hash()?,
+                digest: reader.hash()?,
+                previous: reader.hash()?,
+            },
             VERDICT => Self::Verdict {
                 index: reader.u32()?,
                 id: reader.hash()?,

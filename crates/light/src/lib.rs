@@ -8,11 +8,14 @@
 //! |---|---|
 //! | [`merkle`] | the tree of RFC 6962: roots, and the path from a leaf to its root |
 //! | [`fact`] | the leaves: what executing a block gave |
-//! | [`control`] | the chain over all writes of control state, which shows that none was left out |
+//! | [`control`] | the chains over writes of control state, which show that none was left out |
 //! | [`statement`] | what a voter says about a block, and its signature |
 //! | [`vote`] | who is to lead, as a voter says, and its signature |
 //! | [`voters`] | whose signatures count, and how many are enough |
 //! | [`certificate`] | the statement with enough signatures |
+//! | [`proof`] | a certificate with facts of its block |
+//! | [`checkpoint`] | where a reader was |
+//! | [`governance`] | whom to believe at a height, followed from a pinned beginning |
 //! | [`lie`] | two statements of one node about one height |
 //!
 //! ```
@@ -20,7 +23,7 @@
 //! use ledger_light::{fact::Fact, merkle};
 //!
 //! let facts = [
-//!     Fact::Ground { control: Hash::ZERO, digest: Hash::ZERO, previous: Hash::ZERO },
+//!     Fact::Ground { governing: Hash::ZERO, control: Hash::ZERO, digest: Hash::ZERO, previous: Hash::ZERO },
 //!     Fact::Verdict { index: 0, id: Hash::ZERO, code: 0, response: Hash::of(&[b"done"]) },
 //! ];
 //! let leaves: Vec<Hash> = facts.iter().map(Fact::leaf).collect();
@@ -34,17 +37,23 @@
 #![forbid(unsafe_code)]
 
 pub mod certificate;
+pub mod checkpoint;
 mod codec;
 pub mod control;
 pub mod fact;
+pub mod governance;
 pub mod lie;
 pub mod merkle;
+pub mod proof;
 pub mod statement;
 pub mod vote;
 pub mod voters;
 
 pub use certificate::Certificate;
+pub use checkpoint::Checkpoint;
+pub use governance::{Change, Governance};
 pub use lie::Lie;
+pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
 pub use vote::Vote;
 pub use voters::{Voter, Voters};

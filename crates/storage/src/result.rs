@@ -120,6 +120,8 @@ pub enum BlockKind {
 /// The hashes over what executing a block gave, as its voters sign it (since rules 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Roots {
+    /// The governing chain after the block.
+    pub governing: Hash,
     /// The control chain after the block.
     pub control: Hash,
     /// The results root of the block.
@@ -127,15 +129,17 @@ pub struct Roots {
 }
 
 impl Roots {
-    /// Both, one after the other.
+    /// One after the other.
     pub fn to_bytes(&self) -> Bytes {
-        [self.control.0, self.results.0].concat().into()
+        [self.governing.0, self.control.0, self.results.0].concat().into()
     }
 
-    /// Reads both; none of bytes that are something else.
+    /// Reads them; none of bytes that are something else.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
-        let (control, results) = bytes.split_at_checked(size_of::<Hash>())?;
-        Some(Self { control: Hash::from_slice(control)?, results: Hash::from_slice(results)? })
+        let (governing, rest) = bytes.split_at_checked(size_of::<Hash>())?;
+        let (control, results) = rest.split_at_checked(size_of::<Hash>())?;
+        let hash = Hash::from_slice;
+        Some(Self { governing: hash(governing)?, control: hash(control)?, results: hash(results)? })
     }
 }
 
@@ -163,13 +167,13 @@ pub struct BlockResult {
     /// In the order in which they were emitted.
     #[prost(message, repeated, tag = "7")]
     pub events: Vec<EmittedEvent>,
-    /// Its [`Roots`], 64 bytes; empty before rules 3.
+    /// Its [`Roots`], 96 bytes; empty before rules 3.
     #[prost(bytes = "bytes", tag = "10")]
     pub roots: Bytes,
 }
 
 impl BlockResult {
-    /// Control chain and results root; none before rules 3.
+    /// Governing chain, control chain and results root; none before rules 3.
     pub fn roots(&self) -> Option<Roots> {
         Roots::from_bytes(&self.roots)
     }

@@ -29,12 +29,18 @@ pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
     };
     let mut grants = Vec::new();
     for target in &targets {
-        for Holding { mut grant, .. } in grant::live(ctx, &target.id)? {
-            grant.next_seq = publish::next_sequence(ctx, target, grant.epoch, &grant.holder)?;
-            grants.push(grant);
-        }
+        grants.extend(live(ctx, target)?);
     }
     store::json(&grants)
+}
+
+/// The live grants of a service, as they are listed.
+pub(crate) fn live(ctx: &Context<'_>, target: &Target) -> Result<Vec<Grant>, Rejection> {
+    let listed = |Holding { mut grant, .. }| {
+        grant.next_seq = publish::next_sequence(ctx, target, grant.epoch, &grant.holder)?;
+        Ok(grant)
+    };
+    grant::live(ctx, &target.id)?.into_iter().map(listed).collect()
 }
 
 /// A grant as it is listed, if it is live.

@@ -1,5 +1,6 @@
 //! Robots and services as everybody sees them: `robots`, `robot`, `service`.
 
+use super::hold;
 use crate::arguments::Arguments;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Target};
@@ -7,7 +8,7 @@ use crate::records::{grant, store};
 use crate::rules;
 use bytes::Bytes;
 use ledger::{Context, Paging};
-use ledger_contract::{Direction, Grant, RobotAsset, ServiceState};
+use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
@@ -26,6 +27,19 @@ pub(crate) fn robots(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejecti
 pub(crate) fn robot(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("robot NAME", args, 1, 1)?;
     store::json(&asset(ctx, &robot::find(ctx, args.text(0, "NAME")?)?)?)
+}
+
+/// `declare ROBOT`: writes the robot's record once more, so that voters certify this block, and with it the answer. So a
+/// reader that believes no single node learns how the robot stands. Since rules 3.
+pub(crate) fn declare(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("declare ROBOT", args, 1, 1)?;
+    let robot = robot::find(ctx, args.text(0, "ROBOT")?)?;
+    store::write(ctx, &store::robot_key(&robot.name), &robot)?;
+    let mut grants = Vec::new();
+    for service in &robot.services {
+        grants.extend(hold::live(ctx, &Target::of(&robot, service))?);
+    }
+    store::json(&Declaration { robot: asset(ctx, &robot)?, grants })
 }
 
 /// `service SERVICE`

@@ -1,8 +1,11 @@
 //! Certified blocks: the voters whose signatures count, and the hashes that the next block builds on.
 
-use super::Ledger;
+use super::{BlockHashes, Ledger};
+use crate::facts::{ControlWrites, Facts};
 use crate::msp;
-use ledger_light::Voters;
+use ledger_light::fact::Fact;
+use ledger_light::proof::Shown;
+use ledger_light::{Change, Voters};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::{BlockResult, Roots};
 use ledger_storage::results::ResultStore;
@@ -14,6 +17,46 @@ impl Ledger {
     /// As [`Ledger::members`].
     pub fn voters(&self) -> Result<Voters, Rejection> {
         msp::voters(&*self.state)
+    }
+
+    /// The changes of who governs after a height, oldest first, at most so many.
+    ///
+    /// # Errors
+    /// As [`Ledger::members`].
+    pub fn changes(&self, after: u64, most: usize) -> Result<Vec<Change>, Rejection> {
+        msp::changes(&*self.state, after, most)
+    }
+
+    /// Facts of a certified block with their paths: the ground, then what `wanted` names. None if the block is not due to be
+    /// certified, or was executed too long ago to say what it wrote ([`Ledger::writes`]).
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub fn shown(&self, height: u64, wanted: impl Fn(&Fact<'_>) -> bool) -> Result<Option<Vec<Shown>>, Rejection> {
+        let Some(result) = self.result(height)? else { return Ok(None) };
+        let (Some(after), Some(writes)) = (result.roots(), self.writes(height)) else { return Ok(None) };
+        let writes = ControlWrites::among(writes.iter().map(|write| (&write.key, write.value)), &self.registry);
+        let Some(before) = self.roots_before(height)? else { return Ok(None) };
+        let facts = Facts::new((&before, &after), result.digest(), (&result.results, &result.events), &writes);
+        let leaves = facts.leaves();
+        let found = (1u32..).zip(&facts.others).filter(|(_, fact)| wanted(fact));
+        let shown = std::iter::once((0, &facts.ground)).chain(found);
+        Ok(shown.map(|(index, fact)| Shown::of(fact, &leaves, index)).collect())
+    }
+
+    /// The roots that a certified block was built on.
+    fn roots_before(&self, height: u64) -> Result<Option<Roots>, Rejection> {
+        for before in (0..height).rev() {
+            if self.rules_of(before + 1)?.certifies_every().is_none() {
+                break;
+            }
+            match self.block_hashes(before)? {
+                Some(BlockHashes { roots: Some(roots), .. }) => return Ok(Some(roots)),
+                Some(_) => {}
+                None => return Ok(None),
+            }
+        }
+        Ok(None)
     }
 }
 

@@ -5,13 +5,14 @@ use super::invitations::Invitation;
 use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
 use super::store::{
-    ACTIVATIONS, ATTESTATIONS, MEMBERS_KEY, NODES, ORGANISATIONS, invitation_key, json, list_state, parse, read_state,
+    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, MEMBERS_KEY, NODES, ORGANISATIONS, change_key, invitation_key, json,
+    list_state, parse, read_state,
 };
 use crate::members::Membership;
 use crate::network::FoundingOrganisation;
 use crate::rules::Activation;
 use bytes::Bytes;
-use ledger_light::{Voter, Voters};
+use ledger_light::{Change, Voter, Voters};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 
@@ -67,6 +68,21 @@ pub fn voters(state: &dyn StateRead) -> Result<Voters, Rejection> {
     let nodes = nodes(state)?.into_iter().filter(|node| voters.contains(&node.id) || outgoing.contains(&node.id));
     let nodes = nodes.map(|NodeRecord { id, organisation, name, .. }| (id, Voter { organisation, name })).collect();
     Ok(Voters { nodes, voters, outgoing })
+}
+
+/// The changes of who governs after a height, oldest first, at most so many.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn changes(state: &dyn StateRead, after: u64, most: usize) -> Result<Vec<Change>, Rejection> {
+    let logged = state.range(CHANGE_KEYS, Some(&change_key(after)), most)?;
+    let read = |(key, value): &(Bytes, Bytes)| {
+        let height = key.strip_prefix(CHANGE_KEYS).and_then(|height| std::str::from_utf8(height).ok()?.parse().ok());
+        let height =
+            height.ok_or_else(|| Rejection::new(Code::Corrupt, "a key of the log of changes names no height"))?;
+        Change::from_bytes(height, value)
+    };
+    logged.iter().map(read).collect()
 }
 
 /// The rules that were activated, in order of heights.

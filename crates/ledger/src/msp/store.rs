@@ -9,6 +9,7 @@
 //! | `next/node`, `next/proposal` | the next number, never given twice |
 //! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
+//! | `governed/<height, 20 digits>` | the control writes of a block to this chaincode ([`ledger_light::Change`]); only the execution of blocks writes it |
 //! | `proposal/<id>` | [`super::Proposal`] |
 //! | `quota/<organisation>` | [`super::SetQuota`] |
 //! | `invitation/<name>` | [`super::Invitation`] |
@@ -38,6 +39,9 @@ pub(crate) const RULES_KEY: &[u8] = b"msp\0rules";
 /// Keys of the organisations start with this; a block that writes one changes whom the next block trusts.
 pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
 
+/// The log of who governed.
+pub(crate) const CHANGE_KEYS: &[u8] = b"msp\0governed/";
+
 pub(super) const ORGANISATIONS: &str = "organisation/";
 pub(super) const NODES: &str = "node/";
 pub(super) const PROPOSALS: &str = "proposal/";
@@ -53,6 +57,11 @@ pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
 /// The full key of a known certificate.
 pub(crate) fn certificate_key(fingerprint: &Hash) -> Bytes {
     full(&known_certificate_key(fingerprint))
+}
+
+/// The full key of the change at a height.
+pub(crate) fn change_key(height: u64) -> Bytes {
+    [CHANGE_KEYS, format!("{height:020}").as_bytes()].concat().into()
 }
 
 /// The full key of a revocation; `key` is [`ledger_identity::Identity::revocation_key`].

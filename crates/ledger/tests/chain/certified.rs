@@ -26,8 +26,8 @@ fn membership(ledger: &Ledger, change: Change) -> Entry {
 }
 
 /// The results root as a reader computes it who was told the outcome and the control writes.
-fn recomputed(outcome: &Outcome, control: Hash, previous: Hash, writes: &[Write<'_>]) -> Hash {
-    let mut facts = vec![Fact::Ground { control, digest: outcome.digest, previous }];
+fn recomputed(outcome: &Outcome, [governing, control, previous]: [Hash; 3], writes: &[Write<'_>]) -> Hash {
+    let mut facts = vec![Fact::Ground { governing, control, digest: outcome.digest, previous }];
     for (index, (id, result)) in outcome.ids.iter().zip(&outcome.results).enumerate() {
         let (index, response) = (index as u32, Hash::of(&[&result.response]));
         facts.push(Fact::Verdict { index, id: *id, code: result.code, response });
@@ -44,12 +44,12 @@ fn recomputed(outcome: &Outcome, control: Hash, previous: Hash, writes: &[Write<
 }
 
 #[test]
-fn a_reader_computes_the_roots_from_what_it_is_told_and_control_writes_alone_move_the_control_chain() {
+fn a_reader_computes_the_roots_from_what_it_is_told_and_writes_that_govern_alone_move_the_governing_chain() {
     let world = World::new();
     let ledger = world.ledger();
     let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
     let (genesis, mut before) = (roots(&ledger, 0), roots(&ledger, 0));
-    assert_ne!(genesis.control, Hash::ZERO, "organisations, nodes and members are control state");
+    assert_ne!(genesis.governing, Hash::ZERO, "organisations, nodes and members govern");
     let put = |function: &str| salma.sign(&salma.body(world.network, function, &["a", "1"]));
     for height in 1..=6 {
         let (put, refused) = (put("put"), put("put-then-refuse"));
@@ -62,14 +62,15 @@ fn a_reader_computes_the_roots_from_what_it_is_told_and_control_writes_alone_mov
         let control: Vec<_> = told.iter().filter(|write| &write.key[..] == b"msp\0members").collect();
         assert_eq!(control.len(), usize::from(height == 3), "{told:?}");
         let writes: Vec<_> = control.iter().map(|write| Write { key: &write.key, value: write.value }).collect();
-        let chain = control::extend(before.control, height, &writes).unwrap();
+        let chain = control::extend(before.governing, height, &writes).unwrap();
         let (found, governs) = (outcome.certifiable.unwrap(), outcome.governs);
-        assert_eq!(found.control, chain, "{height}");
-        assert_eq!(found.results, recomputed(&outcome, chain, before.results, &writes), "{height}");
+        assert_eq!((found.governing, found.control), (chain, genesis.control), "{height}");
+        let chains = [chain, genesis.control, before.results];
+        assert_eq!(found.results, recomputed(&outcome, chains, &writes), "{height}");
         assert_eq!((governs, roots(&ledger, height)), (height == 3, found));
         before = found;
     }
-    assert_ne!(before.control, genesis.control);
+    assert_ne!(before.governing, genesis.governing);
 }
 
 #[test]

@@ -70,7 +70,7 @@ fn control_state(network: &Network) -> Vec<(Bytes, Hash)> {
 }
 
 #[test]
-fn the_control_chain_of_a_network_with_older_rules_begins_with_all_control_state_at_the_activation() {
+fn the_chains_of_a_network_with_older_rules_begin_with_all_control_state_at_the_activation() {
     let mut network = old();
     let newest = Rules::NEWEST.number();
     (1..=3).for_each(|node| drop(network.node(node, "speak", &[&speaks(newest)]).unwrap()));
@@ -90,9 +90,13 @@ fn the_control_chain_of_a_network_with_older_rules_begins_with_all_control_state
     let data = Payload { time, transactions: Vec::new() }.to_bytes();
     let first = network.ledger.apply(&Entry { data, ..next(&network) }).unwrap();
     let roots = first.certifiable.unwrap();
-    assert_eq!(roots.control, begun, "an empty block leaves it as it is");
-    let ground = Fact::Ground { control: begun, digest: first.digest, previous: Hash::ZERO };
+    assert_eq!((roots.governing, roots.control), (begun, Hash::ZERO), "an empty block leaves them as they are");
+    let (control, previous) = (Hash::ZERO, Hash::ZERO);
+    let ground = Fact::Ground { governing: begun, control, digest: first.digest, previous };
     assert_eq!(roots.results, ledger_light::fact::root([ground]));
+    let logged = network.ledger.changes(0, 9).unwrap();
+    let logged: Vec<_> = logged.iter().map(|change| (change.height, change.extend(Hash::ZERO).unwrap())).collect();
+    assert_eq!(logged, [(height, begun)], "the log of changes begins there, too");
 }
 
 #[test]

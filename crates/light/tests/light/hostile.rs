@@ -5,8 +5,9 @@ use ledger_hash::Hash;
 use ledger_light::certificate::{self, SIGNATURES_MAX};
 use ledger_light::fact::{FACT_BYTES_MAX, Fact};
 use ledger_light::merkle::{PATH_BYTES_MAX, Path};
+use ledger_light::proof::Shown;
 use ledger_light::statement::SIGNED_BYTES_MAX;
-use ledger_light::{Certificate, Lie, Signature, Signed, Statement, lie};
+use ledger_light::{Certificate, Change, Lie, Proof, Signature, Signed, Statement, lie};
 use ledger_rejection::{Code, Rejection};
 use proptest::prelude::*;
 
@@ -48,14 +49,23 @@ fn certificates() -> impl Strategy<Value = Certificate> {
 }
 
 /// The bytes of something of each kind.
+fn proofs() -> impl Strategy<Value = Bytes> {
+    let path = |siblings| Path { index: 0, count: 100, siblings };
+    let shown = (bytes(60), prop::collection::vec(hash(), 0..8));
+    let facts =
+        prop::collection::vec(shown.prop_map(move |(fact, siblings)| Shown { fact, path: path(siblings) }), 0..3);
+    (certificates(), facts).prop_map(|(certificate, facts)| Proof { certificate, facts }.to_bytes())
+}
+
 fn written() -> impl Strategy<Value = Bytes> {
     let verdict = (any::<u32>(), hash(), any::<u32>(), hash())
         .prop_map(|(index, id, code, response)| Fact::Verdict { index, id, code, response }.to_bytes().into());
     let event = (any::<Option<u32>>(), ".{0,20}", ".{0,20}", hash()).prop_map(|(index, name, subject, payload)| {
         Fact::Event { index, chaincode: "abac", name: &name, subject: &subject, payload }.to_bytes().into()
     });
-    let ground = (hash(), hash(), hash())
-        .prop_map(|(control, digest, previous)| Fact::Ground { control, digest, previous }.to_bytes().into());
+    let ground = [hash(), hash(), hash(), hash()].prop_map(|[governing, control, digest, previous]| {
+        Fact::Ground { governing, control, digest, previous }.to_bytes().into()
+    });
     let control = (bytes(60), prop::option::of(hash()))
         .prop_map(|(key, value)| Fact::Control { key: &key, value }.to_bytes().into());
     let path = (0..100u32, prop::collection::vec(hash(), 0..8))
@@ -70,18 +80,26 @@ fn written() -> impl Strategy<Value = Bytes> {
         signed().prop_map(|signed| signed.to_bytes()),
         certificates().prop_map(|certificate| certificate.to_bytes()),
         (signed(), signed()).prop_map(|(first, second)| Lie { first, second }.to_bytes()),
+        proofs(),
+        prop::collection::vec((bytes(60), prop::option::of(bytes(200))), 0..4).prop_map(|writes| Change {
+            height: 1,
+            writes
+        }
+        .to_bytes()),
     ]
 }
 
 /// The bytes again, from each kind that they are read as.
 fn read(bytes: &[u8]) -> Vec<Bytes> {
-    let again: [Result<Bytes, Rejection>; 6] = [
+    let again: [Result<Bytes, Rejection>; 8] = [
         Fact::from_bytes(bytes).map(|fact| fact.to_bytes().into()),
         Path::from_bytes(bytes).map(|path| path.to_bytes().into()),
         Statement::from_bytes(bytes).map(|statement| statement.to_bytes().into()),
         Signed::from_bytes(bytes).map(|signed| signed.to_bytes()),
         Certificate::from_bytes(bytes).map(|certificate| certificate.to_bytes()),
         Lie::from_bytes(bytes).map(|lie| lie.to_bytes()),
+        Proof::from_bytes(bytes).map(|proof| proof.to_bytes()),
+        Change::from_bytes(1, bytes).map(|change| change.to_bytes()),
     ];
     again.into_iter().flatten().collect()
 }

@@ -45,6 +45,7 @@ fn fact(value: &Value) -> Fact<'_> {
     let index = |value: &Value| u32::try_from(number(value, "index")).unwrap();
     match text(value, "kind") {
         "ground" => Fact::Ground {
+            governing: hash(value, "governing"),
             control: hash(value, "control"),
             digest: hash(value, "digest"),
             previous: hash(value, "previous"),
@@ -142,7 +143,8 @@ fn made() -> Value {
     let world = World::new();
     let said = Statement { network: NETWORK, height: 5, time: NOW, ..statement(5) };
     let inputs = [
-        json!({"kind": "ground", "control": Hash([1; 32]), "digest": Hash([2; 32]), "previous": Hash([3; 32])}),
+        json!({"kind": "ground", "governing": Hash([6; 32]), "control": Hash([1; 32]), "digest": Hash([2; 32]),
+               "previous": Hash([3; 32])}),
         json!({"kind": "verdict", "index": 0, "id": Hash([4; 32]), "code": 0, "response_hash": Hash::of(&[b"done"])}),
         json!({"kind": "verdict", "index": 1, "id": Hash([5; 32]), "code": 3001, "response_hash": Hash::of(&[b""])}),
         json!({"kind": "event", "index": null, "chaincode": "abac", "name": "released", "subject": "Turtlebot4/cmd_vel",

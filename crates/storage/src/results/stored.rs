@@ -122,7 +122,7 @@ impl StoredResult {
             results.push(outcome.ok_or_else(|| unreadable("transactions without a result"))?);
             foretold.push(mark == FORETOLD);
         }
-        if others.next().is_some() || ![2 * size_of::<Hash>(), 4 * size_of::<Hash>()].contains(&link.len()) {
+        if others.next().is_some() || ![2 * size_of::<Hash>(), 5 * size_of::<Hash>()].contains(&link.len()) {
             return Err(unreadable("results without a transaction, or no hash and digest"));
         }
         let (hash, digest) = (link.split_to(size_of::<Hash>()), link.split_to(size_of::<Hash>()));
@@ -146,7 +146,7 @@ impl StoredResult {
         self.result.digest()
     }
 
-    /// Control chain and results root; none before rules 3.
+    /// Governing chain, control chain and results root; none before rules 3.
     pub fn roots(&self) -> Option<Roots> {
         self.result.roots()
     }
@@ -225,9 +225,12 @@ mod tests {
         let stored = stored(&[]);
         assert_eq!(StoredResult::from_bytes(stored.to_bytes()).unwrap(), stored);
         assert_eq!(stored.roots(), None);
-        let rooted = self::stored(&[5; 64]);
+        let rooted = self::stored(&[5; 96]);
         assert_eq!(StoredResult::from_bytes(rooted.to_bytes()).unwrap(), rooted);
-        assert_eq!(rooted.roots(), Some(Roots { control: Hash([5; 32]), results: Hash([5; 32]) }));
+        assert_eq!(
+            rooted.roots(),
+            Some(Roots { governing: Hash([5; 32]), control: Hash([5; 32]), results: Hash([5; 32]) })
+        );
         assert_eq!(stored.result.events.len(), 1);
         let taken: Vec<_> = stored.taken().map(|(position, _, not_after)| (position, not_after)).collect();
         assert_eq!(taken, [(0, 1_000_001), (1, 1_000_002), (2, 1_000_003)]);
@@ -236,7 +239,7 @@ mod tests {
 
     #[test]
     fn a_short_result_that_was_cut_or_changed_is_refused_or_another_one() {
-        let (stored, bytes) = (stored(&[5; 64]), stored(&[5; 64]).to_bytes());
+        let (stored, bytes) = (stored(&[5; 96]), stored(&[5; 96]).to_bytes());
         for cut in 0..bytes.len() {
             let read = StoredResult::from_bytes(bytes.slice(..cut));
             assert!(read.is_err() || read.unwrap() != stored, "cut at {cut}");

@@ -1,0 +1,148 @@
+//! `light`: how a robot stands, proved by voters and not by a node.
+
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::{ABAC, Session};
+use crate::time;
+use ledger_api::{Call, Certified};
+use ledger_contract::{Declaration, Grant};
+use ledger_hash::Hash;
+use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
+use ledger_light::{Checkpoint, Governance};
+use ledger_rejection::{Code, Rejection};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// How long the declaration may take to be executed.
+const TTL: Duration = Duration::from_secs(30);
+
+/// Show how a robot stands without believing the node that answers.
+///
+/// The answer is executed as a transaction. It is shown only if a majority of the voters has signed it, of two organisations at
+/// least. Who the voters are is followed from the genesis, which the context pins by its hash.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Example:\n  ledgerctl light Turtlebot4\n  ledgerctl light Turtlebot4 --checkpoint fleet.checkpoint"
+)]
+pub(crate) struct Light {
+    /// The robot
+    robot: String,
+    /// Begin at this checkpoint if the file exists, and keep there what was proved; else begin at the genesis
+    #[arg(long, value_name = "FILE")]
+    checkpoint: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct Shown {
+    robot: String,
+    organisation: String,
+    services: Vec<Service>,
+    network: Hash,
+    height: u64,
+    time: u64,
+    block: Hash,
+    signed_by: Vec<String>,
+    voters: usize,
+    began_at: u64,
+    #[serde(skip)]
+    now: u64,
+}
+
+#[derive(Serialize)]
+struct Service {
+    service: String,
+    mode: String,
+    epoch: u64,
+    grants: Vec<Grant>,
+}
+
+impl Light {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let known = self.known(&session.context().network)?;
+        let call = Call {
+            chaincode: ABAC.to_owned(),
+            function: "declare".to_owned(),
+            args: vec![self.robot.clone().into()],
+            ttl: TTL,
+        };
+        let certified = session.client.invoke_certified(known.as_ref(), call).await?;
+        if let Some(path) = &self.checkpoint {
+            ledger_durable::replace(path, &certified.checkpoint.to_bytes(), ledger_durable::PUBLIC_MODE)?;
+        }
+        output.show(&Shown::new(&certified, known.map_or(0, |known| known.height()), session.client.now())?)
+    }
+
+    /// Where to begin.
+    fn known(&self, network: &Hash) -> Result<Option<Governance>, Rejection> {
+        let existing = self.checkpoint.as_deref().filter(|path| path.exists());
+        Ok(existing.map(|path| read(network, path)).transpose()?.map(|checkpoint| checkpoint.governance))
+    }
+}
+
+fn read(network: &Hash, path: &Path) -> Result<Checkpoint, Rejection> {
+    let found = ledger_durable::read(path, CHECKPOINT_BYTES_MAX)?;
+    Checkpoint::from_bytes(network, &found).map_err(|refused| {
+        let message = format!("{} is not usable: {}", path.display(), refused.message);
+        Rejection { message, ..refused }.next("name another file, or none: then the way begins at the genesis")
+    })
+}
+
+impl Shown {
+    fn new(certified: &Certified, began_at: u64, now: u64) -> Result<Self, Rejection> {
+        let declared: Declaration = serde_json::from_slice(&certified.response).map_err(|error| {
+            Rejection::new(Code::Malformed, "the declaration of the robot cannot be read")
+                .found(error.to_string())
+                .wanted("the JSON that this version knows")
+                .next("install the release of ledgerctl that the nodes run")
+        })?;
+        let Checkpoint { governance, proof } = &certified.checkpoint;
+        let (statement, voters) = (proof.certificate.statement, governance.voters()?);
+        let signers = proof.certificate.signatures.iter().filter_map(|signature| voters.nodes.get(&signature.node));
+        let Declaration { robot, grants } = declared;
+        let services = robot.services.into_iter().map(|service| Service {
+            grants: grants.iter().filter(|grant| grant.service == service.service).cloned().collect(),
+            mode: service.mode.to_string(),
+            epoch: service.epoch,
+            service: service.service,
+        });
+        Ok(Self {
+            robot: robot.name,
+            organisation: robot.organisation,
+            services: services.collect(),
+            network: statement.network,
+            height: statement.height,
+            time: statement.time,
+            block: statement.block,
+            signed_by: signers.map(|voter| format!("{}/{}", voter.organisation, voter.name)).collect(),
+            voters: voters.voters.len(),
+            began_at,
+            now,
+        })
+    }
+}
+
+impl Facts for Shown {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::pairs();
+        table.pair("robot", format!("{} of {}", self.robot, self.organisation));
+        for Service { service, mode, epoch, grants } in &self.services {
+            let held = grants.iter().map(|grant| format!("{} until {}", grant.holder, time::moment(grant.expires)));
+            let held: Vec<_> = held.collect();
+            let held =
+                if held.is_empty() { "held by nobody".to_owned() } else { format!("held by {}", held.join(", ")) };
+            table.pair(service, format!("{mode}, epoch {epoch}, {held}"));
+        }
+        table.pair("certified", format!("block {}, {}", self.height, time::relative(self.time, self.now)));
+        table.pair(
+            "signed by",
+            format!("{} ({} of {} voters)", self.signed_by.join(", "), self.signed_by.len(), self.voters),
+        );
+        let began = if self.began_at == 0 { "the genesis".to_owned() } else { format!("block {}", self.began_at) };
+        table.pair("followed from", format!("{began} of network {}", self.network));
+        table.write(out, 0)
+    }
+}

@@ -1,0 +1,53 @@
+//! Checkpoints: where a reader was, to go on from later, or to compare with.
+
+use crate::codec::{Reader, put};
+use crate::governance::{CHANGE_BYTES_MAX, Change, Governance};
+use crate::proof::{PROOF_BYTES_MAX, Proof};
+use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+
+const DOMAIN: &[u8] = b"ledgerd checkpoint v1\0";
+/// Longest encoding.
+pub const CHECKPOINT_BYTES_MAX: usize = DOMAIN.len() + 8 + CHANGE_BYTES_MAX + PROOF_BYTES_MAX;
+
+/// What governs a network after a certified block, with the proof of that block. Who uses it believes its maker: it is to be
+/// kept like a key that others must not change.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Checkpoint {
+    /// What governs after the block.
+    pub governance: Governance,
+    /// The proof of the block.
+    pub proof: Proof,
+}
+
+impl Checkpoint {
+    /// Its bytes.
+    pub fn to_bytes(&self) -> Bytes {
+        let mut bytes = DOMAIN.to_vec();
+        put(&mut bytes, &self.governance.all().to_bytes());
+        put(&mut bytes, &self.proof.to_bytes());
+        bytes.into()
+    }
+
+    /// Reads its bytes, and checks that it belongs together and is of that network.
+    ///
+    /// # Errors
+    /// [`Code::WrongNetwork`]; [`Code::Untrusted`] if the paths of its proof lead nowhere; [`Code::TooLarge`],
+    /// [`Code::Malformed`].
+    pub fn from_bytes(network: &Hash, bytes: &[u8]) -> Result<Self, Rejection> {
+        let mut reader = Reader::new("a checkpoint", CHECKPOINT_BYTES_MAX, DOMAIN, bytes)?;
+        let (values, proof) = (reader.part(CHANGE_BYTES_MAX)?, reader.part(PROOF_BYTES_MAX)?);
+        let (values, proof) = (values.to_vec(), Proof::from_bytes(proof)?);
+        reader.end()?;
+        let (statement, ground) = (&proof.certificate.statement, proof.ground()?);
+        if statement.network != *network {
+            return Err(Rejection::new(Code::WrongNetwork, "the checkpoint is of another network")
+                .found(statement.network.to_string())
+                .wanted(network.to_string())
+                .next("take a checkpoint of this network"));
+        }
+        let governance = Governance::of(Change::from_bytes(statement.height, &values)?, (statement, ground));
+        Ok(Self { governance, proof })
+    }
+}
