@@ -4,11 +4,12 @@ use crate::fleet::{Fleet, TURTLEBOT, bytes, owner};
 use bytes::Bytes;
 use ledger_rejection::{Class, Code};
 
-pub(crate) const FUNCTIONS: [&str; 16] = [
+pub(crate) const FUNCTIONS: [&str; 17] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
     "configure",
+    "declare",
     "grants",
     "policies",
     "policy",

@@ -33,6 +33,7 @@ fn calls() -> Vec<(&'static str, Identity, Vec<Bytes>)> {
         ("configure", owner(), text(&["Spot/cmd_vel", r#"{"mode":"exclusive"}"#])),
         ("replace", owner(), text(&[&spot])),
         ("policy", owner(), text(&["put", "p", DEFAULT_POLICY])),
+        ("declare", salma(), text(&["Husky"])),
         ("release", salma(), text(&[HUSKY])),
         ("remove", owner(), text(&["Spot"])),
     ]

@@ -1,10 +1,14 @@
 //! Registering robots: who may, and whom a robot trusts.
 
-use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, bytes, identity, owner, robot, salma};
-use ledger_abac::{Direction, Fencing, Mode, Publishing, Reason, Released, RobotAsset, RobotEvent, ServiceState};
+use crate::fleet::{Fleet, HUSKY, TURTLEBOT, admin1, bytes, farhad, identity, owner, robot, salma};
+use ledger::Rules;
+use ledger_abac::{
+    Declaration, Direction, Fencing, Grant, Mode, Publishing, Reason, Released, RobotAsset, RobotEvent, ServiceState,
+};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::Code;
+use ledger_storage::state::StateRead;
 
 #[test]
 fn only_an_admin_registers_robots() {
@@ -184,4 +188,21 @@ fn capabilities_are_told_to_whoever_asks_and_never_by_a_transaction() {
         let answer = std::str::from_utf8(&answer).unwrap();
         assert!(answer.contains("Org2") && !answer.contains("capabilities"), "{function}: {answer}");
     }
+}
+
+#[test]
+fn a_declaration_tells_how_a_robot_stands_and_writes_its_record_as_it_is() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    let declared: Declaration = fleet.get(&farhad(), "declare", &["Turtlebot4"]);
+    let asked: RobotAsset = fleet.get(&farhad(), "robot", &["Turtlebot4"]);
+    let listed: Vec<Grant> = fleet.get(&farhad(), "grants", &[TURTLEBOT]);
+    assert_eq!((declared.robot, declared.grants), (asked, listed));
+    fleet.ok(&farhad(), "declare", &["Turtlebot4"]);
+    let writes = fleet.writes.last().unwrap();
+    let key = &b"abac\0robot/Turtlebot4"[..];
+    assert_eq!(writes.keys().map(|key| &key[..]).collect::<Vec<_>>(), [key]);
+    assert_eq!(StateRead::get(&*fleet.state, key).unwrap().as_ref(), writes[key].as_ref());
+    fleet.refused(&farhad(), Code::UnknownRobot, "declare", &["Turtlebot5"]);
+    Fleet::of_the_paper_under(Rules::FIRST).refused(&farhad(), Code::UnknownFunction, "declare", &["Turtlebot4"]);
 }
