@@ -132,12 +132,7 @@ impl<S: Signing> Certifier<S> {
     pub fn step(&mut self, now: u64, event: Event, out: &mut Vec<Effect>) {
         match event {
             Event::Executed { statement, governs } => self.executed(now, statement, governs, out),
-            Event::Voters(era) => {
-                self.eras.push_back(era);
-                if self.eras.len() > ERAS_MAX {
-                    self.eras.pop_front();
-                }
-            }
+            Event::Voters(era) => self.voters(era),
             Event::Durable(height) => {
                 self.durable = self.durable.max(height);
                 self.sign_what_is_durable(now, out);
@@ -155,6 +150,17 @@ impl<S: Signing> Certifier<S> {
     /// Microseconds until [`Event::Time`] is to be told, if nothing else happens.
     pub fn wait(&self, now: u64) -> Option<u64> {
         self.newest.as_ref().map(|(_, due, _)| due.saturating_sub(now))
+    }
+
+    /// What was said about later blocks was looked at by the voters before: it is looked at again.
+    fn voters(&mut self, era: Era) {
+        for (_, entry) in self.heights.range_mut(era.from..) {
+            entry.heard.values_mut().for_each(|heard| heard.good = false);
+        }
+        self.eras.push_back(era);
+        if self.eras.len() > ERAS_MAX {
+            self.eras.pop_front();
+        }
     }
 
     fn era(&self, height: u64) -> Option<&Era> {

@@ -71,7 +71,9 @@ fn play(world: &mut World) -> Check {
     until(world, deadline, "every client has ended", |world| world.clients.iter().all(|client| !client.is_busy()))?;
     last_word(world, deadline)?;
     until(world, deadline, "all nodes have the same chain", agree)?;
-    until(world, deadline, "the newest block is certified", World::is_certified)?;
+    // Nodes go on to attest what they have, so both must hold at one moment.
+    let certified = |world: &World| agree(world) && world.is_certified();
+    until(world, deadline, "the newest block is certified, and all nodes have it", certified)?;
     compare(world)?;
     oracle::judge(world)
 }

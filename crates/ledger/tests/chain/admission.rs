@@ -49,6 +49,20 @@ fn a_refusal_says_what_it_rests_on() {
 }
 
 #[test]
+fn a_clock_that_is_ahead_refuses_nothing_that_a_block_may_still_allow() {
+    let world = World::new();
+    let ledger = world.ledger();
+    let salma = world.org1.user("Salma", "member", KeyKind::Ed25519);
+    block(&ledger, NOW, &[]);
+    let lease = call(&world, &salma, "until", &[&(NOW + SECOND).to_string()]);
+    for now in [NOW, NOW + SECOND, NOW + 9 * SECOND] {
+        assert!(matches!(ledger.admit(lease.encoded().clone(), now), Ok(Admission::New(_))), "{now}");
+    }
+    block(&ledger, NOW + 2 * SECOND, &[]);
+    assert_eq!(ground(&ledger, &lease, NOW), (Code::Refused, Ground::Judged { height: 2 }), "block time has passed it");
+}
+
+#[test]
 fn a_copy_that_comes_after_its_time_is_expired_in_the_chain_and_the_first_verdict_is_what_everybody_is_told() {
     let world = World::new();
     let ledger = world.ledger();

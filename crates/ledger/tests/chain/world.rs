@@ -89,6 +89,10 @@ impl Chaincode for Notes {
                 assert_eq!(inner.unwrap_err().code, Code::Refused);
                 Ok(Bytes::new())
             }
+            ("until", [time]) => match std::str::from_utf8(time).unwrap().parse::<u64>().unwrap() {
+                until if ctx.block_time() <= until => Ok(Bytes::new()),
+                _ => Err(Rejection::new(Code::Refused, "it is later than that")),
+            },
             ("forever", []) => ctx.call("notes", "forever", &[]),
             ("too-much", []) => {
                 ctx.put(b"k", vec![0; 1024 * 1024 + 1]);

@@ -225,6 +225,28 @@ fn voters_count_by_the_block_before() {
 }
 
 #[test]
+fn what_was_signed_with_a_vote_that_is_lost_by_then_is_in_no_certificate() {
+    let world = World::new();
+    let mut node = world.node(1);
+    step(&mut node, executed(5));
+    // A liar contradicts itself about a block to come, so its first statement was looked at, and is good.
+    let hear = |node: &mut Certifier<Keys>, from, statement| {
+        step(node, Event::Heard { from, signed: world.sign(statement, from) })
+    };
+    hear(&mut node, 3, statement(6));
+    assert_eq!(lies(&hear(&mut node, 3, other(6, 9))), 1);
+    let mut era = Era { from: 6, ..world.era.clone() };
+    era.voters.voters = [1, 2, 4].into();
+    step(&mut node, Event::Voters(era));
+    step(&mut node, executed(6));
+    step(&mut node, Event::Durable(6));
+    hear(&mut node, 2, statement(6));
+    let made = certificates(&hear(&mut node, 4, statement(6)));
+    let signers: Vec<_> = made[0].signatures.iter().map(|signature| signature.node).collect();
+    assert_eq!(signers, [1, 2, 4]);
+}
+
+#[test]
 fn memory_is_bounded_whatever_peers_say() {
     let world = World::new();
     let mut node = world.node(1);
