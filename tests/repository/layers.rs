@@ -87,7 +87,10 @@ const LAYERS: [(&str, &[&str]); 23] = [
             "testkit",
         ],
     ),
-    ("ledger-api", &["ledger", "ledger-durable", "ledger-hash", "ledger-identity", "ledger-rejection", "nearest"]),
+    (
+        "ledger-api",
+        &["ledger", "ledger-durable", "ledger-hash", "ledger-identity", "ledger-light", "ledger-rejection", "nearest"],
+    ),
     // Messages by their definitions: nothing of a ledger.
     ("ros-message", &["nearest"]),
     (
@@ -111,8 +114,10 @@ const LAYERS: [(&str, &[&str]); 23] = [
             "ledger",
             "ledger-api",
             "ledger-contract",
+            "ledger-durable",
             "ledger-hash",
             "ledger-identity",
+            "ledger-light",
             "ledger-rejection",
             "ledger-storage",
             "nearest",

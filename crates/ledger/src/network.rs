@@ -139,7 +139,7 @@ impl Genesis {
         Self::from_bytes(bytes).map(|(_, network)| network)
     }
 
-    /// Whom to believe at the genesis of a network: where a reader that pinned the network's name begins.
+    /// The members and authorities at the genesis of a network: a reader that pinned the network's name begins there.
     ///
     /// # Errors
     /// As [`Genesis::from_bytes`]; [`Code::UnknownRules`] if the network was founded with rules that certify nothing: then

@@ -11,11 +11,11 @@ const DOMAIN: &[u8] = b"ledgerd checkpoint v1\0";
 /// Longest encoding.
 pub const CHECKPOINT_BYTES_MAX: usize = DOMAIN.len() + 8 + CHANGE_BYTES_MAX + PROOF_BYTES_MAX;
 
-/// What governs a network after a certified block, with the proof of that block. Who uses it believes its maker: it is to be
-/// kept like a key that others must not change.
+/// The governance of a network after a certified block, with the proof of that block. Its reader believes its maker, so nobody
+/// else may be able to change it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Checkpoint {
-    /// What governs after the block.
+    /// The governance after the block.
     pub governance: Governance,
     /// The proof of the block.
     pub proof: Proof,

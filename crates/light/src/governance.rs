@@ -1,4 +1,4 @@
-//! Whom to believe at a height: organisations, nodes, voters and revocations, followed from a pinned beginning.
+//! Governance: the organisations, nodes, voters and revocations of a height, followed from a pinned beginning.
 //!
 //! All control state of the chaincode `msp` is *governing*. Each block that writes some is a [`Change`], and the governing
 //! chain in the ground of each certified block covers all changes. So a reader who holds the changes since its pinned
@@ -89,7 +89,7 @@ impl Change {
     }
 }
 
-/// What governs a network after a block, as far as a reader has followed it.
+/// The governance of a network after a block, as far as a reader has followed it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Governance {
     network: Hash,
@@ -99,7 +99,7 @@ pub struct Governance {
     state: BTreeMap<Bytes, Bytes>,
 }
 
-/// Whose signatures count.
+/// The nodes whose signatures count, and their organisations.
 struct View {
     voters: Voters,
     msps: Msps,

@@ -152,7 +152,7 @@ impl<S: Signing> Certifier<S> {
         self.newest.as_ref().map(|(_, due, _)| due.saturating_sub(now))
     }
 
-    /// What was said about later blocks was looked at by the voters before: it is looked at again.
+    /// Statements about later blocks were checked by the voters before, so they are checked again.
     fn voters(&mut self, era: Era) {
         for (_, entry) in self.heights.range_mut(era.from..) {
             entry.heard.values_mut().for_each(|heard| heard.good = false);

@@ -22,7 +22,7 @@ const TTL: Duration = Duration::from_secs(30);
 /// Show how a robot stands without believing the node that answers.
 ///
 /// The answer is executed as a transaction. It is shown only if a majority of the voters has signed it, of two organisations at
-/// least. Who the voters are is followed from the genesis, which the context pins by its hash.
+/// least. The command follows from the genesis which nodes vote; the context pins the genesis by its hash.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Example:\n  ledgerctl light Turtlebot4\n  ledgerctl light Turtlebot4 --checkpoint fleet.checkpoint"

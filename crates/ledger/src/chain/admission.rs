@@ -229,9 +229,11 @@ impl Ledger {
         }
         // Refused by this node's clock only: a lease may have ended, or a certificate. A clock that is ahead must not
         // keep its users from what they hold, so a block decides.
-        self.judge_at(transaction, time).or_else(|refused| match time > block_time && self.judge_at(transaction, block_time).is_ok() {
-            true => Ok(()),
-            false => Err(refused),
+        self.judge_at(transaction, time).or_else(|refused| {
+            match time > block_time && self.judge_at(transaction, block_time).is_ok() {
+                true => Ok(()),
+                false => Err(refused),
+            }
         })
     }
 

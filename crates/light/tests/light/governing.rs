@@ -1,4 +1,4 @@
-//! Whom a reader believes: followed from a pinned beginning, over changes of voters, of organisations and revocations.
+//! Governance, followed from a pinned beginning: over changes of voters, of organisations and revocations.
 
 use crate::world::{NETWORK, NOW, World, name, statement};
 use bytes::Bytes;
