@@ -153,6 +153,11 @@ impl Governance {
         self.time
     }
 
+    /// The governing chain after that block.
+    pub fn chain(&self) -> Hash {
+        self.chain
+    }
+
     /// The authorities of the organisations.
     ///
     /// # Errors

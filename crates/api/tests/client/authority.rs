@@ -62,7 +62,11 @@ impl Authority {
     }
 
     pub(crate) fn node(&self) -> TlsIdentity {
-        let (own, key) = self.issue(&params("node1", "node"));
+        self.node_named("node1")
+    }
+
+    pub(crate) fn node_named(&self, name: &str) -> TlsIdentity {
+        let (own, key) = self.issue(&params(name, "node"));
         TlsIdentity::new(vec![own, self.0.der().clone()], key.into()).unwrap()
     }
 

@@ -40,7 +40,9 @@ pub(crate) enum Reaction {
 }
 
 type Script = dyn Fn(&Transaction, usize) -> Reaction + Send + Sync;
+type Prover = dyn Fn(u64, Hash) -> Bytes + Send + Sync;
 type Answers = Pin<Box<dyn Stream<Item = Result<v1::SubmitResponse, Status>> + Send>>;
+type Steps = Pin<Box<dyn Stream<Item = Result<v1::GovernanceStep, Status>> + Send>>;
 type Deliveries = Pin<Box<dyn Stream<Item = Result<v1::Delivery, Status>> + Send>>;
 
 /// The part that several nodes of one network share: the chain.
@@ -91,6 +93,10 @@ pub(crate) struct Node {
     pub(crate) cut_off: AtomicBool,
     /// The organisations whose CA it carries.
     pub(crate) carries: Mutex<Vec<String>>,
+    /// The way that it shows to who asks for the governance.
+    pub(crate) steps: Mutex<Vec<v1::GovernanceStep>>,
+    /// Makes proofs of a block, with the id of the newest transaction.
+    pub(crate) prover: Mutex<Arc<Prover>>,
 }
 
 pub(crate) fn wall_clock() -> u64 {
@@ -132,6 +138,8 @@ impl Fake {
             no_renewal: Mutex::default(),
             cut_off: AtomicBool::new(false),
             carries: Mutex::new(vec!["Org1".into()]),
+            steps: Mutex::default(),
+            prover: Mutex::new(Arc::new(|_, _| Bytes::new())),
         });
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap().to_string();
@@ -391,6 +399,20 @@ impl Gateway for Shared {
         request: Request<v1::GetTransactionRequest>,
     ) -> Result<Response<v1::TransactionRecord>, Status> {
         Ok(Response::new(v1::TransactionRecord { id: request.into_inner().id, ..Default::default() }))
+    }
+
+    type GovernanceStream = Steps;
+
+    async fn governance(&self, _request: Request<v1::GovernanceRequest>) -> Result<Response<Steps>, Status> {
+        let steps: Vec<_> = self.0.steps.lock().unwrap().iter().cloned().map(Ok).collect();
+        Ok(Response::new(Box::pin(tokio_stream::iter(steps))))
+    }
+
+    async fn prove(&self, request: Request<v1::ProveRequest>) -> Result<Response<v1::ProveResponse>, Status> {
+        let newest = self.0.received.lock().unwrap().last().cloned().unwrap_or_default();
+        let id = Transaction::decode(newest).map_or(Hash::ZERO, |newest| newest.id());
+        let prover = Arc::clone(&self.0.prover.lock().unwrap());
+        Ok(Response::new(v1::ProveResponse { proof: prover(request.into_inner().height, id) }))
     }
 
     async fn denials(&self, _request: Request<v1::DenialsRequest>) -> Result<Response<v1::DenialsResponse>, Status> {
