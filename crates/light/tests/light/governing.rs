@@ -71,7 +71,7 @@ fn a_reader_goes_on_with_all_changes_and_with_none_left_out_or_made_up() {
     let later = Change { height: 6, ..moved.clone() };
     let beyond = Change { height: 9, ..made_up.clone() };
     assert_eq!(code(begun.follow(&[], &proof)), Code::Untrusted, "left out");
-    assert_eq!(code(begun.follow(&[made_up.clone()], &proof)), Code::Untrusted, "made up");
+    assert_eq!(code(begun.follow(std::slice::from_ref(&made_up), &proof)), Code::Untrusted, "made up");
     assert_eq!(code(begun.follow(&[later], &proof)), Code::Untrusted, "another height");
     assert_eq!(
         code(begun.follow(&[moved.clone(), change(7, &[("node/4", None)])], &proof)),
