@@ -136,14 +136,8 @@ impl Node {
             secret: Secret::default(),
         };
         let desired = Desired { voters: [1].into(), learners: [].into() };
-        let replica = Replica::start(
-            &settings,
-            Arc::clone(&store),
-            Arc::clone(&executor),
-            Arc::clone(&waiters),
-            desired,
-            Arc::new(Names),
-        );
+        let (log, executes, waits) = (Arc::clone(&store), Arc::clone(&executor), Arc::clone(&waiters));
+        let replica = Replica::start(&settings, log, executes, waits, desired, Arc::new(Names));
         let mut node = Self {
             replica: replica.unwrap(),
             executor,

@@ -66,7 +66,7 @@ struct Elected {
 struct Rests(BTreeMap<u64, u64>);
 
 impl Rests {
-    /// Less than `pause` has gone by since. What is older is forgotten.
+    /// Less than `pause` has gone by since. Older moments are forgotten.
     fn rests(&mut self, node: u64, now: u64, pause: usize) -> bool {
         self.0.retain(|_, at| now - *at < pause as u64);
         self.0.contains_key(&node)

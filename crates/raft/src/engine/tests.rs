@@ -7,13 +7,15 @@ mod mandate;
 mod promises;
 mod standing;
 mod time;
+mod votes;
 
 use super::*;
 use crate::Lane;
-use crate::message::{Mandate, RaftKind, RaftMessage, SignedVote, WireEntry};
+use crate::message::{RaftKind, RaftMessage, WireEntry};
 use bytes::Bytes;
 use ledger_storage::block_store::Options;
 use ledger_storage::disk::SimDisk;
+use votes::{Names, mandate, signed, step};
 
 fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     let disk = SimDisk::new(id);
@@ -22,45 +24,6 @@ fn engine(id: u64, voters: &[u64], learners: &[u64]) -> Engine {
     let (store, _) = BlockStore::open(Arc::new(disk), options).unwrap();
     let members = Membership::new(voters.iter().copied(), learners.iter().copied());
     Engine::new(EngineConfig::new(id, members, id), Arc::new(store), Arc::new(Names(id))).unwrap()
-}
-
-/// Signs by writing down what is voted, and the voter. Real keys are tested where they are used.
-struct Names(u64);
-
-impl Ballots for Names {
-    fn sign(&self, ballot: Ballot) -> Result<Bytes, Rejection> {
-        assert_eq!(ballot.voter, self.0, "only its own votes");
-        Ok(signed(ballot.term, ballot.candidate, ballot.voter))
-    }
-
-    fn check(&self, ballot: Ballot, found: &[u8], _now: u64) -> Result<(), Rejection> {
-        let good = signed(ballot.term, ballot.candidate, ballot.voter)[..] == *found;
-        good.then_some(()).ok_or_else(|| Rejection::new(Code::BadSignature, "not signed by it"))
-    }
-}
-
-fn signed(term: u64, candidate: u64, voter: u64) -> Bytes {
-    [term, candidate, voter].map(u64::to_be_bytes).concat().into()
-}
-
-fn mandate(term: u64, leader: u64, voters: &[u64]) -> Input {
-    let votes = voters.iter().map(|node| SignedVote { node: *node, signed: signed(term, leader, *node) });
-    Input::Message { from: leader, message: PeerMessage::Mandate(Mandate { term, votes: votes.collect() }) }
-}
-
-/// Steps as with honest peers: all voters have elected whoever of them leads, and voters sign their votes.
-fn step(engine: &mut Engine, mut input: Input) -> Vec<Output> {
-    if let Input::Message { from, message: PeerMessage::Raft(message) } = &mut input {
-        let (from, leads) = (*from, matches!(message.kind(), RaftKind::Append | RaftKind::Heartbeat));
-        let voters: Vec<u64> = engine.membership.voters.iter().copied().collect();
-        if leads && voters.contains(&from) && message.term >= engine.raw.raft.term {
-            bare_step(engine, mandate(message.term, from, &voters));
-        }
-        if message.kind() == RaftKind::VoteResponse && !message.reject {
-            message.vote = signed(message.term, engine.config.id, from);
-        }
-    }
-    bare_step(engine, input)
 }
 
 /// Steps, with a disk that is done at once and an executor that keeps up.

@@ -1,7 +1,7 @@
 //! Nobody is followed in a new term before it has shown that a majority elected it.
 
 use super::*;
-use crate::message::MandateWanted;
+use crate::message::{Mandate, MandateWanted, SignedVote};
 use ledger::members::{Change, MembershipChange};
 
 const VOTERS: [u64; 3] = [1, 2, 3];
