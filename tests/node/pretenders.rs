@@ -79,12 +79,14 @@ fn as_node(place: &NodePlace, any: &Context) -> Context {
 async fn a_voter_that_says_that_it_was_elected_leads_nobody_without_the_votes() {
     let fleet = found();
     let (owner, salma) = (fleet.owner(), fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4"]));
-    let mut nodes: Vec<Process> = fleet.nodes[..2].iter().map(|node| node.start()).collect();
+    // Node b does not run: this test speaks with its certificate.
+    let others = [&fleet.nodes[0], &fleet.nodes[2]];
+    let mut nodes: Vec<Process> = others.iter().map(|node| node.start()).collect();
     register_robots(&connect(&owner).await, "exclusive").await;
     let client = connect(&salma).await;
     client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
 
-    let liar = as_node(&fleet.nodes[2], &salma);
+    let liar = as_node(&fleet.nodes[1], &salma);
     let term = 1_000_000;
     let mandate = |voters: &[u64], signed: &[u8]| -> Bytes {
         let votes = voters.iter().map(|node| part(2, &[number(1, *node), part(2, signed)].concat()));
@@ -92,10 +94,10 @@ async fn a_voter_that_says_that_it_was_elected_leads_nobody_without_the_votes() 
     };
     let block = |data: &[u8]| part(10, &[number(1, 1), number(2, term), number(3, 1), part(4, data)].concat());
     for (round, made_up) in [&b"one"[..], b"another"].into_iter().enumerate() {
-        for (node, data) in fleet.nodes[..2].iter().zip([made_up, b"and to the other voter another one"]) {
+        for (node, data) in others.iter().zip([made_up, b"and to the other voter another one"]) {
             let lies = vec![
                 raft(&[number(1, HEARTBEAT), number(2, term)]),
-                mandate(&[3], b""),
+                mandate(&[2], b""),
                 mandate(&[1, 2, 3], &[7; 90]),
                 raft(&[number(1, HEARTBEAT), number(2, term)]),
                 raft(&[number(1, APPEND), number(2, term), number(5, 1), block(data)]),
@@ -107,7 +109,7 @@ async fn a_voter_that_says_that_it_was_elected_leads_nobody_without_the_votes() 
     for node in &mut nodes {
         node.check();
         assert!(node.stderr().contains("have not elected it"), "{}", node.stderr());
-        assert!(!node.stderr().contains("leader=\"Org2/c\""), "{}", node.stderr());
+        assert!(!node.stderr().contains("leader=\"Org1/b\""), "{}", node.stderr());
         node.interrupt();
     }
 }
