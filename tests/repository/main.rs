@@ -15,5 +15,6 @@ mod layers;
 mod links;
 mod logs;
 mod routes;
+mod security;
 mod sources;
 mod words;
