@@ -2,7 +2,9 @@
 
 use crate::command::print_line;
 use crate::host::NodeBuilder;
-use ledger::verify::{Dissent, Report, verify_directory};
+use ledger::verify::{Dissent, Report, verify_against, verify_directory};
+use ledger_durable::read;
+use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::fmt::Write;
@@ -10,11 +12,14 @@ use std::path::{Path, PathBuf};
 
 /// `ledgerd verify`
 #[derive(clap::Args)]
-#[command(after_help = "Example:\n  ledgerd verify /var/lib/ledgerd")]
+#[command(after_help = "Example:\n  ledgerd verify /var/lib/ledgerd --against fleet.checkpoint")]
 pub(crate) struct Options {
     /// The node's data directory, a copy of it, or an archive.
     #[arg(value_name = "DIR")]
     directory: PathBuf,
+    /// A checkpoint that `ledgerctl light --checkpoint` has made: the chain must give what voters have signed there.
+    #[arg(long, value_name = "CHECKPOINT")]
+    against: Option<PathBuf>,
     /// Print the report as one line of JSON.
     #[arg(long)]
     json: bool,
@@ -42,7 +47,11 @@ pub(crate) fn run(builder: &NodeBuilder, options: &Options) -> Result<(), Reject
             .wanted("the data directory of a node, or an archive")
             .next("look for `data` in the node's ledgerd.toml"));
     }
-    let report = verify_directory(directory, &builder.registry()?)?;
+    let registry = builder.registry()?;
+    let report = match &options.against {
+        Some(checkpoint) => verify_against(directory, &registry, &read(checkpoint, CHECKPOINT_BYTES_MAX)?)?,
+        None => verify_directory(directory, &registry)?,
+    };
     let verified = Verified { ok: true, directory, report };
     if options.json {
         let line =
@@ -75,6 +84,9 @@ fn text(verified: &Verified<'_>) -> String {
     pair("verdicts", if verdicts.is_empty() { "none".into() } else { verdicts.join(", ") });
     pair("results compared", report.results_compared.to_string());
     pair("state compared", if report.state_compared { "yes" } else { "no" }.into());
+    if let Some(height) = report.against {
+        pair("against", format!("the checkpoint at block {height}: as voters have signed"));
+    }
     pair("attestations", format!("{} agree", report.attestations_agreeing));
     for Dissent { height, node, digest, .. } in &report.dissents {
         pair("differs", format!("{node} attested state digest {digest} at height {height}"));

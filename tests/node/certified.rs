@@ -2,13 +2,14 @@
 //! nothing else.
 
 use crate::support::network::{NodePlace, NodeWish, free_address, now};
-use crate::support::{Fleet, connect, until};
+use crate::support::{Fleet, connect, programs, until};
 use bytes::Bytes;
 use ledger::network::Genesis;
 use ledger_api::{Client, Context};
 use ledger_identity::Role;
-use ledger_light::Proof;
+use ledger_light::{Checkpoint, Proof};
 use serde_json::json;
+use std::process::Command;
 
 fn wish(name: &str, organisation: &str) -> NodeWish {
     NodeWish { name: name.into(), organisation: organisation.into(), voter: true, address: free_address() }
@@ -117,8 +118,25 @@ async fn a_reader_follows_who_governs_from_the_genesis_and_shows_how_a_robot_sta
     assert!(text.contains("(2 of 2 voters)") && text.contains("the genesis of network"), "{text}");
     assert_eq!(ctl(&["light", "Turtlebot5"]).code, 3);
 
+    let kept = std::fs::read(&file).unwrap();
     std::fs::write(&file, b"ledgerd checkpoint v1\0").unwrap();
     let refused = ctl(&["light", "Turtlebot4", "--checkpoint", &file]);
     assert!(refused.code == 3 && refused.stderr.contains("is not usable"), "{refused:?}");
     nodes.iter_mut().for_each(|node| node.interrupt());
+
+    // An auditor compares a whole chain with what voters had signed.
+    let audit = |checkpoint: &[u8]| {
+        std::fs::write(&file, checkpoint).unwrap();
+        let mut command = Command::new(programs::ledgerd());
+        let done = command.arg("verify").arg(&fleet.nodes[0].data).args(["--against", &file]).output().unwrap();
+        (done.status.code(), [done.stdout, done.stderr].map(|text| String::from_utf8(text).unwrap()).concat())
+    };
+    let (code, text) = audit(&kept);
+    assert!(code == Some(0) && text.contains("as voters have signed"), "{text}");
+    let block = Checkpoint::from_bytes(&owner.network, &kept).unwrap().proof.certificate.statement.block;
+    let at = kept.windows(32).position(|bytes| bytes == block.0).unwrap();
+    let mut other = kept;
+    other[at] ^= 1;
+    let (code, text) = audit(&other);
+    assert!(code != Some(0) && text.contains("is not what voters have signed"), "{text}");
 }

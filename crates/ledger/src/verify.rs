@@ -13,6 +13,7 @@ use crate::chaincode::Registry;
 use crate::network::Genesis;
 use begin::Beginning;
 use ledger_hash::Hash;
+use ledger_light::Checkpoint;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{StoreError, check_oldest};
 use ledger_storage::disk::RealDisk;
@@ -52,6 +53,8 @@ pub struct Report {
     pub results_compared: u64,
     /// Was the stored world state's savepoint reached and equal?
     pub state_compared: bool,
+    /// The checkpoint that was compared, by its height; none if none was given.
+    pub against: Option<u64>,
     /// Attestations of nodes that say the same as these blocks.
     pub attestations_agreeing: u64,
     /// Those that say something else, of fewer nodes than agree: these nodes were wrong. At most 100.
@@ -71,12 +74,26 @@ pub struct Report {
 /// attestations that contradict the blocks; [`Code::BadFile`] if the directory is none or is in use, or if its blocks
 /// begin above 1 and there is no snapshot to begin from.
 pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report, Rejection> {
+    verify(directory, registry, None)
+}
+
+/// As [`verify_directory`], and compares with a checkpoint: what voters have signed must come out of these blocks.
+///
+/// # Errors
+/// As [`verify_directory`]; [`Code::ChainInvalid`] if the blocks give something else at the height of the checkpoint, or do not
+/// reach it; [`Code::WrongNetwork`] and others if the bytes are no checkpoint of this network.
+pub fn verify_against(directory: &Path, registry: &Registry, checkpoint: &[u8]) -> Result<Report, Rejection> {
+    verify(directory, registry, Some(checkpoint))
+}
+
+fn verify(directory: &Path, registry: &Registry, checkpoint: Option<&[u8]>) -> Result<Report, Rejection> {
     let genesis_path = directory.join(GENESIS_FILE);
     let genesis = std::fs::read(&genesis_path).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot read {}: {error}", genesis_path.display()))
             .wanted("the data directory of a node or an archive, with genesis.json and blocks/")
     })?;
     let (_, network) = Genesis::from_bytes(&genesis)?;
+    let checkpoint = checkpoint.map(|bytes| Checkpoint::from_bytes(&network, bytes)).transpose()?;
     let blocks = directory.join(BLOCKS_DIRECTORY);
     let disk = RealDisk::open_read_only(&blocks).map_err(|error| {
         Rejection::new(Code::BadFile, format!("cannot open {}: {error}", blocks.display()))
@@ -87,7 +104,9 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
     let records = scan(&disk, Some(&network.0)).map_err(|error| in_directory(&error))?;
     check_oldest(&disk, &records).map_err(|error| in_directory(&error))?;
     let beginning = Beginning::find(directory, &genesis, registry, records.base())?;
+    let signed = checkpoint.map(|checkpoint| checkpoint.proof.certificate.statement);
     let mut verification = Verification::begin(beginning, kept, Report { network, ..Report::default() })?;
+    verification.compare_with(signed);
     for found in records {
         match found.map_err(|error| in_directory(&error))? {
             Found::Record { file, position, record: Record::Entry(entry), .. } => {

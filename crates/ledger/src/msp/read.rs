@@ -59,14 +59,17 @@ pub fn members(state: &dyn StateRead) -> Result<Membership, Rejection> {
     parse(MEMBERS_KEY, &record)
 }
 
-/// The voters, with the names by which their certificates are known.
+/// The voters, with the names by which the certificates of all nodes are known: one that votes soon may have to be believed
+/// before this state knows that it votes.
 ///
 /// # Errors
 /// As [`members`].
 pub fn voters(state: &dyn StateRead) -> Result<Voters, Rejection> {
     let Membership { voters, outgoing, .. } = members(state)?;
-    let nodes = nodes(state)?.into_iter().filter(|node| voters.contains(&node.id) || outgoing.contains(&node.id));
-    let nodes = nodes.map(|NodeRecord { id, organisation, name, .. }| (id, Voter { organisation, name })).collect();
+    let nodes = nodes(state)?
+        .into_iter()
+        .map(|NodeRecord { id, organisation, name, .. }| (id, Voter { organisation, name }))
+        .collect();
     Ok(Voters { nodes, voters, outgoing })
 }
 

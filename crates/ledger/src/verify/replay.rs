@@ -3,9 +3,10 @@
 use super::attested::Attested;
 use super::begin::{Beginning, Begun};
 use super::{Report, wrong};
-use crate::chain::Ledger;
+use crate::chain::{Ledger, Outcome};
 use crate::foretold::complete;
 use ledger_hash::Hash;
+use ledger_light::Statement;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::Entry;
 use ledger_storage::layout::RESULTS_DIRECTORY;
@@ -32,6 +33,8 @@ pub(super) struct Verification {
     committed: u64,
     /// Where the log breaks off, and what is wrong there, if it does not end properly.
     torn: Option<String>,
+    /// What voters have signed, until it was compared.
+    signed: Option<Statement>,
     report: Report,
 }
 
@@ -50,10 +53,26 @@ impl Verification {
         }
         let report = Report { first_height: begun.height + 1, ..report };
         let (pending, committed) = (VecDeque::new(), begun.height);
-        let mut verification =
-            Self { ledger, stored, results, attested, snapshot, begun, pending, committed, torn: None, report };
+        let mut verification = Self {
+            ledger,
+            stored,
+            results,
+            attested,
+            snapshot,
+            begun,
+            pending,
+            committed,
+            torn: None,
+            signed: None,
+            report,
+        };
         verification.compare_tip("the state that was begun from")?;
         Ok(verification)
+    }
+
+    /// What voters have signed must come out.
+    pub(super) fn compare_with(&mut self, signed: Option<Statement>) {
+        self.signed = signed;
     }
 
     /// The log ends with a write that was cut off.
@@ -98,6 +117,7 @@ impl Verification {
             }
             self.compare_result(&entry, &place)?;
             self.compare_tip(&place)?;
+            self.compare_signed(&outcome, &place)?;
             self.attested.computed(&self.ledger.tip())?;
             self.attested.block(&outcome)?;
             if self.ledger.pending_bytes() > DIRTY_BYTES_MAX {
@@ -128,6 +148,20 @@ impl Verification {
                 Err(wrong(place, format!("block {height} does not give the result that the node kept: {what}")))
             }
         }
+    }
+
+    /// At the height of the checkpoint, the block and its results must be what voters have signed.
+    fn compare_signed(&mut self, outcome: &Outcome, place: &str) -> Result<(), Rejection> {
+        let height = outcome.header.height;
+        let Some(signed) = self.signed.take_if(|signed| signed.height == height) else { return Ok(()) };
+        let results = outcome.certifiable.map(|roots| roots.results);
+        if (signed.block, Some(signed.results)) != (outcome.hash, results) {
+            return Err(wrong(place, format!("block {height} is not what voters have signed, by the checkpoint"))
+                .found(format!("block {}, results root {}", outcome.hash, results.unwrap_or(Hash::ZERO)))
+                .wanted(format!("block {}, results root {}", signed.block, signed.results)));
+        }
+        self.report.against = Some(height);
+        Ok(())
     }
 
     /// At the height of the savepoint, hash and digest must be the same.
@@ -165,6 +199,13 @@ impl Verification {
                 .found(format!("results up to height {}", results.next() - 1))
                 .wanted(format!("results up to height {executed}"))
                 .next("delete the directories state/ and results/; the node makes both again from the blocks"));
+        }
+        if let Some(signed) = &self.signed {
+            let what = "the blocks do not hold the one that voters have signed, by the checkpoint".to_owned();
+            return Err(Rejection::new(Code::ChainInvalid, what)
+                .found(format!("blocks {} to {}", self.report.first_height, tip.height))
+                .wanted(format!("block {}", signed.height))
+                .next("take a checkpoint of a block between these, or a newer copy of the directory"));
         }
         self.attested.finish()?;
         self.report.uncommitted = self.pending.len() as u64;

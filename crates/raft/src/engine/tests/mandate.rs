@@ -67,6 +67,24 @@ fn a_majority_of_signed_votes_for_this_leader_and_term_is_a_mandate() {
 }
 
 #[test]
+fn a_voter_that_elected_the_leader_itself_needs_no_certificate_to_know_its_own_vote_and_the_leaders() {
+    let unsigned = |voters: &[u64]| {
+        let votes = voters.iter().map(|node| SignedVote { node: *node, signed: Bytes::new() }).collect();
+        Input::Message { from: 1, message: PeerMessage::Mandate(Mandate { term: 5, votes }) }
+    };
+    assert!(!believes(&VOTERS, unsigned(&[1, 2])), "it has given its vote to nobody");
+    let mut node = engine(2, &VOTERS, &[]);
+    bare_step(&mut node, message(1, RaftKind::Vote, |vote| (vote.term, vote.index, vote.log_term) = (5, 9, 4)));
+    assert_eq!((node.raw.raft.term, node.raw.raft.vote), (5, 1));
+    bare_step(&mut node, unsigned(&[1, 3]));
+    assert!(!node.mandates.is_elected(1, 5), "the vote of another one needs its signature");
+    let ticks = node.config.heartbeat_tick;
+    (0..ticks).for_each(|_| drop(bare_step(&mut node, Input::Tick)));
+    bare_step(&mut node, unsigned(&[1, 2]));
+    assert!(node.mandates.is_elected(1, 5));
+}
+
+#[test]
 fn a_mandate_that_was_made_up_is_not_believed() {
     let with = |votes: &[(u64, Bytes)]| {
         let votes = votes.iter().map(|(node, signed)| SignedVote { node: *node, signed: signed.clone() }).collect();
