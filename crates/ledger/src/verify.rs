@@ -77,11 +77,11 @@ pub fn verify_directory(directory: &Path, registry: &Registry) -> Result<Report,
     verify(directory, registry, None)
 }
 
-/// As [`verify_directory`], and compares with a checkpoint: what voters have signed must come out of these blocks.
+/// As [`verify_directory`], and compares with a checkpoint: these blocks must give what voters have signed.
 ///
 /// # Errors
-/// As [`verify_directory`]; [`Code::ChainInvalid`] if the blocks give something else at the height of the checkpoint, or do not
-/// reach it; [`Code::WrongNetwork`] and others if the bytes are no checkpoint of this network.
+/// As [`verify_directory`]; [`Code::ChainInvalid`] if the blocks give something else at that height, or do not reach it. Also
+/// [`Code::WrongNetwork`] and others if the bytes are no checkpoint of this network.
 pub fn verify_against(directory: &Path, registry: &Registry, checkpoint: &[u8]) -> Result<Report, Rejection> {
     verify(directory, registry, Some(checkpoint))
 }

@@ -33,7 +33,7 @@ pub(super) struct Verification {
     committed: u64,
     /// Where the log breaks off, and what is wrong there, if it does not end properly.
     torn: Option<String>,
-    /// What voters have signed, until it was compared.
+    /// The statement that voters have signed, until it was compared.
     signed: Option<Statement>,
     report: Report,
 }
@@ -70,7 +70,7 @@ impl Verification {
         Ok(verification)
     }
 
-    /// What voters have signed must come out.
+    /// The signed statement must come out of these blocks.
     pub(super) fn compare_with(&mut self, signed: Option<Statement>) {
         self.signed = signed;
     }

@@ -23,6 +23,12 @@ fn founding_nodes_stand_on_the_ledger_with_what_they_are_in_fact() {
     assert_eq!(desired(&nodes.nodes), (nodes.members.voters.clone(), nodes.members.learners.clone()));
     assert_eq!(nodes.members, network.ledger.members().unwrap());
     assert_eq!(nodes.nodes, msp::nodes(&**network.ledger.state()).unwrap());
+    let voters = network.ledger.voters().unwrap();
+    assert_eq!(
+        (voters.voters, &voters.nodes[&3].name[..]),
+        ([1, 2].into(), "node3"),
+        "it may vote before this state knows"
+    );
 }
 
 #[test]
