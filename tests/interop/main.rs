@@ -13,6 +13,7 @@
 
 mod codec;
 mod demo;
+mod liar;
 mod loops;
 #[path = "../support/own_network.rs"]
 mod network;

@@ -123,7 +123,8 @@ impl World {
         let directory = tempfile::tempdir().unwrap();
         let home = directory.path().join("home");
         let mut node = ledgerd()
-            .args(["dev", "--json", "--listen", "127.0.0.1:0"])
+            .args(["dev", "--json", "--listen", "127.0.0.1:0", "--data"])
+            .arg(directory.path().join("net"))
             .env("LEDGERD_HOME", &home)
             .stdout(Stdio::piped())
             .stderr(File::create(directory.path().join("node.log")).unwrap())
@@ -287,6 +288,11 @@ impl World {
         let home = self.directory.path().join("home");
         let owner = Client::connect(&Context::load(&home, Some("dev-org2-admin")).unwrap()).await.unwrap();
         register(&owner, robot, topic, kind, "exclusive").await;
+    }
+
+    /// A path below the directory of the test: `home` of the contexts, `net` of the node.
+    pub(crate) fn path(&self, name: &str) -> PathBuf {
+        self.directory.path().join(name)
     }
 
     /// The process of a node.

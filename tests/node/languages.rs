@@ -1,6 +1,6 @@
 //! Clients in other languages, with the gRPC libraries that their programmers use: grpc-go and grpcio.
 
-use crate::support::Dev;
+use crate::support::{Dev, eventually};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -87,6 +87,32 @@ fn refusals_are_what_they_are_to_programs_in_python() {
     let script = repository().join("tests/interop/refusals.py");
     let context = dev.home.path().join("contexts/Mallory");
     check(&ran(Command::new(python()).arg(script).arg(context).arg(SERVICE).env("PYTHONPATH", path)), 1);
+}
+
+#[test]
+fn the_readers_in_python_believe_voters_and_not_the_node_that_answers() {
+    let dev = Dev::start();
+    let salma = dev.user("Salma", &["Turtlebot4"], "ed25519");
+    let (_code, path) = python_code();
+    let examples = repository().join("examples/python-client");
+    let file = dev.home.path().join("fleet.checkpoint").display().to_string();
+    salma.run(&["light", "Turtlebot4", "--checkpoint", &file]).ok();
+    let newest = dev.data().join("certificates/newest.proof");
+    eventually("the newest proof is kept", || newest.exists().then_some(()));
+    let printed = |command: &mut Command| String::from_utf8(ran(command.env("PYTHONPATH", &path)).stdout).unwrap();
+    let verify = |network: &str| {
+        let mut command = Command::new(python());
+        command.arg(examples.join("verify.py")).arg(network).arg(&file).arg(&newest);
+        command
+    };
+    let verified = printed(&mut verify(dev.fact("network")));
+    assert_eq!(verified.matches("signed by Org1/node1").count(), 2, "{verified}");
+    assert!(verified.contains("  verdict "), "{verified}");
+    let elsewhere = verify(&"00".repeat(32)).output().unwrap();
+    assert!(elsewhere.status.code() == Some(1) && elsewhere.stderr.starts_with(b"refused: "), "{elsewhere:?}");
+    let context = dev.home.path().join("contexts/Salma");
+    let followed = printed(Command::new(python()).arg(examples.join("follow.py")).arg(context));
+    assert!(followed.contains(dev.fact("network")) && followed.contains("node/00000000000000000001"), "{followed}");
 }
 
 #[test]

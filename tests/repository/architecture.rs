@@ -1,6 +1,6 @@
 //! ARCHITECTURE.md is one page, and its map names what is there.
 
-use crate::sources::{files, read, root};
+use crate::sources::{files, manifests, read, root};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 use toml::{Table, Value};
@@ -41,7 +41,7 @@ fn cell<'a>(row: &[&'a str], column: usize) -> &'a str {
 
 /// Each crate of the workspace as the map names it (`src` is the node), with the names of those that it is built from.
 fn workspace() -> BTreeMap<String, BTreeSet<String>> {
-    let manifests: Vec<(String, Table)> = files(root(), "Cargo.toml")
+    let manifests: Vec<(String, Table)> = manifests()
         .iter()
         .map(|path| {
             let place = path.parent().and_then(|place| place.strip_prefix(root()).ok()).unwrap_or(Path::new(""));

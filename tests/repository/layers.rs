@@ -1,6 +1,6 @@
 //! Which crate may use which: ARCHITECTURE.md, "Crates".
 
-use crate::sources::{code, files, read, root};
+use crate::sources::{self, code, files, read, root};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
 use toml::{Table, Value};
@@ -102,6 +102,7 @@ const LAYERS: [(&str, &[&str]); 23] = [
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
+            "ledger-light",
             "ledger-rejection",
             "ledger-settings",
             "ros-message",
@@ -181,7 +182,7 @@ const BEHIND: [(&str, &str, &[&str]); 2] = [
 
 /// The manifests of all crates, with their paths.
 fn manifests() -> Vec<(PathBuf, Table)> {
-    files(root(), "Cargo.toml")
+    sources::manifests()
         .into_iter()
         .map(|path| {
             let manifest = read(&path).parse().unwrap_or_else(|error| panic!("{}: {error}", path.display()));

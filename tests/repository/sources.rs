@@ -35,6 +35,11 @@ pub(crate) fn files(directory: &Path, ending: &str) -> Vec<PathBuf> {
     found
 }
 
+/// The manifest of every crate of this workspace. Fuzzing is a workspace of its own: it needs another compiler.
+pub(crate) fn manifests() -> Vec<PathBuf> {
+    files(root(), "Cargo.toml").into_iter().filter(|path| !path.starts_with(root().join("fuzz"))).collect()
+}
+
 /// The text of a Rust file without the tests at its end.
 pub(crate) fn product(path: &Path) -> String {
     let text = read(path);

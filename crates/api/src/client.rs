@@ -27,7 +27,7 @@ mod learning;
 mod reads;
 mod session;
 
-pub use believing::Certified;
+pub use believing::{Certified, read_checkpoint};
 pub use events::{EventStream, Subscription};
 pub use identities::{Registered, SECRET_LIFE};
 pub use in_flight::{IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Pending};

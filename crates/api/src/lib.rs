@@ -33,7 +33,7 @@ pub mod token;
 
 pub use client::{
     Answer, Call, Certified, Client, Committed, EventStream, IN_FLIGHT_BYTES_MAX, IN_FLIGHT_MAX, Leadership, Options,
-    Pending, Registered, SECRET_LIFE, Subscription,
+    Pending, Registered, SECRET_LIFE, Subscription, read_checkpoint,
 };
 pub use connect::Credentials;
 pub use context::{Context, home};

@@ -47,7 +47,16 @@ impl Checkpoint {
                 .wanted(network.to_string())
                 .next("take a checkpoint of this network"));
         }
-        let governance = Governance::of(Change::from_bytes(statement.height, &values)?, (statement, ground));
+        let values = Change::from_bytes(statement.height, &values)?;
+        // In one form only: whoever compares two checkpoints compares their bytes.
+        let ascending = values.writes.is_sorted_by(|(one, _), (next, _)| one < next);
+        if !ascending || values.writes.iter().any(|(_, value)| value.is_none()) {
+            return Err(Rejection::new(Code::Malformed, "the governing state of a checkpoint is not in its form")
+                .found(format!("{} keys, out of order or without values", values.writes.len()))
+                .wanted("ascending keys, each of them once and with a value")
+                .next("take another checkpoint"));
+        }
+        let governance = Governance::of(values, (statement, ground));
         Ok(Self { governance, proof })
     }
 }

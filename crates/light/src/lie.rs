@@ -3,7 +3,7 @@
 use crate::codec::{Reader, put};
 use crate::statement::{SIGNED_BYTES_MAX, Signed};
 use bytes::Bytes;
-use ledger_identity::Identity;
+use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 
 const DOMAIN: &[u8] = b"ledgerd lie v1\0";
@@ -41,11 +41,12 @@ impl Lie {
     }
 
     /// Does it prove that one node has lied? Both statements are about one height of one network, differ, and both
-    /// signatures are by the same organisation and name. `identify` as for
-    /// [`Certificate::verify`](crate::Certificate::verify).
+    /// signatures are by a node of the same organisation and name. Its number is not signed: the record of that node in
+    /// the governing state tells. `identify` as for [`Certificate::verify`](crate::Certificate::verify).
     ///
     /// # Errors
-    /// [`Code::Malformed`] if it proves nothing, [`Code::BadSignature`], or what `identify` says.
+    /// [`Code::Malformed`] if it proves nothing, [`Code::Untrusted`] if the signer is no node, [`Code::BadSignature`], or
+    /// what `identify` says.
     pub fn verify(
         &self,
         mut identify: impl FnMut(&[u8], u64) -> Result<Identity, Rejection>,
@@ -61,6 +62,11 @@ impl Lie {
         }
         let mut signer = |signed: &Signed| {
             let identity = identify(&signed.signature.certificate, signed.statement.time)?;
+            if identity.role != Role::Node {
+                return Err(Rejection::new(Code::Untrusted, "a statement is signed by somebody who is no node")
+                    .found(format!("{} with role {}", identity.id(), identity.role))
+                    .wanted("the certificate of a node"));
+            }
             let verified = identity.public_key.verify(&signed.statement.to_bytes(), &signed.signature.signature);
             verified.map_err(|error| Rejection::told(Code::BadSignature, &error.to_string())).map(|()| identity)
         };

@@ -3,9 +3,14 @@
 #[cfg(test)]
 mod tests;
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{
+    collections::{BTreeMap, btree_map::Entry},
+    path::Path,
+    sync::Arc,
+    time::Duration,
+};
 
-use ledger_api::{Client, Context, home};
+use ledger_api::{Client, Context, home, read_checkpoint};
 use ledger_rejection::{Class, Code, Rejection};
 use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
@@ -24,6 +29,7 @@ use crate::{
         local::Local,
     },
     service::Service,
+    standing::Asker,
 };
 
 /// Pause before a bridge that cannot start yet tries again.
@@ -112,6 +118,10 @@ impl Bridge {
         no_circle(&config.routes, &services)?;
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let local = Local::open(domain.id, &config.node_name, config.shared_memory).await?;
+        let checkpoint =
+            config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
+        let known = checkpoint.map(|checkpoint| checkpoint.governance);
+        let mut askers = BTreeMap::new();
         let mut watched = Vec::with_capacity(config.routes.len());
         let (stop, told) = watch::channel(false);
         let mut routes: Vec<futures::future::BoxFuture<'static, ()>> = Vec::new();
@@ -120,7 +130,15 @@ impl Bridge {
             let mark = Mark::new(&context.network, &route.service);
             let is_command = service.is_command();
             let (gateway, stop) = (Arc::clone(&gateway), told.clone());
-            let opening = Opening { route, gateway, context, local: &local, service, topic: &topic, mark, stop };
+            let asker = match askers.entry(service.robot.clone()) {
+                Entry::Occupied(known) => Arc::clone(known.get()),
+                Entry::Vacant(place) => {
+                    let (gateway, stored) = (Arc::clone(&gateway), Arc::clone(&context.msps));
+                    let asker = Asker::new(gateway, &service.robot, stored, known.as_ref())?;
+                    Arc::clone(place.insert(Arc::new(asker)))
+                }
+            };
+            let opening = Opening { route, gateway, context, local: &local, service, topic: &topic, mark, asker, stop };
             let Opened { counters: counted, in_memory, running } = route.plan.open(opening).await?;
             routes.push(running);
             counters.push(counted.clone());

@@ -5,6 +5,7 @@
 //! domain_id = 1                # ROS 2 domain of the local graph; by default ROS_DOMAIN_ID, else 0
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
+//! checkpoint = "fleet.checkpoint" # where to begin to follow who governs; by default at the genesis
 //! report_s = 60                # between two lines with counters, while something is refused
 //!
 //! [[route]]
@@ -60,6 +61,8 @@ pub struct Config {
     pub node_name: String,
     /// Whether local processes are served over iceoryx2 as well.
     pub shared_memory: bool,
+    /// The file of a checkpoint, from which it follows who governs the network; none = from the genesis.
+    pub checkpoint: Option<PathBuf>,
     /// Time between two lines with counters, while something is refused.
     pub report_every: Duration,
     /// The routes.
@@ -152,6 +155,9 @@ impl Config {
         self.domain_id = domain_id.and_then(|id: u64| u16::try_from(id).ok());
         section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
         section.boolean("shared_memory", &mut self.shared_memory);
+        section.text("checkpoint", "the file of a checkpoint", &mut self.checkpoint, |path| {
+            Some(Some(directory.join(path)))
+        });
         section.integer("report_s", 1..=REPORT_S_MAX, &mut report_s);
         self.report_every = Duration::from_secs(report_s);
         let mut routes = Vec::new();
@@ -175,6 +181,7 @@ impl Default for Config {
             domain_id: None,
             node_name: "ledgerd_bridge".to_owned(),
             shared_memory: true,
+            checkpoint: None,
             report_every: Duration::from_secs(REPORT_S_DEFAULT),
             routes: Vec::new(),
         }

@@ -3,12 +3,12 @@
 
 use std::{
     sync::{Arc, OnceLock},
-    time::Duration,
+    time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
-use ledger_contract::{Capabilities, Direction, Mode, Word};
+use ledger_contract::{Capabilities, Direction, Grant, Mode, Word};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
@@ -18,15 +18,15 @@ use rcgen::{
 };
 use ring::rand::SystemRandom;
 
-use crate::gate::{Delivered, Gate, Now, Refused, Settings};
-use crate::service::{Grant, Revoked, Service};
+use crate::gate::{Gate, Now, Settings};
+use crate::service::{Revoked, Service};
+use crate::standing::{Members, Standing};
 
 /// 2030-01-01, in microseconds since the UNIX epoch. Certificates are valid until 2031.
 pub(crate) const NOW: u64 = 1_893_456_000_000_000;
 pub(crate) const SECOND: u64 = 1_000_000;
 /// One small message.
 pub(crate) static TWIST: [Bytes; 1] = [Bytes::from_static(&[0, 1, 0, 0, 42])];
-pub(crate) static NONE: Bytes = Bytes::new();
 
 /// Somebody with a key and a certificate.
 #[derive(Clone)]
@@ -40,6 +40,8 @@ pub(crate) struct User {
 
 pub(crate) struct Network {
     pub(crate) msps: Arc<Msps>,
+    /// Names and roots (DER) of the organisations.
+    pub(crate) roots: [(&'static str, Bytes); 2],
     pub(crate) salma: User,
     pub(crate) farhad: User,
     /// Of the owner's organisation.
@@ -124,6 +126,7 @@ impl Network {
         msps.insert(second.msp("Org2")).unwrap();
         Self {
             msps: Arc::new(msps),
+            roots: [("Org1", &first), ("Org2", &second)].map(|(name, ca)| (name, Bytes::copy_from_slice(ca.0.der()))),
             salma: first.user("Salma", "member"),
             farhad: first.user("Farhad", "member"),
             robot: second.user("T", "robot"),
@@ -137,24 +140,31 @@ impl Network {
     pub(crate) fn gate_with(&self, service: &Service, grants: &[Grant], max_age_ms: Option<u64>) -> Gate {
         let settings = Settings {
             network: self.salma.network,
-            msps: Arc::clone(&self.msps),
             sample_bytes_max: 1024,
             max_age: max_age_ms.map(Duration::from_millis),
+            stale_after: Duration::from_secs(1),
         };
         let mut gate = Gate::new(settings, "T/cmd_vel", now());
-        gate.describe(service, grants);
+        assert_eq!(gate.learn(service, &self.standing(1, grants), now().steady, now()), None);
         gate
     }
 
-    /// Tells the gate of a grant to a user, who signed `acquire NAMED`.
-    pub(crate) fn granted(&self, gate: &mut Gate, user: &User, named: &str, epoch: u64) -> Result<(), Refused> {
-        let identity = self.msps.verify(&user.certificate, &[], NOW).unwrap();
-        let signed = user.sign("abac", "acquire", vec![Bytes::copy_from_slice(named.as_bytes())]);
-        let transaction = signed.encoded();
-        gate.granted(
-            &grant(&identity.id(), epoch),
-            Delivered { block_time: NOW, transaction, certificate: &user.certificate },
-        )
+    /// How the robot stands after that block.
+    pub(crate) fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
+        Standing {
+            services: Vec::new(),
+            grants: grants.to_vec(),
+            members: self.members(&[]),
+            height,
+            time: NOW,
+            asked: std::time::Instant::now(),
+        }
+    }
+
+    /// The members after the revocation of these.
+    pub(crate) fn members(&self, revoked: &[&User]) -> Members {
+        let revoked = revoked.iter().filter_map(|user| user.revocation(self).key()).collect();
+        Members { msps: Arc::clone(&self.msps), revoked: Arc::new(revoked) }
     }
 }
 
@@ -181,7 +191,16 @@ pub(crate) fn service(mode: &str) -> Service {
 }
 
 pub(crate) fn grant(holder: &str, epoch: u64) -> Grant {
-    Grant { service: "T/cmd_vel".into(), holder: holder.into(), epoch, lease_ms: 4000, next_seq: 0 }
+    Grant {
+        service: "T/cmd_vel".into(),
+        holder: holder.into(),
+        epoch,
+        expires: NOW + 4 * SECOND,
+        mode: Mode::of("exclusive").unwrap().into(),
+        acquired_at: NOW,
+        lease_ms: 4000,
+        next_seq: 0,
+    }
 }
 
 pub(crate) fn now() -> Now {
@@ -190,4 +209,9 @@ pub(crate) fn now() -> Now {
 
 pub(crate) fn now_at(wall: u64) -> Now {
     Now { wall, steady: wall - NOW + SECOND }
+}
+
+/// The clock of this machine, microseconds since the UNIX epoch.
+pub(crate) fn micros() -> u64 {
+    u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros()).unwrap()
 }

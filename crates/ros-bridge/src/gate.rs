@@ -7,8 +7,11 @@
 //! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the network
 //! that was not revoked. Where the service's rule asks for them, it comes under a grant of its signer and in the newest
 //! epoch. Its sequence number is above the last; it is not older than allowed; and it is from after the start of the
-//! gate and its last stop. Holders are learnt from grants that the holder signed for, except those that stood when the
-//! gate was opened.
+//! gate and its last stop.
+//!
+//! Rule, grants, authorities and revocations are learnt from a [`Standing`] only, which voters have signed. A command passes
+//! for `stale_after` after the question that a standing answers. So a node that withholds the end of a grant wins no more than
+//! that. An end of which a node tells stops the robot at once; the next standing decides whether it was true.
 //!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!
@@ -26,21 +29,19 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
-use ledger_contract::{Capabilities, Fencing, Publishing};
+use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
-use ledger_identity::msp::Msps;
 
 use self::{clock::Clock, identities::Identities, sequences::Sequences};
 pub use self::{clock::Now, refused::Refused};
 use crate::{
     gateway::{ABAC, COMMAND_TTL},
     sample::Sample,
-    service::{Grant, Released, Revoked, Service},
+    service::{Released, Revoked, Service},
+    standing::{Members, Standing},
 };
 
-/// How far block time may be ahead of the robot's wall clock, in microseconds.
-const AHEAD_US_MAX: u64 = 5_000_000;
 /// Most holders of one service.
 const HOLDERS_MAX: usize = 1024;
 /// Arguments of `set` before the payloads: service, epoch, first sequence number.
@@ -51,12 +52,12 @@ const SET_ARGUMENTS: usize = 3;
 pub struct Settings {
     /// The network.
     pub network: Hash,
-    /// Its organisations.
-    pub msps: Arc<Msps>,
     /// Largest sample, in bytes with its encapsulation header.
     pub sample_bytes_max: usize,
     /// Age beyond which a message is dropped, if that is shorter than the service's.
     pub max_age: Option<Duration>,
+    /// How long a standing counts from the question that it answers.
+    pub stale_after: Duration,
 }
 
 /// A transaction as a node delivers it.
@@ -76,17 +77,23 @@ pub struct Gate {
     settings: Settings,
     /// Id of the service.
     id: String,
-    /// None while the ledger's description of the service is not known: nothing passes.
+    /// None while it is not known how the service stands: nothing passes.
     rules: Option<Rules>,
+    /// The block of the newest standing.
+    height: u64,
+    /// When the question was asked that it answers, by the steady clock (microseconds).
+    asked: Option<u64>,
     identities: Identities,
     sequences: Sequences,
     clock: Clock,
-    /// The newest epoch that was seen.
+    /// The newest epoch.
     epoch: u64,
     /// The holders of the service.
     holders: BTreeMap<String, Holding>,
-    /// When the gate was opened, or its last stop by itself, by the wall clock (microseconds): what bridges signed
-    /// before does not pass, whatever block time the node gives it.
+    /// When the gate was opened, by the steady clock (microseconds).
+    opened: u64,
+    /// When the gate was opened, or its last stop by itself (microseconds): what bridges signed before does not pass, whatever
+    /// block time the node gives it.
     signed_since: u64,
     /// Nothing from before this block time passes (microseconds).
     not_before: u64,
@@ -102,12 +109,16 @@ struct Holding {
     epoch: u64,
     /// How long it lasts without being used or renewed, in microseconds.
     lease_us: u64,
+    /// How long it lasted still, without that, when it became known, in microseconds.
+    left_us: u64,
 }
 
 /// A driver of the robot.
 #[derive(Debug)]
 struct Driver {
     identity: Arc<Identity>,
+    /// The epoch in which it moved the robot.
+    epoch: u64,
     /// When the lease runs out without another sign of life, by the steady clock (microseconds).
     until: u64,
 }
@@ -132,17 +143,20 @@ struct Call<'a> {
 }
 
 impl Gate {
-    /// A gate through which nothing passes until [`Gate::describe`] tells of the service.
+    /// A gate through which nothing passes until [`Gate::learn`] tells of the service.
     pub fn new(settings: Settings, service: &str, now: Now) -> Self {
         Self {
-            identities: Identities::new(Arc::clone(&settings.msps)),
+            identities: Identities::default(),
             settings,
             id: service.to_owned(),
             rules: None,
+            height: 0,
+            asked: None,
             sequences: Sequences::default(),
             clock: Clock::default(),
             epoch: 0,
             holders: BTreeMap::new(),
+            opened: now.steady,
             signed_since: now.wall,
             not_before: 0,
             driver: None,
@@ -150,32 +164,61 @@ impl Gate {
         }
     }
 
-    /// Takes the service as the ledger describes it now, and the grants that stand.
-    pub fn describe(&mut self, service: &Service, grants: &[Grant]) {
-        if self.fault.is_some() {
-            return;
+    /// Takes how the robot stands, with this service of it. `asked` is when that was asked, by the steady clock in microseconds.
+    /// Answers why the robot must stop, if whoever moved it may not do so any more.
+    pub fn learn(&mut self, service: &Service, standing: &Standing, asked: u64, now: Now) -> Option<&'static str> {
+        if self.fault.is_some() || standing.height < self.height {
+            return None; // a newer one is known
         }
+        let Standing { grants, members, height, time, .. } = standing;
+        self.clock.heard_signed(*time, now);
+        if self.asked.is_none() {
+            // By the network's time, which users sign by: it may be ahead of this machine's.
+            let open_for = now.steady.saturating_sub(self.opened);
+            self.signed_since = self.signed_since.max(time.saturating_sub(open_for));
+        }
+        (self.height, self.asked) = (*height, self.asked.max(Some(asked)));
+        self.rules = Some(self.rules_of(service));
+        self.identities.replace(members);
+        let grants = grants.iter().filter(|grant| grant.service == self.id);
         let before = self.epoch;
+        self.epoch = grants.clone().map(|grant| grant.epoch).max().unwrap_or(0).max(service.epoch);
+        self.holders =
+            grants.take(HOLDERS_MAX).map(|grant| (grant.holder.clone(), Holding::of(grant, *time))).collect();
+        self.check_epochs(before);
+        self.check_driver(members, asked)
+    }
+
+    fn rules_of(&self, service: &Service) -> Rules {
         let age_us = service.max_age_ms.saturating_mul(1000);
         let own_us = self.settings.max_age.map_or(u64::MAX, |age| u64::try_from(age.as_micros()).unwrap_or(u64::MAX));
-        self.rules = Some(Rules {
+        Rules {
             capabilities: service.capabilities,
             publisher: (!service.is_command()).then(|| service.organisation.clone()),
             max_age_us: age_us.min(own_us),
             lease_us: service.lease_ms.saturating_mul(1000),
-        });
-        let newest = grants.iter().map(|grant| grant.epoch).max().unwrap_or(0).max(service.epoch);
-        if newest < self.epoch {
-            return; // older than what the events have told
         }
-        self.epoch = newest;
-        self.holders = grants
-            .iter()
-            .filter(|grant| grant.service == self.id)
-            .take(HOLDERS_MAX)
-            .map(|grant| (grant.holder.clone(), Holding::of(grant)))
-            .collect();
-        self.check_epochs(before);
+    }
+
+    /// The driver holds the robot still, or the robot must stop. A renewal since the last standing counts, too.
+    fn check_driver(&mut self, members: &Members, asked: u64) -> Option<&'static str> {
+        let by_policy = self.rules.as_ref().is_some_and(|rules| rules.capabilities.publishing == Publishing::Policy);
+        let driver = self.driver.as_mut()?;
+        let holding = self.holders.get(&driver.identity.id()).filter(|holding| holding.epoch == driver.epoch);
+        let over = match holding {
+            _ if members.has_revoked(&driver.identity) => Some("revoked"),
+            Some(holding) => {
+                driver.until = driver.until.max(asked.saturating_add(holding.left_us));
+                None
+            }
+            // Where a policy is enough, nothing ends but by the lease.
+            None if driver.epoch == 0 && by_policy => None,
+            None => Some("released"),
+        };
+        if over.is_some() {
+            self.driver = None;
+        }
+        over
     }
 
     /// The contradiction that this gate found in itself. Nothing passes any more then: the robot is to be stopped, and after
@@ -201,21 +244,24 @@ impl Gate {
         });
     }
 
-    /// Forgets the description: nothing passes until there is a new one.
+    /// The service may have changed: nothing passes until there is a new standing.
     pub fn close(&mut self) {
         self.rules = None;
     }
 
-    /// Does it wait for a description?
+    /// Does it wait for a standing?
     pub fn is_closed(&self) -> bool {
         self.rules.is_none()
     }
 
     /// Takes note of a sign of life with its block time.
     pub fn heard(&mut self, block_time: u64, now: Now) {
-        if block_time <= now.wall.saturating_add(AHEAD_US_MAX) {
-            self.clock.heard(block_time, now);
-        }
+        self.clock.heard(block_time, now);
+    }
+
+    /// Takes note of a certificate that the node shows: it may belong to the creator of a later message.
+    pub fn show(&mut self, certificate: &Bytes) {
+        self.identities.show(certificate);
     }
 
     /// Lets a message pass, or says which rule it breaks. The samples are to be published in this order.
@@ -225,17 +271,21 @@ impl Gate {
     pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Vec<Sample>, Refused> {
         let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
         let Rules { capabilities: Capabilities { publishing, fencing, sequence }, max_age_us, lease_us, .. } = *rules;
+        if rules.publisher.is_none() && self.fresh_until().is_none_or(|until| until < now.steady) {
+            return Err(Refused::Stale);
+        }
         let transaction = self.decode(delivered)?;
         let call = read_call(&transaction, &self.id)?;
         let samples = self.read_samples(call.payloads)?;
-        self.heard(delivered.block_time, now);
+        if !self.clock.heard(delivered.block_time, now) {
+            return Err(Refused::FromFuture);
+        }
         self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
-        if fencing != Fencing::PerHolder {
-            match call.epoch.cmp(&self.epoch) {
-                std::cmp::Ordering::Less => return Err(Refused::StaleEpoch),
-                std::cmp::Ordering::Greater => return Err(Refused::UnknownEpoch),
-                std::cmp::Ordering::Equal => {}
-            }
+        if call.epoch > self.epoch {
+            return Err(Refused::UnknownEpoch);
+        }
+        if fencing != Fencing::PerHolder && call.epoch < self.epoch {
+            return Err(Refused::StaleEpoch);
         }
         let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
         let publisher = self.rules.as_ref().and_then(|rules| rules.publisher.as_ref());
@@ -272,60 +322,15 @@ impl Gate {
             return Err(Refused::NoService);
         }
         if is_command {
-            self.driver = Some(Driver { identity: creator, until: now.steady.saturating_add(lease_us) });
+            let until = now.steady.saturating_add(lease_us);
+            self.driver = Some(Driver { identity: creator, epoch: call.epoch, until });
         }
         Ok(samples)
     }
 
-    /// Takes a new grant. It counts only if its holder signed for it: a node cannot hand the robot to somebody who
-    /// did not ask for it.
-    ///
-    /// # Errors
-    /// Why the grant does not count. The holder before it is not touched: that ends with [`Gate::released`].
-    pub fn granted(&mut self, grant: &Grant, delivered: Delivered<'_>) -> Result<(), Refused> {
-        if grant.service != self.id {
-            return Err(Refused::WrongCall);
-        }
-        let is_known = self.holders.get(&grant.holder).is_some_and(|known| known.epoch == grant.epoch);
-        if is_known {
-            return Ok(()); // from the description
-        }
-        if grant.epoch <= self.epoch {
-            return Err(Refused::StaleEpoch);
-        }
-        self.prove(grant, "acquire", delivered)?;
-        if self.newest_alone() || self.holders.len() >= HOLDERS_MAX {
-            self.holders.clear();
-        }
-        let before = std::mem::replace(&mut self.epoch, grant.epoch);
-        self.holders.insert(grant.holder.clone(), Holding::of(grant));
-        self.check_epochs(before);
-        Ok(())
-    }
-
-    /// Takes the renewal of a grant: a sign of life of a holder who sends nothing.
-    ///
-    /// # Errors
-    /// Why it does not count.
-    pub fn renewed(&mut self, grant: &Grant, delivered: Delivered<'_>, now: Now) -> Result<(), Refused> {
-        let is_known = self.holders.get(&grant.holder).is_some_and(|known| known.epoch == grant.epoch);
-        if grant.service != self.id || !is_known {
-            return Err(Refused::StaleEpoch);
-        }
-        // `acquire` of one's own grant renews it, too.
-        if self.prove(grant, "renew", delivered).is_err() {
-            self.prove(grant, "acquire", delivered)?;
-        }
-        let holding = Holding::of(grant);
-        self.holders.insert(grant.holder.clone(), holding);
-        if let Some(driver) = self.driver.as_mut().filter(|driver| driver.identity.id() == grant.holder) {
-            driver.until = driver.until.max(now.steady.saturating_add(holding.lease_us));
-        }
-        Ok(())
-    }
-
-    /// Takes the end of a grant. True if the robot must stop: unless a newer grant has been seen already.
-    pub fn released(&mut self, released: &Released, block_time: u64) -> bool {
+    /// Takes the end of a grant as a node says it. True if the robot must stop: unless a newer grant is known. It proves nothing:
+    /// the next standing may bring the holder back.
+    pub fn released(&mut self, released: &Released, block_time: u64, now: Now) -> bool {
         if released.service != self.id {
             return false;
         }
@@ -336,16 +341,16 @@ impl Gate {
         let side_by_side = self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing == Fencing::PerHolder);
         let is_newest = released.epoch >= self.epoch || side_by_side;
         if is_newest {
-            let before = self.epoch;
-            self.epoch = before.max(released.epoch);
-            self.check_epochs(before);
             self.driver = None;
-            self.not_before = self.not_before.max(block_time);
+            // A block of tomorrow closes nothing until then.
+            self.not_before = self.not_before.max(block_time.min(self.clock.now(now)));
         }
+        self.check_epochs(self.epoch);
         is_newest
     }
 
-    /// Takes the revocation of a certificate. True if the robot must stop, because the revoked one moved it last.
+    /// Takes the revocation of a certificate as a node says it. True if the robot must stop, because the revoked one moved it
+    /// last. It proves nothing: the next standing decides.
     pub fn revoked(&mut self, revoked: &Revoked) -> bool {
         let key = self.identities.revoke(revoked);
         let moved_it = self.driver.as_ref().is_some_and(|driver| Some(driver.identity.revocation_key()) == key);
@@ -372,16 +377,18 @@ impl Gate {
         self.driver.as_ref().map(|driver| driver.until)
     }
 
+    /// The time from which on no command passes without a newer standing, by the steady clock (microseconds). None before the
+    /// first one.
+    pub fn fresh_until(&self) -> Option<u64> {
+        let stale_us = u64::try_from(self.settings.stale_after.as_micros()).unwrap_or(u64::MAX);
+        Some(self.asked?.saturating_add(stale_us))
+    }
+
     /// The robot is being stopped: nothing from before this moment passes any more.
     pub fn stopped(&mut self, now: Now) {
         self.driver = None;
-        self.signed_since = self.signed_since.max(now.wall);
+        self.signed_since = self.signed_since.max(self.clock.signed(now));
         self.not_before = self.not_before.max(self.clock.now(now));
-    }
-
-    /// Does each new grant fence off every earlier one? Also while the service is not known.
-    fn newest_alone(&self) -> bool {
-        self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing != Fencing::PerHolder)
     }
 
     fn decode(&self, delivered: Delivered<'_>) -> Result<Transaction, Refused> {
@@ -391,20 +398,6 @@ impl Gate {
         } else {
             Err(Refused::WrongNetwork)
         }
-    }
-
-    /// Did the holder of a grant sign a call of that function for this service?
-    fn prove(&mut self, grant: &Grant, function: &str, delivered: Delivered<'_>) -> Result<(), Refused> {
-        let transaction = self.decode(delivered)?;
-        let body = transaction.body();
-        let named = body.args.first().and_then(|name| std::str::from_utf8(name).ok()).unwrap_or_default();
-        // A robot with one service may be called by its name alone.
-        let is_meant = named == self.id || self.id.split_once('/').is_some_and(|(robot, _)| robot == named);
-        if body.chaincode != ABAC || body.function != function || !is_meant {
-            return Err(Refused::UnprovenGrant);
-        }
-        let creator = self.identities.creator(&transaction, delivered.certificate, delivered.block_time)?;
-        if creator.id() == grant.holder { Ok(()) } else { Err(Refused::UnprovenGrant) }
     }
 
     fn read_samples(&self, payloads: &[Bytes]) -> Result<Vec<Sample>, Refused> {
@@ -417,26 +410,27 @@ impl Gate {
     }
 
     fn check_time(&self, signed: &Transaction, block_time: u64, max_age_us: u64, now: Now) -> Result<(), Refused> {
-        if block_time > now.wall.saturating_add(AHEAD_US_MAX) {
-            return Err(Refused::FromFuture);
-        }
         let time = self.clock.now(now);
         let not_after = signed.body().not_after;
         if not_after < time.max(block_time) || not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
             return Err(Refused::Expired);
         }
-        if time.saturating_sub(block_time) > max_age_us {
+        // Age counts from the signature. Bridges sign for so long; who signs for longer is as old as its block.
+        let ttl_us = u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX);
+        let signed_at = not_after.saturating_sub(ttl_us).min(block_time);
+        if time.saturating_sub(signed_at) > max_age_us {
             return Err(Refused::TooOld);
         }
-        let ttl_us = u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX);
         let signed_before = not_after < self.signed_since.saturating_add(ttl_us);
         if signed_before || block_time < self.not_before { Err(Refused::BeforeStop) } else { Ok(()) }
     }
 }
 
 impl Holding {
-    fn of(grant: &Grant) -> Self {
-        Self { epoch: grant.epoch, lease_us: grant.lease_ms.saturating_mul(1000) }
+    /// With the lease as of a block time.
+    fn of(grant: &Grant, time: u64) -> Self {
+        let lease_us = grant.lease_ms.saturating_mul(1000);
+        Self { epoch: grant.epoch, lease_us, left_us: grant.expires.saturating_sub(time) }
     }
 }
 

@@ -8,7 +8,8 @@ use futures::{
     future::BoxFuture,
     stream::{self, BoxStream, StreamExt},
 };
-use ledger_api::{Answer, Call, Client, Subscription, v1::Delivery};
+use ledger_api::{Answer, Call, Certified, Client, Subscription, v1::Delivery};
+use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
@@ -19,6 +20,8 @@ pub(crate) const MSP: &str = "msp";
 /// How long a command may be on its way to its block. Short, because what a node holds back until then could still
 /// be brought to a robot: see [`crate::gate`].
 pub(crate) const COMMAND_TTL: Duration = Duration::from_secs(2);
+/// How long a question may be on its way to its block.
+const QUESTION_TTL: Duration = Duration::from_secs(5);
 /// How long a subscription rests that was refused for good: rights may come back.
 const REFUSED_REST: Duration = Duration::from_secs(1);
 
@@ -43,6 +46,12 @@ pub(crate) trait Gateway: Send + Sync + 'static {
 
     /// Height of the last executed block.
     fn height(&self) -> BoxFuture<'static, Result<u64, Rejection>>;
+
+    /// The governance at the genesis, as the network's name covers it; none if nobody certified that.
+    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>>;
+
+    /// Asks in a transaction how a robot stands. The answer comes with its proof, checked from what is known.
+    fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>>;
 
     /// Events from a height on; resumes by itself.
     fn subscribe(&self, wanted: Subscription) -> Deliveries;
@@ -80,6 +89,17 @@ impl Gateway for Client {
         async move { Ok(client.status().await?.height) }.boxed()
     }
 
+    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>> {
+        let client = self.clone();
+        async move { Self::beginning(&client).await }.boxed()
+    }
+
+    fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>> {
+        let (client, args) = (self.clone(), vec![Bytes::copy_from_slice(robot.as_bytes())]);
+        let call = Call { chaincode: ABAC.to_owned(), function: "declare".to_owned(), args, ttl: QUESTION_TTL };
+        async move { client.invoke_certified(Some(&known), call).await }.boxed()
+    }
+
     fn subscribe(&self, wanted: Subscription) -> Deliveries {
         let start = (Self::subscribe(self, wanted), false);
         // The stream keeps a wait that was begun when its caller turns to something else in between.
@@ -113,13 +133,17 @@ pub(crate) async fn ask<T: DeserializeOwned>(
 ) -> Result<(T, u64), Rejection> {
     let args = args.iter().map(|arg| Bytes::copy_from_slice(arg.as_bytes())).collect();
     let answer = gateway.query(height, chaincode, function, args).await?;
-    let value = serde_json::from_slice(&answer.response).map_err(|error| {
-        Rejection::new(Code::Malformed, format!("the answer to {chaincode} {function} cannot be read"))
+    Ok((read(&format!("{chaincode} {function}"), &answer.response)?, answer.height))
+}
+
+/// Reads the JSON that a function has answered.
+pub(crate) fn read<T: DeserializeOwned>(function: &str, answer: &[u8]) -> Result<T, Rejection> {
+    serde_json::from_slice(answer).map_err(|error| {
+        Rejection::new(Code::Malformed, format!("the answer to {function} cannot be read"))
             .found(error.to_string())
             .wanted("the JSON that this version knows")
             .next("use the same version for node and bridge")
-    })?;
-    Ok((value, answer.height))
+    })
 }
 
 /// How often something happened, by its name.

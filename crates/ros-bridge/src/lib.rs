@@ -15,6 +15,7 @@
 //! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
 //! | [`gate`] | what a robot checks for itself before anything reaches its graph |
 //! | `gateway`, [`service`] | what is asked of the ledger, and what it answers |
+//! | [`standing`] | how a robot stands, as the voters have signed it |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |
 //! | [`domain`] | which ROS domain it joins |
 //! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
@@ -51,6 +52,8 @@ pub mod dds;
 pub mod domain;
 pub mod door;
 pub mod error;
+#[cfg(test)]
+mod fake;
 mod fit;
 #[cfg(test)]
 mod fixture;
@@ -66,6 +69,7 @@ mod route;
 pub mod sample;
 pub mod service;
 pub mod shm;
+pub mod standing;
 pub mod stop;
 
 pub use bridge::{Bridge, Summary, context_of, run};

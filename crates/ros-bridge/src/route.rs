@@ -42,6 +42,11 @@ impl Clocks {
         self.start.checked_add(after).unwrap_or(self.start)
     }
 
+    /// The steady clock at a moment, in microseconds; 0 before its start.
+    pub(crate) fn steady(self, moment: Instant) -> u64 {
+        u64::try_from(moment.saturating_duration_since(self.start).as_micros()).unwrap_or(u64::MAX)
+    }
+
     pub(crate) fn now(self) -> Now {
         let wall = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let micros = |duration: Duration| u64::try_from(duration.as_micros()).unwrap_or(u64::MAX);

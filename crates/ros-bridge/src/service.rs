@@ -43,22 +43,6 @@ pub struct Service {
     pub epoch: u64,
 }
 
-/// A grant, as `abac grants` and the events `granted` and `renewed` tell it.
-#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
-pub struct Grant {
-    /// The service.
-    pub service: String,
-    /// The holder, e.g. `Org1/Salma`.
-    pub holder: String,
-    /// The fencing token.
-    pub epoch: u64,
-    /// By how much a use or a renewal extends it, in milliseconds.
-    pub lease_ms: u64,
-    /// The smallest sequence number that the ledger accepts.
-    #[serde(default)]
-    pub next_seq: u64,
-}
-
 /// Payload of the event `released`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Released {
@@ -79,6 +63,15 @@ pub struct Revoked {
     pub issuer: Hash,
     /// Serial number in hexadecimal.
     pub serial: String,
+}
+
+impl Revoked {
+    /// The key of the certificate, as [`Identity::revocation_key`](ledger_identity::Identity::revocation_key) has it; none if the
+    /// serial number is none.
+    pub fn key(&self) -> Option<Vec<u8>> {
+        let serial = hex::decode(&self.serial).ok()?;
+        Some([&self.issuer.0[..], &serial].concat())
+    }
 }
 
 /// The rights of the caller now, as `abac authorize` answers.

@@ -22,14 +22,40 @@ fn params(name: &str, unit: &str) -> CertificateParams {
     params
 }
 
+fn authority(name: &str) -> CertificateParams {
+    let mut params = params(name, "ca");
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    params
+}
+
 impl Ca {
     /// A CA with a certificate that it signed itself.
     pub fn new(name: &str) -> Self {
-        let mut params = params(name, "ca");
-        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-        params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+        Self::with_key(name, KeyKind::Ed25519)
+    }
+
+    /// The same with a key of that kind.
+    pub fn with_key(name: &str, kind: KeyKind) -> Self {
+        let kind = match kind {
+            KeyKind::Ed25519 => &rcgen::PKCS_ED25519,
+            KeyKind::P256 => &rcgen::PKCS_ECDSA_P256_SHA256,
+        };
+        Self(CertifiedIssuer::self_signed(authority(name), KeyPair::generate_for(kind).unwrap()).unwrap())
+    }
+
+    /// A CA above so many others at most in each path.
+    pub fn above(name: &str, most: u8) -> Self {
+        let mut params = authority(name);
+        params.is_ca = IsCa::Ca(BasicConstraints::Constrained(most));
         let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
         Self(CertifiedIssuer::self_signed(params, key).unwrap())
+    }
+
+    /// A CA below this one.
+    pub fn below(&self, name: &str) -> Self {
+        let key = KeyPair::generate_for(&rcgen::PKCS_ED25519).unwrap();
+        Self(CertifiedIssuer::signed_by(authority(name), key, &self.0).unwrap())
     }
 
     /// Its certificate.
@@ -49,6 +75,19 @@ impl Ca {
         let mut params = params(name, unit);
         params.custom_extensions.push(extension);
         self.issue(params, KeyKind::Ed25519)
+    }
+
+    /// Somebody with whatever this makes of a common certificate.
+    pub fn user_as(&self, [name, unit]: [&str; 2], kind: KeyKind, change: impl FnOnce(&mut CertificateParams)) -> User {
+        let mut params = params(name, unit);
+        change(&mut params);
+        self.issue(params, kind)
+    }
+
+    /// The certificate of a public key (SubjectPublicKeyInfo in DER), whoever has the private one.
+    pub fn certify_key(&self, [name, unit]: [&str; 2], public: &[u8]) -> Bytes {
+        let public = rcgen::SubjectPublicKeyInfo::from_der(public).unwrap();
+        Bytes::copy_from_slice(params(name, unit).signed_by(&public, &self.0).unwrap().der())
     }
 
     fn issue(&self, params: CertificateParams, kind: KeyKind) -> User {

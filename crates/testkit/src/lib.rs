@@ -14,3 +14,4 @@ mod random;
 
 pub use authority::{Ca, User, key};
 pub use random::Random;
+pub use rcgen;

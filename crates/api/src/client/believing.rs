@@ -11,11 +11,14 @@ use crate::v1;
 use bytes::Bytes;
 use ledger::network::Genesis;
 use ledger_hash::Hash;
+use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
 use ledger_light::fact::Fact;
 use ledger_light::{Change, Checkpoint, Governance, Proof};
 use ledger_rejection::{Code, Rejection};
+use std::path::Path;
 use std::time::Duration;
 use tokio::time::timeout;
+use tonic::Streaming;
 
 /// How long one step of the way may take.
 const STEP_MAX: Duration = Duration::from_secs(10);
@@ -56,8 +59,25 @@ impl Client {
                 .wanted(format!("the verdict on transaction {id}"))
                 .next("ask another node"));
         }
-        let governance = self.follow(known, Some(&proof)).await?.governance;
+        // Where nothing has changed, which is nearly always, nobody has to be asked.
+        let governance = match known.map(|known| known.follow(&[], &proof)) {
+            Some(Ok(governance)) => governance,
+            _ => self.follow(known, Some(&proof)).await?.governance,
+        };
         Ok(Certified { response: committed.response, checkpoint: Checkpoint { governance, proof } })
+    }
+
+    /// The beginning that the network's name covers. None if the network was founded with rules that certify nothing: then a
+    /// reader begins at a checkpoint.
+    ///
+    /// # Errors
+    /// [`Code::WrongNetwork`] if the node shows another genesis; [`Code::Malformed`].
+    pub async fn beginning(&self) -> Result<Option<Governance>, Rejection> {
+        let network = &self.credentials.network;
+        let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after: 0 }).await };
+        let mut steps = self.ask(ask, |_| Ok(())).await?;
+        let first = self.next_step(&mut steps).await?.unwrap_or_default();
+        begin(network, &first.genesis)
     }
 
     /// Follows who governs the network, up to the newest proof that the node has.
@@ -80,14 +100,32 @@ impl Client {
         let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
         let mut way = Way { governance: known.cloned(), ..Way::default() };
-        loop {
-            let step = timeout(STEP_MAX, steps.message()).await;
-            let step = step.map_err(|_| unreachable(&self.node(), "no answer to a question"))?;
-            let Some(step) = step.map_err(|status| from_status(&self.node(), &status))? else { break };
+        while let Some(step) = self.next_step(&mut steps).await? {
             way.step(&self.credentials.network, step, to)?;
         }
         way.end(to)
     }
+
+    async fn next_step(
+        &self,
+        steps: &mut Streaming<v1::GovernanceStep>,
+    ) -> Result<Option<v1::GovernanceStep>, Rejection> {
+        let step = timeout(STEP_MAX, steps.message()).await;
+        let step = step.map_err(|_| unreachable(&self.node(), "no answer to a question"))?;
+        step.map_err(|status| from_status(&self.node(), &status))
+    }
+}
+
+/// Reads the file of a checkpoint of that network.
+///
+/// # Errors
+/// [`Code::BadFile`]; as [`Checkpoint::from_bytes`].
+pub fn read_checkpoint(network: &Hash, path: &Path) -> Result<Checkpoint, Rejection> {
+    let found = ledger_durable::read(path, CHECKPOINT_BYTES_MAX)?;
+    Checkpoint::from_bytes(network, &found).map_err(|refused| {
+        let message = format!("{} is not usable: {}", path.display(), refused.message);
+        Rejection { message, ..refused }.next("name another file, or none: then the way begins at the genesis")
+    })
 }
 
 /// The way of a reader.
@@ -104,7 +142,13 @@ struct Way {
 impl Way {
     fn step(&mut self, network: &Hash, step: v1::GovernanceStep, to: Option<&Proof>) -> Result<(), Rejection> {
         if self.governance.is_none() {
-            self.governance = Some(begin(network, &step.genesis)?);
+            let begun = begin(network, &step.genesis)?;
+            self.governance = Some(begun.ok_or_else(|| {
+                Rejection::new(Code::UnknownRules, "the genesis of this network is certified by nobody")
+                    .found("rules older than 3")
+                    .wanted("a network that was founded with rules 3 or newer")
+                    .next("begin at a checkpoint that somebody made whom you trust")
+            })?);
         }
         for v1::GovernanceChange { height, writes } in step.changes {
             self.bytes += writes.len();
@@ -150,14 +194,15 @@ impl Way {
     }
 }
 
-/// The beginning, if this is the genesis of the network.
-fn begin(network: &Hash, genesis: &[u8]) -> Result<Governance, Rejection> {
-    let begun = Genesis::governance(genesis)?;
-    if begun.network() == *network {
-        return Ok(begun);
+/// The beginning, if this is the genesis of the network; none if nobody certifies it. The name comes first: a node that shows the
+/// genesis of another network says nothing about this one.
+fn begin(network: &Hash, genesis: &[u8]) -> Result<Option<Governance>, Rejection> {
+    let named = Genesis::network_of(genesis)?;
+    if named != *network {
+        return Err(Rejection::new(Code::WrongNetwork, "a node shows the genesis of another network")
+            .found(named.to_string())
+            .wanted(network.to_string())
+            .next("ask another node"));
     }
-    Err(Rejection::new(Code::WrongNetwork, "a node shows the genesis of another network")
-        .found(begun.network().to_string())
-        .wanted(network.to_string())
-        .next("ask another node"))
+    Genesis::governance(genesis)
 }

@@ -5,15 +5,14 @@ use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{ABAC, Session};
 use crate::time;
-use ledger_api::{Call, Certified};
+use ledger_api::{Call, Certified, read_checkpoint};
 use ledger_contract::{Declaration, Grant};
 use ledger_hash::Hash;
-use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
 use ledger_light::{Checkpoint, Governance};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// How long the declaration may take to be executed.
@@ -79,16 +78,8 @@ impl Light {
     /// Where to begin.
     fn known(&self, network: &Hash) -> Result<Option<Governance>, Rejection> {
         let existing = self.checkpoint.as_deref().filter(|path| path.exists());
-        Ok(existing.map(|path| read(network, path)).transpose()?.map(|checkpoint| checkpoint.governance))
+        Ok(existing.map(|path| read_checkpoint(network, path)).transpose()?.map(|checkpoint| checkpoint.governance))
     }
-}
-
-fn read(network: &Hash, path: &Path) -> Result<Checkpoint, Rejection> {
-    let found = ledger_durable::read(path, CHECKPOINT_BYTES_MAX)?;
-    Checkpoint::from_bytes(network, &found).map_err(|refused| {
-        let message = format!("{} is not usable: {}", path.display(), refused.message);
-        Rejection { message, ..refused }.next("name another file, or none: then the way begins at the genesis")
-    })
 }
 
 impl Shown {

@@ -135,3 +135,21 @@ fn a_restart_between_two_certified_blocks_goes_on_from_the_one_before() {
         restarted.flush(None).unwrap();
     }
 }
+
+/// `crates/light` makes the vectors without this crate, and other languages read them.
+#[test]
+fn a_genesis_of_the_vectors_governs_as_they_say() {
+    let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/certified.json");
+    let vectors: serde_json::Value = serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap();
+    let beginnings = vectors["beginnings"].as_object().unwrap().values();
+    let mut founded = 0;
+    for begin in beginnings.filter(|begin| begin["genesis"].is_string()) {
+        let governance =
+            ledger::network::Genesis::governance(begin["genesis"].as_str().unwrap().as_bytes()).unwrap().unwrap();
+        let hash = |field: &str| Hash::from_hex(begin[field].as_str().unwrap()).unwrap();
+        assert_eq!((governance.network(), governance.chain()), (hash("network"), hash("governing")));
+        assert_eq!(governance.time(), begin["time"].as_u64().unwrap());
+        founded += 1;
+    }
+    assert!(founded > 2);
+}

@@ -2,7 +2,13 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::indexing_slicing, reason = "tests")]
 
 mod believing;
+mod flips;
 mod governing;
 mod hostile;
+mod made;
+mod python;
+mod scenes;
+mod sworn;
 mod vectors;
+mod ways;
 mod world;

@@ -32,7 +32,7 @@ pub(crate) fn name(node: u64) -> [&'static str; 2] {
 
 impl World {
     pub(crate) fn new() -> Self {
-        let cas = [Ca::new("Org1 CA"), Ca::new("Org2 CA")];
+        let cas = [Ca::new("Org1 CA"), Ca::with_key("Org2 CA", KeyKind::P256)];
         let mut msps = Msps::new();
         for (ca, organisation) in cas.iter().zip(["Org1", "Org2"]) {
             msps.insert(Msp::new(organisation, &[ca.root()], &[] as &[Bytes]).unwrap()).unwrap();

@@ -1,17 +1,15 @@
 //! Whole routes, between a real local graph and a ledger that answers what the test says.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
-mod fake;
 #[path = "../../../../tests/support/own_network.rs"]
 mod network;
 
 use std::{
     sync::{Arc, atomic::Ordering},
-    time::{Duration, SystemTime, UNIX_EPOCH},
+    time::Duration,
 };
 
 use bytes::Bytes;
-use fake::{Fake, Fate};
 use ledger::transaction::Transaction;
 use ledger_api::Context;
 use ledger_rejection::Code;
@@ -20,7 +18,8 @@ use serde_json::json;
 use super::*;
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
-    fixture::{Network, User},
+    fake::{Fake, Fate, held_by},
+    fixture::{Network, User, micros},
     names::TypeName,
     qos::Qos,
     queue::Limits,
@@ -41,7 +40,7 @@ struct Bench {
 /// A bridge with one route, and another ROS 2 node beside it.
 async fn bench(mode: &str, more: &str, prepare: impl FnOnce(&Fake)) -> Bench {
     let network = Network::until(2900);
-    let fake = Fake::new(mode);
+    let fake = Fake::new(mode, &network);
     prepare(&fake);
     let text = format!(
         "domain_id = {DOMAIN}\nshared_memory = false\n[[route]]\nservice = 'T/cmd_vel'\n\
@@ -101,6 +100,16 @@ impl Bench {
         tokio::time::timeout(DEADLINE, enough).await.unwrap().unwrap().clone()
     }
 
+    /// Waits until the route has done something.
+    async fn until(&self, holds: impl Fn(&RouteSummary) -> bool) {
+        let done = async {
+            while !holds(&self.bridge.summary().routes[0]) {
+                tokio::time::sleep(Duration::from_millis(5)).await;
+            }
+        };
+        tokio::time::timeout(DEADLINE, done).await.unwrap();
+    }
+
     fn message(&self, user: &User, epoch: u64, seq: u64) -> (Sample, u64) {
         let (sample, now) = (twist(7), micros());
         let signed = sign(user, epoch, seq, &sample, now);
@@ -111,10 +120,6 @@ impl Bench {
 
 fn sign(user: &User, epoch: u64, seq: u64, sample: &Sample, now: u64) -> Transaction {
     User { not_after: now + 2_500_000, ..user.clone() }.set(epoch, seq, &[sample.wire().clone()])
-}
-
-fn micros() -> u64 {
-    u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros()).unwrap()
 }
 
 fn twist(number: u8) -> Sample {
@@ -148,7 +153,7 @@ async fn a_users_samples_are_submitted_in_order_with_the_epoch_of_the_grant() {
         assert!(seq > last, "{seq} follows {last}");
         last = seq;
     }
-    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 4, "lease_ms": 10_000 });
+    let grant = json!(held_by("Org1/Salma", 4, 10_000));
     bench.fake.deliver(micros(), "granted", &grant, None);
     let mut count = 20;
     let changed = loop {
@@ -247,13 +252,12 @@ async fn what_passes_the_gate_reaches_the_robot_and_a_release_stops_it() {
     bench.message(farhad, 3, 2);
     bench.message(salma, 3, 1);
     let released = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 3, "reason": "released" });
+    bench.fake.set_free();
     bench.fake.deliver(micros(), "released", &released, None);
     assert_eq!(next(&mut reader).await, stop());
     bench.message(salma, 3, 5);
-    let acquire = User { not_after: micros() + 30_000_000, ..farhad.clone() };
-    let acquire = acquire.sign("abac", "acquire", vec!["T/cmd_vel".into()]);
-    let grant = json!({ "service": "T/cmd_vel", "holder": "Org1/Farhad", "epoch": 4, "lease_ms": 10_000 });
-    bench.fake.deliver(micros(), "granted", &grant, Some((&acquire, &farhad.certificate)));
+    bench.fake.set_holder("Org1/Farhad", 4, 10_000);
+    // The bridge has not heard of the grant: this message waits for the answer of the voters.
     let (sent, _) = bench.message(farhad, 4, 1);
     assert_eq!(next(&mut reader).await, sent, "nothing in between");
     let summary = bench.bridge.stop().await.routes.pop().unwrap();
@@ -301,6 +305,60 @@ async fn a_driver_whose_lease_has_run_out_is_stopped_while_the_node_still_gives_
     }
     let summary = bench.bridge.stop().await.routes.pop().unwrap();
     assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("lease", 1)]);
+}
+
+#[tokio::test]
+async fn a_robot_stops_when_no_majority_of_the_voters_answers_while_its_node_still_gives_signs_of_life() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    let mut reader = bench.reader().await;
+    let salma = &bench.network.salma;
+    let alive = async {
+        loop {
+            bench.fake.heartbeat(micros());
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    let withheld = async {
+        let (sent, _) = bench.message(salma, 3, 1);
+        assert_eq!(next(&mut reader).await, sent);
+        bench.fake.answers.store(false, Ordering::Relaxed);
+        assert_eq!(next(&mut reader).await, stop());
+        // Signed and delivered, but nobody knows who holds the robot now.
+        bench.message(salma, 3, 2);
+        bench.fake.set_holder("Org1/Farhad", 4, 60_000);
+        bench.fake.answers.store(true, Ordering::Relaxed);
+        bench.until(|summary| summary.gate.contains_key("stale_epoch")).await;
+    };
+    tokio::select! {
+        () = withheld => {}
+        () = alive => {}
+    }
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("uncertified", 1)]);
+    assert_eq!(summary.published, 1);
+}
+
+#[tokio::test]
+async fn a_node_that_makes_up_a_grant_moves_no_robot() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    let mut reader = bench.reader().await;
+    let (salma, farhad) = (&bench.network.salma, &bench.network.farhad);
+    // Farhad has signed an acquire, which the ledger refused.
+    let acquire = User { not_after: micros() + 30_000_000, ..farhad.clone() };
+    let acquire = acquire.sign("abac", "acquire", vec!["T/cmd_vel".into()]);
+    let made_up = json!(held_by("Org1/Farhad", 4, 60_000));
+    bench.fake.deliver(micros(), "granted", &made_up, Some((&acquire, &farhad.certificate)));
+    bench.message(farhad, 4, 1);
+    bench.until(|summary| summary.gate.contains_key("unknown_epoch")).await;
+    let (sent, _) = bench.message(salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent, "nothing in between");
+    assert_eq!(bench.bridge.stop().await.routes.pop().unwrap().published, 1);
 }
 
 #[tokio::test]
@@ -370,6 +428,7 @@ async fn a_robot_whose_rule_this_version_does_not_know_is_not_driven() {
     bench.fake.deliver(micros(), "robot", &json!({ "robot": "T" }), None);
     assert_eq!(next(&mut reader).await, stop());
     bench.message(salma, 3, 2);
+    bench.until(|summary| summary.gate.contains_key("no_service")).await;
     bench.fake.set_mode("exclusive");
     bench.fake.deliver(micros(), "robot", &json!({ "robot": "T" }), None);
     let (sent, _) = bench.message(salma, 3, 3);
@@ -380,10 +439,11 @@ async fn a_robot_whose_rule_this_version_does_not_know_is_not_driven() {
 
 #[tokio::test]
 async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() {
-    let fake = Fake::new("limited");
+    let network = Network::until(2900);
+    let fake = Fake::new("limited", &network);
     let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
     let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
-    let refused = Bridge::start_with(config, fake, &context(&Network::until(2900))).await.unwrap_err();
+    let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
     assert_eq!(refused.code, Code::UnknownMode);
     assert_eq!(refused.message, "T/cmd_vel is in mode limited, and this bridge does not know its rule");
     assert_eq!(refused.found, "mode \"limited\" without capabilities");
@@ -391,10 +451,11 @@ async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() 
 
 #[tokio::test]
 async fn a_route_of_another_type_is_refused_at_the_start() {
-    let fake = Fake::new("exclusive");
+    let network = Network::until(2900);
+    let fake = Fake::new("exclusive", &network);
     let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'\ndirection = 'to_ledger'";
     let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
-    let refused = Bridge::start_with(config, fake, &context(&Network::until(2900))).await.unwrap_err();
+    let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
     assert_eq!(refused.code, Code::WrongType);
     assert_eq!((&refused.found[..], &refused.wanted[..]), ("std_msgs/msg/String", "geometry_msgs/msg/Twist"));
 }

@@ -18,29 +18,63 @@ const ANCHOR_US_MAX: u64 = 10_000_000;
 /// that went on faster would take new messages for old ones.
 const SLOWER: u64 = 16;
 
+/// How far the block time that a node tells may be ahead of the wall clock and of what voters have signed, in microseconds.
+const AHEAD_US_MAX: u64 = 5_000_000;
+
 /// Block time as it was heard, going on by the steady clock.
 #[derive(Debug, Default)]
 pub(super) struct Clock {
-    anchor: Option<(u64, u64)>,
+    /// As the node told it.
+    told: Option<Anchor>,
+    /// As voters have signed it.
+    signed: Option<Anchor>,
+}
+
+/// A block time, and when it was heard by the steady clock (microseconds).
+#[derive(Clone, Copy, Debug)]
+struct Anchor {
+    block_time: u64,
+    since: u64,
 }
 
 impl Clock {
-    /// Takes note of a block time.
-    pub(super) fn heard(&mut self, block_time: u64, now: Now) {
-        if self.anchored(now).is_none_or(|known| block_time > known) {
-            self.anchor = Some((block_time, now.steady));
+    /// Takes note of a block time that a node tells. False if it is too far ahead to be believed.
+    pub(super) fn heard(&mut self, block_time: u64, now: Now) -> bool {
+        let credible = block_time <= self.signed(now).saturating_add(AHEAD_US_MAX);
+        if credible {
+            Anchor::note(&mut self.told, block_time, now);
         }
+        credible
+    }
+
+    /// Takes note of a block time that voters have signed.
+    pub(super) fn heard_signed(&mut self, block_time: u64, now: Now) {
+        Anchor::note(&mut self.signed, block_time, now);
     }
 
     /// Microseconds since the UNIX epoch: the wall clock, or block time if that is further.
     pub(super) fn now(&self, now: Now) -> u64 {
-        self.anchored(now).unwrap_or(0).max(now.wall)
+        Anchor::at(self.told, now).max(self.signed(now))
     }
 
-    fn anchored(&self, now: Now) -> Option<u64> {
-        let (block_time, since) = self.anchor?;
+    /// The same without what a node alone has told.
+    pub(super) fn signed(&self, now: Now) -> u64 {
+        Anchor::at(self.signed, now).max(now.wall)
+    }
+}
+
+impl Anchor {
+    fn note(kept: &mut Option<Self>, block_time: u64, now: Now) {
+        if block_time > Self::at(*kept, now) {
+            *kept = Some(Self { block_time, since: now.steady });
+        }
+    }
+
+    /// The time that it says now; 0 if it says nothing any more.
+    fn at(kept: Option<Self>, now: Now) -> u64 {
+        let Some(Self { block_time, since }) = kept else { return 0 };
         let elapsed = now.steady.saturating_sub(since);
-        (elapsed <= ANCHOR_US_MAX).then(|| block_time.saturating_add(elapsed - elapsed / SLOWER))
+        if elapsed <= ANCHOR_US_MAX { block_time.saturating_add(elapsed - elapsed / SLOWER) } else { 0 }
     }
 }
 
@@ -74,8 +108,21 @@ mod tests {
     #[test]
     fn a_wrong_block_time_is_forgotten() {
         let mut clock = Clock::default();
-        clock.heard(u64::MAX, Now { wall: 1_000, steady: 0 });
+        let now = Now { wall: 1_000, steady: 0 };
+        assert!(clock.heard(now.wall + AHEAD_US_MAX, now));
         let later = Now { wall: 1_000 + ANCHOR_US_MAX, steady: ANCHOR_US_MAX + 1 };
         assert_eq!(clock.now(later), later.wall);
+    }
+
+    #[test]
+    fn a_node_alone_moves_the_time_no_further_than_five_seconds_and_the_voters_do() {
+        let (mut clock, now) = (Clock::default(), Now { wall: 1_000, steady: 0 });
+        assert!(clock.heard(now.wall + AHEAD_US_MAX, now));
+        assert!(!clock.heard(now.wall + AHEAD_US_MAX + 1, now), "what it said before is no reason to believe more");
+        assert_eq!(clock.signed(now), now.wall);
+        let ahead = now.wall + 3600 * 1_000_000;
+        clock.heard_signed(ahead, now);
+        assert_eq!((clock.signed(now), clock.now(now)), (ahead, ahead));
+        assert!(clock.heard(ahead + AHEAD_US_MAX, now));
     }
 }

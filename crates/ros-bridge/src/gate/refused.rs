@@ -25,7 +25,7 @@ pub enum Refused {
     NotOwner,
     /// The epoch is older than the newest grant.
     StaleEpoch,
-    /// The epoch belongs to no grant that was shown.
+    /// The epoch belongs to no grant that voters have signed.
     UnknownEpoch,
     /// The creator does not hold the service.
     NotHolder,
@@ -43,11 +43,16 @@ pub enum Refused {
     TooManyPublishers,
     /// The service is not known now.
     NoService,
-    /// A grant that its holder did not sign for.
-    UnprovenGrant,
+    /// For too long no majority of the voters has said who holds the robot.
+    Stale,
 }
 
 impl Refused {
+    /// May the next answer of the voters change that? Then the message waits for it.
+    pub const fn may_pass_later(self) -> bool {
+        matches!(self, Self::NoService | Self::Stale | Self::UnknownEpoch | Self::Untrusted)
+    }
+
     /// The name that is counted.
     pub const fn name(self) -> &'static str {
         match self {
@@ -71,7 +76,7 @@ impl Refused {
             Self::BeforeStop => "before_stop",
             Self::TooManyPublishers => "too_many_publishers",
             Self::NoService => "no_service",
-            Self::UnprovenGrant => "unproven_grant",
+            Self::Stale => "stale",
         }
     }
 
@@ -89,7 +94,7 @@ impl Refused {
             Self::BadSignature => "its signature is not its creator's",
             Self::NotOwner => "only the owner of the robot publishes on a feed",
             Self::StaleEpoch => "it belongs to a grant that has ended",
-            Self::UnknownEpoch => "it belongs to a grant that this bridge was not shown",
+            Self::UnknownEpoch => "it belongs to a grant of which the voters know nothing",
             Self::NotHolder => "its creator does not hold the service",
             Self::StaleSequence => "a later message of its creator has passed",
             Self::TooOld => "it is older than the service or max_age_ms allows; compare the clocks if that goes on",
@@ -98,7 +103,7 @@ impl Refused {
             Self::BeforeStop => "it is from before the last stop",
             Self::TooManyPublishers => "more publishers than the gate can tell apart",
             Self::NoService => "the service is not known now",
-            Self::UnprovenGrant => "its holder did not sign for the grant",
+            Self::Stale => "no majority of the voters says now who holds the robot",
         }
     }
 }

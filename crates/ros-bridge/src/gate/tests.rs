@@ -2,15 +2,16 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 mod faults;
+mod standing;
 
-use crate::fixture::{NONE, NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
+use crate::fixture::{NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use proptest::prelude::*;
 
-use super::{Delivered, Gate, HOLDERS_MAX, Refused};
+use super::{Delivered, Gate, HOLDERS_MAX, Refused, Settings};
 use crate::service::{Released, Revoked, Service};
-use ledger_contract::{Capabilities, Direction, Fencing, Publishing, Sequence};
+use ledger_contract::{Capabilities, Direction, Fencing, Grant, Publishing, Sequence};
 
 /// Delivers a transaction in a block of now, with the certificate.
 fn deliver(gate: &mut Gate, user: &User, transaction: &Transaction) -> Result<usize, Refused> {
@@ -20,6 +21,11 @@ fn deliver(gate: &mut Gate, user: &User, transaction: &Transaction) -> Result<us
 fn deliver_at(gate: &mut Gate, user: &User, transaction: &Transaction, block_time: u64) -> Result<usize, Refused> {
     let delivered = Delivered { block_time, transaction: transaction.encoded(), certificate: &user.certificate };
     gate.pass(delivered, now()).map(|samples| samples.len())
+}
+
+/// Tells the gate of a newer standing, as the answer to a question of now.
+fn learn(gate: &mut Gate, network: &Network, service: &Service, grants: &[Grant]) -> Option<&'static str> {
+    gate.learn(service, &network.standing(gate.height + 1, grants), now().steady, now())
 }
 
 fn released(holder: &str, epoch: u64) -> Released {
@@ -47,6 +53,18 @@ fn a_certificate_is_shown_once() {
     assert_eq!(deliver(&mut gate, &stranger, &network.salma.set(3, 1, &TWIST)), Err(Refused::UnknownCreator));
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
     assert_eq!(deliver(&mut gate, &stranger, &network.salma.set(3, 2, &TWIST)), Ok(1));
+}
+
+#[test]
+fn a_certificate_that_came_with_another_event_is_kept_and_still_has_to_be_of_the_network() {
+    let network = Network::new();
+    let mut gate = network.gate(&service("open"), &[]);
+    let foreign = User { network: network.salma.network, ..Network::new().salma };
+    for (user, passes) in [(&network.salma, Ok(1)), (&foreign, Err(Refused::Untrusted))] {
+        gate.show(&user.certificate);
+        let bare = User { certificate: Bytes::new(), ..user.clone() };
+        assert_eq!(deliver(&mut gate, &bare, &user.set(0, 1, &TWIST)), passes);
+    }
 }
 
 #[test]
@@ -115,7 +133,7 @@ fn nobody_but_the_holder_passes() {
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(3, 1, &TWIST)), Err(Refused::NotHolder));
     let mut free = network.gate(&service("exclusive"), &[]);
-    free.describe(&Service { epoch: 3, ..service("exclusive") }, &[]);
+    learn(&mut free, &network, &Service { epoch: 3, ..service("exclusive") }, &[]);
     assert_eq!(deliver(&mut free, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::NotHolder));
 }
 
@@ -142,7 +160,7 @@ fn holders_side_by_side_pass_under_their_own_epochs_and_nobody_else_does() {
         Err(Refused::StaleSequence),
         "another's message changes nothing"
     );
-    network.granted(&mut gate, &network.farhad, "T", 5).unwrap();
+    learn(&mut gate, &network, &side_by_side(), &[grant("Org1/Salma", 3), grant("Org1/Farhad", 5)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 11, &TWIST)), Ok(1), "hers goes on");
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 2, &TWIST)), Err(Refused::NotHolder));
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(5, 1, &TWIST)), Err(Refused::StaleSequence));
@@ -181,7 +199,7 @@ fn in_open_mode_every_publisher_has_its_own_numbers() {
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 100, &TWIST)), Err(Refused::StaleSequence));
     assert_eq!(
         deliver(&mut gate, &network.salma, &network.salma.set(5, 101, &TWIST)),
-        Err(Refused::NotHolder),
+        Err(Refused::UnknownEpoch),
         "who names an epoch must hold it"
     );
 }
@@ -210,13 +228,15 @@ fn a_node_cannot_make_an_old_command_young() {
     let network = Network::new();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let held_back = network.salma.set(3, 1, &TWIST);
+    let later = now_at(NOW + 3 * SECOND);
+    gate.learn(&service("exclusive"), &network.standing(2, &[grant("Org1/Salma", 3)]), later.steady, later);
     // Three seconds later the node says that the block is of now; but the signer allowed two.
     let delivered = Delivered {
         block_time: NOW + 3 * SECOND,
         transaction: held_back.encoded(),
         certificate: &network.salma.certificate,
     };
-    assert_eq!(gate.pass(delivered, now_at(NOW + 3 * SECOND)), Err(Refused::Expired));
+    assert_eq!(gate.pass(delivered, later), Err(Refused::Expired));
 }
 
 #[test]
@@ -276,7 +296,7 @@ fn a_signer_who_allows_much_time_does_not_get_past_a_stop_either() {
     assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW - 1), Err(Refused::BeforeStop));
     assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW), Ok(1));
     let mut gate = network.gate(&service("open"), &[]);
-    assert!(gate.released(&released("Org1/Farhad", 3), NOW), "in open mode every release stops the robot");
+    assert!(gate.released(&released("Org1/Farhad", 3), NOW, now()), "in open mode every release stops the robot");
     assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW - 1), Err(Refused::BeforeStop));
     assert_eq!(deliver_at(&mut gate, &patient, &patient.set(0, 1, &TWIST), NOW), Ok(1));
 }
@@ -286,54 +306,31 @@ fn the_end_of_a_grant_stops_the_robot_and_its_holder() {
     let network = Network::new();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
-    assert!(gate.released(&released("Org1/Salma", 3), NOW));
+    assert!(gate.released(&released("Org1/Salma", 3), NOW, now()));
     assert!(!gate.is_moving());
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 2, &TWIST)), Err(Refused::NotHolder));
-    assert!(!gate.released(&Released { service: "Husky/cmd_vel".into(), ..released("Org1/Salma", 3) }, NOW));
+    assert!(!gate.released(&Released { service: "Husky/cmd_vel".into(), ..released("Org1/Salma", 3) }, NOW, now()));
 }
 
 #[test]
 fn the_end_of_an_older_grant_does_not_stop_the_next_holder() {
     let network = Network::new();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Farhad", 4)]);
-    assert!(!gate.released(&released("Org1/Salma", 3), NOW));
-    assert!(!gate.released(&released("Org1/Farhad", 3), NOW));
+    assert!(!gate.released(&released("Org1/Salma", 3), NOW, now()));
+    assert!(!gate.released(&released("Org1/Farhad", 3), NOW, now()));
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 1, &TWIST)), Ok(1));
 }
 
 #[test]
-fn a_new_grant_fences_off_the_holder_before() {
+fn a_command_grows_old_from_its_signature_on() {
     let network = Network::new();
-    let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
-    assert_eq!(network.granted(&mut gate, &network.farhad, "T/cmd_vel", 4), Ok(()));
-    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::StaleEpoch));
-    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(4, 1, &TWIST)), Err(Refused::NotHolder));
-    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 1, &TWIST)), Ok(1));
-    assert_eq!(network.granted(&mut gate, &network.salma, "T/cmd_vel", 4), Err(Refused::StaleEpoch));
-}
-
-#[test]
-fn a_robot_with_one_service_is_acquired_by_its_name() {
-    let network = Network::new();
-    let mut gate = network.gate(&service("exclusive"), &[]);
-    assert_eq!(network.granted(&mut gate, &network.farhad, "T", 4), Ok(()));
-    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 1, &TWIST)), Ok(1));
-}
-
-#[test]
-fn a_node_cannot_grant_the_robot_to_who_did_not_ask() {
-    let network = Network::new();
-    let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
-    assert_eq!(network.granted(&mut gate, &network.farhad, "Husky/cmd_vel", 4), Err(Refused::UnprovenGrant));
-    let release = network.farhad.sign("abac", "release", vec!["T/cmd_vel".into()]);
-    let by_salma = network.salma.sign("abac", "acquire", vec!["T/cmd_vel".into()]);
-    for (user, transaction) in [(&network.farhad, release.encoded()), (&network.salma, by_salma.encoded())] {
-        let delivered = Delivered { block_time: NOW, transaction, certificate: &user.certificate };
-        assert_eq!(gate.granted(&grant("Org1/Farhad", 4), delivered), Err(Refused::UnprovenGrant));
-    }
-    let nothing = Delivered { block_time: NOW, transaction: &NONE, certificate: &NONE };
-    assert_eq!(gate.granted(&grant("Org1/Farhad", 4), nothing), Err(Refused::Malformed));
-    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1), "nothing has changed");
+    let mut gate = network.gate_with(&service("exclusive"), &[grant("Org1/Salma", 3)], Some(300));
+    // Bridges sign for two seconds. This one took 301 ms to its block.
+    gate.signed_since = 0;
+    let slow = User { not_after: NOW + 2 * SECOND - 301_000, ..network.salma.clone() };
+    assert_eq!(deliver(&mut gate, &slow, &slow.set(3, 1, &TWIST)), Err(Refused::TooOld));
+    let quick = User { not_after: NOW + 2 * SECOND - 300_000, ..network.salma.clone() };
+    assert_eq!(deliver(&mut gate, &quick, &quick.set(3, 1, &TWIST)), Ok(1));
 }
 
 #[test]
@@ -344,19 +341,12 @@ fn the_robot_has_to_stop_when_its_drivers_lease_has_run_out() {
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
     let first = now().steady + 4 * SECOND;
     assert_eq!(gate.deadline(), Some(first));
-    for (user, function, epoch, counts) in [
-        (&network.salma, "renew", 2, false),
-        (&network.salma, "release", 3, false),
-        (&network.farhad, "renew", 3, false),
-        (&network.salma, "renew", 3, true),
-        (&network.salma, "acquire", 3, true),
-    ] {
-        let signed = user.sign("abac", function, vec!["T/cmd_vel".into()]);
-        let delivered = Delivered { block_time: NOW, transaction: signed.encoded(), certificate: &user.certificate };
-        let renewed = gate.renewed(&grant("Org1/Salma", epoch), delivered, now_at(NOW + SECOND));
-        assert_eq!(renewed.is_ok(), counts, "{function} {epoch}");
-        assert_eq!(gate.deadline(), Some(if counts { first + SECOND } else { first }));
-    }
+    let renewed = [Grant { expires: NOW + 9 * SECOND, ..grant("Org1/Salma", 3) }];
+    assert_eq!(learn(&mut gate, &network, &service("exclusive"), &renewed), None);
+    assert_eq!(gate.deadline(), Some(now().steady + 9 * SECOND), "she has renewed it");
+    let shorter = [Grant { expires: NOW + SECOND, ..grant("Org1/Salma", 3) }];
+    assert_eq!(learn(&mut gate, &network, &service("exclusive"), &shorter), None);
+    assert_eq!(gate.deadline(), Some(now().steady + 9 * SECOND), "an answer takes nothing back");
     gate.stopped(now());
     assert_eq!(gate.deadline(), None);
 }
@@ -406,6 +396,7 @@ fn an_expired_certificate_does_not_pass() {
     let late = NOW + year;
     let mut gate = network.gate(&service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
+    gate.learn(&service("open"), &network.standing(2, &[]), now_at(late).steady, now_at(late));
     let user = User { not_after: late + 2 * SECOND, ..network.salma.clone() };
     let signed = user.set(0, 2, &TWIST);
     let delivered = Delivered { block_time: late, transaction: signed.encoded(), certificate: &user.certificate };
@@ -440,18 +431,8 @@ fn nothing_passes_while_the_service_is_not_known() {
     let mut gate = network.gate(&service("open"), &[]);
     gate.close();
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NoService));
-    gate.describe(&service("open"), &[]);
+    learn(&mut gate, &network, &service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
-}
-
-#[test]
-fn a_description_from_before_the_newest_grant_does_not_bring_the_old_holder_back() {
-    let network = Network::new();
-    let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
-    assert_eq!(network.granted(&mut gate, &network.farhad, "T/cmd_vel", 4), Ok(()));
-    gate.describe(&service("exclusive"), &[grant("Org1/Salma", 3)]);
-    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::StaleEpoch));
-    assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 1, &TWIST)), Ok(1));
 }
 
 #[test]
@@ -479,7 +460,6 @@ proptest! {
         let transaction = Bytes::from(bytes);
         let delivered = Delivered { block_time: NOW, transaction: &transaction, certificate: &network.salma.certificate };
         prop_assert!(gate.pass(delivered, now()).is_err());
-        prop_assert!(gate.granted(&grant("Org1/Salma", 4), delivered).is_err());
     }
 
     #[test]

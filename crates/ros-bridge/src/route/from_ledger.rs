@@ -2,8 +2,13 @@
 //!
 //! Subscribed from now on: commands of the past are nobody's. A connection that broke is resumed where it was cut
 //! off, and what is then too old stays out.
+//!
+//! How the robot stands is asked when it may have changed, and while somebody moves it. A message of which the gate knows
+//! nothing yet waits for the answer.
 
 mod act;
+mod held;
+mod questions;
 
 use std::{
     sync::Arc,
@@ -11,13 +16,17 @@ use std::{
 };
 
 use futures::{FutureExt, StreamExt, future::BoxFuture};
-use ledger_api::{Subscription, pages, v1::Delivery};
+use ledger_api::{Subscription, v1::Delivery};
 use ledger_invariant::broken;
-use ledger_rejection::Rejection;
+use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
-use tokio::time::{sleep_until, timeout};
+use tokio::time::sleep_until;
 
-use self::act::{Act, Shown, judge};
+use self::{
+    act::{Act, Shown, judge},
+    held::Held,
+    questions::{Answer, Questions},
+};
 use super::{
     Clocks, Stop,
     kind::{Beside, Kind, Opened, Opening, Plan},
@@ -31,9 +40,10 @@ use crate::{
     dds::Role,
     error::Error,
     gate::{Gate, Refused, Settings as GateSettings},
-    gateway::{ABAC, Deliveries, Gateway, MSP, ask},
+    gateway::{ABAC, Deliveries, Gateway, MSP},
     sample::Sample,
-    service::{Grant, Revoked, Service},
+    service::Service,
+    standing::Standing,
 };
 
 /// Shortest `stale_after_ms`: one heartbeat may be late.
@@ -65,7 +75,7 @@ pub(super) static KIND: Kind = Kind {
 struct Settings {
     /// Age beyond which a message is dropped; none = the service's. The shorter of both counts.
     max_age: Option<Duration>,
-    /// Silence of the ledger after which the robot is stopped.
+    /// Silence of the ledger or of its voters after which the robot is stopped.
     stale_after: Duration,
     /// The stop message instead of the service's or the type's.
     stop: Option<Sample>,
@@ -90,19 +100,21 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, context, local, service, topic, mark, stop } = opening;
+        let Opening { route, gateway, context, local, service, topic, mark, asker, stop } = opening;
         let gate = GateSettings {
             network: context.network,
-            msps: Arc::clone(&context.msps),
             sample_bytes_max: route.sample_bytes_max,
             max_age: self.max_age,
+            stale_after: self.stale_after,
         };
+        let questions = Questions::new(asker, self.stale_after, Instant::now());
         let outlet = async {
             let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
             let counters = Counters::new(route, outlet.matched(), None);
             Ok((outlet, counters))
         };
-        let opened = FromLedger::open(gateway, (route.clone(), self.clone()), gate, service, outlet).await?;
+        let opened =
+            FromLedger::open((gateway, questions), (route.clone(), self.clone()), gate, service, outlet).await?;
         let (counters, in_memory) = (opened.counters.clone(), opened.outlet.in_memory());
         Ok(Opened { counters, in_memory, running: opened.run(stop).boxed() })
     }
@@ -137,6 +149,8 @@ struct FromLedger {
     counters: Counters,
     clocks: Clocks,
     gate: Gate,
+    questions: Questions,
+    held: Held,
     service: Service,
     stop: Option<Sample>,
     /// The next height of the subscription.
@@ -148,10 +162,9 @@ struct FromLedger {
 }
 
 impl FromLedger {
-    /// Learns what stands now: the service, its grants, and what was revoked. The outlet comes to be when the gate is
-    /// there: whoever sees it may publish, and that shall pass.
+    /// Asks how the robot stands. The outlet comes to be when the gate is there: whoever sees it may publish, and that shall pass.
     async fn open(
-        gateway: Arc<dyn Gateway>,
+        (gateway, questions): (Arc<dyn Gateway>, Questions),
         (route, settings): (RouteConfig, Settings),
         gate: GateSettings,
         service: Service,
@@ -159,15 +172,7 @@ impl FromLedger {
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
-        let mut gate = Gate::new(gate, &route.service, clocks.now());
-        let page = |args| {
-            let answer = gateway.query(height, MSP, "revocations", args);
-            async { Ok(answer.await?.response) }
-        };
-        let revoked: Vec<Revoked> = pages::follow("the answer to msp revocations", page).await?;
-        for revoked in &revoked {
-            gate.revoked(revoked);
-        }
+        let gate = Gate::new(gate, &route.service, clocks.now());
         let stop = service.stop_for(&route, settings.stop.as_ref())?;
         if stop.is_none() && service.is_command() {
             let message = route.message.to_string();
@@ -182,6 +187,8 @@ impl FromLedger {
             counters,
             clocks,
             gate,
+            questions,
+            held: Held::default(),
             service,
             stop,
             next_height: height.saturating_add(1),
@@ -189,7 +196,10 @@ impl FromLedger {
             renewed: Instant::now(),
             complaint: Complaint::default(),
         };
-        opened.describe(height).await?;
+        // Without an answer the route waits for one, and nothing passes.
+        opened.questions.ask(Instant::now());
+        let answer = opened.questions.answer().await;
+        opened.answered(answer).await;
         Ok(opened)
     }
 
@@ -214,7 +224,7 @@ impl FromLedger {
             if let Some(reason) = self.must_stop(Instant::now()) {
                 self.halt(reason).await;
             }
-            let stop_due = self.stop_due();
+            let (stop_due, ask_due) = (self.stop_due(), self.questions.due(self.gate.is_moving()));
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -224,6 +234,10 @@ impl FromLedger {
                 }
                 // The next turn stops the robot.
                 () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
+                answer = self.questions.answer() => self.answered(answer).await,
+                () = sleep_until(ask_due.unwrap_or_else(Instant::now).into()), if ask_due.is_some() => {
+                    self.questions.ask(Instant::now());
+                }
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     if let Ok(delivery) = &delivery {
@@ -253,12 +267,13 @@ impl FromLedger {
         }
     }
 
-    /// The time at which the robot must stop, and why, unless the ledger gives a sign of life or of the lease before.
-    /// It is the earlier of the end of its driver's lease and of the ledger's silence. None while nobody moves it.
+    /// The time at which the robot must stop, and why: the ledger is silent, its voters are, or the driver's lease ends. The earliest
+    /// of the three; none while nobody moves it.
     fn stop_at(&self) -> Option<(Instant, &'static str)> {
         let lease = self.clocks.instant(self.gate.deadline()?);
-        let stale = self.heard + self.settings.stale_after;
-        Some(if lease <= stale { (lease, "lease") } else { (stale, "stale") })
+        let silence = self.heard + self.settings.stale_after;
+        let unsigned = self.gate.fresh_until().map_or(silence, |until| self.clocks.instant(until));
+        [(lease, "lease"), (silence, "stale"), (unsigned, "uncertified")].into_iter().min_by_key(|(due, _)| *due)
     }
 
     fn stop_due(&self) -> Option<Instant> {
@@ -275,7 +290,7 @@ impl FromLedger {
             from_height: self.next_height,
             chaincode: ABAC.to_owned(),
             subjects: vec![self.route.service.clone(), self.service.robot.clone()],
-            names: ["message", "granted", "renewed", "released", "robot"].map(str::to_owned).to_vec(),
+            names: ["message", "granted", "released", "robot"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
         })
     }
@@ -299,18 +314,94 @@ impl FromLedger {
             match judge(&mut self.gate, delivery.time, event, &mut shown, self.clocks.now()) {
                 Act::Nothing => {}
                 Act::Publish(samples) => self.publish(&samples),
-                Act::Stop(reason) => self.publish_stop(reason).await,
-                Act::Describe => self.gate.close(),
+                Act::Stop(reason) => {
+                    self.publish_stop(reason).await;
+                    self.questions.changed(Instant::now());
+                }
+                Act::Ask => self.questions.changed(Instant::now()),
+                Act::Refused(refused) if refused.may_pass_later() => {
+                    self.questions.changed(Instant::now());
+                    let message = shown.get(&event.index).cloned().unwrap_or_default();
+                    let crowded_out = self.held.push((delivery.height, delivery.time), message, refused);
+                    if let Some((height, refused)) = crowded_out {
+                        self.refuse(refused, height);
+                    }
+                }
                 Act::Refused(refused) => self.refuse(refused, delivery.height),
             }
-            if self.gate.is_closed() {
-                self.try_describe(delivery.height).await;
-            }
-        }
-        if self.gate.is_closed() {
-            self.try_describe(delivery.height).await;
         }
         self.tell_holders();
+    }
+
+    /// Takes the answer of the voters, and judges the messages that waited for it.
+    async fn answered(&mut self, answer: Answer) {
+        let learnt = match answer {
+            Ok(standing) => self.learn(&standing).map(|over| (over, standing.asked)),
+            Err(refused) => Err(refused),
+        };
+        match learnt {
+            Ok((over, asked)) => {
+                if let Some(reason) = over {
+                    self.publish_stop(reason).await;
+                }
+                self.judge_held(Some(asked));
+                self.tell_holders();
+            }
+            Err(refused) => self.not_known(&refused).await,
+        }
+    }
+
+    /// Takes how the robot stands. Answers why it must stop, if it must.
+    fn learn(&mut self, standing: &Standing) -> Result<Option<&'static str>, Rejection> {
+        let id = &self.route.service;
+        let state = standing.services.iter().find(|state| state.service == *id).ok_or_else(|| {
+            Rejection::new(Code::UnknownService, format!("there is no service {id}"))
+                .found(format!("{} services of its robot", standing.services.len()))
+                .wanted("a service of a registered robot")
+                .next("ask the owner: ledgerctl robot show tells the services")
+        })?;
+        let service = Service::try_from(state.clone())?;
+        service.topic_for(&self.route)?;
+        self.stop = service.stop_for(&self.route, self.settings.stop.as_ref())?;
+        let over = self.gate.learn(&service, standing, self.clocks.steady(standing.asked), self.clocks.now());
+        self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
+        self.service = service;
+        Ok(over)
+    }
+
+    /// Lets the messages that waited pass, or refuses them. Those that came after the question wait on, for the next one.
+    fn judge_held(&mut self, asked: Option<Instant>) {
+        for message in self.held.take() {
+            match self.gate.pass(message.delivered(), self.clocks.now()) {
+                Ok(samples) => self.publish(&samples),
+                Err(refused) if refused.may_pass_later() && asked.is_some_and(|asked| message.came > asked) => {
+                    self.held.keep(message);
+                }
+                Err(refused) => self.refuse(refused, message.height),
+            }
+        }
+    }
+
+    /// Nobody says how the robot stands. Where that is because there is no such service, or none that this version knows, it stops.
+    /// Else what is known counts for a while.
+    async fn not_known(&mut self, refused: &Rejection) {
+        let reason = line(refused);
+        let is_gone = matches!(
+            refused.code,
+            Code::UnknownRobot | Code::UnknownService | Code::UnknownMode | Code::WrongType | Code::BadArgument
+        );
+        if is_gone {
+            self.gate.close();
+            self.judge_held(None);
+        }
+        self.counters.lock().live.waiting = Some(format!("the voters do not say how the robot stands: {reason}"));
+        if let Some(not_logged) = self.complaint.worth("standing", Instant::now()) {
+            let service = &self.route.service;
+            tracing::warn!(service, reason, not_logged, "the voters do not say how the robot stands");
+        }
+        if is_gone && self.gate.is_moving() {
+            self.halt("no_service").await;
+        }
     }
 
     /// Tells the reporter how the service stands.
@@ -370,48 +461,5 @@ impl FromLedger {
 
     fn count_of(&self, refused: Refused) -> u64 {
         self.counters.lock().summary.gate.get(refused.name()).copied().unwrap_or(0)
-    }
-
-    /// Asks for the service and its grants; the gate stays closed if that fails or takes too long.
-    async fn try_describe(&mut self, height: u64) {
-        // No longer than until the robot must stop: nothing else is looked at meanwhile.
-        let until_stop = self.stop_due().map(|due| due.saturating_duration_since(Instant::now()));
-        let patience = until_stop.unwrap_or(Duration::MAX).min(self.settings.stale_after);
-        let failure = match timeout(patience, self.describe(height)).await {
-            Ok(Ok(())) => {
-                // It answered: that is a sign of life, however long it took.
-                self.heard = Instant::now();
-                return;
-            }
-            Ok(Err(refused)) => line(&refused),
-            Err(_) => format!("no answer within {} ms", patience.as_millis()),
-        };
-        self.gate.close();
-        self.counters.lock().live.waiting = Some(format!("the service is not known: {failure}"));
-        if let Some(silent) = self.complaint.worth("description", Instant::now()) {
-            let service = &self.route.service;
-            tracing::warn!(
-                service,
-                reason = failure,
-                not_logged = silent,
-                "the service is not known, so nothing passes"
-            );
-        }
-        if self.gate.is_moving() {
-            self.halt("no_service").await;
-        }
-    }
-
-    async fn describe(&mut self, height: u64) -> Result<(), Rejection> {
-        let id = self.route.service.clone();
-        let (service, height) = Service::ask(&*self.gateway, height, &id).await?;
-        let (grants, _): (Vec<Grant>, u64) = ask(&*self.gateway, height, ABAC, "grants", &[&id]).await?;
-        service.topic_for(&self.route)?;
-        self.stop = service.stop_for(&self.route, self.settings.stop.as_ref())?;
-        self.gate.describe(&service, &grants);
-        self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
-        self.service = service;
-        self.tell_holders();
-        Ok(())
     }
 }

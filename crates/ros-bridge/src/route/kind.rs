@@ -17,7 +17,7 @@ use super::{
 };
 use crate::{
     config::RouteConfig, count::Counters, dds::Role, gateway::Gateway, mark::Mark, names::TopicName, service::Service,
-    shm::Peers,
+    shm::Peers, standing::Asker,
 };
 
 /// Every kind.
@@ -57,6 +57,8 @@ pub(crate) struct Opening<'a> {
     /// The local topic.
     pub(crate) topic: &'a TopicName,
     pub(crate) mark: Mark,
+    /// Asks how the robot stands.
+    pub(crate) asker: Arc<Asker>,
     /// Tells the route to end.
     pub(crate) stop: Stop,
 }

@@ -12,7 +12,7 @@ fn a_gate_that_contradicts_itself_lets_nothing_pass_any_more() {
         |gate| gate.epoch = 2,
         // The holder is mistaken for one of another epoch.
         |gate| {
-            gate.holders.insert("Org1/Farhad".into(), Holding { epoch: 9, lease_us: 1 });
+            gate.holders.insert("Org1/Farhad".into(), Holding { epoch: 9, lease_us: 1, left_us: 1 });
         },
     ];
     for broken in breaks {
@@ -21,14 +21,10 @@ fn a_gate_that_contradicts_itself_lets_nothing_pass_any_more() {
         broken(&mut gate);
         let released =
             Released { service: "T/cmd_vel".into(), holder: "Org1/Nobody".into(), epoch: 3, reason: String::new() };
-        gate.released(&Released { epoch: gate.epoch, ..released }, NOW);
+        gate.released(&Released { epoch: gate.epoch, ..released }, NOW, now());
         assert!(gate.fault().is_some_and(|found| found.contains("epoch")), "{:?}", gate.fault());
-        gate.describe(&service("exclusive"), &held);
+        learn(&mut gate, &network, &service("exclusive"), &held);
         let next = network.salma.set(4, 2, &TWIST);
-        assert_eq!(
-            deliver(&mut gate, &network.salma, &next),
-            Err(Refused::NoService),
-            "a description does not open it"
-        );
+        assert_eq!(deliver(&mut gate, &network.salma, &next), Err(Refused::NoService), "a standing does not open it");
     }
 }

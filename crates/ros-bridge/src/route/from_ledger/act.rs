@@ -10,7 +10,7 @@ use crate::{
     gate::{Delivered, Gate, Now, Refused},
     gateway::{ABAC, MSP},
     sample::Sample,
-    service::{Grant, Released, Revoked, read},
+    service::{Released, Revoked, read},
 };
 
 /// The action that an event asks for.
@@ -19,10 +19,10 @@ pub(super) enum Act {
     Nothing,
     /// Publish these, in order.
     Publish(Vec<Sample>),
-    /// Publish the stop message, for this reason.
+    /// Publish the stop message, for this reason, and ask whether it is true.
     Stop(&'static str),
-    /// The service may have changed: ask for it before the next event.
-    Describe,
+    /// The route may know something wrong: ask.
+    Ask,
     /// The gate did not let it pass.
     Refused(Refused),
 }
@@ -32,6 +32,9 @@ pub(super) type Shown = HashMap<u32, (Bytes, Bytes)>;
 
 /// The meaning of an event to the gate.
 pub(super) fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown: &mut Shown, now: Now) -> Act {
+    if !event.certificate.is_empty() {
+        gate.show(&event.certificate);
+    }
     if !event.transaction.is_empty() {
         shown.insert(event.index, (event.transaction.clone(), event.certificate.clone()));
     }
@@ -40,23 +43,19 @@ pub(super) fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown
     let delivered = Delivered { block_time, transaction, certificate };
     let outcome = match (event.chaincode.as_str(), event.name.as_str()) {
         (ABAC, "message") => gate.pass(delivered, now).map(Act::Publish),
-        (ABAC, "granted") => match read::<Grant>(&event.payload) {
-            Some(grant) => gate.granted(&grant, delivered).map(|()| Act::Nothing),
-            None => Err(Refused::Malformed),
-        },
-        (ABAC, "renewed") => match read::<Grant>(&event.payload) {
-            Some(grant) => gate.renewed(&grant, delivered, now).map(|()| Act::Nothing),
-            None => Err(Refused::Malformed),
-        },
+        (ABAC, "granted") => Ok(Act::Ask),
         (ABAC, "released") => match read::<Released>(&event.payload) {
-            Some(released) if gate.released(&released, block_time) => Ok(Act::Stop(reason(&released.reason))),
-            Some(_) => Ok(Act::Nothing),
+            Some(released) if gate.released(&released, block_time, now) => Ok(Act::Stop(reason(&released.reason))),
+            Some(_) => Ok(Act::Ask),
             None => Err(Refused::Malformed),
         },
-        (ABAC, "robot") => Ok(Act::Describe),
+        (ABAC, "robot") => {
+            gate.close();
+            Ok(Act::Ask)
+        }
         (MSP, "revoked") => match read::<Revoked>(&event.payload) {
             Some(revoked) if gate.revoked(&revoked) => Ok(Act::Stop("revoked")),
-            Some(_) => Ok(Act::Nothing),
+            Some(_) => Ok(Act::Ask),
             None => Err(Refused::Malformed),
         },
         _ => Ok(Act::Nothing),

@@ -2,10 +2,11 @@
 
 use bytes::Bytes;
 use ledger_api::v1::Delivery;
+use ledger_contract::Grant;
 
 use crate::{
     queue::Incoming,
-    service::{Grant, Released, read},
+    service::{Released, read},
 };
 
 /// The own grant as far as it is known, and the next sequence number.
@@ -86,7 +87,12 @@ mod tests {
     }
 
     fn event(height: u64, name: &str, holder: &str, epoch: u64) -> Delivery {
-        let payload = serde_json::json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "lease_ms": 1, "reason": "x" });
+        let payload = match name {
+            "released" => {
+                serde_json::json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "reason": "x" })
+            }
+            _ => serde_json::json!(crate::fixture::grant(holder, epoch)),
+        };
         let payload = Bytes::from(payload.to_string());
         let event = EventRecord { name: name.into(), payload, ..EventRecord::default() };
         Delivery { height, events: vec![event], ..Delivery::default() }

@@ -1,9 +1,10 @@
-//! A ledger that answers what a test says.
+//! For tests: a ledger that answers what a test says.
+#![expect(clippy::unwrap_used, reason = "tests")]
 
 use std::{
     sync::{
         Arc, Mutex,
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU64, Ordering},
     },
     task::Poll,
 };
@@ -12,19 +13,25 @@ use bytes::Bytes;
 use futures::{FutureExt, StreamExt, future::BoxFuture, stream::poll_fn};
 use ledger::transaction::Transaction;
 use ledger_api::{
-    Answer, Subscription,
+    Answer, Certified, Subscription,
     v1::{Delivery, EventRecord},
 };
+use ledger_contract::{Declaration, Grant, RobotAsset};
+use ledger_hash::Hash;
+use ledger_light::{Certificate, Change, Checkpoint, Governance, Proof, Statement, fact::Fact, merkle, proof::Shown};
 use ledger_rejection::{Code, Rejection};
 use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::UnboundedReceiverStream;
 
-use crate::gateway::{Deliveries, Gateway, Verdict};
+use crate::{
+    fixture::{Network, grant, micros},
+    gateway::{Deliveries, Gateway, Verdict},
+};
 
 /// The fate of a sample.
 #[derive(Clone)]
-pub(super) enum Fate {
+pub(crate) enum Fate {
     Committed,
     Refused(Code),
     /// No verdict ever comes.
@@ -34,22 +41,34 @@ pub(super) enum Fate {
 /// The other end of a subscription.
 type Sender = mpsc::UnboundedSender<Result<Delivery, Rejection>>;
 
-pub(super) struct Fake {
+pub(crate) struct Fake {
+    /// The governance at the genesis.
+    founded: Governance,
+    /// Height of the last answer of the voters.
+    height: AtomicU64,
+    /// Does anybody certify its beginning?
+    pub(crate) certifies: AtomicBool,
+    /// Do the voters answer?
+    pub(crate) answers: AtomicBool,
     service: Mutex<Value>,
     grants: Mutex<Value>,
     own: Mutex<Value>,
     fate: Mutex<Fate>,
     /// Arguments of every `set`.
-    pub(super) sets: watch::Sender<Vec<Vec<Bytes>>>,
+    pub(crate) sets: watch::Sender<Vec<Vec<Bytes>>>,
     streams: Mutex<Vec<(Subscription, Sender)>>,
     /// Signs of life come without an end.
-    pub(super) floods: AtomicBool,
+    pub(crate) floods: AtomicBool,
 }
 
 impl Fake {
     /// A ledger with one service, held by nobody.
-    pub(super) fn new(mode: &str) -> Arc<Self> {
+    pub(crate) fn new(mode: &str, network: &Network) -> Arc<Self> {
         let fake = Self {
+            founded: founded(network),
+            height: AtomicU64::new(1),
+            certifies: AtomicBool::new(true),
+            answers: AtomicBool::new(true),
             service: Mutex::new(Value::Null),
             grants: Mutex::new(json!([])),
             own: Mutex::new(json!({ "epoch": 0, "next_seq": 0 })),
@@ -62,7 +81,7 @@ impl Fake {
         Arc::new(fake)
     }
 
-    pub(super) fn set_mode(&self, mode: &str) {
+    pub(crate) fn set_mode(&self, mode: &str) {
         *self.service.lock().unwrap() = json!({
             "service": "T/cmd_vel", "robot": "T", "organisation": "Org2", "topic": "/cmd_vel",
             "type": "geometry_msgs/msg/Twist", "mode": mode, "direction": "command", "max_age_ms": 1000, "lease_ms": 10000,
@@ -70,21 +89,38 @@ impl Fake {
         });
     }
 
-    pub(super) fn set_holder(&self, holder: &str, epoch: u64, lease_ms: u64) {
-        *self.grants.lock().unwrap() =
-            json!([{ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "lease_ms": lease_ms }]);
+    pub(crate) fn set_holder(&self, holder: &str, epoch: u64, lease_ms: u64) {
+        *self.grants.lock().unwrap() = json!([held_by(holder, epoch, lease_ms)]);
     }
 
-    pub(super) fn set_own_epoch(&self, epoch: u64) {
+    pub(crate) fn set_free(&self) {
+        *self.grants.lock().unwrap() = json!([]);
+    }
+
+    pub(crate) fn set_own_epoch(&self, epoch: u64) {
         *self.own.lock().unwrap() = json!({ "epoch": epoch, "next_seq": 0 });
     }
 
-    pub(super) fn set_fate(&self, fate: Fate) {
+    pub(crate) fn set_fate(&self, fate: Fate) {
         *self.fate.lock().unwrap() = fate;
     }
 
+    fn asset(&self, robot: &str) -> RobotAsset {
+        RobotAsset {
+            name: robot.to_owned(),
+            sub_topic: String::new(),
+            pub_topic: String::new(),
+            operator: String::new(),
+            under_operation: false,
+            organisation: "Org2".to_owned(),
+            attribute_required: String::new(),
+            trusted: Vec::new(),
+            services: vec![serde_json::from_value(self.service.lock().unwrap().clone()).unwrap()],
+        }
+    }
+
     /// Delivers an event to whoever subscribed to it.
-    pub(super) fn deliver(
+    pub(crate) fn deliver(
         &self,
         block_time: u64,
         name: &str,
@@ -111,7 +147,7 @@ impl Fake {
     }
 
     /// A sign of life without events.
-    pub(super) fn heartbeat(&self, block_time: u64) {
+    pub(crate) fn heartbeat(&self, block_time: u64) {
         self.send("message", "abac", heartbeat(block_time));
     }
 
@@ -122,6 +158,27 @@ impl Fake {
             }
         }
     }
+}
+
+/// A grant that has just begun.
+pub(crate) fn held_by(holder: &str, epoch: u64, lease_ms: u64) -> Grant {
+    let now = micros();
+    Grant { expires: now + lease_ms * 1000, acquired_at: now, lease_ms, ..grant(holder, epoch) }
+}
+
+/// The governance of a network: its organisations, and a voter.
+fn founded(network: &Network) -> Governance {
+    let mut writes: Vec<_> = [("members", json!({ "voters": [1], "outgoing": [] }))]
+        .into_iter()
+        .chain([("node/1", json!({ "id": 1, "name": "node1", "organisation": "Org1" }))])
+        .map(|(key, record)| (format!("msp\0{key}"), record))
+        .collect();
+    writes.extend(network.roots.iter().map(|(name, root)| {
+        (format!("msp\0organisation/{name}"), json!({ "name": name, "roots": [hex::encode(root)] }))
+    }));
+    let writes = writes.into_iter().map(|(key, record)| (Bytes::from(key), Some(Bytes::from(record.to_string()))));
+    let writes = writes.collect();
+    Governance::founded(network.robot.network, 1, &Change { height: 0, writes }).unwrap()
 }
 
 fn heartbeat(block_time: u64) -> Delivery {
@@ -137,6 +194,7 @@ impl Gateway for Fake {
         _args: Vec<Bytes>,
     ) -> BoxFuture<'static, Result<Answer, Rejection>> {
         let value = match function {
+            "robot" => json!(self.asset("T")),
             "service" => self.service.lock().unwrap().clone(),
             "grants" => self.grants.lock().unwrap().clone(),
             "authorize" => self.own.lock().unwrap().clone(),
@@ -156,6 +214,33 @@ impl Gateway for Fake {
         std::future::ready(Ok(0)).boxed()
     }
 
+    fn beginning(&self) -> BoxFuture<'static, Result<Option<Governance>, Rejection>> {
+        let founded = self.certifies.load(Ordering::Relaxed).then(|| self.founded.clone());
+        std::future::ready(Ok(founded)).boxed()
+    }
+
+    /// The checks of proofs are those of the client: here the answer is as if they had been made.
+    fn declare(&self, robot: &str, known: Governance) -> BoxFuture<'static, Result<Certified, Rejection>> {
+        if !self.answers.load(Ordering::Relaxed) {
+            return std::future::ready(Err(Rejection::new(Code::Timeout, "nobody answers"))).boxed();
+        }
+        let grants = serde_json::from_value(self.grants.lock().unwrap().clone()).unwrap();
+        let told = json!(Declaration { robot: self.asset(robot), grants });
+        let (network, height) = (known.network(), self.height.fetch_add(1, Ordering::Relaxed));
+        let (control, digest, previous) = (Hash::ZERO, Hash::ZERO, Hash::ZERO);
+        let ground = Fact::Ground { governing: known.chain(), control, digest, previous };
+        let leaves = [ground.leaf()];
+        let results = merkle::root(leaves.to_vec());
+        let statement = Statement { network, height, time: micros(), block: Hash::ZERO, results };
+        let proof = Proof {
+            certificate: Certificate { statement, signatures: Vec::new() },
+            facts: vec![Shown::of(&ground, &leaves, 0).unwrap()],
+        };
+        let stored = Checkpoint { governance: known, proof }.to_bytes();
+        let checkpoint = Checkpoint::from_bytes(&network, &stored).unwrap();
+        std::future::ready(Ok(Certified { response: Bytes::from(told.to_string()), checkpoint })).boxed()
+    }
+
     fn subscribe(&self, wanted: Subscription) -> Deliveries {
         let (sender, mut stream) = mpsc::unbounded_channel();
         let floods = self.floods.load(Ordering::Relaxed) && wanted.chaincode == "abac";
@@ -165,7 +250,7 @@ impl Gateway for Fake {
         }
         // Never pending: whoever looks here first looks at nothing else.
         poll_fn(move |context| match stream.poll_recv(context) {
-            Poll::Pending => Poll::Ready(Some(Ok(heartbeat(super::micros())))),
+            Poll::Pending => Poll::Ready(Some(Ok(heartbeat(micros())))),
             delivery => delivery,
         })
         .boxed()

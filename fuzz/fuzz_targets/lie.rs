@@ -1,0 +1,14 @@
+//! The proof of a lie is refused, or written as it was read; it proves nothing of a node that told none.
+#![no_main]
+
+use ledger_fuzz::{MSPS, TOLD};
+use ledger_light::Lie;
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    if let Ok(lie) = Lie::from_bytes(bytes) {
+        assert_eq!(&lie.to_bytes()[..], bytes);
+        let proved = lie.verify(|der, time| Ok(MSPS.verify(der, &[], time)?)).is_ok();
+        assert!(!proved || [lie.first, lie.second].iter().all(|said| TOLD.contains(&said.statement)));
+    }
+});

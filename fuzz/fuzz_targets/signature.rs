@@ -1,0 +1,11 @@
+//! A signature is refused, or written as it was read.
+#![no_main]
+
+use ledger_light::Signature;
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| {
+    if let Ok(read) = Signature::from_bytes(bytes) {
+        assert_eq!(&read.to_bytes()[..], bytes);
+    }
+});
