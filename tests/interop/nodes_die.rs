@@ -19,8 +19,8 @@ use tempfile::TempDir;
 
 /// Far more than anything here takes.
 const PATIENCE: Duration = Duration::from_secs(90);
-/// The nodes by organisation. Two of them may order without the third.
-const ORGANISATIONS: [&str; 3] = ["Org1", "Org1", "Org2"];
+/// The nodes by organisation. Any two of them order, and certify, without the third.
+const ORGANISATIONS: [&str; 3] = ["Org1", "Org2", "Org3"];
 /// Alone in this network namespace: any port is free.
 const ADDRESSES: [&str; 3] = ["127.0.0.1:7451", "127.0.0.1:7452", "127.0.0.1:7453"];
 const TYPE: &str = "geometry_msgs/msg/Twist";
@@ -41,11 +41,10 @@ impl Trio {
             address: ADDRESSES[i].into(),
             voter: true,
         });
-        let organisations = ["Org1", "Org2"];
         let plan = NetworkPlan {
             snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
             label: "trio".into(),
-            organisations: organisations
+            organisations: ORGANISATIONS
                 .map(|name| PlannedOrganisation { name: name.into(), key: KeyKind::Ed25519 })
                 .into(),
             nodes: nodes.collect(),
