@@ -31,18 +31,6 @@ pub(crate) struct Pruner {
 }
 
 impl Pruner {
-    /// The height up to which blocks are needless: a snapshot of this node, and one that two organisations attest, hold
-    /// what follows from them. A node that comes back finds either the blocks or a snapshot to believe. With little space
-    /// left, the own snapshot is enough.
-    fn needless(&self) -> Result<Option<u64>, Rejection> {
-        let shared = trust::shared(&self.ledger)?.map_or(0, |(height, _)| height);
-        self.snapshots.pin(shared);
-        let oldest = self.snapshots.oldest().map(|snapshot| snapshot.manifest().height);
-        let Measured { free, total } = self.space.measured();
-        let is_scarce = free < total / FREE_MIN;
-        Ok(if is_scarce { oldest } else { oldest.map(|oldest| oldest.min(shared)) })
-    }
-
     /// Drops what is not to be kept any more.
     ///
     /// # Errors
@@ -51,7 +39,8 @@ impl Pruner {
         if self.retention == Retention::Forever {
             return Ok(());
         }
-        let limit = self.needless()?;
+        let Measured { free, total } = self.space.measured();
+        let limit = trust::needless(&self.ledger, &self.snapshots, free < total / FREE_MIN)?;
         let time_of = |height| self.ledger.block_hashes(height).ok().flatten().map(|block| block.time);
         let keep_from = self.retention.keep_from(&Kept {
             finished: &self.store.finished(),

@@ -15,6 +15,7 @@ use ledger_replica::Observer;
 use ledger_replica::company::Point;
 pub(crate) use ledger_replica::witness::Seen;
 use ledger_replica::witness::{Said, seen};
+use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -64,6 +65,8 @@ pub(crate) struct Testimony {
     pub author: Author,
     /// The snapshots of this node.
     pub snapshots: Arc<Snapshots>,
+    /// The log, which holds what is attested.
+    pub store: Arc<BlockStore>,
     /// The members of the network.
     pub directory: Arc<Directory>,
     /// The attestations of others.
@@ -112,7 +115,8 @@ impl Testimony {
         if let Some(attest) = said.snapshot_due(ledger, snapshots)? {
             self.author.submit("attest", &attest)?;
         }
-        match said.block_due(ledger, self.witness.ordinary.load(Ordering::Relaxed)) {
+        let ordinary = self.witness.ordinary.load(Ordering::Relaxed);
+        match said.block_due(&ledger.tip(), ordinary, self.store.durable_index()) {
             Some(attest) => self.author.submit("attest", &attest),
             None => Ok(()),
         }

@@ -168,10 +168,8 @@ impl Source {
     /// # Errors
     /// A fault of the store.
     pub(crate) fn snapshot(&self) -> Result<SnapshotResponse, Status> {
-        let shared = trust::shared(&self.ledger).map_err(|fault| to_status(&fault))?;
-        let shared = shared
-            .and_then(|(height, content)| self.snapshots.get(height).filter(|snapshot| snapshot.content() == content));
-        let Some(given) = shared.or_else(|| self.snapshots.newest()) else { return Ok(SnapshotResponse::default()) };
+        let given = trust::given(&self.ledger, &self.snapshots).map_err(|fault| to_status(&fault))?;
+        let Some(given) = given else { return Ok(SnapshotResponse::default()) };
         let block = |height| Ok(self.blocks.get(height)?.map(|outcome| outcome.transactions.clone()));
         let attested = trust::attestations(&self.ledger, &given, block).map_err(|fault| to_status(&fault))?;
         let attestations = attested.into_iter();

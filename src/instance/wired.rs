@@ -261,6 +261,7 @@ impl Wired {
         Testimony {
             author: self.author(),
             snapshots: Arc::clone(&self.stores.snapshots),
+            store: Arc::clone(&self.stores.store),
             directory: Arc::clone(&self.links.directory),
             witness: Arc::clone(&self.followers.witness),
             company: Arc::clone(&self.followers.company),

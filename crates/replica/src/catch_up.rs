@@ -3,6 +3,7 @@
 //! ```text
 //! catch_up     the machine: one thing to do after the other
 //!   batch      blocks that are confirmed, stored and executed together
+//!   jury       the nodes that must agree with what another one gives
 //!   look       the question with which a node starts, and what must wait for the answers
 //!   offer      what the others have
 //! ```
@@ -10,12 +11,14 @@
 //! **Which answers to believe.** A follower believes its leader, as Raft does. A node that asks around would believe
 //! any answer, so it asks for more. It takes blocks from a node of the own organisation, or from the leader that the
 //! engine named. It takes blocks of any other node if a node of a third organisation, or of the own, has the same block
-//! hash at the end of each batch. The hash covers everything before it. Where nobody confirms, nothing is pulled: the
-//! leader's replication brings the blocks, slower. Snapshots: see [`crate::trust`].
+//! hash at the end of each batch. The hash covers everything before it. Where only one other organisation has the blocks,
+//! the giver and those who have that hash must be a majority of the voters that this node knows. Where nobody confirms,
+//! nothing is pulled: the leader's replication brings the blocks, slower. Snapshots: see [`crate::trust`].
 //!
 //! **A full disk** ends nothing: the machine waits, and stores again what it was about to store.
 
 mod batch;
+mod jury;
 mod look;
 mod offer;
 
@@ -26,6 +29,7 @@ pub use offer::{Holding, Offer, Who, is_far_behind, is_known, store_holds};
 use crate::replica::FULL_DISK_PAUSE;
 use crate::trust::{Attested, Trial};
 use batch::End;
+use jury::{Jury, Verdict};
 use ledger::Ledger;
 use ledger_hash::Hash;
 use ledger_invariant::invariant;
@@ -155,11 +159,9 @@ enum Part<P> {
 /// Blocks from one node.
 struct Pull<P> {
     from: Offer<P>,
-    /// The nodes that must agree: nobody if the node is believed by itself.
-    confirming: Vec<Offer<P>>,
-    /// How many of them were asked about the batch.
-    asked: usize,
-    /// Beyond what the others have, nobody confirms.
+    /// The nodes that must agree.
+    jury: Jury<P>,
+    /// Beyond what they have, nobody confirms.
     limit: u64,
     batch: Batch,
     /// The batch that is being stored.
@@ -228,35 +230,30 @@ impl<P: Clone> CatchUp<P> {
             if !from.has.holds(next) {
                 continue;
             }
-            let Some(confirming) = self.confirming(&from) else {
-                tracing::info!(
-                    peer = from.who.name,
-                    "no node of another organisation confirms the blocks of this peer"
-                );
+            let Some(jury) = self.jury(&from, next) else {
+                tracing::info!(peer = from.who.name, "no other nodes confirm the blocks of this peer");
                 continue;
             };
             self.aim = self.offers.iter().map(|offer| offer.has.height).max().unwrap_or_default();
             tracing::info!(peer = from.who.name, from = next, to = self.aim, "fetching blocks");
-            let limit = confirming.iter().map(|other| other.has.height).max().unwrap_or(u64::MAX);
+            let limit = jury.limit();
             let (peer, batch) = (from.peer.clone(), Batch::after(End::of(&self.ledger.tip())));
-            self.part =
-                Part::Blocks(Some(Pull { from, confirming, asked: 0, limit, batch, taken: None, ended: false }));
+            self.part = Part::Blocks(Some(Pull { from, jury, limit, batch, taken: None, ended: false }));
             return Todo::Open { peer, from: next };
         }
         self.pulled()
     }
 
-    /// The nodes that must agree with what this one gives: nobody if it is believed by itself, none if none can.
-    fn confirming(&self, offer: &Offer<P>) -> Option<Vec<Offer<P>>> {
+    /// The nodes that must agree with what this one gives, from this block on; none if nobody can.
+    fn jury(&self, offer: &Offer<P>, next: u64) -> Option<Jury<P>> {
         let believed = offer.who.vouched
             || offer.who.organisation == self.organisation
             || self.behind.is_some_and(|behind| behind.from == offer.who.id);
         if believed || ledger_mutation::active(Mutation::TakeUnconfirmedBlocks) {
-            return Some(Vec::new());
+            return Some(Jury::none());
         }
-        let others = self.offers.iter().filter(|other| other.who.organisation != offer.who.organisation);
-        let others: Vec<_> = others.cloned().collect();
-        (!others.is_empty()).then_some(others)
+        // A fault of the store is found again by whatever is stored next.
+        Jury::of(offer, &self.offers, &self.ledger.members().unwrap_or_default(), next)
     }
 
     /// Nobody has more.
@@ -300,8 +297,8 @@ impl<P: Clone> CatchUp<P> {
         if pull.batch.entries().is_empty() {
             return self.next_offer();
         }
-        pull.asked = 0;
-        match pull.confirming.is_empty() {
+        pull.jury.begin();
+        match pull.jury.is_none() {
             true => self.take_in(),
             false => self.confirm(),
         }
@@ -311,39 +308,33 @@ impl<P: Clone> CatchUp<P> {
     fn confirm(&mut self) -> Todo<P> {
         let Some(pull) = self.pull() else { return self.astray() };
         let height = pull.batch.end().height;
-        match pull.confirming.get(pull.asked) {
-            Some(other) => {
-                let peer = other.peer.clone();
-                pull.asked += 1;
-                Todo::Confirm { peer, height }
-            }
+        match pull.jury.next() {
+            Some(peer) => Todo::Confirm { peer, height },
             None => {
-                let fault =
-                    Rejection::new(Code::Behind, format!("no other organisation's node has block {height} yet"))
-                        .next("the rest comes by replication");
+                let fault = Rejection::new(Code::Behind, format!("too few other nodes have block {height} yet"))
+                    .next("the rest comes by replication");
                 self.fault(&fault)
             }
         }
     }
 
-    /// One that has the block must agree.
+    /// Those that have the block must agree.
     fn confirmed(&mut self, answer: Result<Option<Hash>, Rejection>) -> Todo<P> {
         let Some(pull) = self.pull() else { return self.astray() };
-        let (end, by) = (pull.batch.end(), pull.asked.checked_sub(1).and_then(|asked| pull.confirming.get(asked)));
-        let name = by.map(|other| other.who.name.clone()).unwrap_or_default();
-        match answer {
-            Ok(Some(hash)) if hash == end.hash => self.take_in(),
-            Ok(Some(hash)) => {
+        let end = pull.batch.end();
+        let hash = answer.unwrap_or_else(|reason| {
+            tracing::debug!(peer = pull.jury.name(), %reason, "the peer does not confirm the blocks");
+            None
+        });
+        match pull.jury.hear(end.hash, hash) {
+            Verdict::Confirmed => self.take_in(),
+            Verdict::Open => self.confirm(),
+            Verdict::Refused { by } => {
                 let fault =
-                    Rejection::new(Code::ChainInvalid, format!("{name} has another block at height {}", end.height))
-                        .found(format!("block hash {hash}"))
+                    Rejection::new(Code::ChainInvalid, format!("{by} has another block at height {}", end.height))
+                        .found(format!("block hash {}", hash.unwrap_or(Hash::ZERO)))
                         .wanted(format!("block hash {}, which follows from the fetched blocks", end.hash));
                 self.fault(&fault)
-            }
-            Ok(None) => self.confirm(),
-            Err(reason) => {
-                tracing::debug!(peer = name, %reason, "the peer does not confirm the blocks");
-                self.confirm()
             }
         }
     }

@@ -22,7 +22,7 @@ use ledger_identity::msp::{Msp, Msps};
 use ledger_identity::{Identity, Role};
 use ledger_mutation::Mutation;
 use ledger_rejection::{Code, Rejection};
-use ledger_storage::snapshot::{Installer, Manifest, Snapshot};
+use ledger_storage::snapshot::{Installer, Manifest, Snapshot, Snapshots};
 use serde::Deserialize;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -265,13 +265,33 @@ fn with_ca(known: &Msps, declared: &Msps, ca: Hash) -> Result<Msps, Rejection> {
     Ok(trusted)
 }
 
-/// Height and content of the newest snapshot that nodes of two organisations attest, or of one if only one has nodes. A node
-/// that was away longer than blocks are kept can believe this one, so it is given to others, and older blocks than it are
-/// needless.
+/// The height up to which this node may drop its blocks: its own oldest snapshot, and the newest one that two organisations
+/// attest, hold what follows from them. So a node that comes back finds either the blocks or a snapshot that it believes. The
+/// second one is kept from now on. With little space left on the disk (`is_scarce`), the own snapshot is enough.
 ///
 /// # Errors
 /// A fault of the store.
-pub fn shared(ledger: &Ledger) -> Result<Option<(u64, Hash)>, Rejection> {
+pub fn needless(ledger: &Ledger, snapshots: &Snapshots, is_scarce: bool) -> Result<Option<u64>, Rejection> {
+    let shared = shared(ledger)?.map_or(0, |(height, _)| height);
+    snapshots.pin(shared);
+    let oldest = snapshots.oldest().map(|snapshot| snapshot.manifest().height);
+    Ok(if is_scarce { oldest } else { oldest.map(|oldest| oldest.min(shared)) })
+}
+
+/// The snapshot that this node gives to others: the newest one that two organisations attest. While it has none, its newest.
+///
+/// # Errors
+/// A fault of the store.
+pub fn given(ledger: &Ledger, snapshots: &Snapshots) -> Result<Option<Arc<Snapshot>>, Rejection> {
+    let shared = shared(ledger)?;
+    let shared =
+        shared.and_then(|(height, content)| snapshots.get(height).filter(|snapshot| snapshot.content() == content));
+    Ok(shared.or_else(|| snapshots.newest()))
+}
+
+/// Height and content of the newest snapshot that nodes of two organisations attest, or of one if only one has nodes. A node
+/// that was away longer than blocks are kept can believe this one.
+fn shared(ledger: &Ledger) -> Result<Option<(u64, Hash)>, Rejection> {
     let nodes = msp::nodes(&**ledger.state())?;
     let present = nodes.iter().filter(|node| node.role != NodeRole::Removed);
     let organisations: BTreeSet<_> = present.map(|node| node.organisation.as_str()).collect();

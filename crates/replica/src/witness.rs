@@ -4,6 +4,7 @@ use ledger::msp::{self, Attest, Attestation};
 use ledger::{Ledger, Outcome};
 use ledger_rejection::Rejection;
 use ledger_storage::snapshot::Snapshots;
+use ledger_storage::state::Tip;
 
 /// The name of the event that an attestation causes; its subject is the node, `ORGANISATION/NAME`.
 const EVENT: &str = "attested";
@@ -57,14 +58,32 @@ impl Said {
     }
 
     /// The block that the node attests now. `ordinary`: the newest that holds anything but attestations. A network in
-    /// which nothing happens attests nothing.
-    pub fn block_due(&self, ledger: &Ledger, ordinary: u64) -> Option<Attest> {
-        let tip = ledger.tip();
-        (ordinary > self.height).then_some(Attest {
+    /// which nothing happens attests nothing. `durable`: what the log holds on the disk. A learner executes what is
+    /// committed before that: after a power cut it would have attested a block that it does not hold.
+    pub fn block_due(&self, tip: &Tip, ordinary: u64, durable: u64) -> Option<Attest> {
+        (ordinary > self.height && tip.height <= durable).then_some(Attest {
             height: tip.height,
             hash: tip.hash,
             digest: tip.digest,
             content: None,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ledger_hash::Hash;
+
+    #[test]
+    fn a_node_attests_its_newest_block_if_anything_happened_and_its_own_disk_holds_it() {
+        let tip = Tip { height: 7, term: 1, time: 1, hash: Hash([1; 32]), digest: Hash([2; 32]) };
+        let said = Said { height: 5, snapshot: 0 };
+        let due =
+            |ordinary, durable| said.block_due(&tip, ordinary, durable).map(|attest| (attest.height, attest.hash));
+        assert_eq!(due(6, 7), Some((7, Hash([1; 32]))));
+        assert_eq!(due(6, 9), Some((7, Hash([1; 32]))));
+        assert_eq!(due(5, 7), None, "nothing but attestations came since");
+        assert_eq!(due(6, 6), None, "a learner has executed what its disk does not hold");
     }
 }

@@ -19,7 +19,7 @@
 //! **The voters.** A node knows the voters as of the last block that it handed out. A change that waits in its log
 //! counts as well, because a leader was allowed to append it. A node that lags further does not know a new voter yet. It
 //! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). It does the same if a leader shows a mandate that
-//! its voters have not given. A learner, whose copy nobody counts, follows at once a leader of which it does not know that
+//! its voters have not given. A learner, whose copy nobody counts and no change in its log makes a voter, follows at once a leader of which it does not know that
 //! it votes, if it has no other. That leader need not show a mandate, because a learner that lags so far cannot check it.
 //!
 //! **Ends of terms.** A member that is stuck in a later term cannot follow the leader (Raft §5.1); one that was a voter
@@ -146,7 +146,8 @@ impl Engine {
         if is_past {
             return doubt("a node without a vote speaks as a leader of an earlier term");
         }
-        if !self.is_voter() && self.leader().is_none_or(|leader| leader == from) {
+        let counts = self.may_vote(self.config.id).is_ok();
+        if !counts && self.leader().is_none_or(|leader| leader == from) {
             return Ok(());
         }
         self.stranger_leads = true;

@@ -78,11 +78,12 @@ impl Times {
         }
     }
 
-    /// The latest block time that a majority acknowledges. A voter that has said nothing acknowledges nothing.
-    fn of_majority(&self, me: u64, voters: &BTreeSet<u64>) -> u64 {
+    /// The latest block time that a majority acknowledges. A voter that has said nothing, or is silent now, acknowledges
+    /// nothing: a block that needs its word would not be committed without it.
+    fn of_majority(&self, me: u64, voters: &BTreeSet<u64>, is_active: impl Fn(u64) -> bool) -> u64 {
         let of = |voter: &u64| match *voter == me {
             true => self.accepts_until,
-            false => self.told.get(voter).copied().unwrap_or(0),
+            false => self.told.get(voter).copied().filter(|_| is_active(*voter)).unwrap_or(0),
         };
         let mut limits: Vec<u64> = voters.iter().map(of).collect();
         limits.sort_unstable_by_key(|limit| Reverse(*limit));
@@ -102,7 +103,7 @@ impl Engine {
         if active(Mutation::OrderByOneClock) {
             return now.max(self.last_time);
         }
-        let of = |voters| self.times.of_majority(self.config.id, voters);
+        let of = |voters| self.times.of_majority(self.config.id, voters, |voter| self.is_active(voter));
         let latest = of(&self.membership.voters).min(of(&self.membership.outgoing));
         now.min(latest.saturating_sub(RESERVE)).max(self.last_time)
     }

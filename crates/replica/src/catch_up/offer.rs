@@ -1,6 +1,7 @@
 //! The blocks and snapshots of the other nodes.
 
 use crate::REJOIN;
+use crate::trust::given;
 use ledger::Ledger;
 use ledger::msp::{self, NodeRole};
 use ledger_raft::Status;
@@ -31,7 +32,7 @@ pub struct Holding {
     pub height: u64,
     /// Its oldest block.
     pub first_height: u64,
-    /// Its newest snapshot; 0 if it has none.
+    /// The snapshot that it gives; 0 if it has none.
     pub snapshot_height: u64,
     /// The height that it knows the asking node to have had.
     pub yours: u64,
@@ -64,7 +65,7 @@ impl Holding {
         Self {
             height: store_holds(store),
             first_height: store.first_index(),
-            snapshot_height: snapshots.newest().map_or(0, |newest| newest.manifest().height),
+            snapshot_height: given(ledger, snapshots).ok().flatten().map_or(0, |given| given.manifest().height),
             yours: acknowledged.max(attested).unwrap_or_default(),
             you_vote: ledger.members().is_ok_and(|members| members.is_voter(asking)),
         }

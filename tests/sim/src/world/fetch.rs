@@ -13,12 +13,11 @@ use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Batch, Behind, CatchUp, Got, Todo, install, store_holds};
 use ledger_replica::conductor::{Happened, Next};
 use ledger_replica::space::Wrote;
-use ledger_replica::trust::{Attested, Trial, attestations};
+use ledger_replica::trust::{Attested, Trial, attestations, given, needless};
 use ledger_replica::{Event, Last};
 use ledger_storage::block_store::StoreError;
 use ledger_storage::entry::{Entry, EntryKind};
 use ledger_storage::snapshot::{Manifest, Snapshot};
-use std::collections::BTreeSet;
 use std::sync::Arc;
 
 /// Most blocks of one message of a peer.
@@ -282,16 +281,15 @@ impl World {
 
     fn manifest(&mut self, id: u64, peer: Contact) -> Result<(Manifest, Vec<Attested>), Rejection> {
         self.reach(id, peer)?;
-        let newest = self.nodes.get(&peer.id).and_then(|node| Some((node, node.up.as_ref()?.snapshots.newest()?)));
         let none = || Rejection::new(Code::NotFound, "there is no snapshot here");
-        let (node, newest) = newest.ok_or_else(none)?;
-        let Some(from) = &node.up else { return Err(none()) };
+        let from = self.nodes.get(&peer.id).and_then(|node| node.up.as_ref()).ok_or_else(none)?;
+        let given = given(&from.ledger, &from.snapshots)?.ok_or_else(none)?;
         let block = |height: u64| {
             let kept = height >= from.store.first_index();
             let block = self.blocks.get(height as usize - 1).filter(|_| kept);
             Ok(block.map(|block| block.outcome.transactions.clone()))
         };
-        Ok((newest.manifest().clone(), attestations(&from.ledger, &newest, block)?))
+        Ok((given.manifest().clone(), attestations(&from.ledger, &given, block)?))
     }
 
     /// Chunk by chunk; power may fail before it is used.
@@ -359,24 +357,13 @@ impl World {
         Ok(())
     }
 
-    /// Are nodes of two organisations as far as this? An organisation whose nodes are all behind what the others keep finds
-    /// no snapshot that two attest, so a careful operator waits.
-    fn may_drop(&self, keep_from: u64) -> bool {
-        let far = self.nodes.values().filter(|node| !node.lost && node.saved >= keep_from);
-        let organisations: BTreeSet<_> = far.map(|node| organisation_of(node.id, self.plan.organisations)).collect();
-        organisations.len() >= self.plan.organisations.min(2)
-    }
-
-    /// Drops old blocks, as far as the node's own world state does not need them.
+    /// Drops old blocks, as far as neither the node's own world state nor others need them.
     pub(super) fn prune(&mut self, id: u64) -> Check {
         let Some(node) = self.nodes.get(&id) else { return Ok(()) };
         let (Some(keep), Some(running)) = (node.keep, node.up.as_ref()) else { return Ok(()) };
         let before = running.store.first_index();
-        let oldest = running.snapshots.oldest().map_or(0, |snapshot| snapshot.manifest().height);
-        let keep_from = node.saved.saturating_sub(keep).min(oldest + 1);
-        if !self.may_drop(keep_from) {
-            return Ok(());
-        }
+        let limit = needless(&running.ledger, &running.snapshots, false).unwrap().unwrap_or(0);
+        let keep_from = node.saved.saturating_sub(keep).min(limit + 1);
         let Some(running) = self.running(id) else { return Ok(()) };
         if let Err(fault) = running.ledger.prune_results(keep_from) {
             return self.failed(id, &fault.to_string());

@@ -21,8 +21,13 @@ impl World {
         let (liar, victim) = (self.random.faults.pick(&learners).copied(), self.random.faults.pick(&voters).copied());
         let (Some(liar), Some(victim)) = (liar, victim) else { return };
         let status = self.running(victim).and_then(|running| Some(running.replica.as_ref()?.status()));
-        // A voter that does not know yet that this one has no vote any more may believe it.
-        let Some(status) = status.filter(|status| status.membership.learners.contains(&liar)) else { return };
+        // A voter that does not know yet that this one has no vote any more may believe it. So may one that does not know that
+        // it votes itself: until then it is a learner.
+        let Some(status) =
+            status.filter(|status| status.membership.is_voter(victim) && status.membership.learners.contains(&liar))
+        else {
+            return;
+        };
         self.coverage.fault(Fault::Lie);
         let message = self.made_up(&status);
         self.note(format_args!("n{liar} lies to n{victim}: {message:?}"));

@@ -19,7 +19,7 @@ impl World {
             return Ok(());
         }
         let snapshot = running.said.snapshot_due(&running.ledger, &running.snapshots).unwrap();
-        let block = running.said.block_due(&running.ledger, running.ordinary);
+        let block = running.said.block_due(&running.ledger.tip(), running.ordinary, running.store.durable_index());
         snapshot.into_iter().chain(block).try_for_each(|attest| self.submit_attestation(id, &attest))
     }
 

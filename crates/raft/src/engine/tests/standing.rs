@@ -3,6 +3,7 @@
 use super::*;
 use crate::message::Transactions;
 use bytes::Bytes;
+use ledger::members::{Change, MembershipChange};
 
 /// Node 2 of the voters 1, 2 and 3 follows node 1 in term 1; node 9 learns.
 fn follower() -> Engine {
@@ -10,6 +11,11 @@ fn follower() -> Engine {
     step(&mut engine, message(1, RaftKind::Heartbeat, |_| {}));
     assert_eq!(engine.leader(), Some(1));
     engine
+}
+
+/// A change of the members, as the log has it.
+fn promote(node: u64) -> Bytes {
+    MembershipChange::new([Change::AddVoter(node)]).to_bytes()
 }
 
 fn is_ignored(out: &[Output]) -> bool {
@@ -189,8 +195,6 @@ fn the_term_of_a_vote_cannot_use_up_the_terms_that_there_are() {
 
 #[test]
 fn a_voter_that_a_change_in_the_log_makes_is_believed_before_the_change_is_committed() {
-    let promote =
-        |node: u64| ledger::members::MembershipChange::new([ledger::members::Change::AddVoter(node)]).to_bytes();
     let mut node = follower();
     let lead = |term: u64| message(9, RaftKind::Heartbeat, move |message| message.term = term);
     assert!(is_ignored(&step(&mut node, lead(2))));
@@ -226,6 +230,22 @@ fn a_learner_without_a_leader_follows_one_of_which_it_does_not_know_that_it_vote
     step(&mut learner, lead(1, 1));
     assert!(is_ignored(&step(&mut learner, lead(7, 2))));
     assert_eq!(learner.leader(), Some(1));
+}
+
+#[test]
+fn a_learner_that_a_change_in_its_log_makes_a_voter_follows_no_stranger() {
+    let mut node = engine(9, &[1, 2, 3], &[9]);
+    let entries = vec![WireEntry { index: 1, term: 1, kind: 3, data: promote(9) }];
+    step(&mut node, message(1, RaftKind::Append, |message| message.entries = entries));
+    assert!(!node.is_voter(), "it is not committed");
+    for _ in 0..=2 * node.config.election_tick {
+        step(&mut node, Input::Tick);
+    }
+    assert_eq!(node.leader(), None);
+    assert!(is_ignored(&step(&mut node, message(7, RaftKind::Heartbeat, |message| message.term = 2))));
+    assert_eq!(node.leader(), None);
+    let out: Vec<Output> = (0..300).flat_map(|_| step(&mut node, Input::Tick)).collect();
+    assert!(out.iter().any(|output| matches!(output, Output::Behind { .. })), "its peers may have the blocks: {out:?}");
 }
 
 #[test]

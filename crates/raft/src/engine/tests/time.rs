@@ -162,10 +162,28 @@ fn a_leader_keeps_to_the_clocks_of_a_majority() {
 }
 
 #[test]
+fn a_voter_that_is_silent_does_not_move_block_time_ahead_of_those_that_must_acknowledge_it() {
+    let mut node = leader(0);
+    node.accept_time_until(YEAR_AHEAD + TIME_AHEAD_MAX);
+    told(&mut node, 2, CLOCK + TIME_AHEAD_MAX);
+    told(&mut node, 3, YEAR_AHEAD + TIME_AHEAD_MAX);
+    assert_eq!(node.block_time(YEAR_AHEAD), YEAR_AHEAD, "most clocks are a year ahead");
+    for _ in 0..=node.config.election_tick {
+        told(&mut node, 2, CLOCK + TIME_AHEAD_MAX);
+        step(&mut node, Input::Tick);
+    }
+    assert!(node.is_leader());
+    assert_eq!(node.block_time(YEAR_AHEAD), CLOCK + TIME_AHEAD_MAX - RESERVE, "node 2 must acknowledge it");
+    told(&mut node, 3, YEAR_AHEAD + TIME_AHEAD_MAX);
+    assert_eq!(node.block_time(YEAR_AHEAD), YEAR_AHEAD, "node 3 is back");
+}
+
+#[test]
 fn in_a_joint_configuration_the_majorities_of_both_sets_count() {
     let mut node = leader(0);
     node.membership = Membership { outgoing: [1, 4, 5].into(), ..Membership::new([1, 2, 3], []) };
     for (from, clock) in [(2, CLOCK), (3, CLOCK), (4, CLOCK - 7), (5, 0)] {
+        node.heard.insert(from, node.ticks);
         told(&mut node, from, clock + TIME_AHEAD_MAX);
     }
     assert_eq!(node.block_time(YEAR_AHEAD), CLOCK - 7 + TIME_AHEAD_MAX - RESERVE);
