@@ -86,6 +86,21 @@ impl Current {
         self.questions.tell(|reads, now, out| reads.answered(now, context, answer, out));
     }
 
+    /// Waits until this node has executed the block at a height that some node has told a client. It was committed before it was
+    /// told, so a current state is enough. A node that lies about heights makes nobody wait at another one.
+    ///
+    /// # Errors
+    /// As [`Current::reach_height`], where no leader confirms that the state is current either.
+    pub(crate) async fn reach_told(&self, height: u64) -> Result<(), Rejection> {
+        if height <= self.blocks.height() {
+            return Ok(());
+        }
+        tokio::select! {
+            reached = self.reach_height(height) => reached,
+            Ok(_) = self.reach() => Ok(()),
+        }
+    }
+
     /// Waits until this node has executed the block at a height.
     ///
     /// # Errors

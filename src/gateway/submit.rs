@@ -146,7 +146,7 @@ impl Serving {
         let height = self.desk.min_height(job);
         if height > self.node.intake.height() {
             let current = self.node.current.clone();
-            match self.meanwhile(job, requests, current.reach_height(height)).await {
+            match self.meanwhile(job, requests, current.reach_told(height)).await {
                 Some(Ok(())) => {}
                 Some(Err(reason)) => {
                     if let Some(arrived) = self.desk.give_up(job.lane()) {
@@ -240,7 +240,7 @@ impl Submissions {
             Ok(arrived) => arrived,
             Err(answer) => return drop(answers.send(Ok(*answer))),
         };
-        if let Err(reason) = self.current.reach_height(arrived.ticket.min_height).await {
+        if let Err(reason) = self.current.reach_told(arrived.ticket.min_height).await {
             return refuse_unordered(arrived, &reason);
         }
         let lane = arrived.ticket.lane;

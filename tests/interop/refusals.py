@@ -43,7 +43,7 @@ def main() -> None:
     refused("block", lambda: named.GetBlock(api.GetBlockRequest(height=1 << 40)))
     refused("no certificate", lambda: nameless.Status(api.StatusRequest()))
     refused("not admin", lambda: named.Denials(api.DenialsRequest()))
-    query = api.QueryRequest(chaincode="abac", function="robots", min_height=1 << 40)
+    query = api.QueryRequest(chaincode="abac", function="robots", min_height=1 << 40, may_be_stale=True)
     refused("behind", lambda: named.Query(query))
     refused("id", lambda: named.GetTransaction(api.GetTransactionRequest(id=b"no id")))
     request = api.SubscribeRequest(chaincode="abac", subjects=[service], names=["message"])

@@ -35,7 +35,7 @@ async fn agree(leader: &Client, learner: &Client, height: u64) -> StatusResponse
 async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
     let fleet = Fleet::found(2);
     let owner = fleet.owner();
-    let _nodes = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let nodes = (fleet.nodes[0].start(), fleet.nodes[1].start());
     let leader = connect(&at(&owner, &fleet, 0)).await;
     register_robots(&leader, "exclusive").await;
     let seen = leader.height_seen();
@@ -43,11 +43,35 @@ async fn a_node_that_is_behind_waits_for_what_the_client_has_seen() {
     let channel = wire::channel(&at(&owner, &fleet, 1), true).await;
     let call = Call { chaincode: "abac".into(), function: "setup".into(), args: vec![MARKER.into()], ttl: PATIENCE };
     let transaction = leader.prepare(call).unwrap();
-    // A height that will never come: the learner waits, and then says that it is behind instead of judging by less.
+    // The learner waits, and then says that it is behind instead of judging by less.
+    drop(nodes.0);
     let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen + 1_000_000).await.unwrap();
     assert_eq!(wire::code(&answer), u32::from(Code::Behind.number()));
+    let _again = fleet.nodes[0].start();
     let answer = wire::submit_from(&channel, transaction.encoded().clone(), seen).await.unwrap();
     assert_eq!(wire::code(&answer), 0);
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_height_that_only_a_liar_has_told_keeps_nobody_waiting_at_another_node() {
+    let fleet = Fleet::found(2);
+    let owner = fleet.owner();
+    let _nodes = (fleet.nodes[0].start(), fleet.nodes[1].start());
+    let leader = connect(&at(&owner, &fleet, 0)).await;
+    register_robots(&leader, "exclusive").await;
+    for node in [0, 1] {
+        connect(&at(&owner, &fleet, node)).await;
+        let channel = wire::channel(&at(&owner, &fleet, node), true).await;
+        let call = Call {
+            chaincode: "abac".into(),
+            function: "declare".into(),
+            args: vec!["Turtlebot4".into()],
+            ttl: PATIENCE,
+        };
+        let transaction = leader.prepare(call).unwrap();
+        let answer = wire::submit_from(&channel, transaction.encoded().clone(), u64::MAX).await.unwrap();
+        assert_eq!(wire::code(&answer), 0, "node {node}");
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -11,7 +11,7 @@
 //!
 //! Rule, grants, authorities and revocations are learnt from a [`Standing`] only, which voters have signed. A command passes
 //! for `stale_after` after the question that a standing answers. So a node that withholds the end of a grant wins no more than
-//! that. An end of which a node tells stops the robot at once; the next standing decides whether it was true.
+//! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides.
 //!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!
@@ -83,6 +83,8 @@ pub struct Gate {
     height: u64,
     /// When the question was asked that it answers, by the steady clock (microseconds).
     asked: Option<u64>,
+    /// When the node last told of an end, by the steady clock (microseconds). An answer to an earlier question may be from before it.
+    told: u64,
     identities: Identities,
     sequences: Sequences,
     clock: Clock,
@@ -152,6 +154,7 @@ impl Gate {
             rules: None,
             height: 0,
             asked: None,
+            told: 0,
             sequences: Sequences::default(),
             clock: Clock::default(),
             epoch: 0,
@@ -167,8 +170,8 @@ impl Gate {
     /// Takes how the robot stands, with this service of it. `asked` is when that was asked, by the steady clock in microseconds.
     /// Answers why the robot must stop, if whoever moved it may not do so any more.
     pub fn learn(&mut self, service: &Service, standing: &Standing, asked: u64, now: Now) -> Option<&'static str> {
-        if self.fault.is_some() || standing.height < self.height {
-            return None; // a newer one is known
+        if self.fault.is_some() || standing.height < self.height || asked < self.told {
+            return None; // more is known
         }
         let Standing { grants, members, height, time, .. } = standing;
         self.clock.heard_signed(*time, now);
@@ -336,12 +339,13 @@ impl Gate {
         }
         if self.holders.get(&released.holder).is_some_and(|known| known.epoch <= released.epoch) {
             self.holders.remove(&released.holder);
+            self.told = now.steady;
         }
         // Where holders stand side by side, who moved the robot may be any of them.
         let side_by_side = self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing == Fencing::PerHolder);
         let is_newest = released.epoch >= self.epoch || side_by_side;
         if is_newest {
-            self.driver = None;
+            (self.driver, self.told) = (None, now.steady);
             // A block of tomorrow closes nothing until then.
             self.not_before = self.not_before.max(block_time.min(self.clock.now(now)));
         }
@@ -351,8 +355,9 @@ impl Gate {
 
     /// Takes the revocation of a certificate as a node says it. True if the robot must stop, because the revoked one moved it
     /// last. It proves nothing: the next standing decides.
-    pub fn revoked(&mut self, revoked: &Revoked) -> bool {
+    pub fn revoked(&mut self, revoked: &Revoked, now: Now) -> bool {
         let key = self.identities.revoke(revoked);
+        self.told = now.steady;
         let moved_it = self.driver.as_ref().is_some_and(|driver| Some(driver.identity.revocation_key()) == key);
         if moved_it {
             self.driver = None;

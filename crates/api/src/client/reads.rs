@@ -37,8 +37,7 @@ impl Client {
     /// [`Code::Unreachable`] and its kin when the deadline has passed.
     pub async fn query(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Result<Answer, Rejection> {
         let (chaincode, function) = (chaincode.into(), function.into());
-        let min_height = self.height_seen();
-        self.query_for(v1::QueryRequest { chaincode, function, args, min_height, may_be_stale: false }).await
+        self.query_for(v1::QueryRequest { chaincode, function, args, min_height: 0, may_be_stale: false }).await
     }
 
     /// All elements of a list that comes in pages (see [`pages::follow`]).

@@ -364,12 +364,12 @@ fn the_revoked_do_not_pass_and_the_robot_they_moved_stops() {
     let network = Network::new();
     let mut gate = network.gate(&service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
-    assert!(!gate.revoked(&network.farhad.revocation(&network)));
+    assert!(!gate.revoked(&network.farhad.revocation(&network), now()));
     assert!(gate.is_moving());
-    assert!(gate.revoked(&network.salma.revocation(&network)));
+    assert!(gate.revoked(&network.salma.revocation(&network), now()));
     assert!(!gate.is_moving());
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 2, &TWIST)), Err(Refused::Revoked));
-    assert!(!gate.revoked(&Revoked { issuer: ledger_hash::Hash::ZERO, serial: "zz".into() }));
+    assert!(!gate.revoked(&Revoked { issuer: ledger_hash::Hash::ZERO, serial: "zz".into() }, now()));
 }
 
 #[test]

@@ -335,11 +335,7 @@ impl FromLedger {
 
     /// Takes the answer of the voters, and judges the messages that waited for it.
     async fn answered(&mut self, answer: Answer) {
-        let learnt = match answer {
-            Ok(standing) => self.learn(&standing).map(|over| (over, standing.asked)),
-            Err(refused) => Err(refused),
-        };
-        match learnt {
+        match answer.and_then(|standing| Ok((self.learn(&standing)?, standing.asked))) {
             Ok((over, asked)) => {
                 if let Some(reason) = over {
                     self.publish_stop(reason).await;

@@ -35,11 +35,28 @@ fn a_node_that_makes_up_an_end_stops_the_robot_until_the_voters_say_otherwise() 
     let mut gate = network.gate(&service("exclusive"), &held);
     let end_of_time = u64::MAX;
     assert!(gate.released(&released("Org1/Salma", end_of_time), end_of_time, now()), "anybody may stop a robot");
-    assert!(!gate.revoked(&network.salma.revocation(&network)), "nobody moved it");
+    assert!(!gate.revoked(&network.salma.revocation(&network), now()), "nobody moved it");
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::Revoked));
     assert_eq!(learn(&mut gate, &network, &service("exclusive"), &held), None);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1), "neither was true");
     assert_eq!(gate.fault(), None);
+}
+
+#[test]
+fn the_answer_to_an_earlier_question_undoes_no_end_of_which_a_node_has_told_since() {
+    let network = Network::new();
+    let held = [grant("Org1/Salma", 3)];
+    let before = now().steady - 1;
+    let mut gate = network.gate(&service("exclusive"), &held);
+    assert!(gate.released(&released("Org1/Salma", 3), NOW, now()));
+    gate.learn(&service("exclusive"), &network.standing(2, &held), before, now());
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::NotHolder));
+    let mut gate = network.gate(&service("exclusive"), &held);
+    assert!(!gate.revoked(&network.salma.revocation(&network), now()));
+    gate.learn(&service("exclusive"), &network.standing(2, &held), before, now());
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Err(Refused::Revoked));
+    gate.learn(&service("exclusive"), &network.standing(2, &held), now().steady, now());
+    assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1), "it was asked for since");
 }
 
 #[test]

@@ -54,7 +54,7 @@ pub(super) fn judge(gate: &mut Gate, block_time: u64, event: &EventRecord, shown
             Ok(Act::Ask)
         }
         (MSP, "revoked") => match read::<Revoked>(&event.payload) {
-            Some(revoked) if gate.revoked(&revoked) => Ok(Act::Stop("revoked")),
+            Some(revoked) if gate.revoked(&revoked, now) => Ok(Act::Stop("revoked")),
             Some(_) => Ok(Act::Ask),
             None => Err(Refused::Malformed),
         },
