@@ -19,8 +19,9 @@
 //! **The voters.** A node knows the voters as of the last block that it handed out. A change that waits in its log
 //! counts as well, because a leader was allowed to append it. A node that lags further does not know a new voter yet. It
 //! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). It does the same if a leader shows a mandate that
-//! its voters have not given. A learner, whose copy nobody counts and no change in its log makes a voter, follows at once a leader of which it does not know that
-//! it votes, if it has no other. That leader need not show a mandate, because a learner that lags so far cannot check it.
+//! its voters have not given. A learner, whose copy nobody counts, follows at once a leader of which it does not know
+//! that it votes, if it has no other. That leader need not show a mandate, because a learner that lags so far cannot check it.
+//! A learner that a change in its log makes a voter follows no such one.
 //!
 //! **Ends of terms.** A member that is stuck in a later term cannot follow the leader (Raft §5.1); one that was a voter
 //! before may be such a one. The leader then stands for election again at once, in a term after that, and is elected by
