@@ -44,6 +44,8 @@ const OWNERS: &str = "Org2";
 pub(crate) struct Founding {
     /// The admin of the organisation that owns the robots; connects to the first node.
     pub(crate) owner: Context,
+    /// The admin of the organisation that orders; connects to the first node.
+    pub(crate) operator: Context,
     /// Salma, whom policies let acquire every robot here; connects to the first node.
     pub(crate) salma: Context,
     /// Farhad, of her organisation, whom no policy lets acquire a robot; connects to the first node.
@@ -118,6 +120,7 @@ impl Founding {
         let drives = ["Turtlebot4", "Husky"].map(|robot| (robot.to_owned(), "true".to_owned()));
         Self {
             owner: identity(OWNERS, ("Admin", Role::Admin), BTreeMap::new()),
+            operator: identity(OPERATORS, ("Admin", Role::Admin), BTreeMap::new()),
             salma: identity(OPERATORS, ("Salma", Role::Member), BTreeMap::from(drives)),
             drivers: (0..DRIVERS)
                 .map(|number| {
