@@ -1,8 +1,8 @@
 //! Members that want more of everybody's machines than is theirs: each attack is refused, and the robots go on.
 
-use crate::hostile::Target;
 use crate::support::connect;
 use crate::support::wire::{self, code, submit};
+use crate::target::Target;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_abac::{PolicyEntry, RobotAsset};

@@ -1,8 +1,8 @@
 //! Connections that crowd the node's door: silent ones, ones without a certificate, ones of a revoked certificate.
 
-use crate::hostile::Target;
 use crate::support::connect;
 use crate::support::wire;
+use crate::target::Target;
 use ledger_api::Context;
 use ledger_hash::Hash;
 use ledger_identity::Role;

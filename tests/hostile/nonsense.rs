@@ -1,11 +1,12 @@
 //! Bad input over the network: each kind gets a clear answer, and the node goes on as if nothing had been.
 
-use crate::support::network::{message, now, register_robots};
+use crate::support::network::{message, now};
 use crate::support::wire::{self, code, submit};
-use crate::support::{Dice, Fleet, Process, connect};
+use crate::support::{Dice, Fleet, connect};
+use crate::target::Target;
 use bytes::Bytes;
 use futures::StreamExt;
-use ledger::transaction::{Body, NONCE_BYTES, Transaction};
+use ledger::transaction::Transaction;
 use ledger_api::tls::{TlsIdentity, TrustSource, server_config};
 use ledger_api::v1::enrolment_client::EnrolmentClient;
 use ledger_api::v1::gateway_client::GatewayClient;
@@ -16,7 +17,7 @@ use ledger_identity::key::KeyKind;
 use ledger_identity::msp::Msps;
 use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
-use ring::rand::{SecureRandom, SystemRandom};
+use ring::rand::SystemRandom;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -24,73 +25,6 @@ use tokio::net::{TcpListener, TcpStream};
 use tokio_rustls::TlsAcceptor;
 
 const DAY: u64 = 24 * 60 * 60 * 1_000_000;
-
-/// A running node with the paper's people.
-pub(crate) struct Target {
-    pub(crate) fleet: Fleet,
-    pub(crate) node: Process,
-    pub(crate) admin: Context,
-    pub(crate) salma: Context,
-    /// Asks after every fault whether the node is still there.
-    client: Client,
-    faults: u64,
-}
-
-impl Target {
-    pub(crate) async fn start() -> Self {
-        Self::start_on(Fleet::found(1)).await
-    }
-
-    async fn start_on(fleet: Fleet) -> Self {
-        let owner = fleet.owner();
-        let admin = fleet.issue("Org1", "Boss", Role::Admin, &[]);
-        let salma = fleet.issue("Org1", "Salma", Role::Member, &["Turtlebot4", "Husky"]);
-        let node = fleet.nodes[0].start();
-        register_robots(&connect(&owner).await, "exclusive").await;
-        let client = connect(&salma).await;
-        client.invoke("abac", "acquire", vec!["Turtlebot4".into(), "600000".into()]).await.unwrap();
-        Self { fleet, node, admin, salma, client, faults: 0 }
-    }
-
-    /// The fault was survived: the node answers, and orders.
-    pub(crate) async fn survived(&mut self, what: &str) {
-        self.faults += 1;
-        self.node.check();
-        let seq = 1_000_000 + self.faults;
-        self.client
-            .invoke("abac", "set", message(1, seq, &[]))
-            .await
-            .unwrap_or_else(|error| panic!("after {what}: {error}"));
-        self.node.no_panic();
-    }
-
-    /// The signed transaction of a body that was changed first.
-    pub(crate) fn signed(&self, change: impl FnOnce(&mut Body)) -> Transaction {
-        let mut body = self.body();
-        change(&mut body);
-        Transaction::sign(&body, &self.salma.key).unwrap()
-    }
-
-    fn body(&self) -> Body {
-        let mut nonce = [0; NONCE_BYTES];
-        SystemRandom::new().fill(&mut nonce).unwrap();
-        Body {
-            network: Bytes::copy_from_slice(&self.salma.network.0),
-            creator: Bytes::copy_from_slice(Hash::of(&[&self.salma.chain[0]]).as_ref()),
-            nonce: Bytes::copy_from_slice(&nonce),
-            not_after: now() + 30_000_000,
-            chaincode: "abac".into(),
-            function: "robots".into(),
-            args: Vec::new(),
-        }
-    }
-
-    /// Ends the node in order; it must not have panicked.
-    pub(crate) fn end(mut self, test: &str) {
-        println!("hostile: {test}: {} faults", self.faults);
-        self.node.interrupt();
-    }
-}
 
 fn refused<T: std::fmt::Debug>(outcome: Result<T, Rejection>, code: Code, word: &str) -> Rejection {
     let refused = outcome.unwrap_err();

@@ -1,0 +1,35 @@
+//! Attacks on real processes, with bytes made by hand and with real certificates: of strangers, members, admins of other
+//! organisations, and nodes. docs/security.md names what each of them can do, and the test that shows it.
+//!
+//! | module | the attacker |
+//! |---|---|
+//! | `nonsense` | sends what is no good input: each kind gets a clear answer |
+//! | `crowd` | opens connections, to keep others out |
+//! | `greedy` | is a member that wants more of everybody's machines than is its own |
+//! | `liars` | is a member, or an admin, that abuses its rights |
+//! | `pretenders` | is a node that lies about the ordering protocol |
+//! | `target` | the node that is attacked, and its people |
+//!
+//! A node that lies to its own robot is in `tests/interop`, as that needs a bridge.
+
+#![expect(
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::indexing_slicing,
+    clippy::print_stdout,
+    clippy::print_stderr,
+    unreachable_pub,
+    reason = "tests"
+)]
+
+#[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
+#[path = "../support/mod.rs"]
+mod support;
+
+mod crowd;
+mod greedy;
+mod liars;
+mod nonsense;
+mod pretenders;
+mod target;
