@@ -1,5 +1,5 @@
-//! Attacks on real processes, with bytes made by hand and with real certificates: of strangers, members, admins of other
-//! organisations, and nodes. docs/security.md names what each of them can do, and the test that shows it.
+//! Attacks on real processes, with bytes made by hand and with real certificates. The attackers are strangers, members,
+//! admins of other organisations, and nodes. The page docs/security.md names their means, and a test for each.
 //!
 //! | module | the attacker |
 //! |---|---|
