@@ -154,18 +154,19 @@ impl World {
         Some((own_admin(gone), Call::SetRole { id: gone, role: "removed" }))
     }
 
-    /// Does each node that is the only one of its organisation know the members? One that does not would find too few of the voters
+    /// Does each node that is the only one of its organisation, once this one is gone, know the members? One that does not would find too few of the voters
     /// that it knows, and nobody else that it may believe. So a careful operator removes nobody meanwhile.
     fn nobody_is_left_behind_without(&self, gone: u64) -> bool {
         let present = self.records.iter().filter(|record| record.role != NodeRole::Removed);
-        let present: Vec<u64> = present.map(|record| record.id).filter(|id| !self.nodes[id].lost).collect();
+        let stay = |id: &u64| *id != gone && !self.nodes[id].lost;
+        let present: Vec<u64> = present.map(|record| record.id).filter(stay).collect();
         let organisation = |id: &u64| organisation_of(*id, self.plan.organisations);
         let is_alone = |id: &u64| present.iter().filter(|other| organisation(other) == organisation(id)).count() == 1;
         let knows = |id: &u64| {
             let replica = self.nodes.get(id).and_then(|node| node.up.as_ref()?.replica.as_ref());
             replica.is_some_and(|replica| replica.status().membership == *self.newest_members())
         };
-        present.iter().filter(|id| **id != gone && is_alone(id)).all(knows)
+        present.iter().filter(|id| is_alone(id)).all(knows)
     }
 
     /// Now and then, a newer release is installed on a node. Learners may have to wait until they stop.
