@@ -6,6 +6,7 @@ use super::in_flight::RETRY_AFTER;
 use super::session::Up;
 use crate::v1;
 use ledger_rejection::{Code, Rejection};
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout, timeout_at};
 use tonic::Streaming;
@@ -35,12 +36,15 @@ pub struct Subscription {
     pub heartbeat: u32,
 }
 
-/// A stream of deliveries, in block order, each block at most once and none left out.
+/// A stream of deliveries, in block order, each block once. If a node told of blocks that do not exist, what it delivered may come
+/// again through another one.
 pub struct EventStream {
     client: Client,
     wanted: Subscription,
     /// The next height of interest; 0 = not known yet.
     next_height: u64,
+    /// The node that told the newest height, and the next height of interest before it told any.
+    told: Option<(Arc<str>, u64)>,
     open: Option<Open>,
 }
 
@@ -53,7 +57,7 @@ struct Open {
 impl Client {
     /// Subscribes to events. The connection is made at the first [`EventStream::next`].
     pub fn subscribe(&self, wanted: Subscription) -> EventStream {
-        EventStream { client: self.clone(), next_height: wanted.from_height, wanted, open: None }
+        EventStream { client: self.clone(), next_height: wanted.from_height, wanted, told: None, open: None }
     }
 }
 
@@ -83,7 +87,17 @@ impl EventStream {
             };
             let leave = match received {
                 Ok(Ok(Some(delivery))) => {
-                    if self.accept(&delivery) {
+                    let node = Arc::clone(&open.up.connection.address);
+                    let other = self.told.as_ref().filter(|(by, _)| *by != node);
+                    // Seldom: a node that follows has soon what another one has told.
+                    if other.is_some() && delivery.height.saturating_add(1) < self.next_height {
+                        let committed = committed(&open.up).await;
+                        if self.doubt_height(committed) {
+                            self.open = None;
+                            continue;
+                        }
+                    }
+                    if self.accept(&delivery, node) {
                         return Ok(delivery);
                     }
                     continue;
@@ -137,12 +151,31 @@ impl EventStream {
         self.next_height
     }
 
-    /// Notes a delivery; false if its block was delivered before.
-    fn accept(&mut self, delivery: &v1::Delivery) -> bool {
+    /// Notes a delivery of a node; false if its block was delivered before.
+    fn accept(&mut self, delivery: &v1::Delivery, node: Arc<str>) -> bool {
         self.client.session.see(delivery.height);
         let repeated = delivery.height < self.next_height && !delivery.events.is_empty();
-        self.next_height = self.next_height.max(delivery.height.saturating_add(1));
+        let next = delivery.height.saturating_add(1);
+        if next > self.next_height {
+            if self.told.as_ref().is_none_or(|(by, _)| *by != node) {
+                self.told = Some((node, self.next_height));
+            }
+            self.next_height = next;
+        }
         !repeated
+    }
+
+    /// Did another node tell of a block above the newest one that is committed? Then the stream goes on from where it was before
+    /// that node: rather twice than not at all.
+    fn doubt_height(&mut self, committed: Option<u64>) -> bool {
+        let Some(committed) = committed.filter(|height| height.saturating_add(1) < self.next_height) else {
+            return false;
+        };
+        let Some((by, before)) = self.told.take() else { return false };
+        let told = self.next_height - 1;
+        tracing::warn!(node = &*by, told, committed, "a node has told of a block that does not exist");
+        self.next_height = before;
+        true
     }
 
     async fn subscribe(&mut self) -> Result<Open, Rejection> {
@@ -171,6 +204,14 @@ impl EventStream {
             }
         }
     }
+}
+
+/// The height of a current state, which has every committed block; none if no leader confirms it in time.
+async fn committed(up: &Up) -> Option<u64> {
+    // Any function will do: a refusal tells the height as well.
+    let question = v1::QueryRequest { chaincode: "msp".into(), function: "rules".into(), ..Default::default() };
+    let answer = timeout(ACCEPT_MAX, up.gateway().query(question)).await.ok()?.ok()?;
+    Some(answer.into_inner().height)
 }
 
 /// How long a stream may be silent; half a second at least, because a node may be busy.

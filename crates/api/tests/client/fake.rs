@@ -74,6 +74,8 @@ pub(crate) struct Node {
     pub(crate) subscriptions: Mutex<Vec<v1::SubscribeRequest>>,
     /// Height of the newest block with an event.
     pub(crate) height: watch::Sender<u64>,
+    /// The height of heartbeats, if that is larger.
+    pub(crate) beat: AtomicU64,
     /// The number of queries that fail before one is answered.
     pub(crate) not_now: Mutex<Vec<Rejection>>,
     /// Microseconds that this node's clock is ahead.
@@ -128,6 +130,7 @@ impl Fake {
             attempts: Mutex::default(),
             subscriptions: Mutex::default(),
             height: watch::Sender::new(0),
+            beat: AtomicU64::new(0),
             not_now: Mutex::default(),
             ahead: AtomicU64::new(0),
             network: Mutex::new(NETWORK),
@@ -349,7 +352,11 @@ impl Gateway for Shared {
         let request = request.into_inner();
         let response = Bytes::from(request.min_height.to_string());
         let verdict = Some(v1::Verdict::default());
-        Ok(Response::new(v1::QueryResponse { verdict, response, height: request.min_height, ..Default::default() }))
+        // A current state has what was executed; any other one may be as old as the caller allows.
+        let executed = u64::try_from(self.0.chain.executed.lock().unwrap().len()).unwrap();
+        let current = executed.max(*self.0.height.borrow());
+        let height = if request.may_be_stale { request.min_height } else { current };
+        Ok(Response::new(v1::QueryResponse { verdict, response, height, ..Default::default() }))
     }
 
     type SubscribeStream = Deliveries;
@@ -359,7 +366,7 @@ impl Gateway for Shared {
         let mut next = request.from_height;
         let heartbeat = request.heartbeat_ms;
         self.0.subscriptions.lock().unwrap().push(request);
-        let mut heights = self.0.height.subscribe();
+        let (mut heights, node) = (self.0.height.subscribe(), Arc::clone(&self.0));
         let (deliveries, stream) = mpsc::channel(16);
         tokio::spawn(async move {
             loop {
@@ -375,7 +382,8 @@ impl Gateway for Shared {
                     changed = heights.changed() => changed.unwrap(),
                     () = deliveries.closed() => return,
                     () = tokio::time::sleep(Duration::from_millis(silence)) => {
-                        let beat = v1::Delivery { height: newest, ..Default::default() };
+                        let height = newest.max(node.beat.load(Ordering::Relaxed));
+                        let beat = v1::Delivery { height, ..Default::default() };
                         let _gone = deliveries.send(Ok(beat)).await;
                     }
                 }

@@ -4,6 +4,7 @@ use crate::authority::Authority;
 use crate::fake::{Fake, until};
 use ledger_api::{Client, EventStream, Subscription};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 async fn heights(stream: &mut EventStream, count: usize) -> Vec<u64> {
     let mut heights = Vec::new();
@@ -31,6 +32,24 @@ async fn a_cut_subscription_resumes_after_the_last_delivery_through_another_node
     assert_eq!(heights(&mut stream, 3).await, [4, 5, 6]);
     assert_eq!(second.node.subscriptions.lock().unwrap()[0].from_height, 4);
     assert_eq!(client.height_seen(), 6);
+}
+
+#[tokio::test]
+async fn a_node_that_told_of_a_block_that_does_not_exist_makes_no_stream_deaf_at_the_next_one() {
+    let authority = Arc::new(Authority::new());
+    let (liar, honest) = (Fake::start(&authority).await, Fake::start(&authority).await);
+    liar.node.height.send_replace(2);
+    let client = Client::connect(&authority.context(&[&liar, &honest])).await.unwrap();
+    let mut stream = client.subscribe(Subscription { from_height: 1, heartbeat: 50, ..Subscription::default() });
+    assert_eq!(heights(&mut stream, 2).await, [1, 2]);
+    liar.node.beat.store(u64::MAX - 1, Ordering::Relaxed);
+    while stream.next_height() < u64::MAX {
+        stream.next().await.unwrap();
+    }
+    liar.stop().await;
+    honest.node.height.send_replace(4);
+    assert_eq!(heights(&mut stream, 4).await, [1, 2, 3, 4], "from where it was before the liar");
+    assert_eq!(stream.next_height(), 5);
 }
 
 #[tokio::test]

@@ -154,8 +154,9 @@ impl World {
         Some((own_admin(gone), Call::SetRole { id: gone, role: "removed" }))
     }
 
-    /// Does each node that is the only one of its organisation, once this one is gone, know the members? One that does not would find too few of the voters
-    /// that it knows, and nobody else that it may believe. So a careful operator removes nobody meanwhile.
+    /// Does each node that is the only one of its organisation, once this one is gone, know the members? One that does not
+    /// would find too few of the voters that it knows, and nobody else that it may believe. So a careful operator removes nobody
+    /// meanwhile.
     fn nobody_is_left_behind_without(&self, gone: u64) -> bool {
         let present = self.records.iter().filter(|record| record.role != NodeRole::Removed);
         let stay = |id: &u64| *id != gone && !self.nodes[id].lost;
