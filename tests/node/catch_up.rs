@@ -238,7 +238,7 @@ async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_
     voters[1] = fleet.nodes[1].start();
     drop(at(&fleet, &owner, 1).await);
     let mut learner = fleet.nodes[2].start();
-    let refusal = "no node of another organisation confirms the blocks of this peer";
+    let refusal = "no other nodes confirm the blocks of this peer";
     eventually("nobody confirms it", || (said(&learner, refusal) > 0).then_some(()));
     assert_eq!(at(&fleet, &owner, 2).await.status().await.unwrap().height, 0);
     learner.interrupt();

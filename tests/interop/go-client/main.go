@@ -46,7 +46,7 @@ func main() {
 		return err
 	})
 	refused("behind", func() error {
-		_, err := named.Query(ctx, &ledgerd.QueryRequest{Chaincode: "abac", Function: "robots", MinHeight: 1 << 40})
+		_, err := named.Query(ctx, &ledgerd.QueryRequest{Chaincode: "abac", Function: "robots", MinHeight: 1 << 40, MayBeStale: true})
 		return err
 	})
 	refused("id", func() error {
