@@ -5,6 +5,7 @@ use crate::output::printable;
 use crate::time;
 use ledger_api::v1;
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::io::{self, Write};
 
 /// Exit code where something needs attention.
@@ -87,6 +88,25 @@ impl Voters {
     pub(crate) fn attention(&self) -> Option<String> {
         (self.voters_reachable < self.voters || !self.quorum).then(|| format!("voters: {}", self.text()))
     }
+}
+
+/// The point that needs attention where voters of one organisation alone answer, while voters are of several: nothing is certified
+/// then. `voters`: the organisation of each, and whether it answers.
+pub(crate) fn uncertified<'a>(voters: impl IntoIterator<Item = (&'a str, bool)>) -> Option<String> {
+    let (mut answer, mut silent) = (BTreeSet::new(), BTreeSet::new());
+    for (organisation, answers) in voters {
+        if answers {
+            answer.insert(organisation)
+        } else {
+            silent.insert(organisation)
+        };
+    }
+    let missing: Vec<&str> = silent.difference(&answer).copied().collect();
+    let alone = answer.first().filter(|_| answer.len() == 1 && !missing.is_empty())?;
+    let missing = missing.join(" or ");
+    Some(format!(
+        "voters: only those of {alone} answer; without one of {missing} nothing is certified, and robots that move stop"
+    ))
 }
 
 /// The disk of a node's data directory.
@@ -236,6 +256,16 @@ mod tests {
         assert_eq!([judged(false, true, &[]), judged(true, true, &[])], [0, 0]);
         assert_eq!([judged(false, true, &some), judged(true, true, &some)], [0, 1]);
         assert_eq!([judged(false, false, &[]), judged(true, false, &some)], [4, 4]);
+    }
+
+    #[test]
+    fn voters_of_one_organisation_alone_need_attention_where_another_one_has_voters() {
+        let told = |voters: &[(&'static str, bool)]| uncertified(voters.iter().copied());
+        let alone = told(&[("Org1", true), ("Org2", false), ("Org1", true), ("Org3", false)]).unwrap_or_default();
+        assert!(alone.contains("only those of Org1 answer; without one of Org2 or Org3"), "{alone}");
+        assert_eq!(told(&[("Org1", true), ("Org2", true), ("Org3", false)]), None);
+        assert_eq!(told(&[("Org1", true), ("Org1", false)]), None, "there are no others");
+        assert_eq!(told(&[("Org1", false), ("Org2", false)]), None, "that is another matter");
     }
 
     #[test]

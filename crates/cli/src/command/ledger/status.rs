@@ -3,7 +3,7 @@
 use super::code_text;
 use crate::cli::Global;
 use crate::failure::Failure;
-use crate::health::{Certificate, Check, Disk, Voters, attention};
+use crate::health::{Certificate, Check, Disk, Voters, attention, uncertified};
 use crate::output::{Facts, Output, Table};
 use crate::session::Session;
 use crate::time;
@@ -149,8 +149,11 @@ impl Node {
         let lies = (!self.lies.is_empty()).then(|| self.lies.clone());
         let disk = self.disk.as_ref().and_then(|disk| disk.attention(&name));
         let ending = self.certificates.iter().filter_map(|certificate| certificate.attention(now));
-        self.attention =
-            self.quorum.attention().into_iter().chain(disk).chain(differs).chain(lies).chain(ending).collect();
+        let own = (self.role == "voter").then_some((&*self.organisation, true));
+        let others = self.peers.iter().filter(|peer| peer.voter);
+        let voters = others.map(|peer| (&*peer.organisation, peer.connected)).chain(own);
+        let voters = self.quorum.attention().into_iter().chain(uncertified(voters));
+        self.attention = voters.chain(disk).chain(differs).chain(lies).chain(ending).collect();
         self.now = now;
     }
 }

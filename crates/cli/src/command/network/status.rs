@@ -4,7 +4,7 @@ use super::current;
 use super::nodes::{absent, actual};
 use crate::answer;
 use crate::failure::Failure;
-use crate::health::{Certificate, Check, Disk, Voters, attention};
+use crate::health::{Certificate, Check, Disk, Voters, attention, uncertified};
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session};
 use crate::time;
@@ -227,7 +227,9 @@ impl Node {
 impl Overview {
     /// Collects what needs attention.
     fn look(&mut self, now: u64) {
-        let mut attention: Vec<String> = self.quorum.attention().into_iter().collect();
+        let voters = self.nodes.iter().filter(|node| node.role == "voter");
+        let voters = voters.map(|node| (&*node.organisation, node.reachable));
+        let mut attention: Vec<String> = self.quorum.attention().into_iter().chain(uncertified(voters)).collect();
         for node in &self.nodes {
             let name = node.full_name();
             match (node.reachable, node.divergence.is_empty()) {
