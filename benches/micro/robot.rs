@@ -62,10 +62,11 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         holder: "Org1/Salma".to_owned(),
         epoch,
         expires: time + 10_000_000,
-        mode: Mode::Exclusive.into(),
+        mode: Mode::EXCLUSIVE,
         acquired_at: time,
         lease_ms: 10_000,
         next_seq: 0,
+        taken: None,
     };
     let standing = Standing {
         services: Vec::new(),

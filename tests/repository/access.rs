@@ -15,6 +15,9 @@ const LAYERS: [&[&str]; 6] = [
 
 /// The file that declares modes, and derives what an older node does not tell.
 const DECLARES: &str = "crates/contract/src/";
+/// The names of rules, and of what they do with a contender.
+const NAMES: [&str; 6] =
+    ["Mode::OPEN", "Mode::EXCLUSIVE", "Mode::LIMITED", "OnConflict::Deny", "OnConflict::Queue", "OnConflict::Preempt"];
 /// The layer that knows what they mean.
 const KNOWS: &str = "crates/abac/src/rules";
 
@@ -62,7 +65,7 @@ fn a_rule_is_named_where_it_is_declared_and_in_its_layer_only() {
             continue;
         }
         let text = product(&path);
-        let named = code(&text).find(|line| line.contains("Mode::Open") || line.contains("Mode::Exclusive"));
+        let named = code(&text).find(|line| NAMES.iter().any(|name| line.contains(name)));
         assert!(named.is_none(), "{relative} names a rule; read the service's capabilities instead: {named:?}");
     }
 }

@@ -4,12 +4,15 @@
 
 pub(crate) mod acquire;
 pub(crate) mod authorize;
+pub(crate) mod contest;
 pub(crate) mod describe;
+pub(crate) mod emergency;
 pub(crate) mod end;
 pub(crate) mod follow;
 pub(crate) mod hold;
 pub(crate) mod policies;
 pub(crate) mod publish;
+pub(crate) mod queue;
 pub(crate) mod release;
 pub(crate) mod renew;
 pub(crate) mod robots;

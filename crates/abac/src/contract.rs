@@ -1,14 +1,18 @@
 //! The function table of the chaincode, and its hooks.
 
 use crate::actions::{
-    NAME, acquire, authorize, end, follow, hold, policies, publish, release, renew, robots, settings, show,
+    NAME, acquire, authorize, emergency, end, follow, hold, policies, publish, queue, release, renew, robots, settings,
+    show,
 };
 use crate::policy::decider::Decider;
+use crate::records::sharing;
+use crate::rules::{Rule, Table};
 use bytes::Bytes;
 use ledger::{Chaincode, Context, Foretold, Revocation};
 use ledger_rejection::Rejection;
 use ledger_storage::result::Event;
 use nearest::did_you_mean;
+use std::sync::Arc;
 
 /// The access-control chaincode `abac`. Arguments are text, payloads raw bytes; responses and stored values are
 /// JSON.
@@ -19,15 +23,19 @@ use nearest::did_you_mean;
 /// | `configure ROBOT[/TOPIC] SETTINGS_JSON` | an admin of the owner | [`crate::RobotChange`] |
 /// | `replace ROBOT_JSON...` | an admin of the owner | a [`crate::RobotChange`] each |
 /// | `remove ROBOT` | an admin of the owner | the grants it ended |
-/// | `acquire SERVICE [LEASE_MS]` | whom policies permit | [`crate::Grant`] |
+/// | `acquire SERVICE [LEASE_MS\|OPTIONS_JSON]` | whom policies permit | [`crate::Acquired`] |
+/// | `take SERVICE REASON [LEASE_MS]` | an admin of the owner, whom policies permit `override` | [`crate::Grant`] |
+/// | `stop ROBOT\|* [REASON]` | an admin of the owner, whom policies permit it | [`crate::EmergencyAnswer`] |
+/// | `resume ROBOT\|* [REASON]` | an admin of the owner, whom policies permit it | [`crate::EmergencyAnswer`] |
 /// | `renew SERVICE [LEASE_MS]` | the holder | [`crate::Grant`] |
-/// | `release SERVICE [HOLDER]` | the holder, an admin of the owner | the grants it ended |
+/// | `release SERVICE [HOLDER]` | the holder, who waits in line, an admin of the owner | the grants it ended |
 /// | `set SERVICE EPOCH FIRST_SEQ PAYLOAD...` | the holder; in open mode whom policies permit | [`crate::Published`] |
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
 /// | `declare ROBOT` | anybody | [`crate::Declaration`], certified |
 /// | `service SERVICE` | anybody | [`crate::ServiceState`] |
+/// | `line SERVICE` | anybody | [`crate::LineState`] |
 /// | `grants [SERVICE]`, `grants PAGE_JSON` | anybody | [`crate::Grant`]s |
 /// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
 /// | `policies [PAGE_JSON]` | anybody | [`crate::PolicyEntry`]s |
@@ -36,46 +44,52 @@ use nearest::did_you_mean;
 ///
 /// A service is named `Turtlebot4/cmd_vel`, or `Turtlebot4` while that robot has only one.
 ///
-/// Events: `granted` and `renewed` with the [`crate::Grant`], `released` with [`crate::Released`], `message` with
-/// [`crate::MessageEvent`], all with the service as subject; `robot` with [`crate::RobotEvent`] and the robot as
-/// subject; `policy` with [`crate::PolicyChange`] and the organisation as subject.
+/// Events: `granted` and `renewed` with the [`crate::Grant`], `released` with [`crate::Released`], `queued` with
+/// [`crate::Place`], `left` with [`crate::Left`], `line` with [`crate::LineTold`], `message` with
+/// [`crate::MessageEvent`], all with the service as subject; `robot` with [`crate::RobotEvent`], `stopped` and `resumed`
+/// with [`crate::Emergency`], and the robot as subject; `policy` with [`crate::PolicyChange`] and the organisation as subject.
 pub struct AccessControl {
     decider: Decider,
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 17] = [
+const FUNCTIONS: [&str; 21] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
     "configure",
     "declare",
     "grants",
+    "line",
     "policies",
     "policy",
     "release",
     "remove",
     "renew",
     "replace",
+    "resume",
     "robot",
     "robots",
     "service",
     "set",
     "setup",
+    "stop",
+    "take",
 ];
 
 /// The rules since which voters certify what executing a block gave.
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 7] =
-    ["GetSubmittingClientIdentity", "authorize", "grants", "policies", "robot", "robots", "service"];
+const READS: [&str; 8] =
+    ["GetSubmittingClientIdentity", "authorize", "grants", "line", "policies", "robot", "robots", "service"];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
-const URGENT: [&str; 6] = ["acquire", "configure", "policy", "release", "remove", "renew"];
+const URGENT: [&str; 9] = ["acquire", "configure", "policy", "release", "remove", "renew", "resume", "stop", "take"];
 
 /// The names of its events.
-const EVENTS: [&str; 6] = ["granted", "message", "policy", "released", "renewed", "robot"];
+const EVENTS: [&str; 11] =
+    ["granted", "left", "line", "message", "policy", "queued", "released", "renewed", "resumed", "robot", "stopped"];
 
 impl AccessControl {
     /// The chaincode, with the thread on which it evaluates policies.
@@ -83,7 +97,16 @@ impl AccessControl {
     /// # Errors
     /// [`ledger_rejection::Code::Internal`] if the operating system gives no thread.
     pub fn new() -> Result<Self, Rejection> {
-        Ok(Self { decider: Decider::new()? })
+        Ok(Self { decider: Decider::new(Table::built_in())? })
+    }
+
+    /// The chaincode with one more rule, which owners choose by its mode. Every node of a network needs the same rules.
+    ///
+    /// # Errors
+    /// [`ledger_rejection::Code::AlreadyExists`] if the mode has a rule.
+    pub fn with_rule(mut self, rule: impl Rule + 'static) -> Result<Self, Rejection> {
+        self.decider.rules.add(Arc::new(rule))?;
+        Ok(self)
     }
 
     /// May the submitter publish on a service now, under a grant with that epoch? The decision that `set` makes, by
@@ -104,7 +127,7 @@ impl Chaincode for AccessControl {
 
     /// Services stand in the records of their robots. A message writes neither of them.
     fn control_keys(&self) -> &'static [&'static str] {
-        &["grant/", "robot/"]
+        &["grant/", "robot/", "stopped/"]
     }
 
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
@@ -113,18 +136,22 @@ impl Chaincode for AccessControl {
             "set" => publish::set(ctx, decider, args),
             "acquire" => acquire::acquire(ctx, decider, args),
             "renew" => renew::renew(ctx, decider, args),
-            "release" => release::release(ctx, args),
+            "take" if sharing::known(ctx) => acquire::take(ctx, decider, args),
+            "stop" if sharing::known(ctx) => emergency::stop(ctx, decider, args),
+            "resume" if sharing::known(ctx) => emergency::resume(ctx, decider, args),
+            "line" if sharing::known(ctx) => show::line(ctx, decider, args),
+            "release" => release::release(ctx, decider, args),
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),
             "setup" => robots::setup(ctx, decider, args),
             "configure" => settings::configure(ctx, decider, args),
             "replace" => settings::replace(ctx, decider, args),
             "remove" => robots::remove(ctx, args),
-            "robots" => show::robots(ctx, args),
-            "robot" => show::robot(ctx, args),
-            "declare" if ctx.rules().number() >= DECLARED_SINCE => show::declare(ctx, args),
-            "service" => show::service(ctx, args),
-            "grants" => hold::list(ctx, args),
+            "robots" => show::robots(ctx, decider, args),
+            "robot" => show::robot(ctx, decider, args),
+            "declare" if ctx.rules().number() >= DECLARED_SINCE => show::declare(ctx, decider, args),
+            "service" => show::service(ctx, decider, args),
+            "grants" => hold::list(ctx, decider, args),
             "policy" => policies::change(ctx, decider, args),
             "policies" => policies::list(ctx, args),
             _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
@@ -146,12 +173,12 @@ impl Chaincode for AccessControl {
 
     /// A caller of release must hold something, and acquiring is refused meanwhile.
     fn ends(&self, function: &str) -> bool {
-        matches!(function, "release" | "remove")
+        matches!(function, "release" | "remove" | "stop")
     }
 
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
-        let _ = end::sweep(ctx, &self.decider);
+        let _ = end::sweep(ctx, &self.decider).and_then(|()| queue::go_on(ctx, &self.decider));
     }
 
     fn next_deadline(&self, ctx: &Context<'_>) -> Option<u64> {

@@ -5,6 +5,7 @@
 //! thread with a stack of fixed size. On a small stack, deep recursion aborts the process. Cedar looks at the stack
 //! that is left, so stacks of different sizes would decide differently on different nodes.
 
+mod annotation;
 pub(crate) mod decider;
 pub(crate) mod defaults;
 mod index;
@@ -54,10 +55,9 @@ pub(crate) struct Question {
     pub(crate) version: Hash,
     /// `User`: id, attributes, tags, organisation.
     pub(crate) user: User,
-    /// `acquire`, `publish` or `subscribe`.
+    /// Its name in the schema.
     pub(crate) action: &'static str,
-    /// `Service`: id, robot, owner, and its attributes.
-    pub(crate) service: Resource,
+    pub(crate) resource: Resource,
     /// Block time, milliseconds.
     pub(crate) time_ms: i64,
     /// May the set be larger than its steps are allowed to be? It was put under older rules, and denies if it is.
@@ -72,27 +72,38 @@ pub(crate) struct User {
     pub(crate) attributes: BTreeMap<String, String>,
 }
 
-/// The object of the request.
+/// Attributes of text, as in the schema.
+pub(crate) type TextAttributes = Vec<(&'static str, String)>;
+
+/// The object of the request: a service, or its robot.
 pub(crate) struct Resource {
-    pub(crate) id: String,
+    /// The service with its attributes; none if the request is about the robot.
+    pub(crate) service: Option<(String, TextAttributes)>,
     pub(crate) robot: String,
     pub(crate) owner: String,
-    /// Attributes of text, as in the schema.
-    pub(crate) texts: Vec<(&'static str, String)>,
     pub(crate) trusted: Vec<String>,
+    /// The attributes of the robot besides its name and owner, `trusted` among them; none before rules 3.
+    pub(crate) of_robot: Option<TextAttributes>,
 }
 
 /// The decision of a set of policies.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Verdict {
     /// A policy permits it and none forbids it.
-    Permit,
+    Permit(Permit),
     /// No policy permits it.
     NotPermitted,
     /// These policies forbid it.
     Forbidden(Vec<String>),
     /// A policy could not be evaluated. Cedar would skip it, were it a `forbid`; here it denies.
     Fault(String),
+}
+
+/// What policies say of something that they permit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Permit {
+    /// The highest `@priority` of those that permit it.
+    pub(crate) priority: Option<i64>,
 }
 
 /// A verdict, and whether it holds whatever the time is.
@@ -103,8 +114,8 @@ pub(crate) struct Answer {
 }
 
 enum Job {
-    /// By the schema that comes first.
-    Check(&'static str, String, SyncSender<Result<(), Vec<String>>>),
+    /// By the schema that comes first. Are annotations to be known ones?
+    Check(&'static str, bool, String, SyncSender<Result<(), Vec<String>>>),
     /// With the texts of the set, if they were asked for.
     Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
 }
@@ -142,10 +153,11 @@ impl Engine {
     ///
     /// # Errors
     /// [`Code::PolicyInvalid`] with the first faults.
-    pub(crate) fn check(&self, schema: &'static str, text: &str) -> Result<(), Rejection> {
+    pub(crate) fn check(&self, schema: &'static str, annotated: bool, text: &str) -> Result<(), Rejection> {
         limits::check(text)?;
         let (reply, answer) = sync_channel(1);
-        let faults = self.jobs.send(Job::Check(schema, text.to_owned(), reply)).ok().and_then(|()| answer.recv().ok());
+        let job = Job::Check(schema, annotated, text.to_owned(), reply);
+        let faults = self.jobs.send(job).ok().and_then(|()| answer.recv().ok());
         let Err(mut faults) = faults.unwrap_or_else(|| Err(vec!["the policy thread is gone".to_owned()])) else {
             return Ok(());
         };
@@ -211,8 +223,9 @@ fn serve(queue: &Receiver<Job>, validators: &Validators) {
     while let Ok(job) = queue.recv() {
         // A caller that has given up waiting is no fault of ours.
         match job {
-            Job::Check(schema, text, reply) => {
-                let outcome = validators.get(schema).map(|validator| catch_unwind(|| validate(validator, &text)));
+            Job::Check(schema, annotated, text, reply) => {
+                let validator = validators.get(schema);
+                let outcome = validator.map(|validator| catch_unwind(|| validate(validator, annotated, &text)));
                 let fault = || Err(vec!["Cedar panicked on it, or knows no such schema".to_owned()]);
                 let _ = reply.send(outcome.and_then(Result::ok).unwrap_or_else(fault));
             }
@@ -246,7 +259,7 @@ impl Weighter<Hash, Parsed> for ByText {
     }
 }
 
-fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
+fn validate(validator: &Validator, annotated: bool, text: &str) -> Result<(), Vec<String>> {
     let policies: PolicySet = text
         .parse()
         .map_err(|fault: cedar_policy::ParseErrors| fault.iter().map(|fault| fault.to_string()).collect::<Vec<_>>())?;
@@ -255,6 +268,9 @@ fn validate(validator: &Validator, text: &str) -> Result<(), Vec<String>> {
     }
     if policies.is_empty() {
         return Err(vec!["no policy in the text".to_owned()]);
+    }
+    if annotated {
+        annotation::check(&policies)?;
     }
     let result = validator.validate(&policies, ValidationMode::Strict);
     if result.validation_passed() {
@@ -304,33 +320,38 @@ fn decide(set: &Parsed, question: &Question) -> Answer {
 }
 
 fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
-    let (user, service) = (&question.user, &question.service);
+    let (user, object) = (&question.user, &question.resource);
     let principal = uid("User", &format!("{}/{}", user.organisation, user.name))?;
-    let resource = uid("Service", &service.id)?;
-    let robot = uid("Robot", &service.robot)?;
-    let (home, owner) = (uid("Organisation", &user.organisation)?, uid("Organisation", &service.owner)?);
+    let robot = uid("Robot", &object.robot)?;
+    let (home, owner) = (uid("Organisation", &user.organisation)?, uid("Organisation", &object.owner)?);
     let text = |value: &str| RestrictedExpression::new_string(value.to_owned());
     let pair = |key: &str, value: &str| (key.to_owned(), text(value));
+    let trusted = ("trusted".to_owned(), RestrictedExpression::new_set(object.trusted.iter().map(|name| text(name))));
 
     let user_attributes = [pair("organisation", &user.organisation), pair("name", &user.name), pair("role", user.role)];
     let tags = user.attributes.iter().map(|(key, value)| pair(key, value));
-    let robot_attributes = [pair("name", &service.robot), pair("owner", &service.owner)];
-    let trusted = RestrictedExpression::new_set(service.trusted.iter().map(|name| text(name)));
-    let service_attributes = service.texts.iter().map(|(key, value)| pair(key, value)).chain([
-        ("trusted".to_owned(), trusted),
-        pair("robot", &service.robot),
-        pair("owner", &service.owner),
-    ]);
-
+    let mut robot_attributes = vec![pair("name", &object.robot), pair("owner", &object.owner)];
+    if let Some(more) = &object.of_robot {
+        robot_attributes.extend(more.iter().map(|(key, value)| pair(key, value)).chain([trusted.clone()]));
+    }
     let mut entities = vec![
         Entity::new_with_tags(principal.clone(), user_attributes, [home.clone()], tags).map_err(display)?,
         Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], []).map_err(display)?,
-        Entity::new_with_tags(resource.clone(), service_attributes, [robot.clone()], []).map_err(display)?,
         Entity::new_no_attrs(home.clone(), HashSet::new()),
     ];
     if owner != home {
         entities.push(Entity::new_no_attrs(owner.clone(), HashSet::new()));
     }
+    let resource = match &object.service {
+        None => robot.clone(),
+        Some((id, texts)) => {
+            let service = uid("Service", id)?;
+            let of_robot = [pair("robot", &object.robot), pair("owner", &object.owner), trusted];
+            let attributes = texts.iter().map(|(key, value)| pair(key, value)).chain(of_robot);
+            entities.push(Entity::new_with_tags(service.clone(), attributes, [robot.clone()], []).map_err(display)?);
+            service
+        }
+    };
     let entities = Entities::from_entities(entities, None).map_err(display)?;
     let context = Context::from_pairs([("time".to_owned(), RestrictedExpression::new_long(question.time_ms))])
         .map_err(display)?;
@@ -339,12 +360,16 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
 
     // Each set by itself, put together as Cedar would: what one forbids no other permits.
     let (principals, resources) = ([&principal, &home], [&resource, &robot, &owner]);
-    let (mut faults, mut forbidding, mut permitted) = (Vec::new(), Vec::new(), false);
+    let (mut faults, mut forbidding, mut permitted) = (Vec::new(), Vec::new(), None);
     for set in policies.candidates(&principals, &resources) {
         let response = Authorizer::new().is_authorized(&request, set, &entities);
         faults.extend(response.diagnostics().errors().map(ToString::to_string));
         match response.decision() {
-            Decision::Allow => permitted = true,
+            Decision::Allow => {
+                let priorities = response.diagnostics().reason().filter_map(|id| annotation::priority(set, id));
+                let Permit { priority } = permitted.unwrap_or_default();
+                permitted = Some(Permit { priority: priorities.chain(priority).max() });
+            }
             Decision::Deny => forbidding.extend(response.diagnostics().reason().map(ToString::to_string)),
         }
     }
@@ -356,8 +381,8 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     forbidding.sort();
     Ok(match permitted {
         _ if !forbidding.is_empty() => Verdict::Forbidden(forbidding),
-        true => Verdict::Permit,
-        false => Verdict::NotPermitted,
+        Some(permit) => Verdict::Permit(permit),
+        None => Verdict::NotPermitted,
     })
 }
 

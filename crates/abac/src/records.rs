@@ -3,10 +3,13 @@
 
 pub(crate) mod grant;
 pub(crate) mod last;
+pub(crate) mod line;
 pub(crate) mod parsed;
 pub(crate) mod principal;
 pub(crate) mod robot;
 pub(crate) mod service;
+pub(crate) mod sharing;
+pub(crate) mod stopped;
 pub(crate) mod store;
 
 use self::grant::Holding;

@@ -1,86 +1,199 @@
 //! Conflict: the rule behind a service's mode says which of several callers that may gets the service. One file for
 //! each rule, and one table of them.
 //!
-//! Nothing above this layer knows the name of a rule. A caller asks what the rule [decides](Rule::decide), or what
-//! [follows](Rule::capabilities) from it for publishers, gates and clients. A new rule is a file here and a row of
-//! [`TABLE`]; a demand of it that no rule made before becomes a capability or a part of [`Decision`].
+//! Nothing above this layer knows the name of a rule. A caller asks what the rule [decides](Rule::decide), whose
+//! [turn](Rule::order) it is, or what [follows](Rule::capabilities) from it for publishers, gates and clients. A new rule is
+//! a type that implements [`Rule`], installed with [`crate::AccessControl::with_rule`]; those of this crate are in a file
+//! each and in [`BUILT_IN`].
 
+mod contest;
 mod exclusive;
+mod limited;
 mod open;
+pub(crate) mod priority;
+pub(crate) mod terms;
 
-use crate::records::principal::Principal;
 use crate::records::service::Target;
-use ledger_contract::{Capabilities, Direction, Grant, Mode};
+use ledger_contract::{Capabilities, Direction, Mode, Sharing};
 use ledger_rejection::{Code, Rejection};
+use nearest::did_you_mean;
+use std::sync::Arc;
 
-/// Decides between one who may have a service and those who have it. A rule is pure: the same contender and holders
+pub use contest::{contend, precedence};
+
+/// Decides between one who may have a service, those who have it, and those who wait. A rule is pure: the same arguments
 /// give the same decision on every node.
-pub(crate) trait Rule: Sync {
+pub trait Rule: Send + Sync {
+    /// The mode by which owners choose the rule.
+    fn mode(&self) -> Mode;
+
     /// The consequences of the rule for publishers, for gates and for clients.
     fn capabilities(&self) -> Capabilities;
 
-    /// The treatment of a contender that policies permit and that holds nothing of this service yet. `holders` are
-    /// those who hold it now, oldest grant first.
-    fn decide<'g>(&self, contender: &Principal, holders: &[&'g Grant]) -> Decision<'g>;
+    /// The keys of [`Sharing`] that the rule reads. A service that sets another one is refused.
+    fn keys(&self) -> &'static [&'static str];
+
+    /// The keys among them that the owner must set.
+    fn required(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    /// The treatment of a contender that policies permit and that holds nothing of this service yet. If it waits already, it
+    /// is not in `situation.line`.
+    fn decide(&self, contender: &Claim, situation: &Situation<'_>) -> Decision;
+
+    /// The order in which turns come, as indexes of `situation.line`, the next one first. By default the highest
+    /// [precedence] goes first, and among equals whoever came first.
+    fn order(&self, situation: &Situation<'_>) -> Vec<usize> {
+        contest::order(situation)
+    }
+}
+
+/// One who holds a service or wants it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Claim {
+    /// `Org1/Salma`.
+    pub who: String,
+    /// The priority; more is more.
+    pub priority: i64,
+    /// Since when it holds or wants the service (block time, microseconds).
+    pub since: u64,
+    /// The order of arrival in line: less came earlier. The contender that is decided about for the first time came last.
+    pub ticket: u64,
+}
+
+/// All that a rule looks at besides the contender.
+#[derive(Clone, Copy, Debug)]
+pub struct Situation<'a> {
+    /// The settings of the service.
+    pub sharing: &'a Sharing,
+    /// Those who hold the service, oldest grant first.
+    pub holders: &'a [Claim],
+    /// Those who wait, in order of arrival.
+    pub line: &'a [Claim],
+    /// Block time, microseconds.
+    pub now: u64,
 }
 
 /// The decision of a [`Rule`] about a contender.
-#[derive(Debug, PartialEq, Eq)]
-pub(crate) enum Decision<'g> {
-    /// The contender gets a grant. The grants in `ends` end first, in the same block.
-    Grant { ends: Vec<&'g Grant> },
-    /// The contender waits until this grant ends. No service has a line yet, so whoever would wait is refused.
-    Wait(&'g Grant),
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum Decision {
+    /// The contender gets a grant. The grants of these holders, by their index, end first, in the same block.
+    Grant {
+        /// Indexes of [`Situation::holders`].
+        ends: Vec<usize>,
+    },
+    /// The contender waits in line. At that time (block time, microseconds) the decision may be another one even if nobody
+    /// comes or goes.
+    Wait {
+        /// When to decide again.
+        again: Option<u64>,
+    },
+    /// The contender is refused.
+    Refuse,
 }
 
-/// Every mode with its rule.
-static TABLE: [(Mode, &dyn Rule); 2] = [(Mode::Open, &open::Open), (Mode::Exclusive, &exclusive::Exclusive)];
+/// The rules of a node: those of this crate, then those that were installed.
+#[derive(Clone)]
+pub(crate) struct Table(Vec<Arc<dyn Rule>>);
 
 /// The mode of a service whose owner names none.
 pub(crate) fn default_mode(direction: Direction) -> Mode {
     match direction {
-        Direction::Feed => Mode::Open,
-        _ => Mode::Exclusive,
+        Direction::Feed => Mode::OPEN,
+        _ => Mode::EXCLUSIVE,
     }
 }
 
-/// The rule of a service.
-///
-/// # Errors
-/// [`Code::Internal`] if its mode has no rule.
-pub(crate) fn rule(target: &Target) -> Result<&'static dyn Rule, Rejection> {
-    let mode = target.service.mode;
-    TABLE.iter().find(|(of, _)| *of == mode).map(|(_, rule)| *rule).ok_or_else(|| {
-        Rejection::new(Code::Internal, format!("the mode {mode} of {} has no rule", target.id))
-            .next("report it: this is a fault of the program")
-    })
+impl Table {
+    /// The rules of this crate.
+    pub(crate) fn built_in() -> Self {
+        Self(vec![Arc::new(open::Open), Arc::new(exclusive::Exclusive), Arc::new(limited::Limited)])
+    }
+
+    /// Adds a rule.
+    ///
+    /// # Errors
+    /// [`Code::AlreadyExists`] if its mode has one.
+    pub(crate) fn add(&mut self, rule: Arc<dyn Rule>) -> Result<(), Rejection> {
+        if self.find(&rule.mode()).is_some() {
+            return Err(Rejection::new(Code::AlreadyExists, format!("the mode {} has a rule", rule.mode()))
+                .wanted("a name of its own for each rule"));
+        }
+        self.0.push(rule);
+        Ok(())
+    }
+
+    fn find(&self, mode: &Mode) -> Option<&dyn Rule> {
+        self.0.iter().find(|rule| rule.mode() == *mode).map(|rule| &**rule)
+    }
+
+    /// The rule of a mode that an owner chooses.
+    ///
+    /// # Errors
+    /// [`Code::BadArgument`] if no rule has that name.
+    pub(crate) fn chosen(&self, mode: &Mode) -> Result<&dyn Rule, Rejection> {
+        self.find(mode).ok_or_else(|| {
+            let modes: Vec<Mode> = self.0.iter().map(|rule| rule.mode()).collect();
+            let names: Vec<&str> = modes.iter().map(Mode::name).collect();
+            Rejection::new(Code::BadArgument, "no rule has this mode")
+                .found(crate::arguments::shown(mode.name()))
+                .wanted(format!("mode {}", names.join(" or ")))
+                .next(did_you_mean(mode.name(), names, ""))
+        })
+    }
+
+    /// The rule of a service.
+    ///
+    /// # Errors
+    /// [`Code::UnknownMode`] if this node has none of its mode.
+    pub(crate) fn of(&self, target: &Target) -> Result<&dyn Rule, Rejection> {
+        let mode = &target.service.mode;
+        self.find(mode).ok_or_else(|| {
+            Rejection::new(Code::UnknownMode, format!("the mode {mode} of {} has no rule here", target.id))
+                .next("start every node of the network with the same rules")
+        })
+    }
 }
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::{Fencing, Sequence, Word};
+    use ledger_contract::{Fencing, Publishing, Sequence};
 
     #[test]
     fn every_mode_has_one_rule() {
-        let modes: Vec<Mode> = TABLE.iter().map(|(mode, _)| *mode).collect();
-        assert_eq!(modes, Mode::ALL);
+        let mut table = Table::built_in();
+        let modes: Vec<Mode> = table.0.iter().map(|rule| rule.mode()).collect();
+        assert_eq!(modes, [Mode::OPEN, Mode::EXCLUSIVE, Mode::LIMITED]);
+        assert_eq!(table.add(Arc::new(open::Open)).unwrap_err().code, Code::AlreadyExists);
     }
 
     #[test]
     fn a_client_derives_the_capabilities_of_an_older_node_as_that_node_would_tell_them() {
-        for (mode, rule) in TABLE {
-            assert_eq!(Capabilities::of_mode(mode).unwrap(), rule.capabilities(), "{mode}");
+        for mode in [Mode::OPEN, Mode::EXCLUSIVE] {
+            let rule = Table::built_in();
+            assert_eq!(Capabilities::of_mode(&mode).unwrap(), rule.chosen(&mode).unwrap().capabilities(), "{mode}");
         }
     }
 
     /// Only one holder at a time can share a key with nobody: see `records::last`.
     #[test]
     fn sequences_count_by_epoch_only_where_the_newest_epoch_alone_may_publish() {
-        for (mode, rule) in TABLE {
+        for rule in Table::built_in().0 {
             let Capabilities { fencing, sequence, .. } = rule.capabilities();
-            assert!(sequence != Sequence::PerEpoch || fencing == Fencing::Newest, "{mode}");
+            assert!(sequence != Sequence::PerEpoch || fencing == Fencing::Newest, "{}", rule.mode());
+        }
+    }
+
+    #[test]
+    fn a_rule_reads_keys_that_exist_and_requires_those_that_it_reads() {
+        for rule in Table::built_in().0 {
+            assert!(rule.keys().iter().all(|key| Sharing::keys().any(|known| known == *key)), "{}", rule.mode());
+            assert!(rule.required().iter().all(|key| rule.keys().contains(key)), "{}", rule.mode());
+            assert!(rule.capabilities().publishing == Publishing::Grant || rule.required().is_empty());
         }
     }
 }

@@ -1,8 +1,8 @@
 //! The table of commands.
 
 use crate::command::{
-    ca, chaincode, completions, context, denials, enroll, explain, grant, identity, ledger, light, message, network,
-    policy, robot, whoami,
+    ca, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger, light, message,
+    network, policy, robot, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -64,6 +64,10 @@ enum Command {
     Acquire(grant::Acquire),
     Renew(grant::Renew),
     Release(grant::Release),
+    Queue(grant::Queue),
+    Stop(emergency::Stop),
+    Resume(emergency::Resume),
+    Take(grant::Take),
     Publish(message::Publish),
     Echo(message::Echo),
     #[command(subcommand)]
@@ -108,6 +112,10 @@ impl Cli {
             Command::Acquire(command) => command.run(global, output).await,
             Command::Renew(command) => command.run(global, output).await,
             Command::Release(command) => command.run(global, output).await,
+            Command::Queue(command) => command.run(global, output).await,
+            Command::Stop(command) => command.run(global, output).await,
+            Command::Resume(command) => command.run(global, output).await,
+            Command::Take(command) => command.run(global, output).await,
             Command::Publish(command) => command.run(global, output).await,
             Command::Echo(command) => command.run(global, output).await,
             Command::Policy(command) => command.run(global, output).await,

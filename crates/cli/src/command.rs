@@ -5,6 +5,7 @@ pub(crate) mod chaincode;
 pub(crate) mod completions;
 pub(crate) mod context;
 pub(crate) mod denials;
+pub(crate) mod emergency;
 pub(crate) mod enroll;
 pub(crate) mod explain;
 pub(crate) mod grant;

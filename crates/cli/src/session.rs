@@ -7,6 +7,7 @@ use ledger_api::{Client, Committed, Context};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
+use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// The chaincode that keeps robots, grants and policies.
@@ -67,4 +68,14 @@ impl Session {
                 .next("learn the organisations of the network, then try again: ledgerctl context refresh")
         })
     }
+}
+
+/// A value as the JSON of an argument.
+///
+/// # Errors
+/// [`Code::Internal`] if it cannot be written.
+pub(crate) fn argument(value: &impl Serialize) -> Result<Bytes, Rejection> {
+    serde_json::to_vec(value).map(Bytes::from).map_err(|error| {
+        Rejection::new(Code::Internal, "an argument cannot be written as JSON").found(error.to_string())
+    })
 }

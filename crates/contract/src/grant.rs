@@ -1,6 +1,6 @@
 //! Grants: who holds a service until when, and how that ends.
 
-use crate::service::Mode;
+use crate::sharing::Mode;
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
 
@@ -16,13 +16,16 @@ pub struct Grant {
     /// When it ends unless renewed or used (block time, microseconds).
     pub expires: u64,
     /// How many may hold the service at once.
-    pub mode: Told<Mode>,
+    pub mode: Mode,
     /// When it began (block time, microseconds).
     pub acquired_at: u64,
     /// By how much a renewal extends it, in milliseconds.
     pub lease_ms: u64,
     /// The smallest sequence number that `set` accepts from the holder; a restarted bridge goes on from here.
     pub next_seq: u64,
+    /// Why it was taken whatever the rule says, if it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub taken: Option<String>,
 }
 
 words! {
@@ -40,6 +43,14 @@ words! {
         RobotRemoved = "robot_removed",
         /// The owner's policies or the robot's requirements no longer permit it.
         Policy = "policy",
+        /// Another contender with a higher priority took its place.
+        Preempted = "preempted",
+        /// Its holder published nothing for as long as the service allows.
+        Idle = "idle",
+        /// The robot was stopped.
+        Stopped = "stopped",
+        /// Somebody who may override the rule took the service.
+        Overridden = "overridden",
     }
 }
 
@@ -54,4 +65,7 @@ pub struct Released {
     pub epoch: u64,
     /// Why.
     pub reason: Told<Reason>,
+    /// Who took its place, if somebody did.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
 }

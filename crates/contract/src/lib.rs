@@ -9,24 +9,30 @@
 //! ```
 //! let text = r#"{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "open"}"#;
 //! let service: ledger_contract::ServiceSpec = serde_json::from_str(text)?;
-//! assert_eq!(service.mode, Some(ledger_contract::Mode::Open));
+//! assert_eq!(service.mode, Some(ledger_contract::Mode::OPEN));
 //! # Ok::<(), serde_json::Error>(())
 //! ```
 
 mod capability;
+mod emergency;
 mod grant;
+mod line;
 mod message;
 mod policy;
 mod robot;
 mod service;
 mod settings;
+mod sharing;
 mod word;
 
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
+pub use emergency::{Emergency, EmergencyAnswer, Stopped};
 pub use grant::{Grant, Reason, Released};
+pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
 pub use message::{MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};
 pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
-pub use service::{Direction, Mode, ServiceSpec, ServiceState};
+pub use service::{Direction, ServiceSpec, ServiceState};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
+pub use sharing::{Mode, OnConflict, Sharing};
 pub use word::{Told, Word};

@@ -1,5 +1,6 @@
 //! Robots: how their owner describes them, and how everybody sees them.
 
+use crate::emergency::Stopped;
 use crate::grant::Grant;
 use crate::service::{ServiceSpec, ServiceState};
 use serde::{Deserialize, Serialize};
@@ -46,6 +47,9 @@ pub struct RobotAsset {
     pub trusted: Vec<String>,
     /// Its services and their holders.
     pub services: Vec<ServiceState>,
+    /// The stop that holds, if the robot is stopped.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stopped: Option<Stopped>,
 }
 
 /// Answer of `declare`: all that a robot's gate needs to know, at one height.

@@ -1,18 +1,11 @@
 //! Services: the right to publish or subscribe on one topic of a robot.
 
 use crate::capability::{Capabilities, ToldCapabilities, UnknownRule};
+use crate::sharing::{Mode, Sharing};
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
 
 words! {
-    /// How many may use a service at once. Its name is for people: what follows from it are [`Capabilities`].
-    pub enum Mode {
-        /// Everybody whom policies permit.
-        Open = "open",
-        /// One holder of a grant at a time.
-        Exclusive = "exclusive",
-    }
-
     /// Which way messages go.
     #[derive(Default)]
     pub enum Direction {
@@ -52,6 +45,9 @@ pub struct ServiceSpec {
     /// knows those of common types.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stop_hex: Option<String>,
+    /// The settings of its rule.
+    #[serde(default, skip_serializing_if = "Sharing::is_default")]
+    pub sharing: Sharing,
 }
 
 /// A service and who holds it: the answer of `service`, and part of [`crate::RobotAsset`].
@@ -69,7 +65,7 @@ pub struct ServiceState {
     #[serde(rename = "type")]
     pub type_name: String,
     /// How many may use it at once.
-    pub mode: Told<Mode>,
+    pub mode: Mode,
     /// Which way messages go.
     pub direction: Told<Direction>,
     /// Age (milliseconds) beyond which the robot drops a message.
@@ -80,6 +76,9 @@ pub struct ServiceState {
     pub lease_ms_max: u64,
     /// The message that stops the robot, if the owner gave one.
     pub stop_hex: Option<String>,
+    /// The settings of its rule.
+    #[serde(default, skip_serializing_if = "Sharing::is_default")]
+    pub sharing: Sharing,
     /// The oldest holder, e.g. `Org1/Salma`; empty if there is none.
     pub holder: String,
     /// All holders, oldest grant first.
@@ -88,6 +87,9 @@ pub struct ServiceState {
     pub epoch: u64,
     /// When the grant of `holder` expires (block time, microseconds); 0 if there is none.
     pub expires: u64,
+    /// How many wait for it.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub waiting: u64,
     /// The consequences of its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node
     /// does in the answer of a transaction, which stays as it always was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -103,10 +105,11 @@ impl ServiceState {
     pub fn capabilities(&self) -> Result<Capabilities, UnknownRule> {
         match &self.capabilities {
             Some(told) => told.read(),
-            None => {
-                let known = self.mode.known().and_then(Capabilities::of_mode);
-                known.ok_or_else(|| UnknownRule::of_mode(self.mode.word()))
-            }
+            None => Capabilities::of_mode(&self.mode).ok_or_else(|| UnknownRule::of_mode(self.mode.name())),
         }
     }
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }

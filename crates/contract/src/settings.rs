@@ -2,7 +2,8 @@
 
 use crate::grant::Released;
 use crate::robot::RobotAsset;
-use crate::service::{Direction, Mode};
+use crate::service::Direction;
+use crate::sharing::{Mode, Sharing};
 use serde::{Deserialize, Serialize};
 
 /// The settings that `configure` changes. Settings that are not named stay unchanged. The first two belong to the
@@ -37,6 +38,12 @@ pub struct RobotSettings {
     /// The message that stops the robot, in hexadecimal digits; empty = the bridge's own.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stop_hex: Option<String>,
+    /// Settings of the service's rule.
+    #[serde(default, skip_serializing_if = "Sharing::is_default")]
+    pub sharing: Sharing,
+    /// Keys of [`Sharing`] that get their defaults again.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clear: Vec<String>,
 }
 
 /// Answer of `configure` and, for each robot, of `replace`.

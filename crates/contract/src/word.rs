@@ -46,12 +46,12 @@ pub(crate) use words;
 /// A value as a node tells it. A newer node may have values that this program does not know: they can be shown.
 ///
 /// ```
-/// use ledger_contract::{Mode, Told};
+/// use ledger_contract::{Reason, Told};
 ///
-/// let known: Told<Mode> = serde_json::from_str(r#""open""#)?;
-/// let newer: Told<Mode> = serde_json::from_str(r#""limited""#)?;
-/// assert_eq!((known.known(), newer.known()), (Some(Mode::Open), None));
-/// assert_eq!(newer.to_string(), "limited");
+/// let known: Told<Reason> = serde_json::from_str(r#""expired""#)?;
+/// let newer: Told<Reason> = serde_json::from_str(r#""weary""#)?;
+/// assert_eq!((known.known(), newer.known()), (Some(Reason::Expired), None));
+/// assert_eq!(newer.to_string(), "weary");
 /// # Ok::<(), serde_json::Error>(())
 /// ```
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize)]
@@ -110,7 +110,7 @@ impl<'d, T: Word> Deserialize<'d> for Told<T> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::{Told, Word};
-    use crate::{Direction, Fencing, Mode, Publishing, Reason, Sequence};
+    use crate::{Direction, Fencing, LeftReason, OnConflict, Publishing, Reason, Sequence};
     use serde::Serialize;
     use serde::de::DeserializeOwned;
 
@@ -127,7 +127,8 @@ mod tests {
 
     #[test]
     fn a_value_has_the_same_word_in_json_and_for_people() {
-        agrees::<Mode>();
+        agrees::<LeftReason>();
+        agrees::<OnConflict>();
         agrees::<Direction>();
         agrees::<Reason>();
         agrees::<Publishing>();
@@ -137,9 +138,9 @@ mod tests {
 
     #[test]
     fn a_word_of_a_newer_node_is_kept_and_told_on_as_it_came() {
-        let told: Told<Reason> = serde_json::from_str("\"preempted\"").unwrap();
-        assert_eq!((told.known(), told.word()), (None, "preempted"));
-        assert_eq!(serde_json::to_string(&told).unwrap(), "\"preempted\"");
+        let told: Told<Reason> = serde_json::from_str("\"weary\"").unwrap();
+        assert_eq!((told.known(), told.word()), (None, "weary"));
+        assert_eq!(serde_json::to_string(&told).unwrap(), "\"weary\"");
         assert!(serde_json::from_str::<Told<Reason>>("7").is_err(), "a number is no word");
     }
 }

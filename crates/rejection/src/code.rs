@@ -176,6 +176,10 @@ codes! {
     NeedsApproval = 3018 "NEEDS_APPROVAL" Denied;
     /// The organisation has as many of these as its quota allows.
     QuotaReached = 3019 "QUOTA_REACHED" Invalid;
+    /// The robot is stopped: nobody commands it until it is resumed.
+    Stopped = 3020 "STOPPED" Conflict;
+    /// As many wait for the service as its owner allows.
+    LineFull = 3021 "LINE_FULL" Conflict;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

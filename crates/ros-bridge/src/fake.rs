@@ -116,6 +116,7 @@ impl Fake {
             attribute_required: String::new(),
             trusted: Vec::new(),
             services: vec![serde_json::from_value(self.service.lock().unwrap().clone()).unwrap()],
+            stopped: None,
         }
     }
 

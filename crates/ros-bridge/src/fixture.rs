@@ -8,7 +8,7 @@ use std::{
 
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
-use ledger_contract::{Capabilities, Direction, Grant, Mode, Word};
+use ledger_contract::{Capabilities, Direction, Grant, Mode};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
@@ -181,7 +181,7 @@ pub(crate) fn service(mode: &str) -> Service {
         organisation: "Org2".into(),
         topic: "/cmd_vel".into(),
         type_name: "geometry_msgs/msg/Twist".into(),
-        capabilities: Capabilities::of_mode(Mode::of(mode).unwrap()).unwrap(),
+        capabilities: Capabilities::of_mode(&Mode::from(mode)).unwrap(),
         direction: Direction::Command,
         max_age_ms: 1000,
         lease_ms: 10_000,
@@ -196,10 +196,11 @@ pub(crate) fn grant(holder: &str, epoch: u64) -> Grant {
         holder: holder.into(),
         epoch,
         expires: NOW + 4 * SECOND,
-        mode: Mode::of("exclusive").unwrap().into(),
+        mode: Mode::EXCLUSIVE,
         acquired_at: NOW,
         lease_ms: 4000,
         next_seq: 0,
+        taken: None,
     }
 }
 

@@ -1,18 +1,20 @@
-//! `acquire`: who gets a grant.
+//! `acquire` and `take`: who gets a grant.
 
+use super::contest::{self, Contest, OVERRIDING};
 use super::describe::LEASE_MS_MIN;
 use super::hold::until;
-use super::{end, publish, renew};
+use super::{emergency, end, publish, queue, renew};
 use crate::arguments::Arguments;
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::{self, HOLDERS_MAX, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
-use crate::records::store;
-use crate::rules::{self, Decision};
+use crate::records::{line, sharing, store};
+use crate::rules::Decision;
+use crate::rules::terms::Terms;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::{Grant, Reason};
+use ledger_contract::{AcquireOptions, Acquired, Grant, Reason};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
@@ -21,63 +23,118 @@ pub(crate) enum Room {
     /// The contender has a grant already.
     Own(Box<Holding>),
     /// These grants, which end for it.
-    After(Vec<Holding>),
+    After { ended: Vec<Holding>, priority: i64 },
+    /// The line, until that time at least (block time, microseconds).
+    InLine { again: Option<u64>, priority: i64 },
 }
 
-/// `acquire SERVICE [LEASE_MS]`
+/// The terms of a grant that is given.
+pub(crate) struct Award {
+    pub(crate) principal: Principal,
+    pub(crate) lease_ms: u64,
+    pub(crate) priority: i64,
+    /// Why it is taken whatever the rule says.
+    pub(crate) taken: Option<String>,
+}
+
+const USAGE: &str = "acquire SERVICE [LEASE_MS|OPTIONS_JSON]";
+
+/// `acquire SERVICE [LEASE_MS|OPTIONS_JSON]`
 pub(crate) fn acquire(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
-    let args = Arguments::new("acquire SERVICE [LEASE_MS]", args, 1, 2)?;
+    let args = Arguments::new(USAGE, args, 1, 2)?;
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
-    let lease_ms = lease(&target, args)?;
-    let ending = match may_acquire(ctx, decider, &principal, &target)? {
+    let options = options(ctx, &target, args)?;
+    let (ending, priority) = match may_acquire(ctx, decider, &principal, &target, options.priority)? {
         Room::Own(own) if own.principal.same_certificate(&principal) => {
-            return renew::renewed(ctx, &target, *own, lease_ms);
+            return renew::renewed(ctx, decider, &target, *own, options.lease_ms);
         }
         // Another certificate of the same person: whoever holds the old one must be fenced off.
-        Room::Own(own) => vec![(*own, Reason::Released)],
-        Room::After(ended) => ended.into_iter().map(|holding| (holding, Reason::Taken)).collect(),
+        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority),
+        Room::After { ended, priority } => {
+            (ended.into_iter().map(|holding| (holding, Reason::Preempted)).collect(), priority)
+        }
+        Room::InLine { again, priority } => {
+            let queued = queue::join(ctx, decider, &target, &principal, &options, priority)?;
+            if let Some(again) = again {
+                line::look_by(ctx, &target.id, again)?;
+            }
+            return store::json(&Acquired::Queued { queued });
+        }
     };
     for (holding, reason) in ending {
-        end::end(ctx, &holding, reason)?;
+        end::end_for(ctx, &holding, reason, &principal)?;
     }
-    let now = ctx.block_time();
-    for dead in grant::stored(ctx, &target.id)?.iter().filter(|holding| !holding.is_live(now)) {
-        end::end(ctx, dead, dead.reason())?;
+    queue::granted(ctx, decider, &target, &principal.id())?;
+    let lease_ms = options.lease_ms.unwrap_or(target.service.lease_ms);
+    give(ctx, decider, &target, Award { principal, lease_ms, priority, taken: None })
+}
+
+/// `take SERVICE REASON [LEASE_MS]`: the service, whatever its rule says; by an admin of the owner, or whom policies permit
+/// `override`.
+pub(crate) fn take(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("take SERVICE REASON [LEASE_MS]", args, 2, 3)?;
+    let principal = Principal::of(ctx.submitter()?);
+    let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
+    let reason = args.text(1, "REASON")?.to_owned();
+    let lease_ms = if args.has(2) { lease(&target, args, 2)? } else { target.service.lease_ms };
+    decider::may_override(ctx, decider, &principal, &target)?;
+    emergency::check_goes(ctx, &target)?;
+    for holding in grant::live(ctx, &target.id)? {
+        end::end_for(ctx, &holding, Reason::Overridden, &principal)?;
     }
-    give(ctx, &target, principal, lease_ms.unwrap_or(target.service.lease_ms))
+    queue::granted(ctx, decider, &target, &principal.id())?;
+    give(ctx, decider, &target, Award { principal, lease_ms, priority: OVERRIDING, taken: Some(reason) })
 }
 
 /// Algorithm 1 of the paper: may this principal have a grant now, by the policies and beside those who hold one?
 ///
 /// # Errors
-/// The answer of the policies, [`Code::Held`], or [`Code::LimitExceeded`].
+/// The answer of the policies, [`Code::Stopped`], [`Code::Held`], or [`Code::LimitExceeded`].
 pub(crate) fn may_acquire(
     ctx: &Context<'_>,
     decider: &Decider,
     principal: &Principal,
     target: &Target,
+    asked: Option<i64>,
 ) -> Result<Room, Rejection> {
-    decider::may_hold(ctx, decider, principal, target)?;
-    let (own, others): (Vec<_>, Vec<_>) =
-        grant::live(ctx, &target.id)?.into_iter().partition(|holding| holding.grant.holder == principal.id());
-    if let Some(own) = own.into_iter().next() {
+    let permit = decider::may_hold(ctx, decider, principal, target)?;
+    emergency::check_goes(ctx, target)?;
+    if let Some(own) = grant::held_by(ctx, &target.id, &principal.id())? {
         return Ok(Room::Own(Box::new(own)));
     }
-    let grants: Vec<&Grant> = others.iter().map(|holding| &holding.grant).collect();
-    match rules::rule(target)?.decide(principal, &grants) {
-        Decision::Wait(grant) => Err(held(target, grant)),
+    let priority = contest::priority(target, principal, permit, asked)?;
+    let contest = Contest::of(ctx, target)?;
+    let waits = contest.line.iter().find(|waiting| waiting.contender == principal.id());
+    let contender = match waits {
+        Some(waiting) => contest::claim(waiting),
+        None => contest::newcomer(ctx, principal.id(), priority),
+    };
+    match contest.decide(decider.rules.of(target)?, &contender) {
+        Decision::Refuse => Err(held(target, &contest.holders)),
+        Decision::Wait { again } => Ok(Room::InLine { again, priority }),
         Decision::Grant { ends } => {
-            let ended: Vec<Holding> = others.iter().filter(|other| ends.contains(&&other.grant)).cloned().collect();
-            match others.len() - ended.len() {
+            let ended: Vec<Holding> = ends.iter().filter_map(|index| contest.holders.get(*index)).cloned().collect();
+            match contest.holders.len() - ended.len() {
                 beside if beside >= HOLDERS_MAX => Err(full(target, beside)),
-                _ => Ok(Room::After(ended)),
+                _ => Ok(Room::After { ended, priority }),
             }
         }
     }
 }
 
-fn give(ctx: &mut Context<'_>, target: &Target, principal: Principal, lease_ms: u64) -> Result<Bytes, Rejection> {
+/// Gives a grant to one for whom there is room.
+pub(crate) fn give(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    target: &Target,
+    award: Award,
+) -> Result<Bytes, Rejection> {
+    let now = ctx.block_time();
+    for dead in grant::stored(ctx, &target.id)?.iter().filter(|holding| !holding.is_live(now)) {
+        end::end(ctx, dead, dead.reason())?;
+    }
+    let Award { principal, lease_ms, priority, taken } = award;
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let epoch = newest
         .checked_add(u64::from(newest == 0 || !active(Mutation::ReuseAnEpoch)))
@@ -89,43 +146,81 @@ fn give(ctx: &mut Context<'_>, target: &Target, principal: Principal, lease_ms: 
             holder: principal.id(),
             epoch,
             expires: 0,
-            mode: target.service.mode.into(),
-            acquired_at: ctx.block_time(),
+            mode: target.service.mode.clone(),
+            acquired_at: now,
             lease_ms,
-            next_seq: publish::next_sequence(ctx, target, epoch, &principal.id())?,
+            next_seq: publish::next_sequence(ctx, decider, target, epoch, &principal.id())?,
+            taken,
         },
         principal,
+        priority,
         ending: None,
     };
-    holding.extend(ctx.block_time());
+    holding.extend(now);
     grant::put(ctx, &holding)?;
+    if let Some(idle) = Terms::of(&target.service.sharing).idle_release_us {
+        line::look_by(ctx, &target.id, now.saturating_add(idle))?;
+    }
     let granted = store::json(&holding.grant)?;
     ctx.emit("granted", &target.id, granted.clone());
     Ok(granted)
 }
 
-/// The lease that the caller asks for, if any.
-pub(crate) fn lease(target: &Target, args: Arguments<'_>) -> Result<Option<u64>, Rejection> {
+/// What the caller asks for besides the service.
+fn options(ctx: &Context<'_>, target: &Target, args: Arguments<'_>) -> Result<AcquireOptions, Rejection> {
     if !args.has(1) {
-        return Ok(None);
+        return Ok(AcquireOptions::default());
     }
-    let lease_ms = args.number(1, "LEASE_MS")?;
-    let max = target.service.lease_ms_max;
-    if (LEASE_MS_MIN..=max).contains(&lease_ms) {
-        return Ok(Some(lease_ms));
+    let text = args.text(1, "LEASE_MS|OPTIONS_JSON")?;
+    if !text.starts_with('{') || !sharing::known(ctx) {
+        return Ok(AcquireOptions { lease_ms: Some(lease(target, args, 1)?), ..AcquireOptions::default() });
     }
-    Err(args.bad(1, "LEASE_MS", format!("{lease_ms} ms"), &format!("{LEASE_MS_MIN} to {max} ms for {}", target.id)))
+    let options: AcquireOptions = serde_json::from_str(text).map_err(|fault| {
+        args.bad(1, "OPTIONS_JSON", fault.to_string(), "JSON with some of lease_ms, wait_ms and priority")
+    })?;
+    if let Some(lease_ms) = options.lease_ms {
+        check_lease(target, args, 1, lease_ms)?;
+    }
+    Ok(options)
 }
 
-fn held(target: &Target, grant: &Grant) -> Rejection {
-    let (id, holder) = (&target.id, &grant.holder);
-    Rejection::new(Code::Held, format!("{id} is held by {holder} until {}", until(grant)))
-        .found(format!("{} service, held by {holder} with epoch {}", target.service.mode, grant.epoch))
-        .wanted("no other holder")
-        .next(format!(
-            "acquire it after that time, ask {holder} to release it, or ask an admin of {} to take it back",
-            target.robot.organisation
-        ))
+/// The lease that the caller asks for.
+pub(crate) fn lease(target: &Target, args: Arguments<'_>, index: usize) -> Result<u64, Rejection> {
+    let lease_ms = args.number(index, "LEASE_MS")?;
+    check_lease(target, args, index, lease_ms)?;
+    Ok(lease_ms)
+}
+
+fn check_lease(target: &Target, args: Arguments<'_>, index: usize, lease_ms: u64) -> Result<(), Rejection> {
+    let max = target.service.lease_ms_max;
+    if (LEASE_MS_MIN..=max).contains(&lease_ms) {
+        return Ok(());
+    }
+    let wanted = format!("{LEASE_MS_MIN} to {max} ms for {}", target.id);
+    Err(args.bad(index, "LEASE_MS", format!("{lease_ms} ms"), &wanted))
+}
+
+/// The refusal that names who stands before the caller.
+pub(crate) fn held(target: &Target, holders: &[Holding]) -> Rejection {
+    let (id, mode, owner) = (&target.id, &target.service.mode, &target.robot.organisation);
+    // Whoever ends first; no rule refuses while nobody holds the service.
+    let Some(first) = holders.iter().min_by_key(|holding| holding.grant.expires) else {
+        return Rejection::new(Code::Held, format!("{id} cannot be had now")).found(format!("{mode} service"));
+    };
+    let Grant { holder, epoch, .. } = &first.grant;
+    if let [_] = holders {
+        return Rejection::new(Code::Held, format!("{id} is held by {holder} until {}", until(&first.grant)))
+            .found(format!("{mode} service, held by {holder} with epoch {epoch}"))
+            .wanted("no other holder")
+            .next(format!(
+                "acquire it after that time, ask {holder} to release it, or ask an admin of {owner} to take it back"
+            ));
+    }
+    let names: Vec<&str> = holders.iter().map(|holding| holding.grant.holder.as_str()).collect();
+    Rejection::new(Code::Held, format!("every place of {id} is taken until {}", until(&first.grant)))
+        .found(format!("{mode} service, held by {}", names.join(", ")))
+        .wanted(format!("fewer than {} holders", holders.len()))
+        .next(format!("acquire it after that time, ask one of them to release it, or ask an admin of {owner}"))
 }
 
 fn full(target: &Target, holders: usize) -> Rejection {

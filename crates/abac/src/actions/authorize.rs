@@ -1,10 +1,12 @@
 //! Questions that change nothing: `authorize`, `GetSubmittingClientIdentity`.
 
-use super::{acquire, hold, publish};
+use super::acquire::{self, Room};
+use super::{hold, publish};
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::{Action, Decider};
 use crate::records::principal::Principal;
-use crate::records::store;
+use crate::records::service::Target;
+use crate::records::{grant, store};
 use bytes::Bytes;
 use ledger::Context;
 use ledger_identity::Role;
@@ -61,9 +63,9 @@ pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let submitter = ctx.submitter()?;
     let principal = Principal::of(submitter);
     let outcome = match action {
-        Action::Acquire => acquire::may_acquire(ctx, decider, &principal, &target).map(drop),
+        Action::Acquire => could_acquire(ctx, decider, &principal, &target),
         Action::Publish => publish::may_publish(ctx, decider, submitter, &target, None).map(drop),
-        Action::Subscribe => decider.decide(ctx, &principal, &target, action),
+        Action::Subscribe | Action::Override => decider.decide(ctx, &principal, &target, action).map(drop),
     };
     let epoch = hold::own(ctx, &principal, &target).map_or(0, |own| own.grant.epoch);
     let code = outcome.as_ref().err().map_or(Code::Ok, |rejection| rejection.code);
@@ -73,8 +75,21 @@ pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) ->
         name: code.name().to_owned(),
         reason: outcome.err().map(|rejection| rejection.message).unwrap_or_default(),
         epoch,
-        next_seq: publish::next_sequence(ctx, &target, epoch, &principal.id())?,
+        next_seq: publish::next_sequence(ctx, decider, &target, epoch, &principal.id())?,
     })
+}
+
+/// Would they be granted it now? Who would have to wait, would not.
+fn could_acquire(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    principal: &Principal,
+    target: &Target,
+) -> Result<(), Rejection> {
+    match acquire::may_acquire(ctx, decider, principal, target, None)? {
+        Room::InLine { .. } => Err(acquire::held(target, &grant::live(ctx, &target.id)?)),
+        Room::Own(_) | Room::After { .. } => Ok(()),
+    }
 }
 
 /// `GetSubmittingClientIdentity`

@@ -1,12 +1,13 @@
 //! Descriptions of robots: what an owner may say, and what holds where the owner says nothing.
 
 use crate::arguments::{Arguments, shown};
+use crate::policy::decider::Decider;
 use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Service;
-use crate::records::store;
-use crate::rules;
+use crate::records::{sharing, store};
+use crate::rules::{self, terms};
 use ledger::Context;
-use ledger_contract::{RobotSpec, ServiceSpec};
+use ledger_contract::{Capabilities, Mode, RobotSpec, ServiceSpec, Sharing};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
@@ -49,11 +50,12 @@ pub(crate) fn read_spec(args: Arguments<'_>, index: usize) -> Result<RobotSpec, 
 /// Checks a description and fills in what it leaves out. Without another word a robot trusts whom it trusted before.
 pub(crate) fn describe(
     ctx: &mut Context<'_>,
+    decider: &Decider,
     organisation: &str,
     spec: RobotSpec,
     before: Option<&Robot>,
 ) -> Result<Robot, Rejection> {
-    let services = check_services(&spec.name, spec.services)?;
+    let services = check_services(ctx, decider, &spec.name, spec.services)?;
     let trusted = match (spec.trusted, before) {
         (Some(trusted), _) => check_trusted(ctx, trusted)?,
         (None, Some(robot)) => robot.trusted.clone(),
@@ -70,7 +72,7 @@ pub(crate) fn describe(
 }
 
 /// Checks everything that an owner describes and fills in the defaults.
-pub(crate) fn check_service(spec: ServiceSpec) -> Result<Service, Rejection> {
+pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceSpec) -> Result<Service, Rejection> {
     check_topic(&spec.topic)?;
     check_type(&spec.type_name)?;
     let topic = &spec.topic;
@@ -99,6 +101,7 @@ pub(crate) fn check_service(spec: ServiceSpec) -> Result<Service, Rejection> {
         }
     }
     let mode = spec.mode.unwrap_or_else(|| rules::default_mode(spec.direction));
+    check_sharing(ctx, decider, &mode, &spec.sharing, topic)?;
     Ok(Service {
         topic: spec.topic,
         type_name: spec.type_name,
@@ -108,7 +111,25 @@ pub(crate) fn check_service(spec: ServiceSpec) -> Result<Service, Rejection> {
         lease_ms,
         lease_ms_max,
         stop_hex: spec.stop_hex,
+        sharing: spec.sharing,
     })
+}
+
+fn check_sharing(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    mode: &Mode,
+    sharing: &Sharing,
+    topic: &str,
+) -> Result<(), Rejection> {
+    let rule = decider.rules.chosen(mode)?;
+    if !sharing::known(ctx) && (!sharing.is_default() || Capabilities::of_mode(mode).is_none()) {
+        return Err(Rejection::new(Code::BadArgument, format!("service {topic} needs newer rules of execution"))
+            .found(format!("rules {}", ctx.rules()))
+            .wanted(format!("rules {} or newer", sharing::RULES))
+            .next("activate them first: ledgerctl network rules"));
+    }
+    terms::check(rule, sharing, topic)
 }
 
 pub(crate) fn check_name(name: &str) -> Result<(), Rejection> {
@@ -133,13 +154,18 @@ pub(crate) fn check_attribute(required: &str) -> Result<String, Rejection> {
     Ok(format!("{key}={value}"))
 }
 
-fn check_services(robot: &str, specs: Vec<ServiceSpec>) -> Result<Vec<Service>, Rejection> {
+fn check_services(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    robot: &str,
+    specs: Vec<ServiceSpec>,
+) -> Result<Vec<Service>, Rejection> {
     if !(1..=SERVICES_MAX).contains(&specs.len()) {
         return Err(Rejection::new(Code::BadArgument, format!("robot {robot} has no usable number of services"))
             .found(format!("{} services", specs.len()))
             .wanted(format!("1 to {SERVICES_MAX}")));
     }
-    let services = specs.into_iter().map(check_service).collect::<Result<Vec<_>, _>>()?;
+    let services = specs.into_iter().map(|spec| check_service(ctx, decider, spec)).collect::<Result<Vec<_>, _>>()?;
     let mut topics = BTreeSet::new();
     for service in &services {
         if !topics.insert(&service.topic) {

@@ -4,13 +4,14 @@
 //! many grants end at once, those beyond the bound are marked as ended, which no check overlooks. They are due at once;
 //! the following blocks sweep them up and tell why they ended.
 
-use super::{robots, undecided};
+use super::{contest, queue, robots, undecided};
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::{self, Holding};
+use crate::records::principal::Principal;
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Target;
 use crate::records::store;
-use crate::rules::{self, Decision};
+use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_contract::{Grant, Reason, Released};
 use ledger_rejection::Rejection;
@@ -20,9 +21,25 @@ const ENDINGS_MAX: usize = 256;
 
 /// Removes a grant, and tells the world why.
 pub(crate) fn end(ctx: &mut Context<'_>, holding: &Holding, reason: Reason) -> Result<Released, Rejection> {
+    tell(ctx, holding, reason, None)
+}
+
+/// Removes a grant because somebody takes its place.
+pub(crate) fn end_for(
+    ctx: &mut Context<'_>,
+    holding: &Holding,
+    reason: Reason,
+    by: &Principal,
+) -> Result<Released, Rejection> {
+    let by = matches!(reason, Reason::Preempted | Reason::Overridden).then(|| by.id());
+    tell(ctx, holding, reason, by)
+}
+
+fn tell(ctx: &mut Context<'_>, holding: &Holding, reason: Reason, by: Option<String>) -> Result<Released, Rejection> {
     grant::remove(ctx, holding);
     let Grant { service, holder, epoch, .. } = holding.grant.clone();
-    let released = Released { service, holder, epoch, reason: reason.into() };
+    queue::look_now(ctx, &service)?;
+    let released = Released { service, holder, epoch, reason: reason.into(), by };
     ctx.emit("released", &released.service, store::json(&released)?);
     Ok(released)
 }
@@ -73,7 +90,10 @@ pub(crate) fn sweep(ctx: &mut Context<'_>, decider: &Decider) -> Result<(), Reje
 
 /// When there is something to end or to decide (block time, microseconds).
 pub(crate) fn next_deadline(ctx: &Context<'_>) -> Option<u64> {
-    if undecided::is_left(ctx) { Some(0) } else { next_due(ctx) }
+    if undecided::is_left(ctx) {
+        return Some(0);
+    }
+    [next_due(ctx), queue::next_look(ctx)].into_iter().flatten().min()
 }
 
 /// When the next grant is due (block time, microseconds).
@@ -96,7 +116,8 @@ pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> R
             ending.push((holding, Reason::Revoked));
         }
     }
-    end_all(ctx, ending).map(drop)
+    end_all(ctx, ending)?;
+    queue::revoked(ctx, &revoked.issuer, &revoked.serial)
 }
 
 /// Ends the grants of an organisation's members, and takes its robots out of service: nobody can govern them any more.
@@ -112,6 +133,7 @@ pub(crate) fn organisation_removed(ctx: &mut Context<'_>, organisation: &str) ->
             continue;
         }
         for service in &robot.services {
+            queue::members_left(ctx, &robot.service_id(service), organisation)?;
             let live = grant::live(ctx, &robot.service_id(service))?.into_iter();
             let theirs = live.filter(|holding| holding.principal.organisation == organisation);
             ending.extend(theirs.map(|holding| (holding, Reason::Revoked)));
@@ -135,7 +157,7 @@ pub(crate) fn policies_changed(
     let mut ending = Vec::new();
     for robot in robot::all(ctx)?.iter().filter(|robot| robot.organisation == organisation) {
         for service in &robot.services {
-            ending.extend(unfit(ctx, Some(decider), &Target::of(robot, service))?);
+            ending.extend(unfit(ctx, decider, true, &Target::of(robot, service))?);
         }
     }
     end_all(ctx, ending)
@@ -152,8 +174,13 @@ pub(crate) fn robot_changed(
     let later = undecided::are_many(ctx, after)?;
     for service in &before.services {
         match after.services.iter().find(|kept| kept.topic == service.topic) {
-            Some(kept) => ending.extend(unfit(ctx, (!later).then_some(decider), &Target::of(after, kept))?),
+            Some(kept) => {
+                let target = Target::of(after, kept);
+                ending.extend(unfit(ctx, decider, !later, &target)?);
+                queue::settings_changed(ctx, &target)?;
+            }
             None => {
+                queue::look_now(ctx, &after.service_id(service))?;
                 let gone = grant::live(ctx, &after.service_id(service))?;
                 ending.extend(gone.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
             }
@@ -167,30 +194,33 @@ pub(crate) fn robot_changed(
     Ok(released)
 }
 
-/// The live grants of a service that policies deny now, or that its mode has no room for: the oldest stay. Those that stay
-/// are renewed by no more than the service now allows. Without a decider, policies are asked later.
+/// The live grants of a service that policies deny now, or that its rule has no room for: the oldest stay. Those that stay
+/// are renewed by no more than the service now allows. Policies are asked now, or later.
 fn unfit(
     ctx: &mut Context<'_>,
-    decider: Option<&Decider>,
+    decider: &Decider,
+    ask: bool,
     target: &Target,
 ) -> Result<Vec<(Holding, Reason)>, Rejection> {
-    let rule = rules::rule(target)?;
-    let mut stay: Vec<Holding> = Vec::new();
+    let rule = decider.rules.of(target)?;
+    let mut stay: Vec<Claim> = Vec::new();
     let mut ending = Vec::new();
     for holding in grant::live(ctx, &target.id)? {
-        let grants: Vec<_> = stay.iter().map(|holding| &holding.grant).collect();
-        if decider.is_some_and(|decider| decider::may_hold(ctx, decider, &holding.principal, target).is_err()) {
+        let claim = contest::claim_of_holder(&holding);
+        let beside = Situation { sharing: &target.service.sharing, holders: &stay, line: &[], now: ctx.block_time() };
+        let has_room = matches!(rule.decide(&claim, &beside), Decision::Grant { ends } if ends.is_empty());
+        if ask && decider::may_keep(ctx, decider, &holding, target).is_err() {
             ending.push((holding, Reason::Policy));
-        } else if matches!(rule.decide(&holding.principal, &grants), Decision::Wait(_)) {
+        } else if !has_room {
             ending.push((holding, Reason::Taken));
         } else {
             let mut changed = holding.clone();
-            changed.grant.mode = target.service.mode.into();
+            changed.grant.mode = target.service.mode.clone();
             changed.grant.lease_ms = holding.grant.lease_ms.min(target.service.lease_ms_max);
             if changed != holding {
                 grant::replace(ctx, &holding, &changed)?;
             }
-            stay.push(holding);
+            stay.push(claim);
         }
     }
     Ok(ending)

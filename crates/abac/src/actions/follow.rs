@@ -18,7 +18,7 @@ pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> R
     }
     let principal = Principal::of(submitter);
     let target = decider.records.target(ctx, &event.subject)?;
-    decider.decide(ctx, &principal, &target, Action::Subscribe)
+    decider.decide(ctx, &principal, &target, Action::Subscribe).map(drop)
 }
 
 /// May the submitter follow these events? A reader of messages of services needs the right to subscribe to each.
@@ -37,7 +37,9 @@ pub(crate) fn may_follow(
     let (messages_only, waits) = (names.len() == 1, names.iter().any(|name| name == "robot"));
     for subject in subjects.iter().filter(|subject| messages_only || !service::split(subject).1.is_empty()) {
         match decider.records.target(ctx, subject) {
-            Ok(target) if target.id == *subject => decider.decide(ctx, &principal, &target, Action::Subscribe)?,
+            Ok(target) if target.id == *subject => {
+                decider.decide(ctx, &principal, &target, Action::Subscribe)?;
+            }
             Ok(target) => {
                 return Err(Rejection::new(
                     Code::UnknownService,

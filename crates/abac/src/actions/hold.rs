@@ -2,6 +2,7 @@
 
 use super::publish;
 use crate::arguments::Arguments;
+use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
@@ -13,9 +14,9 @@ use ledger_contract::Grant;
 use ledger_rejection::{Code, Rejection};
 
 /// `grants [SERVICE]`, `grants PAGE_JSON`: the live grants of one service or of all.
-pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn list(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     if let Some(paging) = Paging::of(ctx, "grants", args)? {
-        let read = |key: &[u8], value: &[u8]| shown(ctx, store::parse(key, value)?);
+        let read = |key: &[u8], value: &[u8]| shown(ctx, decider, store::parse(key, value)?);
         return store::json(&paging.page(ctx, b"grant/", read)?);
     }
     let args = Arguments::new("grants [SERVICE]", args, 0, 1)?;
@@ -29,28 +30,28 @@ pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
     };
     let mut grants = Vec::new();
     for target in &targets {
-        grants.extend(live(ctx, target)?);
+        grants.extend(live(ctx, decider, target)?);
     }
     store::json(&grants)
 }
 
 /// The live grants of a service, as they are listed.
-pub(crate) fn live(ctx: &Context<'_>, target: &Target) -> Result<Vec<Grant>, Rejection> {
+pub(crate) fn live(ctx: &Context<'_>, decider: &Decider, target: &Target) -> Result<Vec<Grant>, Rejection> {
     let listed = |Holding { mut grant, .. }| {
-        grant.next_seq = publish::next_sequence(ctx, target, grant.epoch, &grant.holder)?;
+        grant.next_seq = publish::next_sequence(ctx, decider, target, grant.epoch, &grant.holder)?;
         Ok(grant)
     };
     grant::live(ctx, &target.id)?.into_iter().map(listed).collect()
 }
 
 /// A grant as it is listed, if it is live.
-fn shown(ctx: &Context<'_>, holding: Holding) -> Result<Option<Grant>, Rejection> {
+fn shown(ctx: &Context<'_>, decider: &Decider, holding: Holding) -> Result<Option<Grant>, Rejection> {
     if !holding.is_live(ctx.block_time()) {
         return Ok(None);
     }
     let mut grant = holding.grant;
     let target = service::resolve(ctx, &grant.service)?;
-    grant.next_seq = publish::next_sequence(ctx, &target, grant.epoch, &grant.holder)?;
+    grant.next_seq = publish::next_sequence(ctx, decider, &target, grant.epoch, &grant.holder)?;
     Ok(Some(grant))
 }
 

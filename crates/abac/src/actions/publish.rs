@@ -3,7 +3,7 @@
 //! The messages themselves stay in the transaction; the state keeps only where the last one is. A held grant is
 //! checked by comparing numbers, without asking any policy.
 
-use super::{NAME, hold, renew, undecided};
+use super::{NAME, emergency, hold, renew, undecided};
 use crate::arguments::Arguments;
 use crate::policy::decider::{self, Action, Decider};
 use crate::records::grant::{self, Holding};
@@ -11,7 +11,6 @@ use crate::records::last::{self, Last};
 use crate::records::principal::Principal;
 use crate::records::service::Target;
 use crate::records::store;
-use crate::rules;
 use bytes::Bytes;
 use ledger::{Context, Foretold};
 use ledger_contract::{MessageEvent, Published, Publishing};
@@ -43,7 +42,7 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     let own = may_publish(ctx, decider, submitter, &target, Some(epoch))?;
 
     let publisher = submitter.id();
-    let sequence = rules::rule(&target)?.capabilities().sequence;
+    let sequence = decider.rules.of(&target)?.capabilities().sequence;
     let next_seq = last::next_sequence(ctx, &target.id, sequence, epoch, &publisher)?;
     if first_seq < next_seq {
         return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
@@ -54,7 +53,8 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     if let Some(own) = &own {
         renew::used(ctx, decider, &target, own)?;
     }
-    let last = Last { epoch, seq: last_seq, height: ctx.height(), publisher, count };
+    let at = target.service.sharing.idle_release_ms.map(|_| ctx.block_time());
+    let last = Last { epoch, seq: last_seq, height: ctx.height(), publisher, count, at };
     last::write(ctx, &target.id, sequence, &last)?;
     ctx.emit("message", &target.id, store::json(&MessageEvent { epoch, first_seq, count })?);
     store::json(&Published { epoch, next_seq: last_seq + 1 })
@@ -91,20 +91,21 @@ pub(crate) fn may_publish(
     epoch: Option<u64>,
 ) -> Result<Option<Arc<Holding>>, Rejection> {
     let is_without_grant = epoch.is_none_or(|epoch| epoch == 0);
-    let by_policy = is_without_grant && rules::rule(target)?.capabilities().publishing == Publishing::Policy;
+    let by_policy = is_without_grant && decider.rules.of(target)?.capabilities().publishing == Publishing::Policy;
     if !by_policy
         && let Some(own) = decider.records.held(ctx, target, submitter)?
         && epoch.is_none_or(|epoch| epoch == own.grant.epoch)
     {
         // A change of policies ends grants, but may not have come to this one yet.
         if undecided::is_marked(ctx, target) {
-            decider::may_hold(ctx, decider, &own.principal, target)?;
+            decider::may_keep(ctx, decider, &own, target)?;
         }
         return Ok(Some(own));
     }
     let principal = &Principal::of(submitter);
     if by_policy {
         decider.decide(ctx, principal, target, Action::Publish)?;
+        emergency::check_goes(ctx, target)?;
         return Ok(None);
     }
     let newest = grant::newest_epoch(ctx, &target.id)?;
@@ -126,8 +127,14 @@ fn stale(target: &Target, epoch: Option<u64>, wanted: u64) -> Rejection {
 }
 
 /// The smallest sequence number that `set` accepts from a publisher in an epoch.
-pub(crate) fn next_sequence(ctx: &Context<'_>, target: &Target, epoch: u64, publisher: &str) -> Result<u64, Rejection> {
-    last::next_sequence(ctx, &target.id, rules::rule(target)?.capabilities().sequence, epoch, publisher)
+pub(crate) fn next_sequence(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    target: &Target,
+    epoch: u64,
+    publisher: &str,
+) -> Result<u64, Rejection> {
+    last::next_sequence(ctx, &target.id, decider.rules.of(target)?.capabilities().sequence, epoch, publisher)
 }
 
 /// Checks that every payload starts as CDR does; returns how many they are.

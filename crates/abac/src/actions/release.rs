@@ -1,21 +1,22 @@
 //! `release`: giving a service back, or taking it back.
 
-use super::end;
 use super::hold::{holders_of, own};
+use super::{end, queue};
 use crate::arguments::{Arguments, shown};
+use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::Reason;
+use ledger_contract::{LeftReason, Reason, Released};
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
 
 /// `release SERVICE [HOLDER]`: the caller's own grant; without one, an admin of the owner takes the service back,
-/// from everybody or from one holder.
-pub(crate) fn release(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+/// from everybody or from one holder. Who waits in line leaves it.
+pub(crate) fn release(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("release SERVICE [HOLDER]", args, 1, 2)?;
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
@@ -24,6 +25,9 @@ pub(crate) fn release(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     let takes_back = principal.role == Role::Admin && principal.organisation == target.robot.organisation;
     if is_own && let Ok(own) = own(ctx, &principal, &target) {
         return store::json(&[end::end(ctx, &own, Reason::Released)?]);
+    }
+    if is_own && queue::leave(ctx, decider, &target, &principal.id(), LeftReason::Left)? {
+        return store::json(&Vec::<Released>::new());
     }
     let holders = grant::live(ctx, &target.id)?;
     if !takes_back {
@@ -35,6 +39,9 @@ pub(crate) fn release(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
     let mut taken = holders.clone();
     taken.retain(|holding| whose.is_none_or(|holder| holder == holding.grant.holder));
     if let (Some(holder), true) = (whose, taken.is_empty()) {
+        if queue::leave(ctx, decider, &target, holder, LeftReason::Removed)? {
+            return store::json(&Vec::<Released>::new());
+        }
         return Err(nothing_to_release(&shown(holder), &target, &holders).wanted("a holder of the service"));
     }
     store::json(&end::end_all(ctx, taken.into_iter().map(|holding| (holding, Reason::Taken)).collect())?)

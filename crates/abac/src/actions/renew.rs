@@ -18,21 +18,22 @@ pub(crate) fn renew(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
     let own = hold::own(ctx, &principal, &target)?;
-    decider::may_hold(ctx, decider, &principal, &target)?;
-    let lease_ms = lease(&target, args)?;
-    renewed(ctx, &target, own, lease_ms)
+    decider::may_keep(ctx, decider, &own, &target)?;
+    let lease_ms = if args.has(1) { Some(lease(&target, args, 1)?) } else { None };
+    renewed(ctx, decider, &target, own, lease_ms)
 }
 
 /// Renews a grant and tells so.
 pub(crate) fn renewed(
     ctx: &mut Context<'_>,
+    decider: &Decider,
     target: &Target,
     before: Holding,
     lease_ms: Option<u64>,
 ) -> Result<Bytes, Rejection> {
     let mut after = before.clone();
     after.grant.lease_ms = lease_ms.unwrap_or(before.grant.lease_ms).min(target.service.lease_ms_max);
-    after.grant.next_seq = publish::next_sequence(ctx, target, before.grant.epoch, &before.grant.holder)?;
+    after.grant.next_seq = publish::next_sequence(ctx, decider, target, before.grant.epoch, &before.grant.holder)?;
     after.extend(ctx.block_time());
     grant::replace(ctx, &before, &after)?;
     let told = store::json(&after.grant)?;
@@ -51,7 +52,7 @@ pub(crate) fn used(
     let now = ctx.block_time();
     let quarter = before.grant.lease_ms.saturating_mul(250);
     if before.extended(now).saturating_sub(before.grant.expires) <= quarter
-        || decider::may_hold(ctx, decider, &before.principal, target).is_err()
+        || decider::may_keep(ctx, decider, before, target).is_err()
     {
         return Ok(());
     }

@@ -1,6 +1,6 @@
 //! Registering robots and taking them out of service: `setup`, `remove`.
 
-use super::{describe, end, show};
+use super::{describe, end, queue, show};
 use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
@@ -28,9 +28,9 @@ pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
             owned.map_err(|refused| refused.next("choose another name for your robot"))?;
             return Err(exists(ctx, &existing)?);
         }
-        let robot = describe::describe(ctx, &admin.organisation, spec, None)?;
+        let robot = describe::describe(ctx, decider, &admin.organisation, spec, None)?;
         put(ctx, decider, None, robot.clone())?;
-        assets.push(show::asset(ctx, &robot)?);
+        assets.push(show::asset(ctx, decider, &robot)?);
     }
     store::json(&assets)
 }
@@ -68,6 +68,7 @@ pub(crate) fn remove(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rej
 pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Holding, Reason)>, Rejection> {
     let mut ending = Vec::new();
     for service in &robot.services {
+        queue::look_now(ctx, &robot.service_id(service))?;
         ending.extend(grant::live(ctx, &robot.service_id(service))?.into_iter().map(|h| (h, Reason::RobotRemoved)));
     }
     robot::remove(ctx, robot)?;

@@ -3,15 +3,16 @@
 
 use super::robots::{self, ROBOTS_PER_SETUP_MAX};
 use super::{describe, end, show};
-use crate::arguments::Arguments;
+use crate::arguments::{Arguments, shown};
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Service};
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::{RobotChange, RobotSettings, ServiceSpec, SettingChange};
-use ledger_rejection::Rejection;
+use ledger_contract::{RobotChange, RobotSettings, ServiceSpec, SettingChange, Sharing};
+use ledger_rejection::{Code, Rejection};
+use nearest::did_you_mean;
 
 /// Longest JSON of settings, in bytes: a stop message of 64 KiB in hexadecimal digits, and the rest.
 const SETTINGS_BYTES_MAX: usize = 256 * 1024;
@@ -44,18 +45,30 @@ fn is_of_service(settings: &RobotSettings) -> bool {
 }
 
 /// The service as it is to be.
-fn apply(settings: &RobotSettings, service: Service) -> ServiceSpec {
-    let Service { topic, type_name, mode, direction, max_age_ms, lease_ms, lease_ms_max, stop_hex } = service;
-    ServiceSpec {
+fn apply(settings: &RobotSettings, service: Service) -> Result<ServiceSpec, Rejection> {
+    let Service { topic, type_name, mode, direction, max_age_ms, lease_ms, lease_ms_max, stop_hex, mut sharing } =
+        service;
+    for key in &settings.clear {
+        if !sharing.clear(key) {
+            let keys: Vec<&str> = Sharing::keys().collect();
+            return Err(Rejection::new(Code::BadArgument, "no setting of a rule has this name")
+                .found(shown(key))
+                .wanted(keys.join(", "))
+                .next(did_you_mean(key, keys, "")));
+        }
+    }
+    sharing.change(&settings.sharing);
+    Ok(ServiceSpec {
         topic,
         type_name: settings.type_name.clone().unwrap_or(type_name),
-        mode: Some(settings.mode.unwrap_or(mode)),
+        mode: Some(settings.mode.clone().unwrap_or(mode)),
         direction: settings.direction.unwrap_or(direction),
         max_age_ms: Some(settings.max_age_ms.unwrap_or(max_age_ms)),
         lease_ms: Some(settings.lease_ms.unwrap_or(lease_ms)),
         lease_ms_max: Some(settings.lease_ms_max.unwrap_or(lease_ms_max)),
         stop_hex: settings.stop_hex.clone().or(stop_hex).filter(|digits| !digits.is_empty()),
-    }
+        sharing,
+    })
 }
 
 /// `configure ROBOT[/TOPIC] SETTINGS_JSON`: changes some settings; by an admin of the robot's owner.
@@ -64,7 +77,7 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
     let admin = robots::admin(ctx, "change robots")?;
     let id = args.text(0, "ROBOT[/TOPIC]")?;
     let wanted = "JSON of some of attribute_required, trusted, type, mode, direction, max_age_ms, lease_ms, lease_ms_max, \
-                  stop_hex";
+                  stop_hex, sharing, clear";
     let bad = |found: String| args.bad(1, "SETTINGS_JSON", found, wanted);
     let settings: RobotSettings = serde_json::from_str(args.document(1, "SETTINGS_JSON", SETTINGS_BYTES_MAX)?)
         .map_err(|fault| bad(fault.to_string()))?;
@@ -78,7 +91,7 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
     if is_of_service(&settings) || !topic.is_empty() {
         let target = service::resolve(ctx, id)?;
         for service in after.services.iter_mut().filter(|service| service.topic == target.service.topic) {
-            *service = describe::check_service(apply(&settings, service.clone()))?;
+            *service = describe::check_service(ctx, decider, apply(&settings, service.clone())?)?;
         }
     }
     if let Some(required) = &settings.attribute_required {
@@ -101,7 +114,7 @@ pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
         if let Some(robot) = &before {
             robots::check_owner(robot, admin)?;
         }
-        let after = describe::describe(ctx, &admin.organisation, spec, before.as_ref())?;
+        let after = describe::describe(ctx, decider, &admin.organisation, spec, before.as_ref())?;
         changes.push(change(ctx, decider, before, after)?);
     }
     store::json(&changes)
@@ -120,7 +133,7 @@ fn change(
         Some(before) if changed.is_empty() => end::robot_changed(ctx, decider, before, before)?,
         before => robots::put(ctx, decider, before.as_ref(), after.clone())?,
     };
-    Ok(RobotChange { robot: show::asset(ctx, &robot::find(ctx, &after.name)?)?, changed, ended })
+    Ok(RobotChange { robot: show::asset(ctx, decider, &robot::find(ctx, &after.name)?)?, changed, ended })
 }
 
 fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
@@ -136,9 +149,14 @@ fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
     let same = |services: &[Service], topic: &str| services.iter().find(|service| service.topic == topic).cloned();
     for service in &before.services {
         match same(&after.services, &service.topic) {
-            Some(now) => OF_SERVICE
-                .iter()
-                .for_each(|(setting, value)| note(&service.topic, setting, value(service), value(&now))),
+            Some(now) => {
+                for (setting, value) in OF_SERVICE {
+                    note(&service.topic, setting, value(service), value(&now));
+                }
+                for key in Sharing::keys() {
+                    note(&service.topic, key, service.sharing.shown(key), now.sharing.shown(key));
+                }
+            }
             None => note(&service.topic, "service", service.type_name.clone(), String::new()),
         }
     }

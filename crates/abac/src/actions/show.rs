@@ -1,11 +1,12 @@
 //! Robots and services as everybody sees them: `robots`, `robot`, `service`.
 
+use super::contest::Contest;
 use super::hold;
 use crate::arguments::Arguments;
+use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Target};
-use crate::records::{grant, store};
-use crate::rules;
+use crate::records::{grant, line, sharing, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
@@ -13,47 +14,55 @@ use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
 /// `robots [PAGE_JSON]`
-pub(crate) fn robots(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn robots(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     if let Some(paging) = Paging::of(ctx, "robots", args)? {
-        let read = |key: &[u8], value: &[u8]| asset(ctx, &store::parse(key, value)?).map(Some);
+        let read = |key: &[u8], value: &[u8]| asset(ctx, decider, &store::parse(key, value)?).map(Some);
         return store::json(&paging.page(ctx, b"robot/", read)?);
     }
     Arguments::new("robots", args, 0, 0)?;
-    let assets = robot::all(ctx)?.iter().map(|robot| asset(ctx, robot)).collect::<Result<Vec<_>, Rejection>>()?;
+    let assets =
+        robot::all(ctx)?.iter().map(|robot| asset(ctx, decider, robot)).collect::<Result<Vec<_>, Rejection>>()?;
     store::json(&assets)
 }
 
 /// `robot NAME`
-pub(crate) fn robot(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn robot(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("robot NAME", args, 1, 1)?;
-    store::json(&asset(ctx, &robot::find(ctx, args.text(0, "NAME")?)?)?)
+    store::json(&asset(ctx, decider, &robot::find(ctx, args.text(0, "NAME")?)?)?)
 }
 
 /// `declare ROBOT`: writes the robot's record once more, so that voters certify this block, and with it the answer. So a
 /// reader that believes no single node learns how the robot stands. Since rules 3.
-pub(crate) fn declare(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("declare ROBOT", args, 1, 1)?;
     let robot = robot::find(ctx, args.text(0, "ROBOT")?)?;
     store::write(ctx, &store::robot_key(&robot.name), &robot)?;
     let mut grants = Vec::new();
     for service in &robot.services {
-        grants.extend(hold::live(ctx, &Target::of(&robot, service))?);
+        grants.extend(hold::live(ctx, decider, &Target::of(&robot, service))?);
     }
-    store::json(&Declaration { robot: asset(ctx, &robot)?, grants })
+    store::json(&Declaration { robot: asset(ctx, decider, &robot)?, grants })
 }
 
 /// `service SERVICE`
-pub(crate) fn service(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn service(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("service SERVICE", args, 1, 1)?;
-    store::json(&state(ctx, service::resolve(ctx, args.text(0, "SERVICE")?)?)?)
+    store::json(&state(ctx, decider, service::resolve(ctx, args.text(0, "SERVICE")?)?)?)
+}
+
+/// `line SERVICE`: who holds a service, and who waits for it.
+pub(crate) fn line(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("line SERVICE", args, 1, 1)?;
+    let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
+    store::json(&Contest::of(ctx, &target)?.told(decider.rules.of(&target)?))
 }
 
 /// A robot as clients see it.
-pub(crate) fn asset(ctx: &Context<'_>, robot: &Robot) -> Result<RobotAsset, Rejection> {
+pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Result<RobotAsset, Rejection> {
     let services = robot
         .services
         .iter()
-        .map(|service| state(ctx, Target::of(robot, service)))
+        .map(|service| state(ctx, decider, Target::of(robot, service)))
         .collect::<Result<Vec<_>, Rejection>>()?;
     let topics = |direction| {
         let of_direction = services.iter().filter(|service| service.direction == direction);
@@ -70,6 +79,7 @@ pub(crate) fn asset(ctx: &Context<'_>, robot: &Robot) -> Result<RobotAsset, Reje
         attribute_required: robot.attribute_required.clone(),
         trusted: robot.trusted.clone(),
         services,
+        stopped: if sharing::known(ctx) { stopped::of(ctx, &robot.name)? } else { None },
     })
 }
 
@@ -77,11 +87,12 @@ pub(crate) fn asset(ctx: &Context<'_>, robot: &Robot) -> Result<RobotAsset, Reje
 ///
 /// Capabilities are told to those who ask. The answer of a transaction lacks them: it is part of snapshots, which every
 /// version of the program must make alike.
-fn state(ctx: &Context<'_>, target: Target) -> Result<ServiceState, Rejection> {
+fn state(ctx: &Context<'_>, decider: &Decider, target: Target) -> Result<ServiceState, Rejection> {
     let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
     let is_asked = ctx.transaction() == Hash::ZERO;
-    let capabilities = if is_asked { Some(rules::rule(&target)?.capabilities().into()) } else { None };
+    let capabilities = if is_asked { Some(decider.rules.of(&target)?.capabilities().into()) } else { None };
     let epoch = grant::newest_epoch(ctx, &target.id)?;
+    let waiting = if sharing::known(ctx) { line::all(ctx, &target.id)?.len() as u64 } else { 0 };
     let Target { robot, service, id } = target;
     Ok(ServiceState {
         service: id,
@@ -89,12 +100,14 @@ fn state(ctx: &Context<'_>, target: Target) -> Result<ServiceState, Rejection> {
         organisation: robot.organisation.clone(),
         topic: service.topic,
         type_name: service.type_name,
-        mode: service.mode.into(),
+        mode: service.mode,
         direction: service.direction.into(),
         max_age_ms: service.max_age_ms,
         lease_ms: service.lease_ms,
         lease_ms_max: service.lease_ms_max,
         stop_hex: service.stop_hex,
+        sharing: service.sharing,
+        waiting,
         holder: grants.first().map(|grant| grant.holder.clone()).unwrap_or_default(),
         epoch,
         expires: grants.first().map_or(0, |grant| grant.expires),

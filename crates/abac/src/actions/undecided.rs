@@ -20,7 +20,7 @@ use ledger_rejection::Rejection;
 /// Steps of policies that one call takes to decide again.
 const IN_CALL: u64 = 16 * STEPS_MAX;
 /// Steps that the start of a block takes, for all organisations together.
-const IN_BLOCK: u64 = STEPS_MAX;
+pub(crate) const IN_BLOCK: u64 = STEPS_MAX;
 /// A holder may acquire and publish: two decisions.
 const DECISIONS: u64 = 2;
 /// Most grants that are looked at for one organisation at the start of a block.
@@ -37,7 +37,7 @@ pub(crate) fn are_many(ctx: &Context<'_>, robot: &Robot) -> Result<bool, Rejecti
 }
 
 /// Steps to decide about one grant.
-fn of_one(ctx: &Context<'_>, organisation: &str) -> Result<u64, Rejection> {
+pub(crate) fn of_one(ctx: &Context<'_>, organisation: &str) -> Result<u64, Rejection> {
     let steps = texts::version(ctx, organisation)?.steps.unwrap_or(STEPS_MAX);
     Ok(steps.saturating_mul(DECISIONS).max(1))
 }
@@ -131,5 +131,5 @@ fn denied(ctx: &Context<'_>, decider: &Decider, robot: Option<&Robot>, holding: 
         offered.map(|service| Target::of(robot, service))
     });
     let live = holding.is_live(ctx.block_time());
-    live && service.is_some_and(|target| decider::may_hold(ctx, decider, &holding.principal, &target).is_err())
+    live && service.is_some_and(|target| decider::may_keep(ctx, decider, holding, &target).is_err())
 }

@@ -3,10 +3,14 @@
 use super::defaults::Defaults;
 use super::limits::{self, STEPS_MAX};
 use super::texts::{self, Version};
-use super::{Answer, Engine, Question, Resource, User, Verdict, refusal};
+use super::{Answer, Engine, Permit, Question, Resource, User, Verdict, refusal};
 use crate::records::Records;
+use crate::records::grant::Holding;
 use crate::records::principal::Principal;
+use crate::records::robot::Robot;
 use crate::records::service::Target;
+use crate::records::sharing;
+use crate::rules::Table;
 use ledger::Context;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
@@ -23,6 +27,38 @@ pub(crate) enum Action {
     Acquire,
     Publish,
     Subscribe,
+    /// Taking it whatever its rule says.
+    Override,
+}
+
+/// What is done to a whole robot; each is an action of the schema since rules 3.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RobotAction {
+    Stop,
+    Resume,
+}
+
+/// The object of a question.
+#[derive(Clone, Copy)]
+enum Object<'a> {
+    Service(&'a Target, Action),
+    Robot(&'a Robot, RobotAction),
+}
+
+impl<'a> Object<'a> {
+    fn robot(self) -> &'a Robot {
+        match self {
+            Self::Service(target, _) => &target.robot,
+            Self::Robot(robot, _) => robot,
+        }
+    }
+
+    fn action(self) -> &'static str {
+        match self {
+            Self::Service(_, action) => action.name(),
+            Self::Robot(_, action) => action.name(),
+        }
+    }
 }
 
 /// All that a decision depends on besides the time. Policies and robots go by hashes of their contents, so an
@@ -33,8 +69,11 @@ struct Key {
     principal: String,
     policies: Hash,
     robot: Hash,
+    /// Empty if the question is about the robot.
     service: String,
-    action: Action,
+    action: &'static str,
+    /// Do policies see more of a robot than its name and owner?
+    of_robot: bool,
 }
 
 /// Keys that are equal have equal parts; these are enough to tell most others apart, and quick to hash.
@@ -44,15 +83,15 @@ impl std::hash::Hash for Key {
             state.write(hash.0.first_chunk::<8>().unwrap_or(&[0; 8]));
         }
         state.write(self.service.as_bytes());
-        state.write_u8(self.action as u8);
+        state.write(self.action.as_bytes());
     }
 }
 
 impl Key {
     /// Names the question in a block, whose time it is asked at.
     fn question(&self) -> Hash {
-        let Self { fingerprint, principal, policies, robot, service, action } = self;
-        let text = [principal.as_str(), service, action.name()].join("\0");
+        let Self { fingerprint, principal, policies, robot, service, action, of_robot: _ } = self;
+        let text = [principal.as_str(), service, action].join("\0");
         Hash::of(&[&fingerprint.0, &policies.0, &robot.0, text.as_bytes()])
     }
 }
@@ -63,9 +102,12 @@ pub(crate) struct Decider {
     decisions: Mutex<Cache<Key, Verdict>>,
     /// The objects of the questions, parsed before.
     pub(crate) records: Records,
+    /// Who wins among those who may.
+    pub(crate) rules: Table,
 }
 
 impl Action {
+    /// The uses that need a decision again and again.
     pub(crate) const ALL: [Self; 3] = [Self::Acquire, Self::Publish, Self::Subscribe];
 
     /// As policies name it.
@@ -74,6 +116,17 @@ impl Action {
             Self::Acquire => "acquire",
             Self::Publish => "publish",
             Self::Subscribe => "subscribe",
+            Self::Override => "override",
+        }
+    }
+}
+
+impl RobotAction {
+    /// As policies name it.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Stop => "stop",
+            Self::Resume => "resume",
         }
     }
 }
@@ -81,8 +134,9 @@ impl Action {
 impl Decider {
     /// # Errors
     /// As [`Engine::start`].
-    pub(crate) fn new() -> Result<Self, Rejection> {
+    pub(crate) fn new(rules: Table) -> Result<Self, Rejection> {
         Ok(Self {
+            rules,
             engine: Engine::start()?,
             decisions: Mutex::new(Cache::new(DECISIONS_MAX)),
             records: Records::default(),
@@ -94,7 +148,7 @@ impl Decider {
         if texts::bounded(ctx) {
             limits::steps(text)?;
         }
-        self.engine.check(Defaults::of(ctx.rules()).schema, text)
+        self.engine.check(Defaults::of(ctx.rules()).schema, sharing::known(ctx), text)
     }
 
     /// May this principal do that, says the owner of the robot?
@@ -107,8 +161,36 @@ impl Decider {
         principal: &Principal,
         target: &Target,
         action: Action,
+    ) -> Result<Permit, Rejection> {
+        match self.verdict(ctx, principal, Object::Service(target, action))? {
+            Verdict::Permit(permit) => Ok(permit),
+            denial => Err(refusal::explain(principal, target, action, denial)),
+        }
+    }
+
+    /// May this principal do that to the robot? An admin of its owner may always: the owner is never locked out.
+    ///
+    /// # Errors
+    /// As [`Decider::decide`].
+    pub(crate) fn decide_on_robot(
+        &self,
+        ctx: &Context<'_>,
+        principal: &Principal,
+        robot: &Robot,
+        action: RobotAction,
     ) -> Result<(), Rejection> {
-        let owner = &target.robot.organisation;
+        if principal.governs(robot) {
+            return Ok(());
+        }
+        match self.verdict(ctx, principal, Object::Robot(robot, action))? {
+            Verdict::Permit(_) => Ok(()),
+            denial => Err(refusal::explain_robot(principal, robot, action, denial)),
+        }
+    }
+
+    fn verdict(&self, ctx: &Context<'_>, principal: &Principal, object: Object<'_>) -> Result<Verdict, Rejection> {
+        let robot = object.robot();
+        let owner = &robot.organisation;
         let Version { hash, steps } = texts::version(ctx, owner)?;
         // A set from before steps were counted may be larger than it may be now: then it decides otherwise.
         let doubted = steps.is_none() && texts::bounded(ctx);
@@ -117,38 +199,47 @@ impl Decider {
             fingerprint: principal.fingerprint,
             principal: principal.id(),
             policies: version,
-            robot: target.robot.version,
-            service: target.id.clone(),
-            action,
+            robot: robot.version,
+            service: match object {
+                Object::Service(target, _) => target.id.clone(),
+                Object::Robot(..) => String::new(),
+            },
+            action: object.action(),
+            of_robot: sharing::known(ctx),
         };
         ctx.charge_steps(owner, steps.unwrap_or(STEPS_MAX), || key.question());
         let known = self.decisions.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
-        let verdict = match known {
-            Some(verdict) => verdict,
-            None => {
-                let answer = self.ask(ctx, principal, target, action, (version, doubted))?;
-                if answer.timeless {
-                    self.remember(key, answer.verdict.clone());
-                }
-                answer.verdict
-            }
-        };
-        match verdict {
-            Verdict::Permit => Ok(()),
-            denial => Err(refusal::explain(principal, target, action, denial)),
+        if let Some(verdict) = known {
+            return Ok(verdict);
         }
+        let answer = self.ask(ctx, principal, object, (version, doubted))?;
+        if answer.timeless {
+            self.remember(key, answer.verdict.clone());
+        }
+        Ok(answer.verdict)
     }
 
     fn ask(
         &self,
         ctx: &Context<'_>,
         principal: &Principal,
-        target: &Target,
-        action: Action,
+        object: Object<'_>,
         (version, doubted): (Hash, bool),
     ) -> Result<Answer, Rejection> {
-        let (robot, service) = (&target.robot, &target.service);
+        let robot = object.robot();
         let (attribute, value) = robot.required();
+        let required = [("requiredAttribute", attribute.to_owned()), ("requiredValue", value.to_owned())];
+        let of_service = |target: &Target| {
+            let service = &target.service;
+            let mut texts = vec![
+                ("topic", service.topic.clone()),
+                ("type", service.type_name.clone()),
+                ("mode", service.mode.to_string()),
+                ("direction", service.direction.to_string()),
+            ];
+            texts.extend(required.clone());
+            (target.id.clone(), texts)
+        };
         let question = Question {
             version,
             user: User {
@@ -157,20 +248,16 @@ impl Decider {
                 role: principal.role.as_str(),
                 attributes: principal.attributes.clone(),
             },
-            action: action.name(),
-            service: Resource {
-                id: target.id.clone(),
+            action: object.action(),
+            resource: Resource {
+                service: match object {
+                    Object::Service(target, _) => Some(of_service(target)),
+                    Object::Robot(..) => None,
+                },
                 robot: robot.name.clone(),
                 owner: robot.organisation.clone(),
-                texts: vec![
-                    ("topic", service.topic.clone()),
-                    ("type", service.type_name.clone()),
-                    ("mode", service.mode.to_string()),
-                    ("direction", service.direction.to_string()),
-                    ("requiredAttribute", attribute.to_owned()),
-                    ("requiredValue", value.to_owned()),
-                ],
                 trusted: robot.trusted.clone(),
+                of_robot: sharing::known(ctx).then(|| required.to_vec()),
             },
             time_ms: i64::try_from(ctx.block_time() / 1000).unwrap_or(i64::MAX),
             doubted,
@@ -183,13 +270,41 @@ impl Decider {
     }
 }
 
-/// May they hold a grant? It is the right to acquire and to publish.
+/// May they hold a grant? It is the right to acquire and to publish. Answers with what the policies say of acquiring.
 pub(crate) fn may_hold(
     ctx: &Context<'_>,
     decider: &Decider,
     principal: &Principal,
     target: &Target,
+) -> Result<Permit, Rejection> {
+    let permit = decider.decide(ctx, principal, target, Action::Acquire)?;
+    decider.decide(ctx, principal, target, Action::Publish)?;
+    Ok(permit)
+}
+
+/// May they take a service whatever its rule says? An admin of the owner may always.
+pub(crate) fn may_override(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    principal: &Principal,
+    target: &Target,
 ) -> Result<(), Rejection> {
-    decider.decide(ctx, principal, target, Action::Acquire)?;
-    decider.decide(ctx, principal, target, Action::Publish)
+    if principal.governs(&target.robot) {
+        Ok(())
+    } else {
+        decider.decide(ctx, principal, target, Action::Override).map(drop)
+    }
+}
+
+/// May they keep the grant that they have?
+pub(crate) fn may_keep(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    holding: &Holding,
+    target: &Target,
+) -> Result<(), Rejection> {
+    match holding.grant.taken {
+        Some(_) => may_override(ctx, decider, &holding.principal, target),
+        None => may_hold(ctx, decider, &holding.principal, target).map(drop),
+    }
 }

@@ -4,12 +4,13 @@
 //! Both texts belong to a rules number. A change of one is a file of its own and a line of its own in [`TABLE`], from
 //! the number on that brings it. The texts of released numbers stay, because their blocks are executed again.
 
+use crate::records::sharing;
 use ledger::Rules;
 use ledger_hash::Hash;
 use std::sync::LazyLock;
 
 /// The rule of the paper: the default policy of the newest rules.
-pub const DEFAULT_POLICY: &str = include_str!("../default.cedar");
+pub const DEFAULT_POLICY: &str = include_str!("../default-3.cedar");
 
 /// The texts that hold from a rules number on.
 pub(crate) struct Defaults {
@@ -38,8 +39,12 @@ pub(crate) fn schemas() -> impl Iterator<Item = &'static str> {
 }
 
 /// In ascending order of numbers.
-static TABLE: LazyLock<[Defaults; 1]> =
-    LazyLock::new(|| [Defaults::new(Rules::FIRST, DEFAULT_POLICY, include_str!("../schema.cedarschema"))]);
+static TABLE: LazyLock<[Defaults; 2]> = LazyLock::new(|| {
+    [
+        Defaults::new(Rules::FIRST, include_str!("../default.cedar"), include_str!("../schema.cedarschema")),
+        Defaults::new(sharing::RULES, DEFAULT_POLICY, include_str!("../schema-3.cedarschema")),
+    ]
+});
 
 /// The policy in force for an organisation that has put none of its own, under these rules.
 pub fn default_policy(rules: Rules) -> &'static str {

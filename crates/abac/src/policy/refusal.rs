@@ -1,8 +1,9 @@
 //! Why policies deny, in words.
 
 use super::Verdict;
-use super::decider::Action;
+use super::decider::{Action, RobotAction};
 use crate::records::principal::Principal;
+use crate::records::robot::Robot;
 use crate::records::service::Target;
 use ledger_contract::Direction;
 use ledger_rejection::{Code, Rejection};
@@ -16,6 +17,7 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
         Action::Acquire => "acquire",
         Action::Publish => "publish on",
         Action::Subscribe => "subscribe to",
+        Action::Override => "take",
     };
     let refused = format!("{who} may not {verb} {}", target.id);
     let ask_owner = format!("ask an admin of {owner}");
@@ -32,7 +34,10 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
                 .wanted("no policy that forbids it")
                 .next(format!("{ask_owner}, or read it: ledgerctl query abac policies"));
         }
-        Verdict::Permit | Verdict::NotPermitted => {}
+        Verdict::Permit(_) | Verdict::NotPermitted => {}
+    }
+    if action == Action::Override {
+        return may_not(principal, owner, refused, "override");
     }
     if target.service.direction == Direction::Feed && action != Action::Subscribe {
         return Rejection::new(Code::DeniedByPolicy, format!("{refused}: it is a feed of the robot"))
@@ -63,4 +68,33 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
         .found(format!("role {}, attribute {attribute}={value}", principal.role))
         .wanted("a policy that permits it")
         .next(format!("{ask_owner}, or read the policies: ledgerctl query abac policies"))
+}
+
+/// The refusal of something that the owner's admins may always do, and others if a policy permits the action.
+fn may_not(principal: &Principal, owner: &str, refused: String, action: &str) -> Rejection {
+    Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits {action}"))
+        .found(format!("role {} of {}", principal.role, principal.organisation))
+        .wanted(format!("an admin of {owner}, or a policy that permits the action {action}"))
+        .next(format!("ask an admin of {owner}, or read the policies: ledgerctl query abac policies"))
+}
+
+/// The refusal of an action on a whole robot.
+pub(crate) fn explain_robot(principal: &Principal, robot: &Robot, action: RobotAction, verdict: Verdict) -> Rejection {
+    let (owner, action) = (&robot.organisation, action.name());
+    let refused = format!("{} may not {action} {}", principal.id(), robot.name);
+    match verdict {
+        Verdict::Fault(fault) => {
+            Rejection::new(Code::PolicyError, format!("{refused}: a policy of {owner} cannot be evaluated"))
+                .found(fault)
+                .wanted("policies that evaluate without errors")
+                .next(format!("ask an admin of {owner} to correct it: ledgerctl query abac policies"))
+        }
+        Verdict::Forbidden(ids) => {
+            Rejection::new(Code::DeniedByPolicy, format!("{refused}: a policy of {owner} forbids it"))
+                .found(format!("forbidden by {}", ids.join(", ")))
+                .wanted("no policy that forbids it")
+                .next(format!("ask an admin of {owner}, or read it: ledgerctl query abac policies"))
+        }
+        Verdict::Permit(_) | Verdict::NotPermitted => may_not(principal, owner, refused, action),
+    }
 }

@@ -2,7 +2,8 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 use super::{
-    Engine, Hash, Index, Parsed, Question, Rejection, Resource, Texts, User, Verdict, decide, evaluate, parse_all, uid,
+    Engine, Hash, Index, Parsed, Permit, Question, Rejection, Resource, Texts, User, Verdict, decide, evaluate,
+    parse_all, uid,
 };
 use cedar_policy::{Policy, PolicySet};
 use proptest::prelude::*;
@@ -20,12 +21,15 @@ fn question(user: &str, robot: &str, action: &'static str) -> Question {
             attributes: BTreeMap::from([("A".to_owned(), "true".to_owned())]),
         },
         action,
-        service: Resource {
-            id: format!("{robot}/cmd_vel"),
+        resource: Resource {
+            service: Some((
+                format!("{robot}/cmd_vel"),
+                texts.into_iter().chain(more).map(|(key, value)| (key, value.to_owned())).collect(),
+            )),
             robot: robot.to_owned(),
             owner: "Org2".to_owned(),
-            texts: texts.into_iter().chain(more).map(|(key, value)| (key, value.to_owned())).collect(),
             trusted: vec!["Org1".to_owned()],
+            of_robot: None,
         },
         time_ms: 0,
         doubted: false,
@@ -108,7 +112,7 @@ fn policies_about_other_robots_and_other_people_are_not_looked_at() {
     let mut found: Vec<String> = found.map(|policy| policy.id().to_string()).collect();
     found.sort();
     assert_eq!(found, ["general", "r7", "u7"]);
-    assert_eq!(evaluate(&index, &question("U7", "R7", "publish")), Ok(Verdict::Permit));
+    assert_eq!(evaluate(&index, &question("U7", "R7", "publish")), Ok(Verdict::Permit(Permit::default())));
 }
 
 #[test]
@@ -116,6 +120,12 @@ fn texts_are_read_only_for_a_set_that_is_not_known() {
     let engine = Engine::start().unwrap();
     let texts = || Ok(vec![("p".to_owned(), "permit (principal, action, resource);".to_owned())]);
     let unread = || -> Result<Texts, Rejection> { panic!("the set is known") };
-    assert_eq!(engine.decide(question("Salma", "T", "publish"), texts).unwrap().verdict, Verdict::Permit);
-    assert_eq!(engine.decide(question("Farhad", "H", "acquire"), unread).unwrap().verdict, Verdict::Permit);
+    assert_eq!(
+        engine.decide(question("Salma", "T", "publish"), texts).unwrap().verdict,
+        Verdict::Permit(Permit::default())
+    );
+    assert_eq!(
+        engine.decide(question("Farhad", "H", "acquire"), unread).unwrap().verdict,
+        Verdict::Permit(Permit::default())
+    );
 }

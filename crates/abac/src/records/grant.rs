@@ -24,6 +24,9 @@ pub(crate) const HOLDERS_MAX: usize = 256;
 pub(crate) struct Holding {
     pub(crate) grant: Grant,
     pub(crate) principal: Principal,
+    /// The priority with which it was given.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(crate) priority: i64,
     /// Set when the grant has ended and its event is still to come.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) ending: Option<Reason>,
@@ -49,6 +52,10 @@ impl Holding {
     pub(crate) fn extend(&mut self, now: u64) {
         self.grant.expires = self.extended(now);
     }
+}
+
+fn is_zero(number: &i64) -> bool {
+    *number == 0
 }
 
 /// Every grant of a service in the state, live or not, oldest first.
@@ -173,7 +180,7 @@ mod tests {
     use crate::fixture::block;
     use crate::records::robot;
     use crate::records::service::Service;
-    use ledger_contract::{Direction, Mode};
+    use ledger_contract::{Direction, Mode, Sharing};
     use ledger_hash::Hash;
     use ledger_identity::Role;
     use std::collections::BTreeMap;
@@ -184,10 +191,11 @@ mod tests {
             holder: "Org1/Salma".to_owned(),
             epoch: 1,
             expires,
-            mode: Mode::Exclusive.into(),
+            mode: Mode::EXCLUSIVE,
             acquired_at: 0,
             lease_ms: 1,
             next_seq: 0,
+            taken: None,
         };
         let principal = Principal {
             organisation: "Org1".to_owned(),
@@ -199,7 +207,7 @@ mod tests {
             fingerprint: Hash::ZERO,
             not_after: u64::MAX,
         };
-        Holding { grant, principal, ending: None }
+        Holding { grant, principal, priority: 0, ending: None }
     }
 
     /// The robot of the service.
@@ -207,12 +215,13 @@ mod tests {
         let service = Service {
             topic: "/cmd_vel".to_owned(),
             type_name: "geometry_msgs/msg/Twist".to_owned(),
-            mode: Mode::Exclusive,
+            mode: Mode::EXCLUSIVE,
             direction: Direction::Command,
             max_age_ms: 1,
             lease_ms: 1,
             lease_ms_max: 1,
             stop_hex: None,
+            sharing: Sharing::default(),
         };
         let mut robot = Robot {
             name: "Turtlebot4".to_owned(),

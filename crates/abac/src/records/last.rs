@@ -22,6 +22,9 @@ pub(crate) struct Last {
     pub(crate) publisher: String,
     /// How many messages its transaction holds; their sequence numbers end with `seq`.
     pub(crate) count: u64,
+    /// Block time (microseconds), where the service's rule asks for it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) at: Option<u64>,
 }
 
 /// The smallest sequence number that may follow, from this publisher in this epoch.
@@ -32,9 +35,19 @@ pub(crate) fn next_sequence(
     epoch: u64,
     publisher: &str,
 ) -> Result<u64, Rejection> {
-    let last: Option<Last> = store::read(ctx, &key(service, sequence, publisher))?;
+    let last = read(ctx, service, sequence, publisher)?;
     let counts_on = |last: &Last| last.epoch == epoch || sequence != Sequence::PerEpoch;
     Ok(last.filter(counts_on).map_or(0, |last| last.seq + 1))
+}
+
+/// The last message of the service, or of this publisher.
+pub(crate) fn read(
+    ctx: &Context<'_>,
+    service: &str,
+    sequence: Sequence,
+    publisher: &str,
+) -> Result<Option<Last>, Rejection> {
+    store::read(ctx, &key(service, sequence, publisher))
 }
 
 /// Puts a message in the place of the last one.
@@ -78,7 +91,7 @@ mod tests {
         let (mut overlay, mut events) = (Overlay::new(Arc::new(MemoryState::default())), Vec::new());
         let mut ctx = Context::new(environment, "abac", &mut overlay, &mut events);
         for (epoch, seq, publisher) in [(1, 9, "Org1/Salma"), (2, 4, "Org1/Farhad")] {
-            let last = Last { epoch, seq, height: 1, publisher: publisher.to_owned(), count: 1 };
+            let last = Last { epoch, seq, height: 1, publisher: publisher.to_owned(), count: 1, at: None };
             write(&mut ctx, SERVICE, sequence, &last).unwrap();
         }
         [(1, "Org1/Salma"), (2, "Org1/Farhad")]

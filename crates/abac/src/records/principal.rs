@@ -1,5 +1,6 @@
 //! The caller, as the records keep it.
 
+use super::robot::Robot;
 use ledger_hash::Hash;
 use ledger_identity::{Identity, Role};
 use serde::{Deserialize, Serialize};
@@ -40,6 +41,11 @@ impl Principal {
     /// `Org1/Salma`.
     pub(crate) fn id(&self) -> String {
         format!("{}/{}", self.organisation, self.name)
+    }
+
+    /// Is it an admin of the organisation that owns the robot?
+    pub(crate) fn governs(&self, robot: &Robot) -> bool {
+        self.role == Role::Admin && self.organisation == robot.organisation
     }
 
     /// The same certificate, as revocation would name it?

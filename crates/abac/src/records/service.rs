@@ -4,7 +4,7 @@ use super::robot::{self, Robot};
 use super::store;
 use crate::arguments::shown;
 use ledger::Context;
-use ledger_contract::{Direction, Mode};
+use ledger_contract::{Direction, Mode, Sharing};
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
@@ -22,6 +22,9 @@ pub(crate) struct Service {
     pub(crate) lease_ms: u64,
     pub(crate) lease_ms_max: u64,
     pub(crate) stop_hex: Option<String>,
+    /// What the owner has set of its rule; since rules 3.
+    #[serde(default, skip_serializing_if = "Sharing::is_default")]
+    pub(crate) sharing: Sharing,
 }
 
 /// A service with the robot that offers it.

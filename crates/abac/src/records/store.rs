@@ -10,6 +10,12 @@
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
 //! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
+//! | `line/<service>␀<contender>` | a place in line; since rules 3, as the five that follow |
+//! | `contender/<service>␀<contender>` | the certificate of a contender in line |
+//! | `waiting/<issuer>/<serial>/<service>␀<contender>` | nothing: finds the places of a revoked certificate |
+//! | `look/<service>` | when the service is looked at again (block time, microseconds) |
+//! | `looks/<time, 16 hex digits>/<service>` | nothing: orders services by that time |
+//! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
 //! | `last/<service>` | last message of a service whose sequences count by epoch |
 //! | `last/<service>␀<publisher>` | last message of a publisher of any other |
 //! | `policy/<organisation>/<id>` | Cedar text |
@@ -94,6 +100,50 @@ pub(crate) fn certificate_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
 /// Reads what follows [`certificate_prefix`]: service, holder.
 pub(crate) fn parse_certificate_key<'k>(key: &'k [u8], prefix: &[u8]) -> Option<(&'k str, &'k str)> {
     std::str::from_utf8(key.strip_prefix(prefix)?).ok()?.split_once('\0')
+}
+
+/// The prefix of the places in line.
+pub(crate) fn line_prefix(service: &str) -> Vec<u8> {
+    format!("line/{service}\0").into_bytes()
+}
+
+/// The key of a place in line.
+pub(crate) fn line_key(service: &str, contender: &str) -> Vec<u8> {
+    ["line/", service, "\0", contender].concat().into_bytes()
+}
+
+/// The key of the certificate of a contender in line.
+pub(crate) fn contender_key(service: &str, contender: &str) -> Vec<u8> {
+    ["contender/", service, "\0", contender].concat().into_bytes()
+}
+
+/// The prefix of the places in line of a certificate.
+pub(crate) fn waiting_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
+    format!("waiting/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
+/// The key of the time at which a service is looked at again.
+pub(crate) fn look_key(service: &str) -> Vec<u8> {
+    ["look/", service].concat().into_bytes()
+}
+
+/// The prefix of [`looks_key`].
+pub(crate) const LOOKS: &[u8] = b"looks/";
+
+/// The key that orders services by the time (microseconds) at which they are looked at again.
+pub(crate) fn looks_key(time: u64, service: &str) -> Vec<u8> {
+    format!("looks/{time:016x}/{service}").into_bytes()
+}
+
+/// Reads [`looks_key`]: time, service.
+pub(crate) fn parse_looks_key(key: &[u8]) -> Option<(u64, &str)> {
+    let (time, service) = std::str::from_utf8(key.strip_prefix(LOOKS)?).ok()?.split_once('/')?;
+    Some((u64::from_str_radix(time, 16).ok()?, service))
+}
+
+/// The key of the stop of a robot.
+pub(crate) fn stopped_key(robot: &str) -> Vec<u8> {
+    ["stopped/", robot].concat().into_bytes()
 }
 
 /// The key of the last message of a service, or of one of its publishers (see [`super::last`]).

@@ -1,18 +1,26 @@
-//! One holder at a time, first come, first served.
+//! One holder at a time.
 
-use super::{Decision, Rule};
-use crate::records::principal::Principal;
-use ledger_contract::{Capabilities, Fencing, Grant, Publishing, Sequence};
+use super::contest::contend;
+use super::{Claim, Decision, Rule, Situation};
+use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence};
 
 /// The holder of the service keeps it from the others.
 pub(super) struct Exclusive;
 
 impl Rule for Exclusive {
+    fn mode(&self) -> Mode {
+        Mode::EXCLUSIVE
+    }
+
     fn capabilities(&self) -> Capabilities {
         Capabilities { publishing: Publishing::Grant, fencing: Fencing::Newest, sequence: Sequence::PerEpoch }
     }
 
-    fn decide<'g>(&self, _contender: &Principal, holders: &[&'g Grant]) -> Decision<'g> {
-        holders.first().map_or_else(|| Decision::Grant { ends: Vec::new() }, |holder| Decision::Wait(holder))
+    fn keys(&self) -> &'static [&'static str] {
+        &["on_conflict", "queue_max", "queue_wait_max_ms", "priority", "aging_ms", "min_hold_ms", "idle_release_ms"]
+    }
+
+    fn decide(&self, contender: &Claim, situation: &Situation<'_>) -> Decision {
+        contend(1, contender, situation)
     }
 }

@@ -1,18 +1,25 @@
 //! Any number of holders, and publishers without a grant.
 
-use super::{Decision, Rule};
-use crate::records::principal::Principal;
-use ledger_contract::{Capabilities, Fencing, Grant, Publishing, Sequence};
+use super::{Claim, Decision, Rule, Situation};
+use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence};
 
 /// Everybody whom policies permit.
 pub(super) struct Open;
 
 impl Rule for Open {
+    fn mode(&self) -> Mode {
+        Mode::OPEN
+    }
+
     fn capabilities(&self) -> Capabilities {
         Capabilities { publishing: Publishing::Policy, fencing: Fencing::PerHolder, sequence: Sequence::PerPublisher }
     }
 
-    fn decide<'g>(&self, _contender: &Principal, _holders: &[&'g Grant]) -> Decision<'g> {
+    fn keys(&self) -> &'static [&'static str] {
+        &["idle_release_ms"]
+    }
+
+    fn decide(&self, _contender: &Claim, _situation: &Situation<'_>) -> Decision {
         Decision::Grant { ends: Vec::new() }
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, SECOND, TURTLEBOT, bytes, farhad, identity, owner, robot, salma};
 use ledger::Rules;
-use ledger_abac::DEFAULT_POLICY;
+use ledger_abac::default_policy;
 use ledger_hash::Hash;
 use ledger_identity::Role;
 
@@ -23,7 +23,7 @@ fn story(rules: Rules) -> Fleet {
     fleet.set(&farhad(), TURTLEBOT, 2, 9, 1).unwrap();
     fleet.ok(&owner(), "replace", &[&robot("Turtlebot4", "exclusive")]);
     fleet.set(&salma(), TURTLEBOT, 1, 5, 1).unwrap();
-    fleet.ok(&owner(), "policy", &["put", "p", DEFAULT_POLICY]);
+    fleet.ok(&owner(), "policy", &["put", "p", default_policy(Rules::FIRST)]);
     fleet.ok(
         &owner(),
         "policy",

@@ -16,7 +16,7 @@ fn the_experiment_of_the_paper_runs_as_told() {
     assert!(refusal.message.contains("Husky=true"), "{refusal}");
     let grant: Grant = fleet.get(&salma, "acquire", &["Turtlebot4"]);
     assert_eq!((grant.service.as_str(), grant.holder.as_str(), grant.epoch), (TURTLEBOT, "Org1/Salma", 1));
-    assert_eq!(grant.mode, Mode::Exclusive);
+    assert_eq!(grant.mode, Mode::EXCLUSIVE);
     fleet.refused(&farhad, Code::Held, "acquire", &["Turtlebot4"]);
 
     // Both send; only the messages of Salma are published.
@@ -31,7 +31,13 @@ fn the_experiment_of_the_paper_runs_as_told() {
     fleet.ok(&salma, "release", &[TURTLEBOT]);
     assert_eq!(
         fleet.newest::<Released>("released"),
-        Released { service: TURTLEBOT.into(), holder: "Org1/Salma".into(), epoch: 1, reason: Reason::Released.into() }
+        Released {
+            service: TURTLEBOT.into(),
+            holder: "Org1/Salma".into(),
+            epoch: 1,
+            reason: Reason::Released.into(),
+            by: None
+        }
     );
     let grant: Grant = fleet.get(&farhad, "acquire", &["Turtlebot4"]);
     assert_eq!((grant.holder.as_str(), grant.epoch), ("Org1/Farhad", 2));

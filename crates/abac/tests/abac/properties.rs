@@ -100,7 +100,7 @@ proptest! {
             let mut exclusive = BTreeMap::new();
             for grant in grants {
                 prop_assert!(grant.expires > fleet.time);
-                if grant.mode == ledger_abac::Mode::Exclusive {
+                if grant.mode == ledger_abac::Mode::EXCLUSIVE {
                     prop_assert!(exclusive.insert(grant.service.clone(), grant.holder.clone()).is_none());
                 }
             }

@@ -32,7 +32,7 @@ fn a_robot_belongs_to_the_organisation_that_registered_it() {
     assert!(refusal.message.contains("belongs to Org2"), "{refusal}");
     fleet.refused(&admin1(), Code::NotOwner, "remove", &["Husky"]);
     let asset: RobotAsset = fleet.get(&salma(), "robot", &["Husky"]);
-    assert_eq!((asset.organisation.as_str(), asset.services[0].mode.known()), ("Org2", Some(Mode::Exclusive)));
+    assert_eq!((asset.organisation.as_str(), asset.services[0].mode.clone()), ("Org2", Mode::EXCLUSIVE));
 }
 
 #[test]
@@ -126,7 +126,7 @@ fn defaults_are_filled_in_and_kept() {
         (husky.direction.known(), husky.max_age_ms, husky.lease_ms, husky.lease_ms_max),
         (Some(Direction::Command), 1000, 10_000, 600_000)
     );
-    assert_eq!((camera.mode.known(), camera.direction.known()), (Some(Mode::Open), Some(Direction::Feed)));
+    assert_eq!((camera.mode.clone(), camera.direction.known()), (Mode::OPEN, Some(Direction::Feed)));
     assert_eq!(robots[0].attribute_required, "Husky=true");
 }
 

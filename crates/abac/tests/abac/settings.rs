@@ -26,7 +26,7 @@ fn a_robot_that_exists_is_not_added_again_and_nobody_loses_it() {
     fleet.refused(&owner(), Code::UnknownRobot, "robot", &["Spot"]);
     fleet.set(&salma(), HUSKY, 1, 1, 1).unwrap();
     let asset: RobotAsset = fleet.get(&salma(), "robot", &["Husky"]);
-    assert_eq!((asset.operator.as_str(), asset.services[0].mode.known()), ("Org1/Salma", Some(Mode::Exclusive)));
+    assert_eq!((asset.operator.as_str(), asset.services[0].mode.clone()), ("Org1/Salma", Mode::EXCLUSIVE));
 }
 
 #[test]
@@ -117,8 +117,8 @@ fn the_service_is_named_where_there_are_several() {
     fleet.ok(&owner(), "configure", &["Spot/arm", r#"{"mode":"open"}"#]);
     fleet.ok(&owner(), "configure", &["Spot", r#"{"trusted":["Org1"]}"#]);
     let asset: RobotAsset = fleet.get(&salma(), "robot", &["Spot"]);
-    let modes: Vec<_> = asset.services.iter().map(|service| service.mode.known()).collect();
-    assert_eq!((modes, asset.trusted), (vec![Some(Mode::Exclusive), Some(Mode::Open)], vec!["Org1".to_owned()]));
+    let modes: Vec<_> = asset.services.iter().map(|service| service.mode.clone()).collect();
+    assert_eq!((modes, asset.trusted), (vec![Mode::EXCLUSIVE, Mode::OPEN], vec!["Org1".to_owned()]));
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn only_admins_of_the_owner_change_a_robot() {
 #[test]
 fn settings_that_are_none_are_refused() {
     let mut fleet = Fleet::of_the_paper();
-    for settings in ["", "{", "{}", "[]", r#"{"colour":"red"}"#, r#"{"mode":"shared"}"#, r#"{"lease_ms":-1}"#] {
+    for settings in ["", "{", "{}", "[]", r#"{"colour":"red"}"#, r#"{"mode":7}"#, r#"{"lease_ms":-1}"#] {
         let refusal = fleet.refused(&owner(), Code::BadArgument, "configure", &[HUSKY, settings]);
         assert!(refusal.message.contains("SETTINGS_JSON"), "{settings}: {refusal}");
     }

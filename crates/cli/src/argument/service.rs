@@ -1,11 +1,11 @@
-//! A service on the command line: `TOPIC=TYPE[,mode=…][,direction=…][,lease=…][,lease-max=…][,max-age=…][,stop=HEX]`.
+//! A service on the command line: `TOPIC=TYPE[,KEY=VALUE]…`, with the keys of services in [`setting::KEYS`].
 
 use super::setting::{self, Key};
 use ledger_contract::{RobotSettings, ServiceSpec};
 
 /// The form of a service, for messages.
-const WANTED: &str = "TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m]\
-                      [,max-age=500ms][,stop=HEX], such as /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive";
+const WANTED: &str = "TOPIC=TYPE[,KEY=VALUE]…, such as /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive; the keys are in \
+                      ledgerctl robot set --help";
 
 /// Reads one `--service`. A missing leading slash of the topic is added; names are checked by the chaincode.
 pub(crate) fn parse(text: &str) -> Result<ServiceSpec, String> {
@@ -35,6 +35,7 @@ pub(crate) fn parse(text: &str) -> Result<ServiceSpec, String> {
         lease_ms: settings.lease_ms,
         lease_ms_max: settings.lease_ms_max,
         stop_hex: settings.stop_hex,
+        sharing: settings.sharing,
     })
 }
 
@@ -58,9 +59,11 @@ mod tests {
             "/pose=geometry_msgs/msg/PoseStamped,mode=open,direction=feed,lease=10s,lease-max=2m,max-age=500ms,stop=0001 0000",
         )
         .unwrap();
-        assert_eq!((spec.mode, spec.direction), (Some(Mode::Open), Direction::Feed));
+        assert_eq!((spec.mode, spec.direction), (Some(Mode::OPEN), Direction::Feed));
         assert_eq!((spec.lease_ms, spec.lease_ms_max, spec.max_age_ms), (Some(10_000), Some(120_000), Some(500)));
         assert_eq!(spec.stop_hex.as_deref(), Some("00010000"));
+        let spec = parse("/c=a/msg/B,mode=limited,publishers=2,on_conflict=queue,queue_max=8").unwrap();
+        assert_eq!((spec.sharing.publishers, spec.sharing.queue_max), (Some(2), Some(8)));
     }
 
     #[test]
@@ -70,7 +73,7 @@ mod tests {
             ("/cmd_vel", "TOPIC=TYPE"),
             ("=a/msg/B", "TOPIC=TYPE"),
             ("/cmd_vel=", "TOPIC=TYPE"),
-            ("/c=a/msg/B,mode=shared", "open or exclusive"),
+            ("/c=a/msg/B,on-conflict=fight", "deny or queue or preempt"),
             ("/c=a/msg/B,modus=open", "did you mean mode?"),
             ("/c=a/msg/B,lease=10", "did you mean 10s?"),
             ("/c=a/msg/B,mode", "TOPIC=TYPE"),

@@ -2,7 +2,7 @@
 //! set`.
 
 use super::span::Milliseconds;
-use ledger_contract::{RobotSettings, Word};
+use ledger_contract::{Mode, RobotSettings, Sharing, Word};
 
 /// One setting.
 pub(crate) struct Key {
@@ -14,94 +14,72 @@ pub(crate) struct Key {
     pub(crate) of_service: bool,
     /// The form of its value.
     wanted: &'static str,
-    read: fn(&mut RobotSettings, &str) -> Result<(), String>,
+    read: Read,
 }
 
+/// Reads a value into the settings.
+type Read = fn(&mut RobotSettings, &str) -> Result<(), String>;
+
+const fn of_service(name: &'static str, field: &'static str, wanted: &'static str, read: Read) -> Key {
+    Key { name, field, of_service: true, wanted, read }
+}
+
+const fn of_robot(name: &'static str, field: &'static str, wanted: &'static str, read: Read) -> Key {
+    Key { name, field, of_service: false, wanted, read }
+}
+
+/// The value that gives a setting of the rule its default again.
+const DEFAULT: &str = "default";
+
 /// Every setting; those of services first.
-pub(crate) static KEYS: [Key; 9] = [
-    Key {
-        name: "mode",
-        field: "mode",
-        of_service: true,
-        wanted: "open|exclusive",
-        read: |settings, value| {
-            settings.mode = Some(choice(value)?);
-            Ok(())
-        },
-    },
-    Key {
-        name: "direction",
-        field: "direction",
-        of_service: true,
-        wanted: "command|feed",
-        read: |settings, value| {
-            settings.direction = Some(choice(value)?);
-            Ok(())
-        },
-    },
-    Key {
-        name: "lease",
-        field: "lease_ms",
-        of_service: true,
-        wanted: "10s",
-        read: |settings, value| span(&mut settings.lease_ms, value),
-    },
-    Key {
-        name: "lease-max",
-        field: "lease_ms_max",
-        of_service: true,
-        wanted: "10m",
-        read: |settings, value| span(&mut settings.lease_ms_max, value),
-    },
-    Key {
-        name: "max-age",
-        field: "max_age_ms",
-        of_service: true,
-        wanted: "500ms",
-        read: |settings, value| span(&mut settings.max_age_ms, value),
-    },
-    Key {
-        name: "stop",
-        field: "stop_hex",
-        of_service: true,
-        wanted: "HEX",
-        read: |settings, value| {
-            let bytes = super::bytes::from_hex(value)
-                .map_err(|rejection| format!("found {}, wanted {}", rejection.found, rejection.wanted))?;
-            settings.stop_hex = Some(hex::encode(bytes));
-            Ok(())
-        },
-    },
-    Key {
-        name: "type",
-        field: "type",
-        of_service: true,
-        wanted: "PACKAGE/msg/NAME",
-        read: |settings, value| {
-            settings.type_name = Some(value.to_owned());
-            Ok(())
-        },
-    },
-    Key {
-        name: "attr-required",
-        field: "attribute_required",
-        of_service: false,
-        wanted: "KEY[=VALUE]",
-        read: |settings, value| {
-            settings.attribute_required = Some(value.to_owned());
-            Ok(())
-        },
-    },
-    Key {
-        name: "trust",
-        field: "trusted",
-        of_service: false,
-        wanted: "ORG[,ORG]",
-        read: |settings, value| {
-            settings.trusted = Some(value.split(',').map(str::to_owned).filter(|name| !name.is_empty()).collect());
-            Ok(())
-        },
-    },
+pub(crate) static KEYS: [Key; 17] = [
+    of_service("mode", "mode", "open|exclusive|limited", |settings, value| {
+        settings.mode = Some(Mode::from(value));
+        Ok(())
+    }),
+    of_service("direction", "direction", "command|feed", |settings, value| {
+        settings.direction = Some(choice(value)?);
+        Ok(())
+    }),
+    of_service("lease", "lease_ms", "10s", |settings, value| span(&mut settings.lease_ms, value)),
+    of_service("lease-max", "lease_ms_max", "10m", |settings, value| span(&mut settings.lease_ms_max, value)),
+    of_service("max-age", "max_age_ms", "500ms", |settings, value| span(&mut settings.max_age_ms, value)),
+    of_service("stop", "stop_hex", "HEX", |settings, value| {
+        let bytes = super::bytes::from_hex(value)
+            .map_err(|rejection| format!("found {}, wanted {}", rejection.found, rejection.wanted))?;
+        settings.stop_hex = Some(hex::encode(bytes));
+        Ok(())
+    }),
+    of_service("type", "type", "PACKAGE/msg/NAME", |settings, value| {
+        settings.type_name = Some(value.to_owned());
+        Ok(())
+    }),
+    of_service("publishers", "publishers", "N", |settings, value| number(&mut settings.sharing.publishers, value)),
+    of_service("on-conflict", "on_conflict", "deny|queue|preempt", |settings, value| {
+        settings.sharing.on_conflict = Some(choice(value)?);
+        Ok(())
+    }),
+    of_service("queue-max", "queue_max", "N", |settings, value| number(&mut settings.sharing.queue_max, value)),
+    of_service("queue-wait-max", "queue_wait_max_ms", "10m", |settings, value| {
+        span(&mut settings.sharing.queue_wait_max_ms, value)
+    }),
+    of_service("priority", "priority", "attribute:NAME|policy|fixed:N", |settings, value| {
+        settings.sharing.priority = Some(value.to_owned());
+        Ok(())
+    }),
+    of_service("aging", "aging_ms", "30s", |settings, value| span(&mut settings.sharing.aging_ms, value)),
+    of_service("min-hold", "min_hold_ms", "5s", |settings, value| span(&mut settings.sharing.min_hold_ms, value)),
+    of_service("idle-release", "idle_release_ms", "1m", |settings, value| {
+        span(&mut settings.sharing.idle_release_ms, value)
+    }),
+    of_robot("attr-required", "attribute_required", "KEY[=VALUE]", |settings, value| {
+        settings.attribute_required = Some(value.to_owned());
+        Ok(())
+    }),
+    of_robot("trust", "trusted", "ORG[,ORG]", |settings, value| {
+        settings.trusted = Some(value.split(',').map(str::to_owned).filter(|name| !name.is_empty()).collect());
+        Ok(())
+    }),
 ];
 
 /// `KEY=VALUE` of a command line.
@@ -139,13 +117,19 @@ pub(crate) fn collect(given: &[Setting]) -> Result<RobotSettings, String> {
 impl Key {
     /// Reads a value.
     pub(crate) fn read(&self, settings: &mut RobotSettings, value: &str) -> Result<(), String> {
+        if value == DEFAULT && Sharing::keys().any(|key| key == self.field) {
+            settings.clear.push(self.field.to_owned());
+            return Ok(());
+        }
         (self.read)(settings, value).map_err(|problem| format!("{}={value}: {problem}", self.name))
     }
 }
 
 /// The key of that name among those that are meant.
 pub(crate) fn find(name: &str, meant: impl Fn(&Key) -> bool) -> Result<&'static Key, String> {
-    if let Some(key) = KEYS.iter().find(|key| meant(key) && key.name == name) {
+    // The ledger writes a name with `_` where people write `-`: both are meant.
+    let typed = name.replace('_', "-");
+    if let Some(key) = KEYS.iter().find(|key| meant(key) && key.name == typed) {
         return Ok(key);
     }
     let names = KEYS.iter().filter(|key| meant(key)).map(|key| key.name);
@@ -168,6 +152,12 @@ fn words<T: Word>() -> Vec<&'static str> {
     T::ALL.iter().map(|value| value.word()).collect()
 }
 
+fn number(place: &mut Option<u64>, value: &str) -> Result<(), String> {
+    let digits = !value.is_empty() && value.bytes().all(|b| b.is_ascii_digit());
+    *place = Some(digits.then(|| value.parse().ok()).flatten().ok_or("wanted a whole number, such as 8")?);
+    Ok(())
+}
+
 fn span(place: &mut Option<u64>, value: &str) -> Result<(), String> {
     *place = Some(value.parse::<Milliseconds>()?.0);
     Ok(())
@@ -177,11 +167,11 @@ fn span(place: &mut Option<u64>, value: &str) -> Result<(), String> {
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::{Direction, Mode};
+    use ledger_contract::{Direction, OnConflict};
 
     #[test]
     fn a_choice_shows_all_its_words() {
-        for (name, words) in [("mode", words::<Mode>()), ("direction", words::<Direction>())] {
+        for (name, words) in [("on-conflict", words::<OnConflict>()), ("direction", words::<Direction>())] {
             assert_eq!(find(name, |_| true).unwrap().wanted, words.join("|"));
         }
     }
@@ -200,16 +190,31 @@ mod tests {
             "max-age=500ms",
             "stop=0001 0000",
             "type=std_msgs/msg/Empty",
+            "publishers=2",
+            "on_conflict=preempt",
+            "queue-max=8",
+            "queue_wait_max=1m",
+            "priority=attribute:rank",
+            "aging=10s",
+            "min-hold=5s",
+            "idle-release=30s",
             "attr-required=level=3",
             "trust=Org1,Org2",
         ]);
         let settings = serde_json::to_value(settings.unwrap()).unwrap();
         assert_eq!(settings["lease_ms_max"], 120_000);
         assert_eq!(settings["attribute_required"], "level=3");
-        for key in &KEYS {
-            assert!(settings.get(key.field).is_some(), "{}", key.field);
-        }
-        assert_eq!(settings.as_object().unwrap().len(), KEYS.len(), "a setting without a key");
+        let (of_rule, others): (Vec<_>, Vec<_>) = KEYS.iter().partition(|key| Sharing::keys().any(|k| k == key.field));
+        assert_eq!(of_rule.len(), Sharing::keys().count(), "a setting of a rule without a key");
+        assert!(of_rule.iter().all(|key| settings["sharing"].get(key.field).is_some()));
+        assert!(others.iter().all(|key| settings.get(key.field).is_some()));
+        assert_eq!(settings.as_object().unwrap().len(), others.len() + 1, "a setting without a key");
+    }
+
+    #[test]
+    fn a_setting_of_a_rule_gets_its_default_again() {
+        let settings = read(&["queue-max=default", "mode=exclusive"]).unwrap();
+        assert_eq!((settings.clear, settings.sharing), (vec!["queue_max".to_owned()], Sharing::default()));
     }
 
     #[test]
@@ -217,7 +222,8 @@ mod tests {
         for (texts, part) in [
             (&["mode"][..], "KEY=VALUE"),
             (&["modus=open"], "did you mean mode?"),
-            (&["mode=shared"], "open or exclusive"),
+            (&["on-conflict=fight"], "deny or queue or preempt"),
+            (&["queue-max=-1"], "whole number"),
             (&["lease=10"], "did you mean 10s?"),
             (&["stop=0g"], "hexadecimal"),
             (&["mode=open", "mode=open"], "given twice"),

@@ -1,16 +1,20 @@
-//! `acquire`, `renew`, `release`: who may use a service, and until when.
+//! `acquire`, `renew`, `release`, `take`, `queue`: who may use a service, until when, and who is next.
 
+mod line;
+mod waiting;
+
+use self::waiting::Waiting;
 use crate::answer;
 use crate::argument::span::Milliseconds;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output};
-use crate::session::{ABAC, Session};
+use crate::session::{self, ABAC, Session};
 use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Committed;
-use ledger_contract::{Capabilities, Fencing, Grant, Released};
+use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Released};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -18,14 +22,46 @@ use std::io::{self, Write};
 ///
 /// While the grant lasts, nobody else's messages get through on an exclusive service. It is a lease: use and `renew`
 /// extend it, `release` ends it.
+///
+/// A service with a line puts you there while others hold it: the command tells your place and ends with exit code 5. With
+/// `--wait` it goes on until the service is yours; Ctrl-C leaves the line.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
   ledgerctl acquire Turtlebot4
-  ledgerctl acquire Turtlebot4/cmd_vel --for 30s")]
+  ledgerctl acquire Turtlebot4/cmd_vel --for 30s
+  ledgerctl acquire Turtlebot4/cmd_vel --wait 5m")]
 pub(crate) struct Acquire {
     #[command(flatten)]
     lease: Lease,
+    /// Wait in line for the service at most this long, such as 5m; 0s refuses to wait
+    #[arg(long, value_name = "SPAN")]
+    wait: Option<Milliseconds>,
+    /// A lower priority than the one that you have
+    #[arg(long, value_name = "N", allow_hyphen_values = true)]
+    priority: Option<i64>,
+}
+
+/// Take a service whatever its rule says, in an emergency: whoever holds it loses it.
+///
+/// For admins of the robot's owner, and whom its policies permit `override`. The reason stays on the ledger.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl take Turtlebot4/cmd_vel --reason 'person in the cell'")]
+pub(crate) struct Take {
+    #[command(flatten)]
+    lease: Lease,
+    /// Why, for everybody to read
+    #[arg(long, value_name = "TEXT")]
+    reason: String,
+}
+
+/// Show who holds a service and who waits for it, the next one first.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl queue Turtlebot4/cmd_vel")]
+pub(crate) struct Queue {
+    /// The service; the robot alone is enough if it offers exactly one
+    #[arg(value_name = "ROBOT[/TOPIC]")]
+    service: String,
 }
 
 /// Extend a grant that you hold.
@@ -36,7 +72,7 @@ pub(crate) struct Renew {
     lease: Lease,
 }
 
-/// Give a service back; an admin of the robot's owner takes it back from whoever holds it.
+/// Give a service back, or leave its line; an admin of the robot's owner takes it back from whoever holds it.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -46,7 +82,7 @@ pub(crate) struct Release {
     /// The service; the robot alone is enough if it offers exactly one
     #[arg(value_name = "ROBOT[/TOPIC]")]
     service: String,
-    /// Take back this holder's grant only; for admins of the robot's owner
+    /// Take back this holder's grant only, or send it out of the line; for admins of the robot's owner
     #[arg(long, value_name = "ORG/NAME")]
     holder: Option<String>,
 }
@@ -77,7 +113,7 @@ struct Granted {
 impl Facts for Granted {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Grant { service, holder, epoch, expires, mode, .. } = &self.grant;
-        let is_alone = mode.known().and_then(Capabilities::of_mode).map(|known| known.fencing == Fencing::Newest);
+        let is_alone = Capabilities::of_mode(mode).map(|known| known.fencing == Fencing::Newest);
         let what = match (self.renewed, is_alone) {
             (true, _) => "renewed".to_owned(),
             (false, Some(true)) => "is yours alone".to_owned(),
@@ -94,32 +130,69 @@ impl Facts for Granted {
 }
 
 /// The words of the command line where the chaincode has other names.
-const ACQUIRE: Words = Words { arguments: &[("LEASE_MS", "--for")], help: "ledgerctl acquire" };
+const ACQUIRE: Words =
+    Words { arguments: &[("LEASE_MS", "--for"), ("OPTIONS_JSON", "what you ask for")], help: "ledgerctl acquire" };
 const RENEW: Words = Words { help: "ledgerctl renew", ..ACQUIRE };
+const TAKE: Words = Words { arguments: &[("LEASE_MS", "--for"), ("REASON", "--reason")], help: "ledgerctl take" };
 const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledgerctl release" };
 
-impl Lease {
-    async fn run(self, function: &str, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        let session = Session::open(global).await?;
-        let words = if function == "renew" { RENEW } else { ACQUIRE };
-        let mut args = vec![Bytes::from(self.service)];
-        args.extend(self.span.map(|span| Bytes::from(span.0.to_string())));
-        let Committed { id, height, time, response, .. } =
-            session.call(ABAC, function, args).await.map_err(|refused| words.told(refused))?;
-        let grant = answer::parse(&response, "a grant")?;
-        output.show(&Granted { grant, time, height, transaction: id, renewed: function == "renew" })
+impl Granted {
+    fn of(done: &Committed, grant: Grant, renewed: bool) -> Self {
+        Self { grant, time: done.time, height: done.height, transaction: done.id, renewed }
     }
 }
 
 impl Acquire {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.lease.run("acquire", global, output).await
+        let session = Session::open(global).await?;
+        let Self { lease: Lease { service, span }, wait, priority } = self;
+        let mut args = vec![Bytes::from(service)];
+        if wait.is_some() || priority.is_some() {
+            let (lease_ms, wait_ms) = (span.map(|span| span.0), wait.as_ref().map(|wait| wait.0));
+            args.push(session::argument(&AcquireOptions { lease_ms, wait_ms, priority })?);
+        } else {
+            args.extend(span.map(|span| Bytes::from(span.0.to_string())));
+        }
+        let done = session.call(ABAC, "acquire", args).await.map_err(|refused| ACQUIRE.told(refused))?;
+        match answer::parse(&done.response, "a grant or a place in line")? {
+            Acquired::Granted(grant) => output.show(&Granted::of(&done, *grant, false)),
+            Acquired::Queued { queued } if wait.is_some() => {
+                Waiting::begin(&session, queued, done.height).until_granted(output).await
+            }
+            Acquired::Queued { queued } => line::joined(queued, &done, output),
+        }
     }
 }
 
 impl Renew {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.lease.run("renew", global, output).await
+        let session = Session::open(global).await?;
+        let Lease { service, span } = self.lease;
+        let args = std::iter::once(service).chain(span.map(|span| span.0.to_string())).map(Bytes::from).collect();
+        let done = session.call(ABAC, "renew", args).await.map_err(|refused| RENEW.told(refused))?;
+        let grant = answer::parse(&done.response, "a grant")?;
+        output.show(&Granted::of(&done, grant, true))
+    }
+}
+
+impl Take {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let Self { lease: Lease { service, span }, reason } = self;
+        let span = span.map(|span| span.0.to_string());
+        let args = [service, reason].into_iter().chain(span).map(Bytes::from).collect();
+        let done = session.call(ABAC, "take", args).await.map_err(|refused| TAKE.told(refused))?;
+        let grant = answer::parse(&done.response, "a grant")?;
+        output.show(&Granted::of(&done, grant, false))
+    }
+}
+
+impl Queue {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let response = session.ask(ABAC, "line", vec![Bytes::from(self.service)]).await;
+        let response = response.map_err(|refused| line::WORDS.told(refused))?;
+        output.show(&line::Line(answer::parse(&response, "a line")?, session.client.now()))
     }
 }
 
@@ -135,7 +208,7 @@ struct Ended {
 impl Facts for Ended {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.released.is_empty() {
-            writeln!(out, "nobody held it")?;
+            writeln!(out, "nobody held it, or you were in line: you have left it")?;
         }
         for Released { service, holder, epoch, .. } in &self.released {
             writeln!(out, "{service} is released; {holder} held it with epoch {epoch}")?;
@@ -159,18 +232,19 @@ impl Release {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::{Mode, Told};
+    use ledger_contract::Mode;
 
-    fn granted(renewed: bool, mode: impl Into<Told<Mode>>) -> Granted {
+    fn granted(renewed: bool, mode: Mode) -> Granted {
         let grant = Grant {
             service: "Turtlebot4/cmd_vel".into(),
             holder: "Org1/Salma".into(),
             epoch: 3,
             expires: 1_700_000_010_000_000,
-            mode: mode.into(),
+            mode,
             acquired_at: 1_700_000_000_000_000,
             lease_ms: 10_000,
             next_seq: 0,
+            taken: None,
         };
         Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction: ledger_hash::Hash::ZERO, renewed }
     }
@@ -183,19 +257,19 @@ mod tests {
 
     #[test]
     fn a_grant_says_whose_which_epoch_and_how_long() {
-        let shown = text(&granted(false, Mode::Exclusive));
+        let shown = text(&granted(false, Mode::EXCLUSIVE));
         for part in ["Turtlebot4/cmd_vel is yours alone", "holder   Org1/Salma", "epoch    3", "(in 10 s)"] {
             assert!(shown.contains(part), "{part:?} in {shown}");
         }
-        assert!(text(&granted(true, Mode::Exclusive)).contains("renewed"));
-        assert!(text(&granted(false, Mode::Open)).contains("everybody else who may"));
-        let newer = text(&granted(false, Told::Unknown("limited".into())));
+        assert!(text(&granted(true, Mode::EXCLUSIVE)).contains("renewed"));
+        assert!(text(&granted(false, Mode::OPEN)).contains("everybody else who may"));
+        let newer = text(&granted(false, Mode::LIMITED));
         assert!(newer.contains("Turtlebot4/cmd_vel is yours in mode limited"), "{newer}");
     }
 
     #[test]
     fn a_grant_in_json_is_flat() {
-        let value = serde_json::to_value(granted(false, Mode::Exclusive)).unwrap();
+        let value = serde_json::to_value(granted(false, Mode::EXCLUSIVE)).unwrap();
         for key in ["service", "holder", "epoch", "expires", "mode", "time", "height", "transaction"] {
             assert!(value.get(key).is_some(), "{key}");
         }

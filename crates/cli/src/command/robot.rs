@@ -7,11 +7,11 @@ use crate::argument::service;
 use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
-use crate::session::{ABAC, Session};
+use crate::session::{self, ABAC, Session};
 use crate::words::Words;
 use crate::{json, time};
 use bytes::Bytes;
-use ledger_contract::{Released, RobotAsset, RobotSpec, ServiceSpec};
+use ledger_contract::{Direction, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
 use serde::Serialize;
 use serde_json::value::RawValue;
 use std::io::{self, Write};
@@ -34,7 +34,8 @@ pub(crate) enum Robot {
 Example:
   ledgerctl robot add Turtlebot4 --attr-required Turtlebot4 --service /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive
   ledgerctl robot add OptiTrack --attr-required OptiTrack --service /pose=geometry_msgs/msg/PoseStamped,direction=feed
-  ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1")]
+  ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1
+  ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue")]
 pub(crate) struct Add {
     /// Name of the robot
     name: String,
@@ -46,8 +47,7 @@ pub(crate) struct Add {
         value_name = "SERVICE",
         required = true,
         value_parser = service::parse,
-        help = "TOPIC=TYPE[,mode=open|exclusive][,direction=command|feed][,lease=10s][,lease-max=10m][,max-age=500ms]\
-                [,stop=HEX]"
+        help = "TOPIC=TYPE[,KEY=VALUE]…, such as mode=limited,publishers=2; the keys are those of `robot set`"
     )]
     services: Vec<ServiceSpec>,
     /// An organisation whose attributes count; otherwise all that are members now
@@ -91,7 +91,7 @@ impl Robot {
         match self {
             Self::Add(add) => {
                 let (name, replace) = (add.name.clone(), add.replace);
-                let spec = change::argument(&add.into_spec())?;
+                let spec = session::argument(&add.into_spec())?;
                 if replace {
                     return change::replace(&session, &name, spec, output).await;
                 }
@@ -138,7 +138,8 @@ impl Serialize for Robots {
 
 impl Facts for Robots {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let mut table = Table::new(["SERVICE", "TYPE", "MODE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES"]);
+        let mut table =
+            Table::new(["SERVICE", "TYPE", "MODE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES", "WAITING"]);
         for robot in &self.0 {
             for service in &robot.services {
                 let expires =
@@ -149,13 +150,23 @@ impl Facts for Robots {
                     service.mode.to_string(),
                     robot.organisation.clone(),
                     robot.attribute_required.clone(),
-                    if service.holders.is_empty() { "-".to_owned() } else { service.holders.join(", ") },
+                    holders(robot, service),
                     service.epoch.to_string(),
                     expires,
+                    if service.waiting == 0 { String::new() } else { service.waiting.to_string() },
                 ]);
             }
         }
         table.write(out, 0)
+    }
+}
+
+/// The holders of a service; of a stopped robot, who stopped it.
+fn holders(robot: &RobotAsset, service: &ServiceState) -> String {
+    match &robot.stopped {
+        Some(stop) if service.direction == Direction::Command => format!("stopped by {}", stop.by),
+        _ if service.holders.is_empty() => "-".to_owned(),
+        _ => service.holders.join(", "),
     }
 }
 
@@ -207,7 +218,7 @@ mod tests {
     fn the_list_says_who_holds_what_until_when() {
         let robots = Robots(vec![serde_json::from_str(ASSET).unwrap()], 1_000_000);
         let wanted = "\
-SERVICE             TYPE                     MODE       OWNER  REQUIRES         HOLDER      EPOCH  EXPIRES
+SERVICE             TYPE                     MODE       OWNER  REQUIRES         HOLDER      EPOCH  EXPIRES  WAITING
 Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  Org1/Salma  3      in 10 s
 ";
         assert_eq!(text(&robots), wanted);

@@ -4,7 +4,7 @@ use crate::answer;
 use crate::argument::setting::{self, KEYS, Setting};
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
-use crate::session::{ABAC, Session};
+use crate::session::{self, ABAC, Session};
 use crate::time;
 use crate::words::{self, Words};
 use bytes::Bytes;
@@ -20,12 +20,17 @@ use std::io::{self, Write};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Settings of a service:
-  mode=open|exclusive, direction=command|feed, lease=10s, lease-max=10m, max-age=500ms, stop=HEX, type=PACKAGE/msg/NAME
+  mode=open|exclusive|limited, direction=command|feed, lease=10s, lease-max=10m, max-age=500ms, stop=HEX,
+  type=PACKAGE/msg/NAME
+Who wins when several want a service (docs/conflict.md); `default` as the value takes a setting back:
+  publishers=N (with mode=limited), on-conflict=deny|queue|preempt, queue-max=N, queue-wait-max=10m,
+  priority=attribute:NAME|policy|fixed:N, aging=30s, min-hold=5s, idle-release=1m
 Settings of the robot:
   attr-required=KEY[=VALUE], trust=ORG[,ORG]
 
 Example:
   ledgerctl robot set Turtlebot4/cmd_vel mode=open max-age=500ms
+  ledgerctl robot set Turtlebot4/cmd_vel on-conflict=preempt priority=attribute:rank min-hold=5s
   ledgerctl robot set Husky trust=Org1,Org2 --dry-run")]
 pub(crate) struct Set {
     /// The service; the robot alone is enough if it offers exactly one, and for the robot's own settings
@@ -47,7 +52,7 @@ impl Set {
                 .wanted(format!("each of these at most once: {}", setting::listed(|_| true)))
                 .next("ledgerctl robot set --help")
         })?;
-        let args = vec![Bytes::from(self.target.clone()), argument(&settings)?];
+        let args = vec![Bytes::from(self.target.clone()), session::argument(&settings)?];
         let response = match self.dry_run {
             true => session.ask(ABAC, "configure", args).await,
             false => session.call(ABAC, "configure", args).await.map(|done| done.response),
@@ -56,13 +61,6 @@ impl Set {
         let change = answer::parse(&response, "a change of a robot")?;
         output.show(&Changed { name: self.target, change, dry_run: self.dry_run })
     }
-}
-
-/// The JSON of an argument.
-pub(super) fn argument(value: &impl Serialize) -> Result<Bytes, Rejection> {
-    serde_json::to_vec(value)
-        .map(Bytes::from)
-        .map_err(|error| Rejection::new(Code::Internal, "the robot cannot be written as JSON").found(error.to_string()))
 }
 
 /// Puts a whole description in the place of a robot's present one.
@@ -149,6 +147,10 @@ fn why(reason: &Told<Reason>) -> &str {
         Some(Reason::Released) => "its holder gave it back",
         Some(Reason::Expired) => "its lease ran out",
         Some(Reason::Revoked) => "its holder's certificate is revoked",
+        Some(Reason::Preempted) => "somebody with a higher priority took its place",
+        Some(Reason::Idle) => "its holder published nothing for too long",
+        Some(Reason::Stopped) => "the robot is stopped",
+        Some(Reason::Overridden) => "somebody took the service whatever its rule says",
         Some(_) | None => reason.word(),
     }
 }
@@ -184,6 +186,7 @@ mod tests {
             holder: "Org1/Salma".into(),
             epoch: 3,
             reason: Reason::Policy.into(),
+            by: None,
         }];
         assert_eq!(
             text(changed, ended, false),

@@ -1,0 +1,137 @@
+//! The contest for a service as its rule sees it: those who hold it, those who wait, and who asks.
+
+use crate::policy::Permit;
+use crate::records::grant::{self, Holding};
+use crate::records::line::{self, Waiting};
+use crate::records::principal::Principal;
+use crate::records::service::Target;
+use crate::rules::priority::{self, PRIORITY_MAX, Source};
+use crate::rules::{Claim, Decision, Rule, Situation};
+use ledger::Context;
+use ledger_contract::{LineState, Place};
+use ledger_rejection::{Code, Rejection};
+
+/// The priority of one who took a service whatever its rule says: above all others.
+pub(crate) const OVERRIDING: i64 = i64::MAX;
+
+/// Holders and line of a service at one moment.
+pub(crate) struct Contest<'t> {
+    target: &'t Target,
+    /// Oldest grant first.
+    pub(crate) holders: Vec<Holding>,
+    /// In order of arrival.
+    pub(crate) line: Vec<Waiting>,
+    now: u64,
+}
+
+impl<'t> Contest<'t> {
+    /// As it stands on the ledger.
+    pub(crate) fn of(ctx: &Context<'_>, target: &'t Target) -> Result<Self, Rejection> {
+        let (holders, line) = (grant::live(ctx, &target.id)?, line::all(ctx, &target.id)?);
+        Ok(Self { target, holders, line, now: ctx.block_time() })
+    }
+
+    /// The decision of the rule about a contender, who may be in line.
+    pub(crate) fn decide(&self, rule: &dyn Rule, contender: &Claim) -> Decision {
+        let holders: Vec<Claim> = self.holders.iter().map(claim_of_holder).collect();
+        let others = self.line.iter().filter(|waiting| waiting.contender != contender.who);
+        let line: Vec<Claim> = others.map(claim).collect();
+        rule.decide(contender, &self.situation(&holders, &line))
+    }
+
+    /// The line in the order in which its turns come.
+    pub(crate) fn in_order(&self, rule: &dyn Rule) -> impl Iterator<Item = &Waiting> {
+        let holders: Vec<Claim> = self.holders.iter().map(claim_of_holder).collect();
+        let line: Vec<Claim> = self.line.iter().map(claim).collect();
+        let order = rule.order(&self.situation(&holders, &line));
+        order.into_iter().filter_map(|index| self.line.get(index))
+    }
+
+    /// Everybody's place, the next one first.
+    pub(crate) fn places(&self, rule: &dyn Rule) -> Vec<Place> {
+        let ordered = self.in_order(rule).zip(1_u64..);
+        ordered.map(|(waiting, position)| self.place(waiting, position)).collect()
+    }
+
+    /// The place of a contender in line.
+    pub(crate) fn place_of(&self, rule: &dyn Rule, contender: &str) -> Option<Place> {
+        self.places(rule).into_iter().find(|place| place.contender == contender)
+    }
+
+    fn place(&self, waiting: &Waiting, position: u64) -> Place {
+        let Waiting { contender, priority, since, until, .. } = waiting.clone();
+        let service = self.target.id.clone();
+        Place { service, contender, position, priority, since, until, expected: self.expected(position) }
+    }
+
+    /// When the turn of a position comes if nobody renews: places become free in the order of the leases' ends, then
+    /// each holder after that has a lease.
+    fn expected(&self, position: u64) -> Option<u64> {
+        let mut ends: Vec<u64> = self.holders.iter().map(|holding| holding.grant.expires).collect();
+        ends.sort_unstable();
+        let places = u64::try_from(ends.len()).ok().filter(|places| *places > 0)?;
+        let (round, place) = ((position - 1) / places, (position - 1) % places);
+        let leases = round.saturating_mul(self.target.service.lease_ms).saturating_mul(1000);
+        ends.get(usize::try_from(place).ok()?).map(|end| end.saturating_add(leases))
+    }
+
+    /// As everybody may see it.
+    pub(crate) fn told(self, rule: &dyn Rule) -> LineState {
+        let line = self.places(rule);
+        let holders = self.holders.into_iter().map(|holding| holding.grant).collect();
+        LineState { service: self.target.id.clone(), holders, line }
+    }
+
+    fn situation<'a>(&'a self, holders: &'a [Claim], line: &'a [Claim]) -> Situation<'a> {
+        Situation { sharing: &self.target.service.sharing, holders, line, now: self.now }
+    }
+}
+
+/// A contender in line as the rule sees it.
+pub(crate) fn claim(waiting: &Waiting) -> Claim {
+    let Waiting { contender, ticket, priority, since, .. } = waiting;
+    Claim { who: contender.clone(), priority: *priority, since: *since, ticket: *ticket }
+}
+
+/// A contender that comes now.
+pub(crate) fn newcomer(ctx: &Context<'_>, who: String, priority: i64) -> Claim {
+    Claim { who, priority, since: ctx.block_time(), ticket: u64::MAX }
+}
+
+pub(crate) fn claim_of_holder(holding: &Holding) -> Claim {
+    let (who, since) = (holding.grant.holder.clone(), holding.grant.acquired_at);
+    Claim { who, priority: holding.priority, since, ticket: 0 }
+}
+
+/// The priority of a contender: what the service's source says, or less if it asks for less.
+///
+/// # Errors
+/// [`Code::BadArgument`] if its attribute is no priority.
+pub(crate) fn priority(
+    target: &Target,
+    principal: &Principal,
+    permit: Permit,
+    asked: Option<i64>,
+) -> Result<i64, Rejection> {
+    let own = match Source::of(target.service.sharing.priority.as_deref())? {
+        Source::Fixed(priority) => priority,
+        Source::Policy => permit.priority.unwrap_or(0),
+        Source::Attribute(name) => of_attribute(target, principal, name)?,
+    };
+    Ok(asked.map_or(own, |asked| asked.min(own)))
+}
+
+/// Attributes count only if the owner trusts the organisation that signed them.
+fn of_attribute(target: &Target, principal: &Principal, name: &str) -> Result<i64, Rejection> {
+    let value = principal.attributes.get(name).filter(|_| target.robot.trusted.contains(&principal.organisation));
+    let Some(value) = value else { return Ok(0) };
+    priority::parse(value).ok_or_else(|| {
+        Rejection::new(Code::BadArgument, format!("the attribute {name} of {} is no priority", principal.id()))
+            .found(format!("{name}={value:?}"))
+            .wanted(format!(
+                "a whole number from -{PRIORITY_MAX} to {PRIORITY_MAX}: {} takes priorities from it",
+                target.id
+            ))
+            .next(format!("ask an admin of {} for another value, then enrol again", principal.organisation))
+    })
+}

@@ -1,0 +1,122 @@
+//! The settings of a service's rule: their defaults, their bounds, and which of them go together.
+
+use super::Rule;
+use super::priority::Source;
+use crate::arguments::shown;
+use crate::records::grant::HOLDERS_MAX;
+use ledger_contract::{OnConflict, Sharing};
+use ledger_rejection::{Code, Rejection};
+
+/// Most that wait in one line.
+pub(crate) const QUEUE_MAX: u64 = 1024;
+/// Most that wait in line unless the owner says otherwise.
+const QUEUE_MAX_DEFAULT: u64 = 64;
+/// How long (milliseconds) a contender waits at most unless the owner says otherwise.
+const QUEUE_WAIT_MS_DEFAULT: u64 = 600_000;
+/// The longest of all times (milliseconds): a day.
+const TIME_MS_MAX: u64 = 86_400_000;
+/// The shortest time (milliseconds) after which anything is looked at again: block time has not to be finer.
+const TIME_MS_MIN: u64 = 100;
+
+/// The settings with every default filled in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Terms {
+    pub(crate) on_conflict: OnConflict,
+    /// 0 if nobody waits.
+    pub(crate) queue_max: u64,
+    pub(crate) queue_wait_max_us: u64,
+    pub(crate) min_hold_us: u64,
+    pub(crate) idle_release_us: Option<u64>,
+}
+
+impl Terms {
+    /// The settings of a service.
+    pub(crate) fn of(sharing: &Sharing) -> Self {
+        let on_conflict = sharing.on_conflict.unwrap_or(OnConflict::Deny);
+        let queue_max = match on_conflict {
+            OnConflict::Queue => sharing.queue_max.unwrap_or(QUEUE_MAX_DEFAULT),
+            // Who cannot preempt waits only if the owner gives the service a line.
+            _ => sharing.queue_max.unwrap_or(0),
+        };
+        Self {
+            on_conflict,
+            queue_max,
+            queue_wait_max_us: sharing.queue_wait_max_ms.unwrap_or(QUEUE_WAIT_MS_DEFAULT).saturating_mul(1000),
+            min_hold_us: sharing.min_hold_ms.unwrap_or(0).saturating_mul(1000),
+            idle_release_us: sharing.idle_release_ms.map(|ms| ms.saturating_mul(1000)),
+        }
+    }
+}
+
+/// The range of a number among the settings, and its unit.
+type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
+
+const BOUNDS: [Bounds; 6] = [
+    ("publishers", |sharing| sharing.publishers, 1, HOLDERS_MAX as u64, ""),
+    ("queue_max", |sharing| sharing.queue_max, 1, QUEUE_MAX, ""),
+    ("queue_wait_max_ms", |sharing| sharing.queue_wait_max_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+    ("aging_ms", |sharing| sharing.aging_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+    ("min_hold_ms", |sharing| sharing.min_hold_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+    ("idle_release_ms", |sharing| sharing.idle_release_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+];
+
+/// Checks the settings of a service on this topic.
+///
+/// # Errors
+/// [`Code::BadArgument`]: what is out of range, missing, or does not go together.
+pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
+    let refuse = |message: String| Rejection::new(Code::BadArgument, message);
+    let mode = rule.mode();
+    for (key, value) in sharing.set().filter(|(key, _)| !rule.keys().contains(key)) {
+        return Err(refuse(format!("mode={mode} and {key} of service {topic} do not go together"))
+            .found(format!("{key}={}", shown(&value)))
+            .wanted(match rule.keys() {
+                [] => format!("no other setting with mode={mode}"),
+                keys => format!("with mode={mode}: {}", keys.join(", ")),
+            })
+            .next(format!("leave {key} out, or choose another mode")));
+    }
+    for key in rule.required().iter().filter(|key| sharing.shown(key).is_empty()) {
+        return Err(refuse(format!("mode={mode} of service {topic} needs {key}"))
+            .found(format!("no {key}"))
+            .wanted(format!("{key}=N"))
+            .next(format!("give {key}, or choose another mode")));
+    }
+    for (key, read, min, max, unit) in BOUNDS {
+        if let Some(value) = read(sharing).filter(|value| !(min..=max).contains(value)) {
+            return Err(refuse(format!("{key} of service {topic} is out of range"))
+                .found(format!("{value}{unit}"))
+                .wanted(format!("{min} to {max}{unit}"))
+                .next("give a value within this range"));
+        }
+    }
+    Source::of(sharing.priority.as_deref())?;
+    check_together(sharing, topic)
+}
+
+/// A key that has no effect without another one is a mistake of its owner.
+fn check_together(sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
+    let terms = Terms::of(sharing);
+    let on_conflict = terms.on_conflict;
+    let pointless = match () {
+        () if on_conflict == OnConflict::Deny => {
+            ["queue_max", "queue_wait_max_ms", "priority", "aging_ms", "min_hold_ms"].as_slice()
+        }
+        () if on_conflict == OnConflict::Queue => &["min_hold_ms"],
+        () if terms.queue_max == 0 => &["queue_wait_max_ms", "aging_ms"],
+        () => &[],
+    };
+    let Some((key, value)) = sharing.set().find(|(key, _)| pointless.contains(key)) else { return Ok(()) };
+    let other = match on_conflict {
+        OnConflict::Preempt => "no queue_max".to_owned(),
+        _ => format!("on_conflict={on_conflict}"),
+    };
+    Err(Rejection::new(Code::BadArgument, format!("{other} and {key} of service {topic} do not go together"))
+        .found(format!("{key}={}", shown(&value)))
+        .wanted(match key {
+            "min_hold_ms" => "on_conflict=preempt with min_hold",
+            "queue_wait_max_ms" | "aging_ms" | "queue_max" => "a line: on_conflict=queue, or preempt with queue_max",
+            _ => "on_conflict=queue or preempt with priority",
+        })
+        .next(format!("leave {key} out, or set the other one")))
+}

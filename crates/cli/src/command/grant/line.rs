@@ -1,0 +1,109 @@
+//! The line of a service, for people.
+
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::time;
+use crate::words::Words;
+use ledger_api::Committed;
+use ledger_contract::{LineState, Place};
+use ledger_rejection::Class;
+use serde::Serialize;
+use std::io::{self, Write};
+
+/// The words of the command line where the chaincode has other names.
+pub(super) const WORDS: Words = Words { arguments: &[], help: "ledgerctl queue" };
+
+/// A line, and the moment by which its times are told.
+#[derive(Serialize)]
+#[serde(transparent)]
+pub(super) struct Line(pub(super) LineState, #[serde(skip)] pub(super) u64);
+
+impl Facts for Line {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Self(LineState { service, holders, line }, now) = self;
+        if holders.is_empty() {
+            writeln!(out, "nobody holds {service}")?;
+        }
+        for grant in holders {
+            let expires = time::relative(grant.expires, *now);
+            writeln!(out, "{service} is held by {} with epoch {}, expires {expires}", grant.holder, grant.epoch)?;
+        }
+        if line.is_empty() {
+            return writeln!(out, "nobody waits for it");
+        }
+        let mut table = Table::new(["POSITION", "WHO", "PRIORITY", "SINCE", "UNTIL", "TURN"]);
+        for place in line {
+            table.row([
+                place.position.to_string(),
+                place.contender.clone(),
+                place.priority.to_string(),
+                time::relative(place.since, *now),
+                time::relative(place.until, *now),
+                turn(place, *now),
+            ]);
+        }
+        table.write(out, 0)
+    }
+}
+
+/// When a turn comes, as far as that is known.
+pub(super) fn turn(place: &Place, now: u64) -> String {
+    match place.expected {
+        None => "-".to_owned(),
+        Some(expected) if expected <= now => "soon".to_owned(),
+        Some(expected) => format!("{} if nobody renews", time::relative(expected, now)),
+    }
+}
+
+/// A place in line, and the transaction that gave it.
+#[derive(Serialize)]
+struct Joined<'a> {
+    queued: Place,
+    time: u64,
+    height: u64,
+    transaction: &'a ledger_hash::Hash,
+}
+
+impl Facts for Joined<'_> {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Place { service, position, priority, until, .. } = &self.queued;
+        writeln!(out, "{service} is held by others: you are in line")?;
+        let mut table = Table::pairs();
+        table.pair("position", position);
+        table.pair("priority", priority);
+        table.pair("turn", turn(&self.queued, self.time));
+        table.pair("until", format!("{} ({})", time::moment(*until), time::relative(*until, self.time)));
+        table.write(out, 2)?;
+        writeln!(out, "to wait for it: ledgerctl acquire {service} --wait 5m; to leave: ledgerctl release {service}")
+    }
+}
+
+/// Tells the place of a caller who does not wait. It has no grant: the exit code says that others hold the service.
+pub(super) fn joined(queued: Place, done: &Committed, output: &mut Output) -> Result<(), Failure> {
+    output.show(&Joined { queued, time: done.time, height: done.height, transaction: &done.id })?;
+    Err(Failure::Told(Class::Conflict.exit_code()))
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    const LINE: &str = r#"{"service":"Husky/cmd_vel","holders":[{"service":"Husky/cmd_vel","holder":"Org1/Salma",
+        "epoch":3,"expires":11000000,"mode":"exclusive","acquired_at":0,"lease_ms":10000,"next_seq":0}],
+        "line":[{"service":"Husky/cmd_vel","contender":"Org1/Farhad","position":1,"priority":-2,"since":1000000,
+        "until":61000000,"expected":11000000}]}"#;
+
+    #[test]
+    fn a_line_tells_who_holds_the_service_and_whose_turn_comes_when() {
+        let line = Line(serde_json::from_str(LINE).unwrap(), 3_000_000);
+        let mut out = Vec::new();
+        line.text(&mut out).unwrap();
+        let wanted = "\
+Husky/cmd_vel is held by Org1/Salma with epoch 3, expires in 8 s
+POSITION  WHO          PRIORITY  SINCE    UNTIL    TURN
+1         Org1/Farhad  -2        2 s ago  in 58 s  in 8 s if nobody renews
+";
+        assert_eq!(String::from_utf8(out).unwrap(), wanted);
+    }
+}

@@ -1,0 +1,160 @@
+//! Waiting in line for a service: a live line of position and holder, until the service is ours.
+
+use super::Granted;
+use super::line::turn;
+use crate::answer;
+use crate::failure::Failure;
+use crate::output::Output;
+use crate::session::{ABAC, Session};
+use bytes::Bytes;
+use ledger_api::{EventStream, Subscription, v1};
+use ledger_contract::{Grant, Left, LeftReason, LineState, Place};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use std::io::{self, IsTerminal, Write};
+
+/// How often the node says that it is alive while nothing changes, in milliseconds.
+const HEARTBEAT_MS: u32 = 2_000;
+
+/// A place in line that is waited in.
+pub(super) struct Waiting<'s> {
+    session: &'s Session,
+    stream: EventStream,
+    place: Place,
+    /// Width of the live line on the terminal; 0 while there is none.
+    shown: usize,
+}
+
+/// What the wait came to.
+enum End {
+    Granted(Box<Granted>),
+    Left(Left),
+}
+
+impl<'s> Waiting<'s> {
+    /// Waits in a place that was given at this height.
+    pub(super) fn begin(session: &'s Session, place: Place, height: u64) -> Self {
+        let stream = session.client.subscribe(Subscription {
+            from_height: height + 1,
+            chaincode: ABAC.to_owned(),
+            subjects: vec![place.service.clone()],
+            names: ["granted", "left", "line", "released"].map(str::to_owned).to_vec(),
+            heartbeat: HEARTBEAT_MS,
+        });
+        Self { session, stream, place, shown: 0 }
+    }
+
+    /// Waits until the service is ours, until our patience ends, or until Ctrl-C, which leaves the line.
+    pub(super) async fn until_granted(mut self, output: &mut Output) -> Result<(), Failure> {
+        let end = tokio::select! {
+            end = self.follow() => end,
+            _ = tokio::signal::ctrl_c() => {
+                self.clear();
+                return self.leave(output).await;
+            }
+        };
+        self.clear();
+        match end? {
+            End::Granted(granted) => output.show(&*granted),
+            End::Left(left) => Err(self.refused(&left).into()),
+        }
+    }
+
+    async fn follow(&mut self) -> Result<End, Rejection> {
+        self.look_again().await?;
+        loop {
+            let delivery = self.stream.next().await?;
+            for event in &delivery.events {
+                if let Some(end) = self.read(&delivery, event)? {
+                    return Ok(end);
+                }
+            }
+            if !delivery.events.is_empty() {
+                self.look_again().await?;
+            }
+        }
+    }
+
+    /// The end of the wait, if the event tells it.
+    fn read(&self, delivery: &v1::Delivery, event: &v1::EventRecord) -> Result<Option<End>, Rejection> {
+        match event.name.as_str() {
+            "granted" => {
+                let grant: Grant = answer::parse(&event.payload, "a grant")?;
+                let is_ours = grant.holder == self.place.contender;
+                let (time, height) = (delivery.time, delivery.height);
+                // The block itself gave it: no transaction of ours did.
+                let granted = Granted { grant, time, height, transaction: Hash::ZERO, renewed: false };
+                Ok(is_ours.then(|| End::Granted(Box::new(granted))))
+            }
+            "left" => {
+                let left: Left = answer::parse(&event.payload, "an event of a line")?;
+                Ok((left.contender == self.place.contender).then_some(End::Left(left)))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// Shows where we are and who holds the service.
+    async fn look_again(&mut self) -> Result<(), Rejection> {
+        if !io::stderr().is_terminal() {
+            return Ok(());
+        }
+        let response = self.session.ask(ABAC, "line", vec![Bytes::from(self.place.service.clone())]).await?;
+        let state: LineState = answer::parse(&response, "a line")?;
+        let ours = state.line.iter().find(|place| place.contender == self.place.contender);
+        if let Some(place) = ours {
+            self.place = place.clone();
+        }
+        let holders: Vec<&str> = state.holders.iter().map(|grant| grant.holder.as_str()).collect();
+        let holders = if holders.is_empty() { "nobody".to_owned() } else { holders.join(", ") };
+        let Place { service, position, .. } = &self.place;
+        let length = state.line.len().max(1);
+        let turn = turn(&self.place, self.session.client.now());
+        let text = format!("{service}: position {position} of {length}, held by {holders}, your turn: {turn}");
+        let text = crate::output::printable(&text).into_owned();
+        let width = text.chars().count();
+        let _ = write!(io::stderr(), "\r{text}{}", " ".repeat(self.shown.saturating_sub(width)));
+        let _ = io::stderr().flush();
+        self.shown = width;
+        Ok(())
+    }
+
+    /// Takes the live line off the terminal.
+    fn clear(&mut self) {
+        if self.shown > 0 {
+            let _ = write!(io::stderr(), "\r{}\r", " ".repeat(self.shown));
+            self.shown = 0;
+        }
+    }
+
+    /// Leaves the line, or gives the service back if it has just become ours.
+    async fn leave(&self, output: &mut Output) -> Result<(), Failure> {
+        let service = self.place.service.clone();
+        match self.session.call(ABAC, "release", vec![Bytes::from(service.clone())]).await {
+            Ok(_) => output.note(&format!("you have left the line of {service}")),
+            // We were neither in line nor holders any more.
+            Err(refused) if refused.code == Code::NotHolder => {}
+            Err(refused) => return Err(refused.into()),
+        }
+        Err(Rejection::new(Code::Held, format!("{service} is not yours: you stopped waiting")).into())
+    }
+
+    fn refused(&self, left: &Left) -> Rejection {
+        let service = &self.place.service;
+        let (code, why) = match left.reason.known() {
+            Some(LeftReason::TimedOut) => (Code::Held, "others held it as long as you waited"),
+            Some(LeftReason::Policy) => (Code::DeniedByPolicy, "its policies no longer permit you to have it"),
+            Some(LeftReason::Revoked) => (Code::Revoked, "your certificate is revoked"),
+            Some(LeftReason::Expired) => (Code::CertificateExpired, "your certificate has run out"),
+            Some(LeftReason::Left) => (Code::Held, "you left the line with another command"),
+            Some(LeftReason::Removed) => (Code::Held, "an admin of its owner sent you out of the line"),
+            Some(LeftReason::RobotRemoved) => (Code::UnknownService, "it was taken out of service"),
+            Some(LeftReason::Rule) => (Code::Held, "its owner changed the rule, and the line is shorter or gone"),
+            _ => (Code::Held, "you are no longer in line"),
+        };
+        Rejection::new(code, format!("{service} is not yours: {why}"))
+            .found(format!("out of the line: {}", left.reason))
+            .wanted(format!("a grant of {service} to {}", self.place.contender))
+            .next(format!("to see who holds it and who waits: ledgerctl queue {service}"))
+    }
+}

@@ -1,0 +1,179 @@
+//! How a service is shared: the settings of its rule, which its owner chooses key by key.
+
+use crate::word::words;
+use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
+use std::fmt;
+
+/// The name of the rule that says how many may use a service at once. It is for people and for the owner's choice: what
+/// follows from it are [`crate::Capabilities`]. A node may have rules that this program does not know.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Mode(Cow<'static, str>);
+
+impl Mode {
+    /// Everybody whom policies permit.
+    pub const OPEN: Self = Self::named("open");
+    /// One holder of a grant at a time.
+    pub const EXCLUSIVE: Self = Self::named("exclusive");
+    /// As many holders as the owner says.
+    pub const LIMITED: Self = Self::named("limited");
+
+    /// The mode of a rule with that name.
+    pub const fn named(name: &'static str) -> Self {
+        Self(Cow::Borrowed(name))
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        &self.0
+    }
+}
+
+impl From<&str> for Mode {
+    fn from(name: &str) -> Self {
+        Self(Cow::Owned(name.to_owned()))
+    }
+}
+
+impl fmt::Display for Mode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+words! {
+    /// The treatment of a contender for whom no place is free.
+    pub enum OnConflict {
+        /// It is refused.
+        Deny = "deny",
+        /// It waits in line.
+        Queue = "queue",
+        /// It takes the place of the holder with the lowest priority below its own.
+        Preempt = "preempt",
+    }
+}
+
+/// The settings of a service's rule. What is not set has the default of docs/conflict.md.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Sharing {
+    /// How many may hold the service at once; for mode `limited`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub publishers: Option<u64>,
+    /// The treatment of a contender for whom no place is free; `deny` by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub on_conflict: Option<OnConflict>,
+    /// The most that wait in line; 64 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub queue_max: Option<u64>,
+    /// How long (milliseconds) a contender waits at most; ten minutes by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub queue_wait_max_ms: Option<u64>,
+    /// Where priorities come from: `attribute:NAME`, `policy` or `fixed:N`; `fixed:0` by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub priority: Option<String>,
+    /// The time (milliseconds) of waiting that raises a priority by one; never by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub aging_ms: Option<u64>,
+    /// How long (milliseconds) a holder cannot be preempted; 0 by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub min_hold_ms: Option<u64>,
+    /// A holder that publishes nothing for so long (milliseconds) loses the service; never by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub idle_release_ms: Option<u64>,
+}
+
+/// A key of [`Sharing`]: its name, its value for people if it is set, how it takes the value of another, how it is cleared.
+struct Key {
+    name: &'static str,
+    shown: fn(&Sharing) -> Option<String>,
+    take: fn(&mut Sharing, &Sharing),
+}
+
+macro_rules! keys {
+    ($($name:ident)*) => {
+        /// Every key.
+        const KEYS: &[Key] = &[$(Key {
+            name: stringify!($name),
+            shown: |sharing| sharing.$name.as_ref().map(ToString::to_string),
+            take: |sharing, other| sharing.$name.clone_from(&other.$name),
+        },)*];
+    };
+}
+
+keys!(publishers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms);
+
+impl Sharing {
+    /// Are all settings the defaults?
+    pub fn is_default(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// The names of all keys.
+    pub fn keys() -> impl Iterator<Item = &'static str> {
+        KEYS.iter().map(|key| key.name)
+    }
+
+    /// The keys that are set, with their values for people.
+    pub fn set(&self) -> impl Iterator<Item = (&'static str, String)> {
+        KEYS.iter().filter_map(|key| (key.shown)(self).map(|value| (key.name, value)))
+    }
+
+    /// The value of a key for people; empty if it is not set.
+    pub fn shown(&self, name: &str) -> String {
+        KEYS.iter().find(|key| key.name == name).and_then(|key| (key.shown)(self)).unwrap_or_default()
+    }
+
+    /// Takes over what `changes` sets.
+    pub fn change(&mut self, changes: &Self) {
+        for key in KEYS.iter().filter(|key| (key.shown)(changes).is_some()) {
+            (key.take)(self, changes);
+        }
+    }
+
+    /// Gives a key its default again. Answers if there is such a key.
+    pub fn clear(&mut self, name: &str) -> bool {
+        let key = KEYS.iter().find(|key| key.name == name);
+        key.is_some_and(|key| {
+            (key.take)(self, &Self::default());
+            true
+        })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_field_of_the_settings_is_a_key() {
+        let all = Sharing {
+            publishers: Some(2),
+            on_conflict: Some(OnConflict::Queue),
+            queue_max: Some(3),
+            queue_wait_max_ms: Some(4),
+            priority: Some("fixed:5".into()),
+            aging_ms: Some(6),
+            min_hold_ms: Some(7),
+            idle_release_ms: Some(8),
+        };
+        let json = serde_json::to_value(&all).unwrap();
+        let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();
+        let mut keys: Vec<&str> = Sharing::keys().collect();
+        (fields.sort(), keys.sort_unstable());
+        assert_eq!(fields, keys);
+        assert_eq!(all.set().count(), keys.len());
+
+        let mut some = Sharing { queue_max: Some(9), ..Sharing::default() };
+        some.change(&all);
+        assert_eq!(some, all);
+        assert_eq!(some.shown("on_conflict"), "queue");
+        for key in keys {
+            assert!(some.clear(key), "{key}");
+        }
+        assert!(some.is_default() && !some.clear("queue"));
+        assert_eq!(serde_json::to_string(&some).unwrap(), "{}");
+    }
+}
