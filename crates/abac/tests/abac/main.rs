@@ -10,9 +10,11 @@
 mod arguments;
 mod budgets;
 mod bytes;
+mod contests;
 mod fleet;
 mod following;
 mod grants;
+mod model;
 mod open;
 mod paper;
 mod policies;
