@@ -1,4 +1,5 @@
-//! Random interleavings of everything that decides who has a service, judged by the [`Model`].
+//! Random interleavings of everything that decides who has a service, in blocks of one call and of several, judged by the
+//! [`Model`].
 
 use crate::fleet::{Fleet, SECOND, TURTLEBOT, bytes, identity, owner, robot};
 use crate::model::{Answer, Conflict, Model, Settings};
@@ -136,11 +137,14 @@ fn answer(outcome: Result<Bytes, Code>) -> Answer {
     }
 }
 
-/// Plays one block in the product and in the model; their answers must be alike.
-fn play(fleet: &mut Fleet, model: &mut Model, seq: &mut u64, step: &Step) {
-    // The time of the block of this step: a block takes a millisecond.
-    let now = fleet.time + 1000;
-    model.begin(now);
+/// Plays one call in the product and in the model; their answers must be alike. It is a block of its own, a millisecond after
+/// the one before, or in the same block.
+fn play(fleet: &mut Fleet, model: &mut Model, seq: &mut u64, joins: bool, step: &Step) {
+    fleet.joins = joins;
+    let now = if joins { fleet.time } else { fleet.time + 1000 };
+    if !joins {
+        model.begin(now);
+    }
     match step {
         Step::Acquire { who, less, wait } => {
             let base = if model.settings.conflict == Conflict::Deny { 0 } else { PRIORITIES[*who] };
@@ -207,7 +211,7 @@ proptest! {
     #[test]
     fn holders_and_line_are_those_of_the_model_at_every_height(
         first in settings(),
-        steps in prop::collection::vec(step(), 1..120),
+        steps in prop::collection::vec((prop::bool::weighted(0.3), step()), 1..120),
     ) {
         let mut fleet = Fleet::empty();
         fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "exclusive")]);
@@ -215,11 +219,14 @@ proptest! {
         fleet.ok(&owner(), "configure", &[TURTLEBOT, &json(&first)]);
         let (mut model, mut seq) = (Model::new(first), 0);
         let mut newest = 0;
-        for step in &steps {
+        for (joins, step) in &steps {
+            let joins = *joins && !matches!(step, Step::Wait(_) | Step::Restart);
             let until = match step { Step::Wait(span) => fleet.time + span, _ => fleet.time };
-            tick_until(&mut fleet, &mut model, until);
+            if !joins {
+                tick_until(&mut fleet, &mut model, until);
+            }
             let since = fleet.events.len();
-            play(&mut fleet, &mut model, &mut seq, step);
+            play(&mut fleet, &mut model, &mut seq, joins, step);
             for event in fleet.events[since..].iter().filter(|event| event.name == "granted") {
                 let grant: Grant = serde_json::from_slice(&event.payload).unwrap();
                 prop_assert!(grant.epoch > newest, "epoch {} after {newest}", grant.epoch);

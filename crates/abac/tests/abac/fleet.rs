@@ -57,6 +57,8 @@ pub(crate) struct Fleet {
     /// The writes of each block.
     pub(crate) writes: Vec<WriteSet>,
     rules: Rules,
+    /// The next call comes in the block of the one before.
+    pub(crate) joins: bool,
     /// Counts what the calls of the newest block use.
     pub(crate) meter: Meter,
 }
@@ -140,6 +142,7 @@ impl Fleet {
             events: vec![],
             writes: vec![],
             rules,
+            joins: false,
             meter: Meter::default(),
         };
         fleet.forget();
@@ -299,11 +302,14 @@ impl Fleet {
         &mut self,
         body: impl FnOnce(&Self, &mut Overlay, &mut Vec<Event>) -> Result<Bytes, Rejection>,
     ) -> Result<Bytes, Rejection> {
-        self.height += 1;
-        self.time += 1000;
-        self.meter = Meter::of_block(self.rules);
+        let begins = !std::mem::take(&mut self.joins);
+        if begins {
+            self.height += 1;
+            self.time += 1000;
+            self.meter = Meter::of_block(self.rules);
+        }
         let (mut overlay, mut events) = (Overlay::new(self.state.clone()), vec![]);
-        {
+        if begins {
             let mut ctx = Context::new(self.environment(None), "abac", &mut overlay, &mut events);
             self.abac.begin_block(&mut ctx);
         }
