@@ -13,6 +13,7 @@ mod open;
 pub(crate) mod priority;
 pub(crate) mod terms;
 
+use self::terms::Terms;
 use crate::records::service::Target;
 use ledger_contract::{Capabilities, Direction, Mode, Sharing};
 use ledger_rejection::{Code, Rejection};
@@ -36,6 +37,11 @@ pub trait Rule: Send + Sync {
     /// The keys among them that the owner must set.
     fn required(&self) -> &'static [&'static str] {
         &[]
+    }
+
+    /// How many may wait; whoever is beyond leaves the line. By default as `on_conflict` and `queue_max` say.
+    fn line_max(&self, sharing: &Sharing) -> u64 {
+        Terms::of(sharing).queue_max
     }
 
     /// The treatment of a contender that policies permit and that holds nothing of this service yet. If it waits already, it

@@ -108,6 +108,7 @@ pub(crate) fn may_publish(
         emergency::check_goes(ctx, target)?;
         return Ok(None);
     }
+    emergency::check_goes(ctx, target)?;
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let refused = match hold::own(ctx, principal, target) {
         Ok(own) if epoch.is_none_or(|epoch| epoch == own.grant.epoch) => return Ok(Some(Arc::new(own))),

@@ -51,7 +51,8 @@ pub(crate) fn join(
     let contender = principal.id();
     let before = contest.line.iter().find(|waiting| waiting.contender == contender);
     if before.is_none() {
-        check_room(ctx, target, principal, &contest, terms)?;
+        let most = decider.rules.of(target)?.line_max(&target.service.sharing);
+        check_room(ctx, target, principal, &contest, most)?;
     }
     let now = ctx.block_time();
     let wait =
@@ -81,9 +82,9 @@ fn check_room(
     target: &Target,
     principal: &Principal,
     contest: &Contest<'_>,
-    terms: Terms,
+    most: u64,
 ) -> Result<(), Rejection> {
-    let (id, most) = (&target.id, terms.queue_max);
+    let id = &target.id;
     if contest.line.len() as u64 >= most {
         return Err(Rejection::new(Code::LineFull, format!("the line of {id} is full"))
             .found(format!("{} who wait", contest.line.len()))
@@ -234,7 +235,7 @@ fn look(ctx: &mut Context<'_>, decider: &Decider, service: &str, allowance: &mut
     };
     let idle = end_idle(ctx, decider, &target)?;
     let before = line::all(ctx, service)?.len();
-    send_away(ctx, &target)?;
+    send_away(ctx, decider, &target)?;
     let again =
         if emergency::check_goes(ctx, &target).is_ok() { turns(ctx, decider, &target, allowance)? } else { None };
     let line = line::all(ctx, service)?;
@@ -278,8 +279,8 @@ fn last_use(ctx: &Context<'_>, decider: &Decider, target: &Target, holding: &Hol
 }
 
 /// Sends away who has waited as long as it wanted, and who the service has no room for any more.
-fn send_away(ctx: &mut Context<'_>, target: &Target) -> Result<(), Rejection> {
-    let (now, most) = (ctx.block_time(), Terms::of(&target.service.sharing).queue_max);
+fn send_away(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<(), Rejection> {
+    let (now, most) = (ctx.block_time(), decider.rules.of(target)?.line_max(&target.service.sharing));
     let mut beside = 0;
     let mut leaving = Vec::new();
     for waiting in line::all(ctx, &target.id)? {

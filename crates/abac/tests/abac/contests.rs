@@ -61,11 +61,14 @@ fn settings() -> impl Strategy<Value = Settings> {
 
 /// The settings as the owner types them. Those that are not set get their defaults.
 fn json(settings: &Settings) -> String {
-    let mut sharing = vec![("on_conflict", match settings.conflict {
-        Conflict::Deny => "\"deny\"".to_owned(),
-        Conflict::Queue => "\"queue\"".to_owned(),
-        Conflict::Preempt => "\"preempt\"".to_owned(),
-    })];
+    let mut sharing = vec![(
+        "on_conflict",
+        match settings.conflict {
+            Conflict::Deny => "\"deny\"".to_owned(),
+            Conflict::Queue => "\"queue\"".to_owned(),
+            Conflict::Preempt => "\"preempt\"".to_owned(),
+        },
+    )];
     let mut clear = Vec::new();
     let mut set = |key: &'static str, value: Option<String>| match value {
         Some(value) => sharing.push((key, value)),
@@ -104,7 +107,8 @@ fn step() -> impl Strategy<Value = Step> {
 
 fn policy(forbidden: &[usize]) -> String {
     let names: Vec<String> = forbidden.iter().map(|who| format!("\"P{who}\"")).collect();
-    let forbid = format!("forbid (principal, action, resource) when {{ [{}].contains(principal.name) }};", names.join(","));
+    let forbid =
+        format!("forbid (principal, action, resource) when {{ [{}].contains(principal.name) }};", names.join(","));
     let forbid = if forbidden.is_empty() { String::new() } else { forbid };
     format!("permit (principal, action, resource); {forbid}")
 }

@@ -131,8 +131,21 @@ impl Fleet {
     }
 
     fn empty_under(rules: Rules) -> Self {
-        let mut fleet = Self {
-            abac: Arc::new(AccessControl::new().unwrap()),
+        let mut fleet = Self::under(rules, AccessControl::new().unwrap());
+        fleet.forget();
+        fleet
+    }
+
+    /// A network of Org1 and Org2 without robots, with this chaincode.
+    pub(crate) fn with(abac: AccessControl) -> Self {
+        let mut fleet = Self::under(Rules::NEWEST, abac);
+        fleet.install();
+        fleet
+    }
+
+    fn under(rules: Rules, abac: AccessControl) -> Self {
+        Self {
+            abac: Arc::new(abac),
             members: Arc::new(Members(Mutex::new(vec!["Org1", "Org2"]))),
             registry: Registry::new(),
             state: Arc::new(MemoryState::default()),
@@ -144,9 +157,7 @@ impl Fleet {
             rules,
             joins: false,
             meter: Meter::default(),
-        };
-        fleet.forget();
-        fleet
+        }
     }
 
     /// The network of the paper: Org2 registered its three robots.
@@ -165,6 +176,10 @@ impl Fleet {
     /// Replaces the chaincode by a new instance, as a restart does: its caches are cold.
     pub(crate) fn forget(&mut self) {
         self.abac = Arc::new(AccessControl::new().unwrap());
+        self.install();
+    }
+
+    fn install(&mut self) {
         self.registry = Registry::new();
         self.registry.install(self.abac.clone()).unwrap();
         self.registry.install(self.members.clone()).unwrap();
