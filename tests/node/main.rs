@@ -40,6 +40,7 @@ mod readers;
 mod rebuild;
 mod renewal;
 mod rules;
+mod sharing;
 mod story;
 mod subscribing;
 mod three;

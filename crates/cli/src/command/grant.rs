@@ -34,9 +34,12 @@ Example:
 pub(crate) struct Acquire {
     #[command(flatten)]
     lease: Lease,
-    /// Wait in line for the service at most this long, such as 5m; 0s refuses to wait
+    /// Wait in line for the service at most this long, such as 5m
     #[arg(long, value_name = "SPAN")]
     wait: Option<Milliseconds>,
+    /// Do not go in line: be refused while others hold the service
+    #[arg(long, conflicts_with = "wait")]
+    no_wait: bool,
     /// A lower priority than the one that you have
     #[arg(long, value_name = "N", allow_hyphen_values = true)]
     priority: Option<i64>,
@@ -145,10 +148,11 @@ impl Granted {
 impl Acquire {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
-        let Self { lease: Lease { service, span }, wait, priority } = self;
+        let Self { lease: Lease { service, span }, wait, no_wait, priority } = self;
         let mut args = vec![Bytes::from(service)];
-        if wait.is_some() || priority.is_some() {
-            let (lease_ms, wait_ms) = (span.map(|span| span.0), wait.as_ref().map(|wait| wait.0));
+        let wait_ms = if no_wait { Some(0) } else { wait.as_ref().map(|wait| wait.0) };
+        if wait_ms.is_some() || priority.is_some() {
+            let lease_ms = span.map(|span| span.0);
             args.push(session::argument(&AcquireOptions { lease_ms, wait_ms, priority })?);
         } else {
             args.extend(span.map(|span| Bytes::from(span.0.to_string())));
