@@ -5,15 +5,15 @@ use crate::{World, own_network, timed};
 use bytes::Bytes;
 use criterion::Criterion;
 use ledger_abac::{Capabilities, Direction, Fencing, Grant, Mode, Publishing, Sequence};
+use ledger_gate::gate::{Delivered, Gate, Now, Settings};
+use ledger_gate::sample::{CDR_LE, SAMPLE_BYTES_MAX, Sample};
+use ledger_gate::service::Service;
+use ledger_gate::standing::{Members, Standing};
 use ros_bridge::dds::Participant;
-use ros_bridge::gate::{Delivered, Gate, Now, Settings};
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;
 use ros_bridge::queue::{Incoming, Limits};
-use ros_bridge::sample::{CDR_LE, SAMPLE_BYTES_MAX, Sample};
-use ros_bridge::service::Service;
 use ros_bridge::shm;
-use ros_bridge::standing::{Members, Standing};
 use std::cell::RefCell;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -74,7 +74,6 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         members: Members { msps: Arc::clone(&context.msps), revoked: Arc::default() },
         height: 1,
         time,
-        asked: Instant::now(),
     };
     gate.learn(&service, &standing, now().steady, now());
     let certificate = Bytes::copy_from_slice(&context.chain[0]);

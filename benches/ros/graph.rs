@@ -2,11 +2,11 @@
 
 use crate::load::{histogram, wait_until};
 use hdrhistogram::Histogram;
+use ledger_gate::sample::{CDR_LE, Sample};
 use ros_bridge::dds::{Participant, Reader, Writer};
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;
 use ros_bridge::queue::{Incoming, Limits};
-use ros_bridge::sample::{CDR_LE, Sample};
 use ros_bridge::shm;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex};

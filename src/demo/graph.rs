@@ -2,12 +2,12 @@
 //! of any ledger.
 
 use bytes::Bytes;
+use ledger_gate::sample::{CDR_LE, Sample};
 use ledger_rejection::{Code, Rejection};
 use ros_bridge::dds::{Participant, Reader, Writer};
 use ros_bridge::names::{TopicName, TypeName};
 use ros_bridge::qos::Qos;
 use ros_bridge::queue::Limits;
-use ros_bridge::sample::{CDR_LE, Sample};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -171,7 +171,7 @@ fn twist(speed: f64, number: usize, operator: Operator) -> Result<Sample, Reject
     for value in [speed, number as f64, f64::from(operator as u8), 0.0, 0.0, 0.0] {
         body.extend_from_slice(&value.to_le_bytes());
     }
-    Sample::new(CDR_LE, &body).map_err(|error| failed(&error))
+    Sample::new(CDR_LE, &body)
 }
 
 fn read(body: &Bytes, at: Instant) -> Option<Received> {

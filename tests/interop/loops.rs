@@ -3,12 +3,12 @@
 
 use std::time::Duration;
 
+use ledger_gate::sample::Sample;
 use ros_bridge::{
     dds::{Participant, Reader, Writer},
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits},
-    sample::Sample,
     shm,
     stop::stop_message,
 };

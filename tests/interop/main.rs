@@ -113,7 +113,8 @@ fn a_300_kb_message_passes() {
 
 #[test]
 fn local_processes_reach_the_robot_through_shared_memory() {
-    use ros_bridge::{names::TopicName, queue::Limits, sample::Sample, shm};
+    use ledger_gate::sample::Sample;
+    use ros_bridge::{names::TopicName, queue::Limits, shm};
     if !network::isolated(&|| ()) {
         return;
     }

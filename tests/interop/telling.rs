@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
+use ledger_gate::sample::Sample;
 use ros_bridge::{
     dds::Participant,
     names::{TopicName, TypeName},
     qos::{Qos, Reliability},
     queue::Limits,
-    sample::Sample,
 };
 
 use crate::{

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 23] = [
+const LAYERS: [(&str, &[&str]); 24] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // "Did you mean": of names, not of a ledger.
@@ -91,6 +91,19 @@ const LAYERS: [(&str, &[&str]); 23] = [
         "ledger-api",
         &["ledger", "ledger-durable", "ledger-hash", "ledger-identity", "ledger-light", "ledger-rejection", "nearest"],
     ),
+    // What a robot decides alone: no DDS, no socket, no clock.
+    (
+        "ledger-gate",
+        &[
+            "ledger",
+            "ledger-contract",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-light",
+            "ledger-mutation",
+            "ledger-rejection",
+        ],
+    ),
     // Messages by their definitions: nothing of a ledger.
     ("ros-message", &["nearest"]),
     (
@@ -99,6 +112,7 @@ const LAYERS: [(&str, &[&str]); 23] = [
             "ledger",
             "ledger-api",
             "ledger-contract",
+            "ledger-gate",
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
@@ -132,6 +146,7 @@ const LAYERS: [(&str, &[&str]); 23] = [
             "ledger-abac",
             "ledger-api",
             "ledger-durable",
+            "ledger-gate",
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",
@@ -156,6 +171,7 @@ const LAYERS: [(&str, &[&str]); 23] = [
         &[
             "ledger",
             "ledger-abac",
+            "ledger-gate",
             "ledger-hash",
             "ledger-identity",
             "ledger-invariant",

@@ -11,6 +11,7 @@ use std::{
 };
 
 use ledger_api::{Client, Context, home, read_checkpoint};
+use ledger_gate::service::Service;
 use ledger_rejection::{Class, Code, Rejection};
 use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
@@ -28,7 +29,7 @@ use crate::{
         kind::{Opened, Opening},
         local::Local,
     },
-    service::Service,
+    service::{ask_service, topic_for},
     standing::Asker,
 };
 
@@ -111,8 +112,8 @@ impl Bridge {
     async fn start_with(config: Config, gateway: Arc<dyn Gateway>, context: &Context) -> Result<Self, Rejection> {
         let mut services = Vec::with_capacity(config.routes.len());
         for route in &config.routes {
-            let (service, _) = Service::ask(&*gateway, 0, &route.service).await?;
-            let topic = service.topic_for(route)?;
+            let (service, _) = ask_service(&*gateway, 0, &route.service).await?;
+            let topic = topic_for(&service, route)?;
             services.push((service, topic));
         }
         no_circle(&config.routes, &services)?;

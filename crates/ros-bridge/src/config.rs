@@ -30,6 +30,7 @@ use std::{
 };
 
 use bytes::Bytes;
+use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::{Fault, Reader, Section, Spot};
 
@@ -39,7 +40,6 @@ use crate::{
     qos::{DEPTH_SAMPLES_MAX, Durability, Qos, Reliability},
     queue::Limits,
     route::kind::{KINDS, Kind, Plan},
-    sample::{SAMPLE_BYTES_MAX, Sample},
 };
 
 /// Most routes of one bridge.
@@ -284,7 +284,7 @@ pub(crate) fn stop_sample(text: &str, bytes_max: usize) -> Result<Sample, Reject
             .found(error.to_string())
             .wanted("hexadecimal digits: CDR with its 4-byte encapsulation header")
     })?;
-    Ok(Sample::from_wire(Bytes::from(bytes), bytes_max)?)
+    Sample::from_wire(Bytes::from(bytes), bytes_max)
 }
 
 #[cfg(test)]

@@ -37,6 +37,12 @@ pub enum Error {
 }
 
 impl Error {
+    /// No sample, for this reason.
+    pub(crate) fn sample(refused: Rejection) -> Self {
+        let Rejection { message, found, wanted, next, .. } = refused;
+        Self::Sample(Explained::new(message, found, wanted, next))
+    }
+
     /// The stable code of the kind.
     fn code(&self) -> Code {
         match self {

@@ -17,6 +17,7 @@ use ledger_api::{
     v1::{Delivery, EventRecord},
 };
 use ledger_contract::{Declaration, Grant, RobotAsset};
+use ledger_gate::fixture::{Network, grant, micros};
 use ledger_hash::Hash;
 use ledger_light::{Certificate, Change, Checkpoint, Governance, Proof, Statement, fact::Fact, merkle, proof::Shown};
 use ledger_rejection::{Code, Rejection};
@@ -24,10 +25,7 @@ use serde_json::{Value, json};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::UnboundedReceiverStream;
 
-use crate::{
-    fixture::{Network, grant, micros},
-    gateway::{Deliveries, Gateway, Verdict},
-};
+use crate::gateway::{Deliveries, Gateway, Verdict};
 
 /// The fate of a sample.
 #[derive(Clone)]

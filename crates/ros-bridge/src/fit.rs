@@ -3,7 +3,8 @@
 use ledger_rejection::{Code, Rejection};
 use ros_message::{Library, Message};
 
-use crate::{names::TypeName, sample::Sample};
+use crate::names::TypeName;
+use ledger_gate::sample::Sample;
 
 /// The type with which samples of a route are compared.
 pub(crate) struct Fit(Option<Message>);
@@ -33,7 +34,7 @@ impl Fit {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::sample::CDR_LE;
+    use ledger_gate::sample::CDR_LE;
 
     fn check(name: &str, body: &[u8]) -> Result<(), Rejection> {
         Fit::of(&TypeName::parse(name).unwrap()).check(&Sample::new(CDR_LE, body).unwrap())

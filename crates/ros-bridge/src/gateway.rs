@@ -9,17 +9,11 @@ use futures::{
     stream::{self, BoxStream, StreamExt},
 };
 use ledger_api::{Answer, Call, Certified, Client, Subscription, v1::Delivery};
+use ledger_gate::{ABAC, gate::COMMAND_TTL};
 use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
-/// The access-control chaincode.
-pub(crate) const ABAC: &str = "abac";
-/// The chaincode that knows revocations.
-pub(crate) const MSP: &str = "msp";
-/// How long a command may be on its way to its block. Short, because what a node holds back until then could still
-/// be brought to a robot: see [`crate::gate`].
-pub(crate) const COMMAND_TTL: Duration = Duration::from_secs(2);
 /// How long a question may be on its way to its block.
 const QUESTION_TTL: Duration = Duration::from_secs(5);
 /// How long a subscription rests that was refused for good: rights may come back.

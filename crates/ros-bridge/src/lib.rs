@@ -5,7 +5,7 @@
 //! any message type works by its name alone.
 //!
 //! It is no DDS implementation (that is `rustdds`) and no typed ROS 2 client. It decides no rights: the ledger does,
-//! and on the robot's side the gate.
+//! and on the robot's side the gate (`ledger_gate`), which the bridge drives.
 //!
 //! # Map
 //! | module | what is in it |
@@ -13,15 +13,13 @@
 //! | `bridge` | [`run`], [`Bridge`]: a running bridge and its summary |
 //! | [`config`] | what it is told to do |
 //! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
-//! | [`gate`] | what a robot checks for itself before anything reaches its graph |
-//! | `gateway`, [`service`] | what is asked of the ledger, and what it answers |
-//! | [`standing`] | how a robot stands, as the voters have signed it |
+//! | `gateway`, `service` | what is asked of the ledger, and what it answers |
+//! | `standing` | asks how a robot stands |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |
 //! | [`domain`] | which ROS domain it joins |
 //! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
 //! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
 //! | [`qos`] | the quality-of-service settings of a route |
-//! | [`sample`] | one message as raw CDR, in the form that travels on the ledger |
 //! | [`dds`] | participant, reader and writer of a ROS domain |
 //! | [`shm`] | publisher and subscriber over iceoryx2 shared memory |
 //! | [`queue`] | the queue between them and whoever takes the samples, limited in bytes |
@@ -55,9 +53,6 @@ pub mod error;
 #[cfg(test)]
 mod fake;
 mod fit;
-#[cfg(test)]
-mod fixture;
-pub mod gate;
 mod gateway;
 pub mod mark;
 pub mod names;
@@ -66,10 +61,9 @@ pub mod queue;
 mod renewal;
 mod report;
 mod route;
-pub mod sample;
-pub mod service;
+mod service;
 pub mod shm;
-pub mod standing;
+mod standing;
 pub mod stop;
 
 pub use bridge::{Bridge, Summary, context_of, run};

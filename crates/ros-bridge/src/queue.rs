@@ -13,7 +13,7 @@ use std::{
 
 use tokio::sync::Notify;
 
-use crate::sample::Sample;
+use ledger_gate::sample::Sample;
 
 /// The limits of a reader.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -141,7 +141,7 @@ fn weight(incoming: &Incoming) -> usize {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::sample::CDR_LE;
+    use ledger_gate::sample::CDR_LE;
 
     fn incoming(sequence: u64, bytes: usize) -> Incoming {
         Incoming {

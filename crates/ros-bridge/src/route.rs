@@ -11,7 +11,7 @@ use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use tokio::sync::watch;
 
-use crate::gate::Now;
+use ledger_gate::gate::Now;
 
 /// No moment is further away: a hundred years, in microseconds.
 const STEADY_US_MAX: u64 = 100 * 366 * 24 * 3600 * 1_000_000;

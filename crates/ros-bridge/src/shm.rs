@@ -36,6 +36,7 @@ use iceoryx2::{
         port_factory::{self, PortFactory},
     },
 };
+use ledger_gate::sample::Sample;
 
 use crate::{
     dds::Role,
@@ -44,7 +45,6 @@ use crate::{
     mark::Mark,
     names::TopicName,
     queue::{Incoming, Limits, Queue},
-    sample::Sample,
 };
 
 /// Most publishers of a service.

@@ -1,4 +1,4 @@
-//! How a robot stands: its services, who holds them, and who governs the network. Voters have signed it, as the answer to a
+//! Asks how a robot stands: its services, who holds them, and who governs the network. Voters have signed it, as the answer to a
 //! question of this bridge.
 //!
 //! The question is a transaction, `abac declare ROBOT`. Nobody knows its id before, so an answer to it is newer than the
@@ -8,64 +8,35 @@
 //! unless it has a checkpoint.
 
 use std::{
-    collections::BTreeSet,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use bytes::Bytes;
 use ledger_api::{Certified, pages};
-use ledger_contract::{Declaration, Grant, RobotAsset, ServiceState};
-use ledger_identity::Identity;
+use ledger_contract::{Grant, RobotAsset};
+use ledger_gate::{
+    ABAC, MSP,
+    service::Revoked,
+    standing::{Members, Standing},
+};
 use ledger_identity::msp::Msps;
 use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use tokio::{sync::Mutex, time::timeout};
 
-use crate::{
-    gateway::{ABAC, Gateway, MSP, ask, read},
-    service::Revoked,
-};
+use crate::gateway::{Gateway, ask, read};
 
 /// How long an answer may take.
 const ANSWER_MAX: Duration = Duration::from_secs(5);
 
-/// The authorities of the organisations, and the certificates that were revoked: they decide whose signatures count.
-#[derive(Clone, Debug)]
-pub struct Members {
-    /// The authorities.
-    pub msps: Arc<Msps>,
-    /// Keys of the revoked certificates ([`Identity::revocation_key`]).
-    pub revoked: Arc<BTreeSet<Vec<u8>>>,
-}
-
-impl Members {
-    fn of(governance: &Governance) -> Result<Self, Rejection> {
-        let revoked = governance.revocations().map(<[u8]>::to_vec).collect();
-        Ok(Self { msps: Arc::new(governance.msps()?), revoked: Arc::new(revoked) })
-    }
-
-    /// Was this identity's certificate revoked?
-    pub fn has_revoked(&self, identity: &Identity) -> bool {
-        self.revoked.contains(&identity.revocation_key())
-    }
-}
-
-/// How a robot stands after a block.
-#[derive(Clone, Debug)]
-pub struct Standing {
-    /// Its services.
-    pub services: Vec<ServiceState>,
-    /// The grants of its services.
-    pub grants: Vec<Grant>,
-    /// The authorities and revocations.
-    pub members: Members,
-    /// The block.
-    pub height: u64,
-    /// Block time, microseconds since the UNIX epoch.
-    pub time: u64,
+/// The answer to a question.
+#[derive(Debug)]
+pub(crate) struct Answered {
+    /// How the robot stands.
+    pub(crate) standing: Standing,
     /// When the question was asked: the robot stood so, or will stand so, at that moment or later.
-    pub asked: Instant,
+    pub(crate) asked: Instant,
 }
 
 /// Asks how one robot stands. Its routes share the answers.
@@ -81,7 +52,7 @@ pub(crate) struct Asker {
 #[derive(Default)]
 struct Last {
     trust: Option<Trust>,
-    outcome: Option<(Instant, Result<Arc<Standing>, Rejection>)>,
+    outcome: Option<(Instant, Result<Arc<Answered>, Rejection>)>,
 }
 
 /// The source that the bridge believes.
@@ -109,14 +80,14 @@ impl Asker {
     ///
     /// # Errors
     /// [`Code::UnknownRobot`]; why there is no proof; the ledger's refusal if it does not answer in time.
-    pub(crate) async fn ask(&self, since: Instant) -> Result<Arc<Standing>, Rejection> {
+    pub(crate) async fn ask(&self, since: Instant) -> Result<Arc<Answered>, Rejection> {
         let mut last = self.last.lock().await;
         if let Some((_, outcome)) = last.outcome.as_ref().filter(|(asked, _)| *asked >= since) {
             return outcome.clone();
         }
         let asked = Instant::now();
-        let outcome = match timeout(ANSWER_MAX, self.ask_now(&mut last.trust, asked)).await {
-            Ok(answer) => answer.map(Arc::new),
+        let outcome = match timeout(ANSWER_MAX, self.ask_now(&mut last.trust)).await {
+            Ok(answer) => answer.map(|standing| Arc::new(Answered { standing, asked })),
             Err(_) => Err(Rejection::new(Code::Timeout, "nobody says how the robot stands")
                 .found(format!("no answer within {} s", ANSWER_MAX.as_secs()))
                 .wanted("a transaction that commits, and the signatures of the voters")
@@ -126,23 +97,20 @@ impl Asker {
         outcome
     }
 
-    async fn ask_now(&self, trust: &mut Option<Trust>, asked: Instant) -> Result<Standing, Rejection> {
+    async fn ask_now(&self, trust: &mut Option<Trust>) -> Result<Standing, Rejection> {
         let trust = match trust {
             Some(trust) => trust,
             None => trust.insert(self.begin().await?),
         };
         match trust {
-            Trust::Node => self.ask_node(asked).await,
+            Trust::Node => self.ask_node().await,
             Trust::Voters(known, members) => {
                 let Certified { response, checkpoint } = self.gateway.declare(&self.robot, known.clone()).await?;
                 if checkpoint.governance.chain() != known.chain() {
                     *members = Members::of(&checkpoint.governance)?;
                 }
                 *known = checkpoint.governance;
-                let Declaration { robot: RobotAsset { services, .. }, grants } =
-                    read(&format!("{ABAC} declare"), &response)?;
-                let members = members.clone();
-                Ok(Standing { services, grants, members, height: known.height(), time: known.time(), asked })
+                Standing::declared(&response, members, known)
             }
         }
     }
@@ -160,7 +128,7 @@ impl Asker {
         Ok(Trust::Node)
     }
 
-    async fn ask_node(&self, asked: Instant) -> Result<Standing, Rejection> {
+    async fn ask_node(&self) -> Result<Standing, Rejection> {
         let (gateway, robot) = (&*self.gateway, self.robot.as_str());
         let at_least = gateway.height().await?;
         let answer = gateway.query(at_least, ABAC, "robot", vec![Bytes::copy_from_slice(robot.as_bytes())]).await?;
@@ -178,7 +146,7 @@ impl Asker {
         let revoked: Vec<Revoked> = pages::follow("the answer to msp revocations", page).await?;
         let revoked = revoked.iter().filter_map(Revoked::key).collect();
         let members = Members { msps: Arc::clone(&self.stored), revoked: Arc::new(revoked) };
-        Ok(Standing { services: asset.services, grants, members, height, time, asked })
+        Ok(Standing { services: asset.services, grants, members, height, time })
     }
 }
 
@@ -186,7 +154,8 @@ impl Asker {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::{fake::Fake, fixture::shared};
+    use crate::fake::Fake;
+    use ledger_gate::fixture::shared;
     use std::sync::atomic::Ordering;
 
     fn asker(fake: &Arc<Fake>) -> Asker {
@@ -200,11 +169,14 @@ mod tests {
         let (asker, before) = (asker(&fake), Instant::now());
         let first = asker.ask(before).await.unwrap();
         assert!(first.asked >= before);
-        assert_eq!((first.grants.len(), first.services.len()), (1, 1));
+        assert_eq!((first.standing.grants.len(), first.standing.services.len()), (1, 1));
         assert!(Arc::ptr_eq(&first, &asker.ask(before).await.unwrap()));
         let newer = asker.ask(Instant::now()).await.unwrap();
-        assert!(newer.height > first.height && newer.asked > first.asked);
-        assert!(Arc::ptr_eq(&newer.members.msps, &first.members.msps), "nothing has changed who governs");
+        assert!(newer.standing.height > first.standing.height && newer.asked > first.asked);
+        assert!(
+            Arc::ptr_eq(&newer.standing.members.msps, &first.standing.members.msps),
+            "nothing has changed who governs"
+        );
     }
 
     #[tokio::test]
@@ -224,9 +196,9 @@ mod tests {
         fake.set_holder("Org1/Salma", 3, 1000);
         fake.certifies.store(false, Ordering::Relaxed);
         fake.answers.store(false, Ordering::Relaxed);
-        let standing = asker(&fake).ask(Instant::now()).await.unwrap();
-        assert_eq!((standing.grants.len(), standing.services.len()), (1, 1));
-        assert!(Arc::ptr_eq(&standing.members.msps, &shared().msps), "those of the enrolment");
+        let answered = asker(&fake).ask(Instant::now()).await.unwrap();
+        assert_eq!((answered.standing.grants.len(), answered.standing.services.len()), (1, 1));
+        assert!(Arc::ptr_eq(&answered.standing.members.msps, &shared().msps), "those of the enrolment");
     }
 
     #[tokio::test]
@@ -236,7 +208,7 @@ mod tests {
         fake.certifies.store(false, Ordering::Relaxed);
         let gateway = Arc::clone(&fake) as Arc<dyn Gateway>;
         let asker = Asker::new(gateway, "T", Arc::clone(&shared().msps), Some(&known)).unwrap();
-        let standing = asker.ask(Instant::now()).await.unwrap();
-        assert!(!Arc::ptr_eq(&standing.members.msps, &shared().msps), "those of the checkpoint");
+        let answered = asker.ask(Instant::now()).await.unwrap();
+        assert!(!Arc::ptr_eq(&answered.standing.members.msps, &shared().msps), "those of the checkpoint");
     }
 }

@@ -3,10 +3,9 @@
 //! When a right ends, silence is not a stop: a robot may keep its last velocity. So the bridge
 //! publishes the stop message of the service's type. Types without one need it in the configuration.
 
-use crate::{
-    names::TypeName,
-    sample::{CDR_LE, Sample},
-};
+use ledger_gate::sample::{CDR_LE, Sample};
+
+use crate::names::TypeName;
 
 /// The parts of a stop message, in CDR order.
 enum Part {

@@ -11,6 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use ledger_gate::sample::{CDR_LE, Sample};
 use python::Python;
 use ros_bridge::{
     dds::{Participant, WRITER_BYTES_MAX},
@@ -18,7 +19,6 @@ use ros_bridge::{
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
-    sample::{CDR_LE, Sample},
 };
 
 const DEADLINE: Duration = Duration::from_secs(30);

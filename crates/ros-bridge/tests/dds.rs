@@ -6,6 +6,7 @@ mod network;
 
 use std::{process::Command, sync::Arc, time::Duration};
 
+use ledger_gate::sample::{CDR_BE, CDR_LE, Sample};
 use ledger_hash::Hash;
 use ros_bridge::{
     dds::{Change, Participant, Reader, Role, Writer},
@@ -15,7 +16,6 @@ use ros_bridge::{
     names::{TopicName, TypeName},
     qos::{Durability, Qos, Reliability},
     queue::{Incoming, Limits},
-    sample::{CDR_BE, CDR_LE, Sample},
 };
 
 const DEADLINE: Duration = Duration::from_secs(20);

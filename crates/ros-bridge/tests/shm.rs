@@ -8,13 +8,13 @@ use std::{
     time::Duration,
 };
 
+use ledger_gate::sample::{CDR_LE, Sample};
 use ledger_hash::Hash;
 use ros_bridge::{
     door::Door,
     mark::Mark,
     names::TopicName,
     queue::{Incoming, Limits},
-    sample::{CDR_LE, Sample},
     shm::{Node, Subscriber},
 };
 

@@ -12,6 +12,10 @@ use std::{
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_api::Context;
+use ledger_gate::{
+    fixture::{Network, User, micros},
+    sample::{CDR_LE, Sample},
+};
 use ledger_rejection::Code;
 use serde_json::json;
 
@@ -19,11 +23,9 @@ use super::*;
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
     fake::{Fake, Fate, held_by},
-    fixture::{Network, User, micros},
     names::TypeName,
     qos::Qos,
     queue::Limits,
-    sample::{CDR_LE, Sample},
     stop::stop_message,
 };
 

@@ -3,15 +3,13 @@
 use std::convert::Infallible;
 
 use bytes::Bytes;
+use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample};
 use rustdds::{
     RepresentationIdentifier,
     no_key::{Decode, DefaultDecoder, DeserializerAdapter, SerializerAdapter},
 };
 
-use crate::{
-    error::Error,
-    sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample},
-};
+use crate::error::Error;
 
 /// Raw CDR of one encoding; `ID` is the second byte of its representation identifier (the first is 0).
 pub(super) struct Raw<const ID: u8>;
@@ -75,6 +73,6 @@ impl Decode<'_, Sample> for Copying {
             RepresentationIdentifier::PL_CDR_LE => PL_CDR_LE,
             _ => CDR_LE,
         };
-        Sample::new(id, body)
+        Sample::new(id, body).map_err(Error::sample)
     }
 }

@@ -3,6 +3,7 @@
 use std::{collections::BTreeMap, sync::Arc, time::Instant};
 
 use futures::StreamExt;
+use ledger_gate::sample::Sample;
 use rustdds::{DataReaderStatus, GUID, StatusEvented, no_key::SimpleDataReader};
 use tokio::{task::JoinHandle, time::interval};
 
@@ -20,7 +21,6 @@ use crate::{
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits, Queue},
-    sample::Sample,
 };
 
 /// Most writers whose mark is remembered; beyond it all are looked up again.

@@ -8,6 +8,7 @@ use std::{
 
 use bytes::Bytes;
 use futures::{StreamExt, future::BoxFuture};
+use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample};
 use rustdds::{
     DataWriterStatus, GUID, QosPolicies, RTPSEntity, StatusEvented, Timestamp, Topic, dds::result::WriteError,
     no_key::DataWriter,
@@ -20,7 +21,6 @@ use crate::{
     mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
-    sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample},
 };
 
 /// Most bytes written that reliable readers have not acknowledged. Beyond it a write is refused.

@@ -6,27 +6,28 @@
 //! How the robot stands is asked when it may have changed, and while somebody moves it. A message of which the gate knows
 //! nothing yet waits for the answer.
 
-mod act;
-mod held;
-mod questions;
-
 use std::{
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use futures::{FutureExt, StreamExt, future::BoxFuture};
-use ledger_api::{Subscription, v1::Delivery};
+use ledger_api::{
+    Subscription,
+    v1::{Delivery, EventRecord},
+};
+use ledger_gate::{
+    ABAC, MSP,
+    gate::{Refused, Settings as GateSettings},
+    guard::{Act, Block, Guard, Told},
+    sample::Sample,
+    service::Service,
+};
 use ledger_invariant::broken;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use tokio::time::sleep_until;
 
-use self::{
-    act::{Act, Shown, judge},
-    held::Held,
-    questions::{Answer, Questions},
-};
 use super::{
     Clocks, Stop,
     kind::{Beside, Kind, Opened, Opening, Plan},
@@ -39,11 +40,9 @@ use crate::{
     count::{Complaint, Counters, count, line},
     dds::Role,
     error::Error,
-    gate::{Gate, Refused, Settings as GateSettings},
-    gateway::{ABAC, Deliveries, Gateway, MSP},
-    sample::Sample,
-    service::Service,
-    standing::Standing,
+    gateway::{Deliveries, Gateway},
+    service::{stop_for, topic_for},
+    standing::{Answered, Asker},
 };
 
 /// Shortest `stale_after_ms`: one heartbeat may be late.
@@ -107,14 +106,12 @@ impl Settings {
             max_age: self.max_age,
             stale_after: self.stale_after,
         };
-        let questions = Questions::new(asker, self.stale_after, Instant::now());
         let outlet = async {
             let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
             let counters = Counters::new(route, outlet.matched(), None);
             Ok((outlet, counters))
         };
-        let opened =
-            FromLedger::open((gateway, questions), (route.clone(), self.clone()), gate, service, outlet).await?;
+        let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
         let (counters, in_memory) = (opened.counters.clone(), opened.outlet.in_memory());
         Ok(Opened { counters, in_memory, running: opened.run(stop).boxed() })
     }
@@ -140,6 +137,9 @@ fn beside(Beside { service, topic, is_same_service, is_command }: &Beside<'_>) -
     is_command.then(|| format!("a publisher beside this bridge on {topic}: its messages go around the ledger"))
 }
 
+/// The answer to a question.
+type Answer = Result<Arc<Answered>, Rejection>;
+
 /// A route from a service to a local topic.
 struct FromLedger {
     gateway: Arc<dyn Gateway>,
@@ -148,15 +148,14 @@ struct FromLedger {
     outlet: Outlet,
     counters: Counters,
     clocks: Clocks,
-    gate: Gate,
-    questions: Questions,
-    held: Held,
+    guard: Guard,
+    asker: Arc<Asker>,
+    /// The question under way.
+    question: Option<BoxFuture<'static, Answer>>,
     service: Service,
     stop: Option<Sample>,
     /// The next height of the subscription.
     next_height: u64,
-    /// When the ledger last gave a sign of life.
-    heard: Instant,
     renewed: Instant,
     complaint: Complaint,
 }
@@ -164,7 +163,7 @@ struct FromLedger {
 impl FromLedger {
     /// Asks how the robot stands. The outlet comes to be when the gate is there: whoever sees it may publish, and that shall pass.
     async fn open(
-        (gateway, questions): (Arc<dyn Gateway>, Questions),
+        (gateway, asker): (Arc<dyn Gateway>, Arc<Asker>),
         (route, settings): (RouteConfig, Settings),
         gate: GateSettings,
         service: Service,
@@ -172,8 +171,8 @@ impl FromLedger {
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
-        let gate = Gate::new(gate, &route.service, clocks.now());
-        let stop = service.stop_for(&route, settings.stop.as_ref())?;
+        let guard = Guard::new(gate, &route.service, clocks.now());
+        let stop = stop_for(&service, &route, settings.stop.as_ref())?;
         if stop.is_none() && service.is_command() {
             let message = route.message.to_string();
             tracing::warn!(service = route.service, message, "no stop message is known for this type: set stop_hex");
@@ -186,19 +185,18 @@ impl FromLedger {
             outlet,
             counters,
             clocks,
-            gate,
-            questions,
-            held: Held::default(),
+            guard,
+            asker,
+            question: None,
             service,
             stop,
             next_height: height.saturating_add(1),
-            heard: Instant::now(),
             renewed: Instant::now(),
             complaint: Complaint::default(),
         };
         // Without an answer the route waits for one, and nothing passes.
-        opened.questions.ask(Instant::now());
-        let answer = opened.questions.answer().await;
+        opened.ask();
+        let answer = opened.answer().await;
         opened.answered(answer).await;
         Ok(opened)
     }
@@ -215,16 +213,17 @@ impl FromLedger {
         });
         let mut graph_ended = std::pin::pin!(self.outlet.matched().clone().ended());
         let fault = loop {
-            if let Some(found) = self.gate.fault() {
+            if let Some(found) = self.guard.gate().fault() {
                 break Some(found.to_owned());
             }
             // Others have their turn, also while events come without an end.
             tokio::task::consume_budget().await;
             // By the clock, before anything else is looked at: a flood of events must not put off a stop.
-            if let Some(reason) = self.must_stop(Instant::now()) {
-                self.halt(reason).await;
+            if let Some(reason) = self.guard.overdue(self.clocks.now()) {
+                self.publish_stop(reason).await;
             }
-            let (stop_due, ask_due) = (self.stop_due(), self.questions.due(self.gate.is_moving()));
+            let due = |due: Option<u64>| due.map(|due| self.clocks.instant(due));
+            let (stop_due, ask_due) = (due(self.guard.stop_at().map(|(due, _)| due)), due(self.guard.asks_at()));
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -234,17 +233,16 @@ impl FromLedger {
                 }
                 // The next turn stops the robot.
                 () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
-                answer = self.questions.answer() => self.answered(answer).await,
+                answer = self.answer() => self.answered(answer).await,
                 () = sleep_until(ask_due.unwrap_or_else(Instant::now).into()), if ask_due.is_some() => {
-                    self.questions.ask(Instant::now());
+                    self.ask();
                 }
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     if let Ok(delivery) = &delivery {
-                        self.heard = Instant::now();
-                        self.counters.lock().live.heard = Some(self.heard);
+                        self.counters.lock().live.heard = Some(Instant::now());
                         self.next_height = self.next_height.max(delivery.height.saturating_add(1));
-                        self.gate.heard(delivery.time, self.clocks.now());
+                        self.guard.heard(delivery.time, self.clocks.now());
                     }
                     let known = self.count_of(Refused::UnknownCreator);
                     self.handle_all(delivery).await;
@@ -255,7 +253,7 @@ impl FromLedger {
                 }
             }
         };
-        if self.gate.is_moving() {
+        if self.guard.gate().is_moving() {
             self.halt(if fault.is_some() { "fault" } else { "shutdown" }).await;
         }
         if !self.outlet.flush(FLUSH_MAX).await {
@@ -267,22 +265,19 @@ impl FromLedger {
         }
     }
 
-    /// The time at which the robot must stop, and why: the ledger is silent, its voters are, or the driver's lease ends. The earliest
-    /// of the three; none while nobody moves it.
-    fn stop_at(&self) -> Option<(Instant, &'static str)> {
-        let lease = self.clocks.instant(self.gate.deadline()?);
-        let silence = self.heard + self.settings.stale_after;
-        let unsigned = self.gate.fresh_until().map_or(silence, |until| self.clocks.instant(until));
-        [(lease, "lease"), (silence, "stale"), (unsigned, "uncertified")].into_iter().min_by_key(|(due, _)| *due)
+    /// Asks how the robot stands.
+    fn ask(&mut self) {
+        let since = self.clocks.instant(self.guard.ask(self.clocks.now()));
+        let asker = Arc::clone(&self.asker);
+        self.question = Some(async move { asker.ask(since).await }.boxed());
     }
 
-    fn stop_due(&self) -> Option<Instant> {
-        self.stop_at().map(|(due, _)| due)
-    }
-
-    /// Why the robot must stop now, if it must.
-    fn must_stop(&self, now: Instant) -> Option<&'static str> {
-        self.stop_at().filter(|(due, _)| *due <= now).map(|(_, reason)| reason)
+    /// The answer to the question under way; waits for ever if there is none.
+    async fn answer(&mut self) -> Answer {
+        let Some(question) = &mut self.question else { return std::future::pending().await };
+        let answer = question.await;
+        self.question = None;
+        answer
     }
 
     fn subscribe(&self) -> Deliveries {
@@ -303,99 +298,74 @@ impl FromLedger {
                 let reason = line(&refused);
                 tracing::error!(service = self.route.service, reason, "the ledger has ended the subscription");
                 self.counters.lock().live.waiting = Some(format!("the ledger has ended the subscription: {reason}"));
-                if self.gate.is_moving() {
+                if self.guard.gate().is_moving() {
                     self.halt("refused").await;
                 }
                 return;
             }
         };
-        let mut shown = Shown::new();
+        let mut block = Block::new(delivery.height, delivery.time);
         for event in &delivery.events {
-            match judge(&mut self.gate, delivery.time, event, &mut shown, self.clocks.now()) {
-                Act::Nothing => {}
-                Act::Publish(samples) => self.publish(&samples),
-                Act::Stop(reason) => {
-                    self.publish_stop(reason).await;
-                    self.questions.changed(Instant::now());
-                }
-                Act::Ask => self.questions.changed(Instant::now()),
-                Act::Refused(refused) if refused.may_pass_later() => {
-                    self.questions.changed(Instant::now());
-                    let message = shown.get(&event.index).cloned().unwrap_or_default();
-                    let crowded_out = self.held.push((delivery.height, delivery.time), message, refused);
-                    if let Some((height, refused)) = crowded_out {
-                        self.refuse(refused, height);
-                    }
-                }
-                Act::Refused(refused) => self.refuse(refused, delivery.height),
+            if let Some(act) = self.guard.told(&mut block, &told(event), self.clocks.now()) {
+                self.carry_out(act).await;
             }
         }
         self.tell_holders();
     }
 
+    async fn carry_out(&mut self, act: Act) {
+        match act {
+            Act::Publish(samples) => self.publish(&samples),
+            Act::Stop(reason) => self.publish_stop(reason).await,
+            Act::Refused { refused, height } => self.refuse(refused, height),
+        }
+    }
+
     /// Takes the answer of the voters, and judges the messages that waited for it.
     async fn answered(&mut self, answer: Answer) {
-        match answer.and_then(|standing| Ok((self.learn(&standing)?, standing.asked))) {
-            Ok((over, asked)) => {
-                if let Some(reason) = over {
-                    self.publish_stop(reason).await;
+        let asked = answer.as_ref().ok().map(|answered| self.clocks.steady(answered.asked));
+        match answer.and_then(|answered| self.learn(&answered)) {
+            Ok(acts) => {
+                for act in acts {
+                    self.carry_out(act).await;
                 }
-                self.judge_held(Some(asked));
                 self.tell_holders();
             }
-            Err(refused) => self.not_known(&refused).await,
+            Err(refused) => self.not_known(&refused, asked).await,
         }
     }
 
-    /// Takes how the robot stands. Answers why it must stop, if it must.
-    fn learn(&mut self, standing: &Standing) -> Result<Option<&'static str>, Rejection> {
-        let id = &self.route.service;
-        let state = standing.services.iter().find(|state| state.service == *id).ok_or_else(|| {
-            Rejection::new(Code::UnknownService, format!("there is no service {id}"))
-                .found(format!("{} services of its robot", standing.services.len()))
-                .wanted("a service of a registered robot")
-                .next("ask the owner: ledgerctl robot show tells the services")
-        })?;
-        let service = Service::try_from(state.clone())?;
-        service.topic_for(&self.route)?;
-        self.stop = service.stop_for(&self.route, self.settings.stop.as_ref())?;
-        let over = self.gate.learn(&service, standing, self.clocks.steady(standing.asked), self.clocks.now());
+    /// Takes how the robot stands.
+    fn learn(&mut self, Answered { standing, asked }: &Answered) -> Result<Vec<Act>, Rejection> {
+        let service = standing.service(&self.route.service)?;
+        topic_for(&service, &self.route)?;
+        self.stop = stop_for(&service, &self.route, self.settings.stop.as_ref())?;
+        let acts = self.guard.answered(&service, standing, self.clocks.steady(*asked), self.clocks.now());
         self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         self.service = service;
-        Ok(over)
-    }
-
-    /// Lets the messages that waited pass, or refuses them. Those that came after the question wait on, for the next one.
-    fn judge_held(&mut self, asked: Option<Instant>) {
-        for message in self.held.take() {
-            match self.gate.pass(message.delivered(), self.clocks.now()) {
-                Ok(samples) => self.publish(&samples),
-                Err(refused) if refused.may_pass_later() && asked.is_some_and(|asked| message.came > asked) => {
-                    self.held.keep(message);
-                }
-                Err(refused) => self.refuse(refused, message.height),
-            }
-        }
+        Ok(acts)
     }
 
     /// Nobody says how the robot stands. Where that is because there is no such service, or none that this version knows, it stops.
     /// Else what is known counts for a while.
-    async fn not_known(&mut self, refused: &Rejection) {
+    async fn not_known(&mut self, refused: &Rejection, asked: Option<u64>) {
+        self.guard.unanswered(asked);
         let reason = line(refused);
         let is_gone = matches!(
             refused.code,
             Code::UnknownRobot | Code::UnknownService | Code::UnknownMode | Code::WrongType | Code::BadArgument
         );
         if is_gone {
-            self.gate.close();
-            self.judge_held(None);
+            for act in self.guard.gone(self.clocks.now()) {
+                self.carry_out(act).await;
+            }
         }
         self.counters.lock().live.waiting = Some(format!("the voters do not say how the robot stands: {reason}"));
         if let Some(not_logged) = self.complaint.worth("standing", Instant::now()) {
             let service = &self.route.service;
             tracing::warn!(service, reason, not_logged, "the voters do not say how the robot stands");
         }
-        if is_gone && self.gate.is_moving() {
+        if is_gone && self.guard.gate().is_moving() {
             self.halt("no_service").await;
         }
     }
@@ -403,8 +373,8 @@ impl FromLedger {
     /// Tells the reporter how the service stands.
     fn tell_holders(&self) {
         let live = &mut self.counters.lock().live;
-        live.held = self.gate.is_held();
-        if !self.gate.is_closed() {
+        live.held = self.guard.gate().is_held();
+        if !self.guard.gate().is_closed() {
             live.waiting = None;
         }
     }
@@ -431,7 +401,7 @@ impl FromLedger {
 
     /// Stops the robot by our own decision: then nothing from before passes any more.
     async fn halt(&mut self, reason: &'static str) {
-        self.gate.stopped(self.clocks.now());
+        self.guard.stopped(self.clocks.now());
         self.publish_stop(reason).await;
     }
 
@@ -458,4 +428,10 @@ impl FromLedger {
     fn count_of(&self, refused: Refused) -> u64 {
         self.counters.lock().summary.gate.get(refused.name()).copied().unwrap_or(0)
     }
+}
+
+/// The event as the gate reads it.
+fn told(event: &EventRecord) -> Told<'_> {
+    let EventRecord { index, chaincode, name, payload, transaction, certificate, .. } = event;
+    Told { index: *index, chaincode, name, payload, transaction, certificate }
 }

@@ -6,6 +6,7 @@ use std::{fmt, sync::Arc};
 
 use futures::future::BoxFuture;
 use ledger_api::Context;
+use ledger_gate::service::Service;
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
 
@@ -16,8 +17,8 @@ use super::{
     to_ledger,
 };
 use crate::{
-    config::RouteConfig, count::Counters, dds::Role, gateway::Gateway, mark::Mark, names::TopicName, service::Service,
-    shm::Peers, standing::Asker,
+    config::RouteConfig, count::Counters, dds::Role, gateway::Gateway, mark::Mark, names::TopicName, shm::Peers,
+    standing::Asker,
 };
 
 /// Every kind.

@@ -5,6 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use ledger_gate::sample::Sample;
+
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
     door::{Delivered, Door},
@@ -13,7 +15,6 @@ use crate::{
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits},
-    sample::Sample,
     shm,
 };
 

@@ -16,6 +16,7 @@ use futures::{
     stream::FuturesUnordered,
 };
 use ledger_api::Subscription;
+use ledger_gate::ABAC;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 
@@ -33,7 +34,7 @@ use crate::{
     dds::Role,
     door::Door,
     fit::Fit,
-    gateway::{ABAC, Gateway, ask},
+    gateway::{Gateway, ask},
     queue::Incoming,
     service::{Authorization, Caller},
 };

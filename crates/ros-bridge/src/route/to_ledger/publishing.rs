@@ -3,11 +3,9 @@
 use bytes::Bytes;
 use ledger_api::v1::Delivery;
 use ledger_contract::Grant;
+use ledger_gate::service::{Released, read};
 
-use crate::{
-    queue::Incoming,
-    service::{Released, read},
-};
+use crate::queue::Incoming;
 
 /// The own grant as far as it is known, and the next sequence number.
 #[derive(Debug)]
@@ -72,8 +70,8 @@ impl Publishing {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::sample::{CDR_LE, Sample};
     use ledger_api::v1::EventRecord;
+    use ledger_gate::sample::{CDR_LE, Sample};
     use std::time::Instant;
 
     fn publishing() -> Publishing {
@@ -91,7 +89,7 @@ mod tests {
             "released" => {
                 serde_json::json!({ "service": "T/cmd_vel", "holder": holder, "epoch": epoch, "reason": "x" })
             }
-            _ => serde_json::json!(crate::fixture::grant(holder, epoch)),
+            _ => serde_json::json!(ledger_gate::fixture::grant(holder, epoch)),
         };
         let payload = Bytes::from(payload.to_string());
         let event = EventRecord { name: name.into(), payload, ..EventRecord::default() };

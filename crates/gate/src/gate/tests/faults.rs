@@ -5,7 +5,7 @@ use super::*;
 
 #[test]
 fn a_gate_that_contradicts_itself_lets_nothing_pass_any_more() {
-    let network = Network::new();
+    let network = Network::default();
     let held = [grant("Org1/Salma", 4)];
     let breaks: [fn(&mut Gate); 2] = [
         // The newest epoch is forgotten.

@@ -2,7 +2,7 @@
 
 use bytes::{BufMut, Bytes, BytesMut};
 
-use crate::error::{Error, Explained, Result};
+use ledger_rejection::{Code, Rejection};
 
 /// Bytes of the encapsulation header in front of every message.
 pub const HEADER_BYTES: usize = 4;
@@ -34,7 +34,10 @@ pub struct Sample(Bytes);
 
 impl Sample {
     /// A sample of an encoding and a body; refuses bodies that would exceed [`SAMPLE_BYTES_MAX`].
-    pub fn new(representation_id: [u8; 2], body: &[u8]) -> Result<Self> {
+    ///
+    /// # Errors
+    /// [`Code::BadArgument`].
+    pub fn new(representation_id: [u8; 2], body: &[u8]) -> Result<Self, Rejection> {
         let len = body.len().saturating_add(HEADER_BYTES);
         check_len(len, SAMPLE_BYTES_MAX)?;
         let mut wire = BytesMut::with_capacity(len);
@@ -46,7 +49,10 @@ impl Sample {
 
     /// Takes the serialized form, header included. Refuses what is shorter than the header, longer
     /// than `bytes_max`, or of an encoding that no ROS 2 middleware uses for messages.
-    pub fn from_wire(wire: Bytes, bytes_max: usize) -> Result<Self> {
+    ///
+    /// # Errors
+    /// [`Code::BadArgument`].
+    pub fn from_wire(wire: Bytes, bytes_max: usize) -> Result<Self, Rejection> {
         check_len(wire.len(), bytes_max.min(SAMPLE_BYTES_MAX))?;
         let sample = Self(wire);
         match sample.representation_id() {
@@ -55,13 +61,16 @@ impl Sample {
                 let found = format!("encoding {first:02x} {second:02x}");
                 let wanted = "00 00 to 00 03 (CDR, as ROS 2 writes it)";
                 let hint = "send the message with its 4-byte encapsulation header, 00 01 00 00 for little endian";
-                Err(Error::Sample(Explained::new("sample has an unknown encoding", found, wanted, hint)))
+                Err(refused("sample has an unknown encoding", found).wanted(wanted).next(hint))
             }
         }
     }
 
     /// The same from borrowed bytes, which are copied once their length is allowed.
-    pub fn copy_from_wire(wire: &[u8], bytes_max: usize) -> Result<Self> {
+    ///
+    /// # Errors
+    /// [`Code::BadArgument`].
+    pub fn copy_from_wire(wire: &[u8], bytes_max: usize) -> Result<Self, Rejection> {
         check_len(wire.len(), bytes_max.min(SAMPLE_BYTES_MAX))?;
         Self::from_wire(Bytes::copy_from_slice(wire), bytes_max)
     }
@@ -85,20 +94,24 @@ impl Sample {
     }
 }
 
-fn check_len(len: usize, bytes_max: usize) -> Result<()> {
+fn check_len(len: usize, bytes_max: usize) -> Result<(), Rejection> {
     if len < HEADER_BYTES {
         let found = format!("{len} bytes");
         let wanted = format!("at least the {HEADER_BYTES} bytes of the encapsulation header");
         let hint = "send the message as DDS carries it, header included";
-        return Err(Error::Sample(Explained::new("sample is too short", found, wanted, hint)));
+        return Err(refused("sample is too short", found).wanted(wanted).next(hint));
     }
     if len > bytes_max {
         let found = format!("{len} bytes");
         let wanted = format!("at most {bytes_max} bytes");
         let hint = "raise the limit in the configuration, or send less (compressed, at a lower resolution)";
-        return Err(Error::Sample(Explained::new("sample is too large", found, wanted, hint)));
+        return Err(refused("sample is too large", found).wanted(wanted).next(hint));
     }
     Ok(())
+}
+
+fn refused(what: &str, found: String) -> Rejection {
+    Rejection::new(Code::BadArgument, what).found(found)
 }
 
 #[cfg(test)]

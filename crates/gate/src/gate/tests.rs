@@ -34,7 +34,7 @@ fn released(holder: &str, epoch: u64) -> Released {
 
 #[test]
 fn what_the_holder_signed_passes_byte_for_byte_and_in_order() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let payloads = [Bytes::from_static(&[0, 1, 0, 0, 1]), Bytes::from_static(&[0, 0, 0, 0, 2])];
     let signed = network.salma.set(3, 1, &payloads);
@@ -47,7 +47,7 @@ fn what_the_holder_signed_passes_byte_for_byte_and_in_order() {
 
 #[test]
 fn a_certificate_is_shown_once() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let stranger = User { certificate: Bytes::new(), ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &stranger, &network.salma.set(3, 1, &TWIST)), Err(Refused::UnknownCreator));
@@ -57,9 +57,9 @@ fn a_certificate_is_shown_once() {
 
 #[test]
 fn a_certificate_that_came_with_another_event_is_kept_and_still_has_to_be_of_the_network() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
-    let foreign = User { network: network.salma.network, ..Network::new().salma };
+    let foreign = User { network: network.salma.network, ..Network::default().salma };
     for (user, passes) in [(&network.salma, Ok(1)), (&foreign, Err(Refused::Untrusted))] {
         gate.show(&user.certificate);
         let bare = User { certificate: Bytes::new(), ..user.clone() };
@@ -69,7 +69,7 @@ fn a_certificate_that_came_with_another_event_is_kept_and_still_has_to_be_of_the
 
 #[test]
 fn a_forged_signature_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let forger = User { key: network.farhad.key.clone(), ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &network.salma, &forger.set(3, 1, &TWIST)), Err(Refused::BadSignature));
@@ -88,7 +88,7 @@ fn a_forged_signature_does_not_pass() {
 
 #[test]
 fn a_transaction_for_another_network_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let elsewhere = User { network: ledger_hash::Hash([9; 32]), ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &elsewhere, &elsewhere.set(3, 1, &TWIST)), Err(Refused::WrongNetwork));
@@ -96,7 +96,7 @@ fn a_transaction_for_another_network_does_not_pass() {
 
 #[test]
 fn only_set_of_this_very_service_passes() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let args = |service: &'static str| [service, "3", "1"].map(Bytes::from).into_iter().chain(TWIST.iter().cloned());
     for (chaincode, function, service) in [
@@ -121,7 +121,7 @@ fn only_set_of_this_very_service_passes() {
 
 #[test]
 fn an_old_epoch_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(2, 1, &TWIST)), Err(Refused::StaleEpoch));
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(4, 1, &TWIST)), Err(Refused::UnknownEpoch));
@@ -129,7 +129,7 @@ fn an_old_epoch_does_not_pass() {
 
 #[test]
 fn nobody_but_the_holder_passes() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(3, 1, &TWIST)), Err(Refused::NotHolder));
     let mut free = network.gate(&service("exclusive"), &[]);
@@ -146,7 +146,7 @@ fn side_by_side() -> Service {
 
 #[test]
 fn holders_side_by_side_pass_under_their_own_epochs_and_nobody_else_does() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&side_by_side(), &[grant("Org1/Salma", 3), grant("Org1/Farhad", 4)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 10, &TWIST)), Ok(1));
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(4, 1, &TWIST)), Ok(1));
@@ -169,7 +169,7 @@ fn holders_side_by_side_pass_under_their_own_epochs_and_nobody_else_does() {
 
 #[test]
 fn a_replay_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     for mode in ["exclusive", "open"] {
         let mut gate = network.gate(&service(mode), &[grant("Org1/Salma", 3)]);
         let signed = network.salma.set(3, 7, &TWIST);
@@ -180,7 +180,7 @@ fn a_replay_does_not_pass() {
 
 #[test]
 fn the_order_cannot_be_changed() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let (first, second) =
         (network.salma.set(3, 7, &[TWIST[0].clone(), TWIST[0].clone()]), network.salma.set(3, 9, &TWIST));
@@ -192,7 +192,7 @@ fn the_order_cannot_be_changed() {
 
 #[test]
 fn in_open_mode_every_publisher_has_its_own_numbers() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 100, &TWIST)), Ok(1));
     assert_eq!(deliver(&mut gate, &network.farhad, &network.farhad.set(0, 1, &TWIST)), Ok(1));
@@ -206,7 +206,7 @@ fn in_open_mode_every_publisher_has_its_own_numbers() {
 
 #[test]
 fn what_is_too_old_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let signed = network.salma.set(3, 1, &TWIST);
     assert_eq!(deliver_at(&mut gate, &network.salma, &signed, NOW - SECOND - 1), Err(Refused::TooOld));
@@ -215,7 +215,7 @@ fn what_is_too_old_does_not_pass() {
 
 #[test]
 fn the_route_may_shorten_the_age_and_not_extend_it() {
-    let network = Network::new();
+    let network = Network::default();
     for (own_ms, age, passes) in [(500, 501_000, false), (500, 499_000, true), (5000, SECOND + 1, false)] {
         let mut gate = network.gate_with(&service("exclusive"), &[grant("Org1/Salma", 3)], Some(own_ms));
         let passed = deliver_at(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST), NOW - age);
@@ -225,7 +225,7 @@ fn the_route_may_shorten_the_age_and_not_extend_it() {
 
 #[test]
 fn a_node_cannot_make_an_old_command_young() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let held_back = network.salma.set(3, 1, &TWIST);
     let later = now_at(NOW + 3 * SECOND);
@@ -241,7 +241,7 @@ fn a_node_cannot_make_an_old_command_young() {
 
 #[test]
 fn a_signer_cannot_allow_more_than_the_ledger_does() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let eternal = User { not_after: u64::MAX, ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &network.salma, &eternal.set(3, 1, &TWIST)), Err(Refused::Expired));
@@ -249,7 +249,7 @@ fn a_signer_cannot_allow_more_than_the_ledger_does() {
 
 #[test]
 fn block_time_ahead_of_the_clock_only_shortens() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let far = User { not_after: NOW + 60 * SECOND, ..network.salma.clone() };
     assert_eq!(deliver_at(&mut gate, &far, &far.set(3, 1, &TWIST), NOW + 4 * SECOND), Ok(1));
@@ -262,7 +262,7 @@ fn block_time_ahead_of_the_clock_only_shortens() {
 
 #[test]
 fn what_was_signed_before_the_gate_was_opened_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     let before = User { not_after: network.salma.not_after - 1, ..network.salma.clone() };
     assert_eq!(deliver(&mut gate, &before, &before.set(3, 1, &TWIST)), Err(Refused::BeforeStop));
@@ -270,7 +270,7 @@ fn what_was_signed_before_the_gate_was_opened_does_not_pass() {
 
 #[test]
 fn what_was_on_its_way_when_the_robot_was_stopped_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
     let stop = now_at(NOW + SECOND);
@@ -289,7 +289,7 @@ fn what_was_on_its_way_when_the_robot_was_stopped_does_not_pass() {
 
 #[test]
 fn a_signer_who_allows_much_time_does_not_get_past_a_stop_either() {
-    let network = Network::new();
+    let network = Network::default();
     let patient = User { not_after: NOW + 30 * SECOND, ..network.salma.clone() };
     let mut gate = network.gate(&service("open"), &[]);
     gate.stopped(now());
@@ -303,7 +303,7 @@ fn a_signer_who_allows_much_time_does_not_get_past_a_stop_either() {
 
 #[test]
 fn the_end_of_a_grant_stops_the_robot_and_its_holder() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
     assert!(gate.released(&released("Org1/Salma", 3), NOW, now()));
@@ -314,7 +314,7 @@ fn the_end_of_a_grant_stops_the_robot_and_its_holder() {
 
 #[test]
 fn the_end_of_an_older_grant_does_not_stop_the_next_holder() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Farhad", 4)]);
     assert!(!gate.released(&released("Org1/Salma", 3), NOW, now()));
     assert!(!gate.released(&released("Org1/Farhad", 3), NOW, now()));
@@ -323,7 +323,7 @@ fn the_end_of_an_older_grant_does_not_stop_the_next_holder() {
 
 #[test]
 fn a_command_grows_old_from_its_signature_on() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate_with(&service("exclusive"), &[grant("Org1/Salma", 3)], Some(300));
     // Bridges sign for two seconds. This one took 301 ms to its block.
     gate.signed_since = 0;
@@ -335,7 +335,7 @@ fn a_command_grows_old_from_its_signature_on() {
 
 #[test]
 fn the_robot_has_to_stop_when_its_drivers_lease_has_run_out() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(gate.deadline(), None, "nobody moves it");
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
@@ -353,7 +353,7 @@ fn the_robot_has_to_stop_when_its_drivers_lease_has_run_out() {
 
 #[test]
 fn without_grants_the_lease_of_the_service_counts() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
     assert_eq!(gate.deadline(), Some(now().steady + 10 * SECOND));
@@ -361,7 +361,7 @@ fn without_grants_the_lease_of_the_service_counts() {
 
 #[test]
 fn the_revoked_do_not_pass_and_the_robot_they_moved_stops() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
     assert!(!gate.revoked(&network.farhad.revocation(&network), now()));
@@ -374,16 +374,16 @@ fn the_revoked_do_not_pass_and_the_robot_they_moved_stops() {
 
 #[test]
 fn a_foreign_authority_vouches_for_nobody() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
-    let foreign = Network::new();
+    let foreign = Network::default();
     let user = User { network: network.salma.network, ..foreign.salma.clone() };
     assert_eq!(deliver(&mut gate, &user, &user.set(0, 1, &TWIST)), Err(Refused::Untrusted));
 }
 
 #[test]
 fn a_certificate_that_is_not_the_creators_is_no_help() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     let signed = network.salma.set(0, 1, &TWIST);
     assert_eq!(deliver(&mut gate, &network.farhad, &signed), Err(Refused::UnknownCreator));
@@ -391,7 +391,7 @@ fn a_certificate_that_is_not_the_creators_is_no_help() {
 
 #[test]
 fn an_expired_certificate_does_not_pass() {
-    let network = Network::new();
+    let network = Network::default();
     let year = 400 * 24 * 3600 * SECOND;
     let late = NOW + year;
     let mut gate = network.gate(&service("open"), &[]);
@@ -405,7 +405,7 @@ fn an_expired_certificate_does_not_pass() {
 
 #[test]
 fn only_the_owner_feeds_a_feed() {
-    let network = Network::new();
+    let network = Network::default();
     let feed = Service { direction: Direction::Feed, ..service("open") };
     let mut gate = network.gate(&feed, &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NotOwner));
@@ -415,7 +415,7 @@ fn only_the_owner_feeds_a_feed() {
 
 #[test]
 fn payloads_have_a_limit_and_are_cdr() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     let large = [Bytes::from(vec![0; 1025])];
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &large)), Err(Refused::TooLarge));
@@ -427,7 +427,7 @@ fn payloads_have_a_limit_and_are_cdr() {
 
 #[test]
 fn nothing_passes_while_the_service_is_not_known() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     gate.close();
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Err(Refused::NoService));
@@ -437,7 +437,7 @@ fn nothing_passes_while_the_service_is_not_known() {
 
 #[test]
 fn holders_are_limited() {
-    let network = Network::new();
+    let network = Network::default();
     let grants: Vec<_> = (0..2 * HOLDERS_MAX as u64).map(|number| grant(&format!("Org1/{number}"), number)).collect();
     let gate = network.gate(&service("open"), &grants);
     assert!(gate.holders.len() <= HOLDERS_MAX);

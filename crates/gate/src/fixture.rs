@@ -23,29 +23,37 @@ use crate::service::{Revoked, Service};
 use crate::standing::{Members, Standing};
 
 /// 2030-01-01, in microseconds since the UNIX epoch. Certificates are valid until 2031.
-pub(crate) const NOW: u64 = 1_893_456_000_000_000;
-pub(crate) const SECOND: u64 = 1_000_000;
+pub const NOW: u64 = 1_893_456_000_000_000;
+/// One second in microseconds.
+pub const SECOND: u64 = 1_000_000;
 /// One small message.
-pub(crate) static TWIST: [Bytes; 1] = [Bytes::from_static(&[0, 1, 0, 0, 42])];
+pub static TWIST: [Bytes; 1] = [Bytes::from_static(&[0, 1, 0, 0, 42])];
 
 /// Somebody with a key and a certificate.
 #[derive(Clone)]
-pub(crate) struct User {
-    pub(crate) network: Hash,
-    pub(crate) key: Arc<SigningKey>,
-    pub(crate) certificate: Bytes,
+pub struct User {
+    /// The network for which it signs.
+    pub network: Hash,
+    /// Signs.
+    pub key: Arc<SigningKey>,
+    /// The certificate in DER.
+    pub certificate: Bytes,
     /// The call that is signed as `not_after`.
-    pub(crate) not_after: u64,
+    pub not_after: u64,
 }
 
-pub(crate) struct Network {
-    pub(crate) msps: Arc<Msps>,
+/// A network of two organisations.
+pub struct Network {
+    /// The authorities.
+    pub msps: Arc<Msps>,
     /// Names and roots (DER) of the organisations.
-    pub(crate) roots: [(&'static str, Bytes); 2],
-    pub(crate) salma: User,
-    pub(crate) farhad: User,
+    pub roots: [(&'static str, Bytes); 2],
+    /// Of Org1.
+    pub salma: User,
+    /// Of Org1, too.
+    pub farhad: User,
     /// Of the owner's organisation.
-    pub(crate) robot: User,
+    pub robot: User,
 }
 
 /// An authority, and the year at whose start everything ends that it issues.
@@ -88,7 +96,8 @@ fn params(name: &str, unit: &str, last_year: i32) -> CertificateParams {
 }
 
 impl User {
-    pub(crate) fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Transaction {
+    /// Signs a call.
+    pub fn sign(&self, chaincode: &str, function: &str, args: Vec<Bytes>) -> Transaction {
         let body = Body {
             network: Bytes::copy_from_slice(&self.network.0),
             creator: Bytes::copy_from_slice(&Hash::of(&[&self.certificate]).0),
@@ -101,25 +110,30 @@ impl User {
         Transaction::sign(&body, &self.key).unwrap()
     }
 
-    pub(crate) fn set(&self, epoch: u64, first_seq: u64, payloads: &[Bytes]) -> Transaction {
+    /// Signs `abac set` of `T/cmd_vel`.
+    pub fn set(&self, epoch: u64, first_seq: u64, payloads: &[Bytes]) -> Transaction {
         let head = ["T/cmd_vel".to_owned(), epoch.to_string(), first_seq.to_string()];
         let args = head.into_iter().map(Bytes::from).chain(payloads.iter().cloned()).collect();
         self.sign("abac", "set", args)
     }
 
-    pub(crate) fn revocation(&self, network: &Network) -> Revoked {
+    /// The revocation of its certificate.
+    pub fn revocation(&self, network: &Network) -> Revoked {
         let identity = network.msps.verify(&self.certificate, &[], NOW).unwrap();
         Revoked { issuer: Hash(identity.issuer), serial: hex::encode(&identity.serial) }
     }
 }
 
-impl Network {
-    pub(crate) fn new() -> Self {
+impl Default for Network {
+    /// With certificates that are valid long enough.
+    fn default() -> Self {
         Self::until(2031)
     }
+}
 
+impl Network {
     /// With certificates that are valid until the start of that year.
-    pub(crate) fn until(year: i32) -> Self {
+    pub fn until(year: i32) -> Self {
         let (first, second) = (Ca::new("ca.org1", year), Ca::new("ca.org2", year));
         let mut msps = Msps::new();
         msps.insert(first.msp("Org1")).unwrap();
@@ -133,11 +147,13 @@ impl Network {
         }
     }
 
-    pub(crate) fn gate(&self, service: &Service, grants: &[Grant]) -> Gate {
+    /// A gate that has learnt of the service and these grants.
+    pub fn gate(&self, service: &Service, grants: &[Grant]) -> Gate {
         self.gate_with(service, grants, None)
     }
 
-    pub(crate) fn gate_with(&self, service: &Service, grants: &[Grant], max_age_ms: Option<u64>) -> Gate {
+    /// The same with an age limit of its own.
+    pub fn gate_with(&self, service: &Service, grants: &[Grant], max_age_ms: Option<u64>) -> Gate {
         let settings = Settings {
             network: self.salma.network,
             sample_bytes_max: 1024,
@@ -150,31 +166,25 @@ impl Network {
     }
 
     /// How the robot stands after that block.
-    pub(crate) fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
-        Standing {
-            services: Vec::new(),
-            grants: grants.to_vec(),
-            members: self.members(&[]),
-            height,
-            time: NOW,
-            asked: std::time::Instant::now(),
-        }
+    pub fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
+        Standing { services: Vec::new(), grants: grants.to_vec(), members: self.members(&[]), height, time: NOW }
     }
 
     /// The members after the revocation of these.
-    pub(crate) fn members(&self, revoked: &[&User]) -> Members {
+    pub fn members(&self, revoked: &[&User]) -> Members {
         let revoked = revoked.iter().filter_map(|user| user.revocation(self).key()).collect();
         Members { msps: Arc::clone(&self.msps), revoked: Arc::new(revoked) }
     }
 }
 
 /// One network for many cases: keys cost time.
-pub(crate) fn shared() -> &'static Network {
+pub fn shared() -> &'static Network {
     static NETWORK: OnceLock<Network> = OnceLock::new();
-    NETWORK.get_or_init(Network::new)
+    NETWORK.get_or_init(Network::default)
 }
 
-pub(crate) fn service(mode: &str) -> Service {
+/// The service `T/cmd_vel` in a mode.
+pub fn service(mode: &str) -> Service {
     Service {
         service: "T/cmd_vel".into(),
         robot: "T".into(),
@@ -190,7 +200,8 @@ pub(crate) fn service(mode: &str) -> Service {
     }
 }
 
-pub(crate) fn grant(holder: &str, epoch: u64) -> Grant {
+/// A grant of `T/cmd_vel`.
+pub fn grant(holder: &str, epoch: u64) -> Grant {
     Grant {
         service: "T/cmd_vel".into(),
         holder: holder.into(),
@@ -204,15 +215,17 @@ pub(crate) fn grant(holder: &str, epoch: u64) -> Grant {
     }
 }
 
-pub(crate) fn now() -> Now {
+/// [`NOW`] on both clocks.
+pub fn now() -> Now {
     now_at(NOW)
 }
 
-pub(crate) fn now_at(wall: u64) -> Now {
+/// Another moment on both clocks.
+pub fn now_at(wall: u64) -> Now {
     Now { wall, steady: wall - NOW + SECOND }
 }
 
 /// The clock of this machine, microseconds since the UNIX epoch.
-pub(crate) fn micros() -> u64 {
+pub fn micros() -> u64 {
     u64::try_from(SystemTime::now().duration_since(UNIX_EPOCH).unwrap().as_micros()).unwrap()
 }

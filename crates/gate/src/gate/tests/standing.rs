@@ -5,7 +5,7 @@ use crate::standing::Standing;
 
 #[test]
 fn a_new_grant_fences_off_the_holder_before() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(3, 1, &TWIST)), Ok(1));
     let next = [grant("Org1/Farhad", 4)];
@@ -18,7 +18,7 @@ fn a_new_grant_fences_off_the_holder_before() {
 
 #[test]
 fn a_standing_from_before_the_newest_one_does_not_bring_the_old_holder_back() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("exclusive"), &[]);
     let newer = network.standing(9, &[grant("Org1/Farhad", 4)]);
     assert_eq!(gate.learn(&service("exclusive"), &newer, now().steady, now()), None);
@@ -30,7 +30,7 @@ fn a_standing_from_before_the_newest_one_does_not_bring_the_old_holder_back() {
 
 #[test]
 fn a_node_that_makes_up_an_end_stops_the_robot_until_the_voters_say_otherwise() {
-    let network = Network::new();
+    let network = Network::default();
     let held = [grant("Org1/Salma", 3)];
     let mut gate = network.gate(&service("exclusive"), &held);
     let end_of_time = u64::MAX;
@@ -44,7 +44,7 @@ fn a_node_that_makes_up_an_end_stops_the_robot_until_the_voters_say_otherwise() 
 
 #[test]
 fn the_answer_to_an_earlier_question_undoes_no_end_of_which_a_node_has_told_since() {
-    let network = Network::new();
+    let network = Network::default();
     let held = [grant("Org1/Salma", 3)];
     let before = now().steady - 1;
     let mut gate = network.gate(&service("exclusive"), &held);
@@ -61,7 +61,7 @@ fn the_answer_to_an_earlier_question_undoes_no_end_of_which_a_node_has_told_sinc
 
 #[test]
 fn a_command_passes_only_for_so_long_after_the_question_that_the_voters_answered() {
-    let network = Network::new();
+    let network = Network::default();
     let held = [grant("Org1/Salma", 3)];
     let mut gate = network.gate(&service("exclusive"), &held);
     assert_eq!(gate.fresh_until(), Some(now().steady + SECOND));
@@ -89,7 +89,7 @@ fn a_command_passes_only_for_so_long_after_the_question_that_the_voters_answered
 
 #[test]
 fn a_network_whose_time_is_ahead_of_the_robots_clock_drives_it() {
-    let network = Network::new();
+    let network = Network::default();
     let held = [Grant { expires: NOW + 604 * SECOND, ..grant("Org1/Salma", 3) }];
     let mut gate = network.gate(&service("exclusive"), &held);
     let ahead = NOW + 600 * SECOND;
@@ -111,7 +111,7 @@ fn a_network_whose_time_is_ahead_of_the_robots_clock_drives_it() {
 
 #[test]
 fn a_gate_that_was_opened_in_a_network_whose_time_is_ahead_takes_nothing_from_before() {
-    let network = Network::new();
+    let network = Network::default();
     let settings = Settings {
         network: network.salma.network,
         sample_bytes_max: 1024,
@@ -133,7 +133,7 @@ fn a_gate_that_was_opened_in_a_network_whose_time_is_ahead_takes_nothing_from_be
 
 #[test]
 fn a_standing_without_the_driver_stops_the_robot() {
-    let network = Network::new();
+    let network = Network::default();
     let held = [grant("Org1/Salma", 3)];
     for (mode, grants, revoked, why) in [
         ("exclusive", &held[..], false, None),
@@ -159,10 +159,10 @@ fn a_standing_without_the_driver_stops_the_robot() {
 
 #[test]
 fn the_members_of_the_newest_standing_count() {
-    let network = Network::new();
+    let network = Network::default();
     let mut gate = network.gate(&service("open"), &[]);
     assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(0, 1, &TWIST)), Ok(1));
-    let other = Network::new();
+    let other = Network::default();
     let mut standing = network.standing(2, &[]);
     standing.members = other.members(&[]);
     gate.learn(&service("open"), &standing, now().steady, now());

@@ -36,12 +36,15 @@ use ledger_identity::Identity;
 use self::{clock::Clock, identities::Identities, sequences::Sequences};
 pub use self::{clock::Now, refused::Refused};
 use crate::{
-    gateway::{ABAC, COMMAND_TTL},
+    ABAC,
     sample::Sample,
     service::{Released, Revoked, Service},
     standing::{Members, Standing},
 };
 
+/// How long a command may be on its way to its block. Short, because what a node holds back until then could still
+/// be brought to a robot.
+pub const COMMAND_TTL: Duration = Duration::from_secs(2);
 /// Most holders of one service.
 const HOLDERS_MAX: usize = 1024;
 /// Arguments of `set` before the payloads: service, epoch, first sequence number.

@@ -1,0 +1,81 @@
+//! How a robot stands: its services, who holds them, and who governs the network, as voters have signed it.
+
+use std::{collections::BTreeSet, sync::Arc};
+
+use ledger_contract::{Declaration, Grant, RobotAsset, ServiceState};
+use ledger_identity::{Identity, msp::Msps};
+use ledger_light::Governance;
+use ledger_rejection::{Code, Rejection};
+
+use crate::service::Service;
+
+/// The authorities of the organisations, and the certificates that were revoked: they decide whose signatures count.
+#[derive(Clone, Debug)]
+pub struct Members {
+    /// The authorities.
+    pub msps: Arc<Msps>,
+    /// Keys of the revoked certificates ([`Identity::revocation_key`]).
+    pub revoked: Arc<BTreeSet<Vec<u8>>>,
+}
+
+impl Members {
+    /// The members that govern after a block that was followed.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if a record of an organisation cannot be read.
+    pub fn of(governance: &Governance) -> Result<Self, Rejection> {
+        let revoked = governance.revocations().map(<[u8]>::to_vec).collect();
+        Ok(Self { msps: Arc::new(governance.msps()?), revoked: Arc::new(revoked) })
+    }
+
+    /// Was this identity's certificate revoked?
+    pub fn has_revoked(&self, identity: &Identity) -> bool {
+        self.revoked.contains(&identity.revocation_key())
+    }
+}
+
+/// How a robot stands after a block.
+#[derive(Clone, Debug)]
+pub struct Standing {
+    /// Its services.
+    pub services: Vec<ServiceState>,
+    /// The grants of its services.
+    pub grants: Vec<Grant>,
+    /// The authorities and revocations.
+    pub members: Members,
+    /// The block.
+    pub height: u64,
+    /// Block time, microseconds since the UNIX epoch.
+    pub time: u64,
+}
+
+impl Standing {
+    /// The standing that the answer to `abac declare ROBOT` tells. Its proof was checked, and led to who governs after its block.
+    ///
+    /// # Errors
+    /// [`Code::Malformed`] if the answer cannot be read.
+    pub fn declared(answer: &[u8], members: &Members, after: &Governance) -> Result<Self, Rejection> {
+        let declared: Declaration = serde_json::from_slice(answer).map_err(|error| {
+            Rejection::new(Code::Malformed, "the answer to abac declare cannot be read")
+                .found(error.to_string())
+                .wanted("the JSON that this version knows")
+                .next("use the same version for node and bridge")
+        })?;
+        let Declaration { robot: RobotAsset { services, .. }, grants } = declared;
+        Ok(Self { services, grants, members: members.clone(), height: after.height(), time: after.time() })
+    }
+
+    /// One of its services.
+    ///
+    /// # Errors
+    /// [`Code::UnknownService`]; as [`Service::try_from`].
+    pub fn service(&self, id: &str) -> Result<Service, Rejection> {
+        let state = self.services.iter().find(|state| state.service == id).ok_or_else(|| {
+            Rejection::new(Code::UnknownService, format!("there is no service {id}"))
+                .found(format!("{} services of its robot", self.services.len()))
+                .wanted("a service of a registered robot")
+                .next("ask the owner: ledgerctl robot show tells the services")
+        })?;
+        Service::try_from(state.clone())
+    }
+}
