@@ -6,6 +6,7 @@ use crate::sources::{code, files, product, read, root};
 const SOURCES: [&str; 9] = [
     "crates/abac/src",
     "crates/api/src",
+    "crates/gate/src",
     "crates/identity/src",
     "crates/ledger/src",
     "crates/raft/src",

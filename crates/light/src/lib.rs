@@ -16,6 +16,7 @@
 //! | [`proof`] | a certificate with facts of its block |
 //! | [`checkpoint`] | where a reader was |
 //! | [`governance`] | whom to believe at a height, followed from a pinned beginning |
+//! | [`way`] | from where a reader was to the newest proof that it believes |
 //! | [`lie`] | two statements of one node about one height |
 //!
 //! ```
@@ -48,6 +49,7 @@ pub mod proof;
 pub mod statement;
 pub mod vote;
 pub mod voters;
+pub mod way;
 
 pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
@@ -57,3 +59,4 @@ pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
 pub use vote::Vote;
 pub use voters::{Voter, Voters};
+pub use way::Way;

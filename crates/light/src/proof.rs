@@ -107,6 +107,26 @@ impl Proof {
         self.facts.iter().skip(1).map(|shown| self.fact(shown)).collect()
     }
 
+    /// Does it show that this transaction succeeded with this answer? As nobody knows the id before, the answer is newer then
+    /// than the transaction.
+    ///
+    /// # Errors
+    /// [`Code::Untrusted`] if it does not; as [`Proof::others`].
+    pub fn answers(&self, id: &Hash, answer: &[u8]) -> Result<(), Rejection> {
+        let (shown, wanted) = (self.others()?, Hash::of(&[answer]));
+        let is_proved = shown.iter().any(|fact| match fact {
+            Fact::Verdict { id: of, code, response, .. } => of == id && *code == 0 && *response == wanted,
+            _ => false,
+        });
+        if is_proved {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::Untrusted, "the proof does not show this answer to this transaction")
+            .found(format!("{} facts of block {}", shown.len(), self.certificate.statement.height))
+            .wanted(format!("the verdict on transaction {id}"))
+            .next("ask another node"))
+    }
+
     fn fact<'a>(&self, shown: &'a Shown) -> Result<Fact<'a>, Rejection> {
         let fact = Fact::from_bytes(&shown.fact)?;
         if shown.path.leads(fact.leaf(), self.certificate.statement.results) {

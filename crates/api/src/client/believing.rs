@@ -12,8 +12,7 @@ use bytes::Bytes;
 use ledger::network::Genesis;
 use ledger_hash::Hash;
 use ledger_light::checkpoint::CHECKPOINT_BYTES_MAX;
-use ledger_light::fact::Fact;
-use ledger_light::{Change, Checkpoint, Governance, Proof};
+use ledger_light::{Checkpoint, Governance, Proof, Way};
 use ledger_rejection::{Code, Rejection};
 use std::path::Path;
 use std::time::Duration;
@@ -22,8 +21,6 @@ use tonic::Streaming;
 
 /// How long one step of the way may take.
 const STEP_MAX: Duration = Duration::from_secs(10);
-/// Most bytes of changes that are kept before a proof shows that they are true.
-const UNPROVED_BYTES_MAX: usize = 64 * 1024 * 1024;
 
 /// The answer to a call, and why it is to be believed.
 #[derive(Clone, Debug)]
@@ -47,18 +44,7 @@ impl Client {
         let id = transaction.id();
         let committed = self.submit(transaction).await?;
         let proof = self.prove(committed.height, committed.index).await?;
-        let shown = proof.others()?;
-        let response = Hash::of(&[&committed.response]);
-        let is_proved = shown.iter().any(|fact| match fact {
-            Fact::Verdict { id: of, code, response: answer, .. } => *of == id && *code == 0 && *answer == response,
-            _ => false,
-        });
-        if !is_proved {
-            return Err(Rejection::new(Code::Untrusted, "the proof does not show this answer to this transaction")
-                .found(format!("{} facts of block {}", shown.len(), proof.certificate.statement.height))
-                .wanted(format!("the verdict on transaction {id}"))
-                .next("ask another node"));
-        }
+        proof.answers(&id, &committed.response)?;
         // Where nothing has changed, which is nearly always, nobody has to be asked.
         let governance = match known.map(|known| known.follow(&[], &proof)) {
             Some(Ok(governance)) => governance,
@@ -99,11 +85,15 @@ impl Client {
         let after = known.map_or(0, Governance::height);
         let ask = |up: Up| async move { up.gateway().governance(v1::GovernanceRequest { after }).await };
         let mut steps = self.ask(ask, |_| Ok(())).await?;
-        let mut way = Way { governance: known.cloned(), ..Way::default() };
+        let mut way = known.cloned().map(Way::from);
         while let Some(step) = self.next_step(&mut steps).await? {
-            way.step(&self.credentials.network, step, to)?;
+            take(&mut way, &self.credentials.network, step, to)?;
         }
-        way.end(to)
+        let mut way = way.ok_or_else(no_way)?;
+        if let Some(to) = to {
+            way.follow(to.clone());
+        }
+        way.end()
     }
 
     async fn next_step(
@@ -128,70 +118,35 @@ pub fn read_checkpoint(network: &Hash, path: &Path) -> Result<Checkpoint, Reject
     })
 }
 
-/// The way of a reader.
-#[derive(Default)]
-struct Way {
-    governance: Option<Governance>,
-    /// Changes that no proof covers yet.
-    changes: Vec<Change>,
-    bytes: usize,
-    /// The proof that was followed last, or why the last one was not.
-    reached: Option<Result<Proof, Rejection>>,
+fn no_way() -> Rejection {
+    Rejection::new(Code::NotFound, "the node shows no beginning of the network").next("ask another node")
 }
 
-impl Way {
-    fn step(&mut self, network: &Hash, step: v1::GovernanceStep, to: Option<&Proof>) -> Result<(), Rejection> {
-        if self.governance.is_none() {
-            let begun = begin(network, &step.genesis)?;
-            self.governance = Some(begun.ok_or_else(|| {
+/// Takes a step of a node on the way of a reader, which begins at the genesis if it has not begun. `to` is the proof to which the
+/// way leads.
+fn take(way: &mut Option<Way>, network: &Hash, step: v1::GovernanceStep, to: Option<&Proof>) -> Result<(), Rejection> {
+    let way = match way {
+        Some(way) => way,
+        None => {
+            let begun = begin(network, &step.genesis)?.ok_or_else(|| {
                 Rejection::new(Code::UnknownRules, "the genesis of this network is certified by nobody")
                     .found("rules older than 3")
                     .wanted("a network that was founded with rules 3 or newer")
                     .next("begin at a checkpoint that somebody made whom you trust")
-            })?);
+            })?;
+            way.insert(Way::from(begun))
         }
-        for v1::GovernanceChange { height, writes } in step.changes {
-            self.bytes += writes.len();
-            if self.bytes > UNPROVED_BYTES_MAX {
-                return Err(Rejection::new(Code::TooLarge, "a node shows too many changes that it does not prove")
-                    .found(format!("{} bytes", self.bytes))
-                    .wanted(format!("at most {UNPROVED_BYTES_MAX} bytes before a proof"))
-                    .next("ask another node"));
-            }
-            self.changes.push(Change::from_bytes(height, &writes)?);
-        }
-        if !step.proof.is_empty() {
-            let proof = Proof::from_bytes(&step.proof)?;
-            if to.is_none_or(|to| proof.certificate.statement.height < to.certificate.statement.height) {
-                self.follow(proof);
-            }
-        }
-        Ok(())
+    };
+    for v1::GovernanceChange { height, writes } in step.changes {
+        way.change(height, &writes)?;
     }
-
-    /// A proof that cannot be followed is left out: a later one may be signed by more that are believed.
-    fn follow(&mut self, proof: Proof) {
-        let Some(governance) = &self.governance else { return };
-        self.reached = Some(governance.follow(&self.changes, &proof).map(|after| {
-            self.changes.retain(|change| change.height > after.height());
-            self.bytes = 0;
-            self.governance = Some(after);
-            proof
-        }));
-    }
-
-    fn end(mut self, to: Option<&Proof>) -> Result<Checkpoint, Rejection> {
-        if let Some(to) = to {
-            self.follow(to.clone());
-        }
-        match (self.governance, self.reached) {
-            (Some(governance), Some(Ok(proof))) => Ok(Checkpoint { governance, proof }),
-            (_, Some(Err(refused))) => Err(refused),
-            _ => Err(Rejection::new(Code::NotFound, "the node has no proof of any block")
-                .wanted("a block that a majority of the voters has signed, of two organisations at least")
-                .next("look at ledgerctl status: do voters of two organisations run?")),
+    if !step.proof.is_empty() {
+        let proof = Proof::from_bytes(&step.proof)?;
+        if to.is_none_or(|to| proof.certificate.statement.height < to.certificate.statement.height) {
+            way.follow(proof);
         }
     }
+    Ok(())
 }
 
 /// The beginning, if this is the genesis of the network; none if nobody certifies it. The name comes first: a node that shows the
