@@ -3,7 +3,7 @@
 use crate::sources::{code, files, product, read, root};
 
 /// The program without its tests and its bugs for the mutation check.
-const SOURCES: [&str; 9] = [
+const SOURCES: [&str; 10] = [
     "crates/abac/src",
     "crates/api/src",
     "crates/gate/src",
