@@ -167,7 +167,8 @@ impl Network {
 
     /// How the robot stands after that block.
     pub fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
-        Standing { services: Vec::new(), grants: grants.to_vec(), members: self.members(&[]), height, time: NOW }
+        let (services, members) = (Vec::new(), self.members(&[]));
+        Standing { services, grants: grants.to_vec(), stopped: false, members, height, time: NOW }
     }
 
     /// The members after the revocation of these.

@@ -13,10 +13,14 @@
 //! for `stale_after` after the question that a standing answers. So a node that withholds the end of a grant wins no more than
 //! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides.
 //!
+//! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides; a node that tells of a stop is
+//! believed until the next answer.
+//!
 //! Sequence numbers are not kept on disk: instead nothing passes that a bridge signed before the gate was opened.
 //!
 //! The gate does no IO and reads no clock: all of it is arguments.
 
+mod call;
 mod clock;
 mod identities;
 mod refused;
@@ -33,10 +37,9 @@ use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 
-use self::{clock::Clock, identities::Identities, sequences::Sequences};
+use self::{call::Call, clock::Clock, identities::Identities, sequences::Sequences};
 pub use self::{clock::Now, refused::Refused};
 use crate::{
-    ABAC,
     sample::Sample,
     service::{Released, Revoked, Service},
     standing::{Members, Standing},
@@ -47,8 +50,6 @@ use crate::{
 pub const COMMAND_TTL: Duration = Duration::from_secs(2);
 /// Most holders of one service.
 const HOLDERS_MAX: usize = 1024;
-/// Arguments of `set` before the payloads: service, epoch, first sequence number.
-const SET_ARGUMENTS: usize = 3;
 
 /// The constants of an open gate.
 #[derive(Clone, Debug)]
@@ -91,6 +92,8 @@ pub struct Gate {
     identities: Identities,
     sequences: Sequences,
     clock: Clock,
+    /// Is the robot stopped, so that no command passes?
+    halted: bool,
     /// The newest epoch.
     epoch: u64,
     /// The holders of the service.
@@ -139,14 +142,6 @@ struct Rules {
     lease_us: u64,
 }
 
-/// The arguments of `set`.
-struct Call<'a> {
-    epoch: u64,
-    first_seq: u64,
-    last_seq: u64,
-    payloads: &'a [Bytes],
-}
-
 impl Gate {
     /// A gate through which nothing passes until [`Gate::learn`] tells of the service.
     pub fn new(settings: Settings, service: &str, now: Now) -> Self {
@@ -160,6 +155,7 @@ impl Gate {
             told: 0,
             sequences: Sequences::default(),
             clock: Clock::default(),
+            halted: false,
             epoch: 0,
             holders: BTreeMap::new(),
             opened: now.steady,
@@ -176,7 +172,7 @@ impl Gate {
         if self.fault.is_some() || standing.height < self.height || asked < self.told {
             return None; // more is known
         }
-        let Standing { grants, members, height, time, .. } = standing;
+        let Standing { grants, stopped, members, height, time, .. } = standing;
         self.clock.heard_signed(*time, now);
         if self.asked.is_none() {
             // By the network's time, which users sign by: it may be ahead of this machine's.
@@ -185,6 +181,7 @@ impl Gate {
         }
         (self.height, self.asked) = (*height, self.asked.max(Some(asked)));
         self.rules = Some(self.rules_of(service));
+        self.halted = *stopped && service.is_command();
         self.identities.replace(members);
         let grants = grants.iter().filter(|grant| grant.service == self.id);
         let before = self.epoch;
@@ -212,6 +209,7 @@ impl Gate {
         let driver = self.driver.as_mut()?;
         let holding = self.holders.get(&driver.identity.id()).filter(|holding| holding.epoch == driver.epoch);
         let over = match holding {
+            _ if self.halted => Some("stopped"),
             _ if members.has_revoked(&driver.identity) => Some("revoked"),
             Some(holding) => {
                 driver.until = driver.until.max(asked.saturating_add(holding.left_us));
@@ -280,8 +278,11 @@ impl Gate {
         if rules.publisher.is_none() && self.fresh_until().is_none_or(|until| until < now.steady) {
             return Err(Refused::Stale);
         }
+        if self.halted {
+            return Err(Refused::Stopped);
+        }
         let transaction = self.decode(delivered)?;
-        let call = read_call(&transaction, &self.id)?;
+        let call = Call::read(&transaction, &self.id)?;
         let samples = self.read_samples(call.payloads)?;
         if !self.clock.heard(delivered.block_time, now) {
             return Err(Refused::FromFuture);
@@ -354,6 +355,18 @@ impl Gate {
         }
         self.check_epochs(self.epoch);
         is_newest
+    }
+
+    /// Takes the stop of the robot as a node says it. True if the robot must stop, which it must on every one if it takes commands
+    /// here. It proves nothing: the next standing decides.
+    pub fn halt(&mut self, now: Now) -> bool {
+        let is_command = self.rules.as_ref().is_none_or(|rules| rules.publisher.is_none());
+        if is_command {
+            self.halted = true;
+            self.told = now.steady;
+            self.stopped(now);
+        }
+        is_command
     }
 
     /// Takes the revocation of a certificate as a node says it. True if the robot must stop, because the revoked one moved it
@@ -440,25 +453,4 @@ impl Holding {
         let lease_us = grant.lease_ms.saturating_mul(1000);
         Self { epoch: grant.epoch, lease_us, left_us: grant.expires.saturating_sub(time) }
     }
-}
-
-/// Reads a call that must be `abac set SERVICE EPOCH FIRST_SEQ PAYLOAD...`, with the service's full id.
-fn read_call<'t>(transaction: &'t Transaction, service: &str) -> Result<Call<'t>, Refused> {
-    let body = transaction.body();
-    let [named, epoch, first_seq, ..] = body.args.as_slice() else { return Err(Refused::WrongCall) };
-    if body.chaincode != ABAC || body.function != "set" || named != service.as_bytes() {
-        return Err(Refused::WrongCall);
-    }
-    let payloads = body.args.get(SET_ARGUMENTS..).unwrap_or_default();
-    let count = u64::try_from(payloads.len()).ok().filter(|count| *count > 0).ok_or(Refused::Malformed)?;
-    let (epoch, first_seq) = (number(epoch)?, number(first_seq)?);
-    let last_seq = first_seq.checked_add(count - 1).ok_or(Refused::Malformed)?;
-    Ok(Call { epoch, first_seq, last_seq, payloads })
-}
-
-/// A decimal number as the ledger reads it: digits only.
-fn number(text: &[u8]) -> Result<u64, Refused> {
-    let digits = text.iter().all(u8::is_ascii_digit);
-    let parsed = std::str::from_utf8(text).ok().filter(|_| digits).and_then(|text| text.parse().ok());
-    parsed.ok_or(Refused::Malformed)
 }

@@ -41,6 +41,8 @@ pub struct Standing {
     pub services: Vec<ServiceState>,
     /// The grants of its services.
     pub grants: Vec<Grant>,
+    /// Is it stopped, until somebody who may resumes it?
+    pub stopped: bool,
     /// The authorities and revocations.
     pub members: Members,
     /// The block.
@@ -61,8 +63,9 @@ impl Standing {
                 .wanted("the JSON that this version knows")
                 .next("use the same version for node and bridge")
         })?;
-        let Declaration { robot: RobotAsset { services, .. }, grants } = declared;
-        Ok(Self { services, grants, members: members.clone(), height: after.height(), time: after.time() })
+        let Declaration { robot: RobotAsset { services, stopped, .. }, grants } = declared;
+        let stopped = stopped.is_some();
+        Ok(Self { services, grants, stopped, members: members.clone(), height: after.height(), time: after.time() })
     }
 
     /// One of its services.

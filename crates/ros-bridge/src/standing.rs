@@ -146,7 +146,8 @@ impl Asker {
         let revoked: Vec<Revoked> = pages::follow("the answer to msp revocations", page).await?;
         let revoked = revoked.iter().filter_map(Revoked::key).collect();
         let members = Members { msps: Arc::clone(&self.stored), revoked: Arc::new(revoked) };
-        Ok(Standing { services: asset.services, grants, members, height, time })
+        let stopped = asset.stopped.is_some();
+        Ok(Standing { services: asset.services, grants, stopped, members, height, time })
     }
 }
 

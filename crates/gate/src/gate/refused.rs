@@ -41,6 +41,8 @@ pub enum Refused {
     BeforeStop,
     /// More publishers at once than the gate can tell apart.
     TooManyPublishers,
+    /// The robot is stopped until somebody resumes it.
+    Stopped,
     /// The service is not known now.
     NoService,
     /// For too long no majority of the voters has said who holds the robot.
@@ -50,7 +52,7 @@ pub enum Refused {
 impl Refused {
     /// May the next answer of the voters change that? Then the message waits for it.
     pub const fn may_pass_later(self) -> bool {
-        matches!(self, Self::NoService | Self::Stale | Self::UnknownEpoch | Self::Untrusted)
+        matches!(self, Self::NoService | Self::Stopped | Self::Stale | Self::UnknownEpoch | Self::Untrusted)
     }
 
     /// The name that is counted.
@@ -75,6 +77,7 @@ impl Refused {
             Self::FromFuture => "from_future",
             Self::BeforeStop => "before_stop",
             Self::TooManyPublishers => "too_many_publishers",
+            Self::Stopped => "stopped",
             Self::NoService => "no_service",
             Self::Stale => "stale",
         }
@@ -102,6 +105,7 @@ impl Refused {
             Self::FromFuture => "its time is ahead of this machine's clock; compare the clocks",
             Self::BeforeStop => "it is from before the last stop",
             Self::TooManyPublishers => "more publishers than the gate can tell apart",
+            Self::Stopped => "the robot is stopped until somebody resumes it",
             Self::NoService => "the service is not known now",
             Self::Stale => "no majority of the voters says now who holds the robot",
         }

@@ -3,6 +3,7 @@
 
 mod faults;
 mod standing;
+mod stopped;
 
 use crate::fixture::{NOW, Network, SECOND, TWIST, User, grant, now, now_at, service};
 use bytes::Bytes;

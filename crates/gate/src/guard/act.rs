@@ -86,6 +86,7 @@ impl Block {
                 let released: Released = read(event.payload).ok_or(Refused::Malformed)?;
                 gate.released(&released, self.time, now).then(|| Act::Stop(reason(&released.reason)))
             }
+            (ABAC, "stopped") => gate.halt(now).then_some(Act::Stop("stopped")),
             (ABAC, "robot") => {
                 gate.close();
                 None
@@ -101,7 +102,10 @@ impl Block {
 
 /// Does an event say that the robot may stand otherwise than before?
 pub(super) fn changes(event: &Told<'_>) -> bool {
-    matches!((event.chaincode, event.name), (ABAC, "granted" | "released" | "robot") | (MSP, "revoked"))
+    matches!(
+        (event.chaincode, event.name),
+        (ABAC, "granted" | "released" | "robot" | "stopped" | "resumed") | (MSP, "revoked")
+    )
 }
 
 /// The reason of a release, as it is counted.

@@ -285,7 +285,7 @@ impl FromLedger {
             from_height: self.next_height,
             chaincode: ABAC.to_owned(),
             subjects: vec![self.route.service.clone(), self.service.robot.clone()],
-            names: ["message", "granted", "released", "robot"].map(str::to_owned).to_vec(),
+            names: ["message", "granted", "released", "robot", "stopped", "resumed"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
         })
     }
