@@ -20,6 +20,7 @@ mod network;
 mod nodes_die;
 mod python;
 mod readme;
+mod sharing;
 #[path = "../support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
 mod support;

@@ -162,7 +162,8 @@ mod tests {
         let json = serde_json::to_value(&all).unwrap();
         let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();
         let mut keys: Vec<&str> = Sharing::keys().collect();
-        (fields.sort(), keys.sort_unstable());
+        fields.sort();
+        keys.sort_unstable();
         assert_eq!(fields, keys);
         assert_eq!(all.set().count(), keys.len());
 

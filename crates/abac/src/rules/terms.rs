@@ -67,7 +67,7 @@ const BOUNDS: [Bounds; 6] = [
 pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
     let refuse = |message: String| Rejection::new(Code::BadArgument, message);
     let mode = rule.mode();
-    for (key, value) in sharing.set().filter(|(key, _)| !rule.keys().contains(key)) {
+    if let Some((key, value)) = sharing.set().find(|(key, _)| !rule.keys().contains(key)) {
         return Err(refuse(format!("mode={mode} and {key} of service {topic} do not go together"))
             .found(format!("{key}={}", shown(&value)))
             .wanted(match rule.keys() {
@@ -76,7 +76,7 @@ pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(
             })
             .next(format!("leave {key} out, or choose another mode")));
     }
-    for key in rule.required().iter().filter(|key| sharing.shown(key).is_empty()) {
+    if let Some(key) = rule.required().iter().find(|key| sharing.shown(key).is_empty()) {
         return Err(refuse(format!("mode={mode} of service {topic} needs {key}"))
             .found(format!("no {key}"))
             .wanted(format!("{key}=N"))
