@@ -4,10 +4,10 @@ use super::*;
 use crate::peers::Part;
 use crate::setup::{self, NetworkPlan, PlannedNode, PlannedOrganisation};
 use futures::FutureExt;
-use ledger::Registry;
 use ledger::block::Payload;
-use ledger::msp::{ENROLMENT_REPEAT_MAX, Identities, IdentityRecord};
+use ledger::msp::{ENROLMENT_REPEAT_MAX, IdentityRecord};
 use ledger::transaction::{Body, Transaction};
+use ledger::{Page, Registry};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_storage::entry::{Entry, EntryKind};
@@ -178,8 +178,8 @@ impl Fixture {
         let (ledger, now) = (&self.chain.ledger, self.chain.time.load(Ordering::Relaxed));
         let admin = ledger.msps().verify(&self.admins[0].certificate, &[], now).unwrap();
         let (page, _) = ledger.query(&admin, now, "msp", "identities", &[argument]).unwrap();
-        let page: Identities = serde_json::from_slice(&page).unwrap();
-        page.identities.into_iter().next()
+        let page: Page<IdentityRecord> = serde_json::from_slice(&page).unwrap();
+        page.items.into_iter().next()
     }
 
     async fn enrol_from(&self, source: u8, name: &str, secret: &str, request: &Bytes) -> v1::EnrolResponse {

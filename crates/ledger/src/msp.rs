@@ -32,7 +32,7 @@
 //! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
 //! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
 //! | `cancel_registration {name}` | an admin | nothing |
-//! | `identities {name?, after?}` | an admin, of their own organisation | [`Identities`] |
+//! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
 //! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
 //! | `record_certificate {...}` ([`RecordCertificate`]) | a node that carries the CA | [`Recorded`] |
 //! | `carriers` | | array of [`CarrierRecord`] |
@@ -74,10 +74,9 @@ pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
-    CERTIFICATES_MAX, CancelRegistration, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX, IDENTITIES_PAGE_MAX,
-    Identities, IdentityRecord, IssuedCertificate, KnownIdentity, ListIdentities, LocalSecret, REGISTRATION_LIFE_MAX,
-    RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity,
-    issued,
+    CERTIFICATES_MAX, CancelRegistration, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX, IdentityRecord,
+    IssuedCertificate, KnownIdentity, LocalSecret, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE, RecordCertificate, Recorded,
+    Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity, issued,
 };
 pub use invitations::{
     CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
@@ -139,7 +138,7 @@ const FUNCTIONS: [(&str, &str); 35] = [
     ("cancel_registration", "NAME_JSON"),
     ("carriers", "none"),
     ("carry_ca", "CARRY_JSON"),
-    ("identities", "LIST_JSON"),
+    ("identities", "PAGE_JSON, NAME_JSON or none"),
     ("invitations", "none"),
     ("invite_organisation", "INVITE_JSON"),
     ("join_node", "NODE_JSON"),
@@ -267,7 +266,8 @@ impl Chaincode for MspChaincode {
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),
             ("attestations", []) => attestations::list(ctx),
-            ("identities", [wanted]) => identities::list(ctx, wanted),
+            ("identities", [wanted]) if !ctx.is_query() => identities::executed(ctx, wanted),
+            ("identities", [] | [_]) => identities::list(ctx, args),
             ("register", [register]) => identities::register(ctx, register),
             ("cancel_registration", [cancel]) => identities::cancel(ctx, cancel),
             ("revoke_identity", [revoke]) => identities::revoke(ctx, revoke),

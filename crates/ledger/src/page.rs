@@ -1,11 +1,11 @@
 //! Pages of lists: queries answer with a bounded part, and say where the next one begins.
 //!
-//! Their one argument is JSON of [`Paging`], their answer JSON of [`Page`]. Only queries have pages: what transactions answer
-//! belongs to the rules, and a list is no transaction since rules 3.
+//! Their one argument is JSON of [`Paging`], their answer JSON of [`Page`]. Without the argument the answer is the list itself,
+//! if that is one page. Only queries have pages: what transactions answer belongs to the rules, and a list is no transaction
+//! since rules 3.
 
 use crate::chaincode::Context;
 use bytes::Bytes;
-use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +26,9 @@ pub struct Paging {
     /// Most elements; [`PAGE_MAX`] without, and never more.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub most: Option<usize>,
+    /// Nothing was said of pages: the answer is the whole list, or none.
+    #[serde(skip)]
+    whole: bool,
 }
 
 /// The answer of such a function.
@@ -41,18 +44,19 @@ pub struct Page<T> {
 impl Paging {
     /// Is this the argument of a query for a page?
     pub(crate) fn is_asked(ctx: &Context<'_>, argument: &Bytes) -> bool {
-        ctx.transaction() == Hash::ZERO && argument.starts_with(b"{")
+        ctx.is_query() && argument.starts_with(b"{")
     }
 
-    /// The argument of a query for a page; none if the call is no query, or has other arguments.
+    /// The argument of a query for a page, or for a list; none if the call is no query, or has other arguments.
     ///
     /// # Errors
     /// [`Code::BadArgument`] if the argument is JSON of something else.
     pub fn of(ctx: &Context<'_>, function: &str, args: &[Bytes]) -> Result<Option<Self>, Rejection> {
-        let [argument] = args else { return Ok(None) };
-        if !Self::is_asked(ctx, argument) {
-            return Ok(None);
-        }
+        let argument = match args {
+            [] if ctx.is_query() => return Ok(Some(Self { whole: true, ..Self::default() })),
+            [argument] if Self::is_asked(ctx, argument) => argument,
+            _ => return Ok(None),
+        };
         let usable = |paging: &Self| paging.after.as_ref().is_none_or(|after| after.len() <= PLACE_BYTES_MAX);
         let paging = serde_json::from_slice(argument).ok().filter(usable);
         paging.map(Some).ok_or_else(|| {
@@ -78,23 +82,43 @@ impl Paging {
         let after = self.after.as_ref().map(|place| hex::decode(place).map_err(|_| no_place(place))).transpose()?;
         let mut after = after.map(|place| [prefix, &place].concat());
         let (mut items, mut bytes) = (Vec::new(), 0);
+        let mut keys = 0;
         // Values may be large: one at a time.
-        for _ in 0..most {
-            let Some((key, value)) = ctx.range_after(prefix, after.as_deref(), 1).pop() else {
-                return Ok(Page { items, next: None });
-            };
+        while let Some((key, value)) = ctx.range_after(prefix, after.as_deref(), 1).pop() {
+            if keys == most || bytes >= PAGE_BYTES {
+                let next = after.as_ref().and_then(|last| last.strip_prefix(prefix)).map(hex::encode);
+                return Ok(Page { items, next });
+            }
             if let Some(item) = read(&key, &value)? {
                 bytes += serde_json::to_vec(&item).map_or(0, |json| json.len());
                 items.push(item);
             }
+            keys += 1;
             after = Some(key.to_vec());
-            if bytes >= PAGE_BYTES {
-                break;
-            }
         }
-        let next = after.as_ref().and_then(|last| last.strip_prefix(prefix)).map(hex::encode);
-        Ok(Page { items, next })
+        Ok(Page { items, next: None })
     }
+
+    /// The answer: this page, or the list whose only page it is.
+    ///
+    /// # Errors
+    /// [`Code::OverBudget`] if nothing was said of pages and there are more.
+    pub fn answer<T: Serialize>(&self, page: &Page<T>) -> Result<Bytes, Rejection> {
+        let json = match (self.whole, &page.next) {
+            (false, _) => serde_json::to_vec(page),
+            (true, None) => serde_json::to_vec(&page.items),
+            (true, Some(_)) => return Err(several_pages()),
+        };
+        json.map(Bytes::from)
+            .map_err(|error| Rejection::new(Code::Internal, format!("an answer cannot be written: {error}")))
+    }
+}
+
+fn several_pages() -> Rejection {
+    Rejection::new(Code::OverBudget, "the list is longer than one answer")
+        .found(format!("more than {PAGE_MAX} elements, or {} KiB", PAGE_BYTES / 1024))
+        .wanted("a question for one page")
+        .next("ask for it in pages, with the argument {}: each says where the next one begins; lists of ledgerctl show all of it")
 }
 
 fn no_place(place: &str) -> Rejection {

@@ -17,7 +17,7 @@ use ledger_rejection::{Code, Rejection};
 pub(crate) fn list(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     if let Some(paging) = Paging::of(ctx, "grants", args)? {
         let read = |key: &[u8], value: &[u8]| shown(ctx, decider, store::parse(key, value)?);
-        return store::json(&paging.page(ctx, b"grant/", read)?);
+        return paging.answer(&paging.page(ctx, b"grant/", read)?);
     }
     let args = Arguments::new("grants [SERVICE]", args, 0, 1)?;
     let targets = if args.has(0) {

@@ -13,7 +13,7 @@ use ledger::{Context, Paging};
 use ledger_contract::{PolicyChange, PolicyEntry};
 use ledger_rejection::{Code, Rejection};
 
-/// Most policies that `policies` lists without pages.
+/// Most policies that `policies` lists as a transaction, which it was before rules 3.
 const LISTED_MAX: usize = 4096;
 /// Longest id of a policy, in bytes.
 const ID_BYTES_MAX: usize = 64;
@@ -84,7 +84,7 @@ pub(crate) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
         if paging.after.is_none() {
             page.items.insert(0, built_in(ctx));
         }
-        return store::json(&page);
+        return paging.answer(&page);
     }
     Arguments::new("policies", args, 0, 0)?;
     let mut entries = vec![built_in(ctx)];

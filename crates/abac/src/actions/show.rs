@@ -10,14 +10,13 @@ use crate::records::{grant, line, sharing, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
-use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 
 /// `robots [PAGE_JSON]`
 pub(crate) fn robots(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     if let Some(paging) = Paging::of(ctx, "robots", args)? {
         let read = |key: &[u8], value: &[u8]| asset(ctx, decider, &store::parse(key, value)?).map(Some);
-        return store::json(&paging.page(ctx, b"robot/", read)?);
+        return paging.answer(&paging.page(ctx, b"robot/", read)?);
     }
     Arguments::new("robots", args, 0, 0)?;
     let assets =
@@ -89,8 +88,7 @@ pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Resu
 /// version of the program must make alike.
 fn state(ctx: &Context<'_>, decider: &Decider, target: Target) -> Result<ServiceState, Rejection> {
     let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
-    let is_asked = ctx.transaction() == Hash::ZERO;
-    let capabilities = if is_asked { Some(decider.rules.of(&target)?.capabilities().into()) } else { None };
+    let capabilities = if ctx.is_query() { Some(decider.rules.of(&target)?.capabilities().into()) } else { None };
     let epoch = grant::newest_epoch(ctx, &target.id)?;
     let waiting = if sharing::known(ctx) { line::all(ctx, &target.id)?.len() as u64 } else { 0 };
     let Target { robot, service, id } = target;

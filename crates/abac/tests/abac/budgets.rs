@@ -1,12 +1,12 @@
 //! Budgets: which functions only read, the counts of a call, quotas and pages.
 
 use crate::arguments::FUNCTIONS;
-use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, admin1, bytes, farhad, owner, robot, salma};
+use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, admin1, bytes, farhad, identity, owner, robot, salma};
 use bytes::Bytes;
 use ledger::msp::QUOTAS;
-use ledger::{CALL_BUDGET, Chaincode, Page, Usage};
+use ledger::{CALL_BUDGET, Chaincode, PAGE_MAX, Page, Rules, Usage};
 use ledger_abac::{DEFAULT_POLICY, Grant, PolicyChange, PolicyEntry, RobotAsset};
-use ledger_identity::Identity;
+use ledger_identity::{Identity, Role};
 use ledger_rejection::Code;
 
 /// A call of every function that succeeds in the network of the paper.
@@ -159,6 +159,35 @@ fn lists_come_in_pages_that_leave_nothing_out() {
     assert_eq!(policies, fleet.get::<Vec<PolicyEntry>>(&salma(), "policies", &[]));
     for wrong in [r#"{"most":"x"}"#, r#"{"after":"zz"}"#, r#"{"before":"00"}"#] {
         fleet.refused(&salma(), Code::BadArgument, "robots", &[wrong]);
+    }
+}
+
+#[test]
+fn a_list_that_is_asked_for_without_pages_is_one_page_or_refused() {
+    let add = |fleet: &mut Fleet, number: usize| {
+        let admin = identity(&format!("Org{}", number / 100 + 1), "admin", Role::Admin, &[], 4);
+        if number.is_multiple_of(100) {
+            fleet.ok(&admin, "policy", &["put", "all", "permit (principal, action, resource);"]);
+        }
+        fleet.ok(&admin, "setup", &[&robot(&format!("R{number}"), "open")]);
+        fleet.ok(&farhad(), "acquire", &[&format!("R{number}/cmd_vel")]);
+    };
+    for rules in Rules::all() {
+        let mut fleet = Fleet::of_the_paper_under(rules);
+        (0..PAGE_MAX - 3).for_each(|number| add(&mut fleet, number));
+        let listed: Vec<serde_json::Value> = fleet.get(&salma(), "robots", &[]);
+        assert_eq!(listed.len(), PAGE_MAX, "with the three of the paper");
+        add(&mut fleet, PAGE_MAX - 3);
+        let refused = fleet.refused(&salma(), Code::OverBudget, "robots", &[]);
+        assert!(refused.next.contains("{}"), "{refused}");
+        (PAGE_MAX - 2..=PAGE_MAX).for_each(|number| add(&mut fleet, number));
+        fleet.refused(&salma(), Code::OverBudget, "grants", &[]);
+        // A page ends by its bytes, too.
+        for number in 0..40 {
+            let text = format!("permit (principal, action, resource); // {}", "x".repeat(8000));
+            fleet.ok(&owner(), "policy", &["put", &format!("p{number}"), &text]);
+        }
+        fleet.refused(&salma(), Code::OverBudget, "policies", &[]);
     }
 }
 

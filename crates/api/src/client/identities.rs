@@ -6,10 +6,8 @@ use super::session::Up;
 use crate::report::accepted;
 use crate::v1;
 use bytes::Bytes;
-use ledger::msp::{
-    CancelRegistration, Identities, IdentityRecord, ListIdentities, NAME as MSP, Register, RevokeIdentity,
-    RevokedIdentity,
-};
+use ledger::Page;
+use ledger::msp::{CancelRegistration, IdentityRecord, NAME as MSP, Register, RevokeIdentity, RevokedIdentity};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
@@ -99,17 +97,11 @@ impl Client {
     /// # Errors
     /// [`Code::NotAdmin`]; else as [`Client::query`].
     pub async fn identities(&self, name: &str) -> Result<Vec<IdentityRecord>, Rejection> {
-        let mut wanted = ListIdentities { name: Some(name.to_owned()).filter(|name| !name.is_empty()), after: None };
-        let mut found: Vec<IdentityRecord> = Vec::new();
-        loop {
-            let answer = self.query(MSP, "identities", argument(&wanted)?).await?;
-            let Identities { identities, more } = read("identities", &answer.response)?;
-            found.extend(identities);
-            wanted.after = found.last().map(|last| last.name.clone());
-            if !more || wanted.name.is_some() {
-                return Ok(found);
-            }
+        if name.is_empty() {
+            return self.list(MSP, "identities").await;
         }
+        let answer = self.query(MSP, "identities", argument(&BTreeMap::from([("name", name)]))?).await?;
+        Ok(read::<Page<_>>("identities", &answer.response)?.items)
     }
 
     /// Voids the secret of a name that has not enrolled with it.

@@ -220,6 +220,11 @@ impl<'a> Context<'a> {
         self.environment.transaction
     }
 
+    /// Does somebody only ask? No block holds the answer then, so no rules bind it.
+    pub fn is_query(&self) -> bool {
+        self.environment.submitter.is_some() && self.environment.transaction == Hash::ZERO
+    }
+
     /// Tells subscribers that something happened. Kept only if the call succeeds.
     pub fn emit(&mut self, name: &str, subject: &str, payload: impl Into<Bytes>) {
         let payload = payload.into();

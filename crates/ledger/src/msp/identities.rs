@@ -8,6 +8,7 @@
 //! be lost. Nobody receives one for a secret whose certificate was revoked or has signed something.
 
 mod certificates;
+mod list;
 mod registration;
 mod revocation;
 
@@ -16,13 +17,13 @@ pub use registration::{CancelRegistration, Register};
 pub use revocation::{RevokeIdentity, RevokedIdentity};
 
 pub(super) use certificates::{adopt, record};
+use list::shown;
+pub(super) use list::{executed, list};
 pub(super) use registration::{cancel, register};
 pub(super) use revocation::revoke;
 
-use super::caller::{admin, object};
-use super::store::{self, REVOKED, identity_key, issued_key, json, registered_key};
+use super::store::{self, REVOKED, identity_key, issued_key, registered_key};
 use crate::chaincode::Context;
-use crate::page::PAGE_BYTES;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::{NAME_BYTES_MAX, Role};
@@ -42,8 +43,6 @@ pub const REGISTRATION_LIFE_MAX: u64 = 365 * 24 * 3600 * 1_000_000;
 pub const ENROLMENT_REPEAT_MAX: u64 = 15 * 60 * 1_000_000;
 /// Shortest time between a name's last certificate and a renewal, microseconds of block time.
 pub const RENEWAL_PAUSE: u64 = 60 * 1_000_000;
-/// Most names that one answer of `identities` holds.
-pub const IDENTITIES_PAGE_MAX: usize = 200;
 
 /// A registered identity, as it stands on the ledger.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -147,68 +146,6 @@ impl IdentityRecord {
     pub fn certificate(&self, fingerprint: &Hash) -> Option<&IssuedCertificate> {
         self.certificates.iter().find(|issued| issued.fingerprint == *fingerprint)
     }
-}
-
-/// Argument of `identities`.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct ListIdentities {
-    /// Only this name.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub name: Option<String>,
-    /// Only names behind this one: the last of the page before.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub after: Option<String>,
-}
-
-/// Answer of `identities`: a page of the registry.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Identities {
-    /// In order of names.
-    pub identities: Vec<IdentityRecord>,
-    /// There are more behind the last one.
-    pub more: bool,
-}
-
-/// `identities {name?, after?}`: of the caller's organisation.
-pub(super) fn list(ctx: &Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
-    let wanted: ListIdentities = object("identities", argument, "{\"name\": NAME} or {\"after\": NAME} or {}")?;
-    let caller = admin(ctx, "read the registered identities")?;
-    let organisation = &caller.organisation;
-    if let Some(name) = wanted.name {
-        let found = find(ctx, organisation, &name)?.map(|found| shown(ctx, found));
-        return json(&Identities { identities: found.into_iter().collect(), more: false });
-    }
-    let prefix = identity_key(organisation, "");
-    let after = wanted.after.filter(|after| after.len() <= NAME_BYTES_MAX);
-    let page = ctx.range_after(
-        prefix.as_bytes(),
-        after.map(|name| identity_key(organisation, &name)).as_ref().map(String::as_bytes),
-        IDENTITIES_PAGE_MAX + 1,
-    );
-    // A query says which certificates were revoked, in as many bytes as a page may have.
-    let bytes_max = if ctx.transaction() == Hash::ZERO { PAGE_BYTES } else { usize::MAX };
-    let (mut identities, mut bytes) = (Vec::new(), 0);
-    for (key, value) in page.iter().take(IDENTITIES_PAGE_MAX) {
-        if bytes > bytes_max {
-            break;
-        }
-        bytes += value.len();
-        identities.push(shown(ctx, store::parse(key, value)?));
-    }
-    let more = page.len() > identities.len();
-    json(&Identities { identities, more })
-}
-
-/// The record for readers: without the hash of the secret, and with what was revoked.
-fn shown(ctx: &Context<'_>, mut record: IdentityRecord) -> IdentityRecord {
-    if let Some(secret) = &mut record.secret {
-        secret.sha256 = Hash::ZERO;
-    }
-    for issued in &mut record.certificates {
-        issued.revoked = is_revoked(ctx, issued);
-    }
-    record
 }
 
 /// The record of a name.

@@ -168,7 +168,9 @@ pub(super) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection
     };
     if let Some(paging) = Paging::of(ctx, "msp proposals", args)? {
         let read = |key: &[u8], value: &[u8]| counted(ctx, store::parse(key, value)?).map(decide).transpose();
-        return json(&paging.page(ctx, PROPOSALS.as_bytes(), read)?);
+        let mut page = paging.page(ctx, PROPOSALS.as_bytes(), read)?;
+        page.items.sort_by_key(|decision| decision.proposal.as_ref().map(|proposal| (proposal.created, proposal.id)));
+        return paging.answer(&page);
     }
     json(&known(ctx)?.into_iter().map(decide).collect::<Result<Vec<_>, _>>()?)
 }

@@ -12,7 +12,7 @@ use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
-/// Most entries that a list answers with.
+/// Most entries that the list answers with as a transaction, which it was before rules 3.
 const LIST_MAX: usize = 10_000;
 /// Most bytes of a reason.
 const REASON_BYTES_MAX: usize = 512;
@@ -39,7 +39,8 @@ pub struct RevocationRecord {
 /// `revocations [PAGE_JSON]`
 pub(super) fn list(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
     if let Some(paging) = Paging::of(ctx, "msp revocations", args)? {
-        return json(&paging.page(ctx, REVOKED, |key, value| store::parse::<RevocationRecord>(key, value).map(Some))?);
+        let read = |key: &[u8], value: &[u8]| store::parse::<RevocationRecord>(key, value).map(Some);
+        return paging.answer(&paging.page(ctx, REVOKED, read)?);
     }
     json(&store::list::<RevocationRecord>(ctx, REVOKED, LIST_MAX)?)
 }

@@ -1,9 +1,10 @@
 use crate::world::{DAY, Network, SECOND, User, code, json};
 use bytes::Bytes;
 use ledger::msp::{
-    CarrierRecord, CarryCa, ENROLMENT_REPEAT_MAX, Identities, IdentityRecord, KnownIdentity, LocalSecret,
-    RENEWAL_PAUSE, Recorded, RevokedIdentity,
+    CarrierRecord, CarryCa, ENROLMENT_REPEAT_MAX, IdentityRecord, KnownIdentity, LocalSecret, RENEWAL_PAUSE, Recorded,
+    RevokedIdentity,
 };
+use ledger::{PAGE_MAX, Page};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_identity::key::KeyKind;
@@ -45,7 +46,7 @@ fn renewed(network: &mut Network, user: &User) -> Result<Bytes, Rejection> {
 }
 
 fn one(network: &Network, name: &str) -> Option<IdentityRecord> {
-    network.query::<Identities>("identities", &[&value!({ "name": name }).to_string()]).identities.pop()
+    network.query::<Page<_>>("identities", &[&value!({ "name": name }).to_string()]).items.pop()
 }
 
 fn certificate(answer: Result<Bytes, Rejection>) -> Bytes {
@@ -75,8 +76,8 @@ fn a_name_is_registered_once_and_a_name_that_no_context_may_have_never() {
     json::<IdentityRecord>(register(&mut network, 2, "Salma", ""));
     let [reader, node] =
         [(2, "admin"), (1, "node")].map(|(org, role)| network.cas[org - 1].user("Reader", role, KeyKind::P256));
-    let listed: Identities = json(network.ask(&reader, "identities", &["{}"]));
-    assert_eq!(listed.identities.iter().map(IdentityRecord::id).collect::<Vec<_>>(), ["Org2/Salma"]);
+    let listed: Vec<IdentityRecord> = json(network.ask(&reader, "identities", &[]));
+    assert_eq!(listed.iter().map(IdentityRecord::id).collect::<Vec<_>>(), ["Org2/Salma"]);
     assert_eq!(code(&network.ask(&node, "identities", &["{}"])), Code::NotAdmin);
     for expires in [network.time, network.time + 400 * DAY] {
         let argument = format!(r#"{{"name":"Late","secret":"{}","expires":{expires}}}"#, secret());
@@ -93,14 +94,17 @@ fn a_long_list_comes_in_pages() {
     let (mut names, mut after) = (Vec::new(), None::<String>);
     loop {
         let argument = after.map_or_else(|| "{}".into(), |after| value!({ "after": after }).to_string());
-        let page: Identities = network.query("identities", &[&argument]);
-        names.extend(page.identities.into_iter().map(|record| record.name));
-        after = names.last().cloned();
-        if !page.more {
+        let page: Page<IdentityRecord> = network.query("identities", &[&argument]);
+        assert!(page.items.len() <= PAGE_MAX, "{}", page.items.len());
+        names.extend(page.items.into_iter().map(|record| record.name));
+        after = page.next;
+        if after.is_none() {
             break;
         }
     }
     assert_eq!(names.len(), 450);
+    let refused = network.ask(&network.admins[0], "identities", &[]);
+    assert!(code(&refused) == Code::OverBudget && refused.unwrap_err().next.contains("{}"));
     assert!(names.is_sorted());
 }
 

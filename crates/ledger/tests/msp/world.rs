@@ -95,7 +95,7 @@ fn registry() -> Registry {
 
 pub(crate) struct Network {
     pub(crate) cas: Vec<Ca>,
-    admins: Vec<User>,
+    pub(crate) admins: Vec<User>,
     nodes: Vec<User>,
     pub(crate) ledger: Ledger,
     stores: (Bytes, Arc<State>, Arc<ResultStore>),
