@@ -18,11 +18,12 @@ mod recent;
 pub(crate) use keys::Keys;
 
 use crate::peers::{Directory, Peers};
+use bytes::Bytes;
 use inbox::Inbox;
-use kept::Kept;
+use kept::{Kept, Lied};
 use ledger::{Ledger, Outcome};
 use ledger_light::fact::Fact;
-use ledger_light::{Certificate, Lie, Proof, Signed, Statement};
+use ledger_light::{Certificate, DoubleVote, Lie, Proof, Signed, Statement};
 use ledger_raft::{PeerMessage, SignedStatement};
 use ledger_rejection::Rejection;
 use ledger_replica::Observer;
@@ -40,13 +41,21 @@ const DISK_PAUSE: Duration = Duration::from_millis(2);
 /// Time between two writes of the newest proof, at least: a crash loses that much of them.
 const KEEP_EVERY: Duration = Duration::from_secs(2);
 
+/// The node tells the task.
+pub(crate) enum Told {
+    /// A step of the machine.
+    Event(Event),
+    /// A voter has voted for two nodes in one term.
+    VotedTwice(Box<DoubleVote>),
+}
+
 /// The view that the rest of the node has of its certificates.
 pub(crate) struct Certificates {
-    executed: mpsc::UnboundedSender<Event>,
+    told: mpsc::UnboundedSender<Told>,
     heard: Inbox,
     certified: AtomicU64,
-    /// Nodes that have lied, and the heights.
-    lies: Mutex<Vec<(u64, u64)>>,
+    /// The lies of which this node has proofs.
+    lies: Mutex<Vec<Lied>>,
     recent: Recent,
     kept: Kept,
 }
@@ -56,14 +65,14 @@ impl Certificates {
     ///
     /// # Errors
     /// A fault of the disk.
-    pub(crate) fn open(data: &Path) -> Result<(Arc<Self>, mpsc::UnboundedReceiver<Event>), Rejection> {
+    pub(crate) fn open(data: &Path) -> Result<(Arc<Self>, mpsc::UnboundedReceiver<Told>), Rejection> {
         let kept = Kept::open(data)?;
         // Bounded by what is executed, which takes longer than signing.
-        let (executed, events) = mpsc::unbounded_channel();
+        let (told, events) = mpsc::unbounded_channel();
         let certified = AtomicU64::new(kept.newest()?.map_or(0, |newest| newest.certificate.statement.height));
         let lies = Mutex::new(kept.lies()?);
         let (heard, recent) = (Inbox::default(), Recent::default());
-        Ok((Arc::new(Self { executed, heard, certified, lies, recent, kept }), events))
+        Ok((Arc::new(Self { told, heard, certified, lies, recent, kept }), events))
     }
 
     /// The newest height for which this node has a certificate; 0 if there is none.
@@ -74,8 +83,13 @@ impl Certificates {
     /// The nodes that have lied, in words; empty if none has.
     pub(crate) fn lies(&self, directory: &Directory) -> String {
         let lies = self.lies.lock().unwrap_or_else(PoisonError::into_inner);
-        let words = |(node, height): &(u64, u64)| {
-            format!("{} has signed two different statements about block {height}", directory.name(*node))
+        let words = |lied: &Lied| match lied {
+            Lied::About { height, node } => {
+                format!("{} has signed two different statements about block {height}", directory.name(*node))
+            }
+            Lied::Voted { term, node } => {
+                format!("{} has voted for two nodes in term {term}", directory.name(*node))
+            }
         };
         lies.iter().map(words).collect::<Vec<_>>().join(", ")
     }
@@ -118,8 +132,17 @@ impl Certificates {
         self.kept.governing(height)
     }
 
-    fn lied(&self, node: u64, height: u64) {
-        self.lies.lock().unwrap_or_else(PoisonError::into_inner).push((node, height));
+    /// The engine has a proof that a voter has voted for two nodes. The task keeps it: nobody waits for the disk here.
+    pub(crate) fn voted_twice(&self, proof: Box<DoubleVote>) {
+        let _stopping = self.told.send(Told::VotedTwice(proof));
+    }
+
+    /// Notes a lie; false if it is known.
+    fn note(&self, lied: Lied) -> bool {
+        let mut lies = self.lies.lock().unwrap_or_else(PoisonError::into_inner);
+        let is_new = !lies.contains(&lied);
+        lies.extend(is_new.then_some(lied));
+        is_new
     }
 }
 
@@ -134,11 +157,11 @@ impl Observer for Certificates {
                 block: outcome.hash,
                 results: roots.results,
             };
-            let _stopping = self.executed.send(Event::Executed { statement, governs });
+            let _stopping = self.told.send(Told::Event(Event::Executed { statement, governs }));
         }
         if governs {
             match era(ledger) {
-                Ok(era) => drop(self.executed.send(Event::Voters(era))),
+                Ok(era) => drop(self.told.send(Told::Event(Event::Voters(era)))),
                 Err(fault) => tracing::error!(%fault, "cannot read the voters of the next block"),
             }
         }
@@ -183,14 +206,18 @@ pub(crate) struct Certifying {
 
 impl Certifying {
     /// Signs, hears and counts until the node stops.
-    pub(crate) async fn run(mut self, mut events: mpsc::UnboundedReceiver<Event>) {
+    pub(crate) async fn run(mut self, mut told: mpsc::UnboundedReceiver<Told>) {
         let started = Instant::now();
         let now = || u64::try_from(started.elapsed().as_micros()).unwrap_or(u64::MAX);
         let (mut effects, mut written) = (Vec::new(), None);
         loop {
             let event = tokio::select! {
-                event = events.recv() => match event {
-                    Some(event) => event,
+                told = told.recv() => match told {
+                    Some(Told::Event(event)) => event,
+                    Some(Told::VotedTwice(proof)) => {
+                        self.voted_twice(&proof).await;
+                        continue;
+                    }
                     None => return,
                 },
                 (from, signed) = self.certificates.heard.next() => match Signed::from_bytes(&signed) {
@@ -231,7 +258,7 @@ impl Certifying {
                     self.keep_proof(certificate, due, governs).await;
                 }
             }
-            Effect::Lied(lie) => self.lied(*lie).await,
+            Effect::Lied(lie) => self.lied(&lie).await,
         }
     }
 
@@ -245,7 +272,7 @@ impl Certifying {
         .await;
     }
 
-    async fn lied(&self, lie: Lie) {
+    async fn lied(&self, lie: &Lie) {
         let (node, height) = (lie.first.signature.node, lie.first.statement.height);
         tracing::error!(
             node = self.directory.name(node),
@@ -254,8 +281,20 @@ impl Certifying {
             second = %lie.second.statement.results,
             "a node has signed two different statements about one block; the proof is kept"
         );
-        self.certificates.lied(node, height);
-        self.keep(move |kept| kept.lie(&lie)).await;
+        self.keep_lie(lie.into(), lie.to_bytes()).await;
+    }
+
+    async fn voted_twice(&self, proof: &DoubleVote) {
+        let (node, term) = (self.directory.name(proof.voter()), proof.term);
+        let [first, second] = proof.votes.each_ref().map(|(candidate, _)| self.directory.name(*candidate));
+        tracing::error!(node, term, first, second, "a voter has voted for two nodes in one term; the proof is kept");
+        self.keep_lie(proof.into(), proof.to_bytes()).await;
+    }
+
+    async fn keep_lie(&self, lied: Lied, proof: Bytes) {
+        if self.certificates.note(lied) {
+            self.keep(move |kept| kept.lie(lied, &proof)).await;
+        }
     }
 
     /// Writes to the disk, on a thread that may wait for it.

@@ -18,7 +18,7 @@ pub use fate::Ended;
 pub(crate) use fate::Fate;
 
 use crate::catch_up::Bootstrap;
-use crate::certificates::Certifying;
+use crate::certificates::{Certifying, Told};
 use crate::clock::Clock;
 use crate::company::Asking;
 use crate::conductor::Conductor;
@@ -44,7 +44,6 @@ use ledger_invariant::vital_task;
 use ledger_rejection::Rejection;
 use ledger_replica::Timing;
 use ledger_replica::catch_up::Ballot;
-use ledger_replica::certifier::Event;
 use ledger_replica::gateway::Shares;
 use std::sync::Arc;
 use std::time::Instant;
@@ -68,7 +67,7 @@ pub(crate) struct Prepared {
     testimony: (Testimony, mpsc::UnboundedReceiver<Seen>),
     asking: Asking,
     /// States what was executed, and hears of executed blocks.
-    certifying: (Certifying, mpsc::UnboundedReceiver<Event>),
+    certifying: (Certifying, mpsc::UnboundedReceiver<Told>),
     joined: Option<Joined>,
     timing: Timing,
     ballot: Ballot,

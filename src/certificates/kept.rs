@@ -2,7 +2,7 @@
 
 use ledger_durable::{PUBLIC_MODE, create_directory, failed, read, replace};
 use ledger_light::proof::PROOF_BYTES_MAX;
-use ledger_light::{Lie, Proof};
+use ledger_light::{DoubleVote, Lie, Proof};
 use ledger_rejection::{Code, Rejection};
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,55 @@ const DIRECTORY: &str = "certificates";
 const NEWEST: &str = "newest.proof";
 /// Most proofs that are kept of one node: one would be enough.
 const LIES_MAX: usize = 4;
+
+/// A node has lied. The file with the proof is named after this.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum Lied {
+    /// It has signed two statements about the block of this height.
+    About { height: u64, node: u64 },
+    /// It has voted for two candidates in this term.
+    Voted { term: u64, node: u64 },
+}
+
+impl Lied {
+    pub(super) fn node(self) -> u64 {
+        match self {
+            Self::About { node, .. } | Self::Voted { node, .. } => node,
+        }
+    }
+
+    fn file(self) -> String {
+        match self {
+            Self::About { height, node } => format!("{height:020}-{node}.lie"),
+            Self::Voted { term, node } => format!("{term:020}-{node}.votes"),
+        }
+    }
+
+    /// None if the file is no proof of a lie; an error if its name only looks so.
+    fn read(name: &str) -> Option<Result<Self, ()>> {
+        let (stem, votes) = match name.strip_suffix(".votes") {
+            Some(stem) => (stem, true),
+            None => (name.strip_suffix(".lie")?, false),
+        };
+        let numbers = stem.split_once('-').and_then(|(number, node)| number.parse().ok().zip(node.parse().ok()));
+        Some(numbers.ok_or(()).map(|(number, node)| match votes {
+            true => Self::Voted { term: number, node },
+            false => Self::About { height: number, node },
+        }))
+    }
+}
+
+impl From<&Lie> for Lied {
+    fn from(lie: &Lie) -> Self {
+        Self::About { height: lie.first.statement.height, node: lie.first.signature.node }
+    }
+}
+
+impl From<&DoubleVote> for Lied {
+    fn from(votes: &DoubleVote) -> Self {
+        Self::Voted { term: votes.term, node: votes.voter() }
+    }
+}
 
 /// The directory of certificates.
 pub(super) struct Kept(PathBuf);
@@ -54,31 +103,28 @@ impl Kept {
     }
 
     /// Keeps the proof of a lie.
-    pub(super) fn lie(&self, lie: &Lie) -> Result<(), Rejection> {
-        let (node, height) = (lie.first.signature.node, lie.first.statement.height);
-        if self.lies()?.iter().filter(|(liar, _)| *liar == node).count() >= LIES_MAX {
+    pub(super) fn lie(&self, lied: Lied, proof: &[u8]) -> Result<(), Rejection> {
+        if self.lies()?.iter().filter(|known| known.node() == lied.node()).count() >= LIES_MAX {
             return Ok(());
         }
-        replace(&self.0.join(format!("{height:020}-{node}.lie")), &lie.to_bytes(), PUBLIC_MODE)
+        replace(&self.0.join(lied.file()), proof, PUBLIC_MODE)
     }
 
-    /// The nodes that have lied, and the heights, in order of heights.
-    pub(super) fn lies(&self) -> Result<Vec<(u64, u64)>, Rejection> {
+    /// The lies that are kept, in order.
+    pub(super) fn lies(&self) -> Result<Vec<Lied>, Rejection> {
         let unreadable = |error| failed("list", &self.0, &error);
         let mut lies = Vec::new();
         for entry in std::fs::read_dir(&self.0).map_err(unreadable)? {
             let name = entry.map_err(unreadable)?.file_name();
-            let parts = name.to_str().and_then(|name| name.strip_suffix(".lie")).and_then(|name| name.split_once('-'));
-            let Some((height, node)) = parts else { continue };
-            let numbers = node.parse().ok().zip(height.parse().ok());
-            lies.push(numbers.ok_or_else(|| {
+            let Some(lied) = name.to_str().and_then(Lied::read) else { continue };
+            lies.push(lied.map_err(|()| {
                 Rejection::new(Code::BadFile, "the name of a proof of a lie cannot be read")
                     .found(self.0.join(&name).display().to_string())
-                    .wanted("HEIGHT-NODE.lie")
+                    .wanted("HEIGHT-NODE.lie or TERM-NODE.votes")
                     .next("move the file away")
             })?);
         }
-        lies.sort_by_key(|(node, height)| (*height, *node));
+        lies.sort();
         Ok(lies)
     }
 }
@@ -113,14 +159,17 @@ mod tests {
             let certificate = Certificate { statement: statement(height), signatures: Vec::new() };
             kept.proof(&Proof { certificate, facts: Vec::new() }, newest, governs).unwrap();
         }
-        for height in 1..=10 {
-            kept.lie(&lie(3, height)).unwrap();
-        }
-        kept.lie(&lie(2, 7)).unwrap();
+        let about = |node, height| Lied::About { height, node };
+        let keep = |lie: &Lie| kept.lie(lie.into(), &lie.to_bytes()).unwrap();
+        (1..=10).for_each(|height| keep(&lie(3, height)));
+        keep(&lie(2, 7));
+        kept.lie(Lied::Voted { term: 9, node: 2 }, b"votes").unwrap();
         let again = Kept::open(place.path()).unwrap();
         let height = |proof: Option<Proof>| proof.map(|proof| proof.certificate.statement.height);
         assert_eq!(height(again.newest().unwrap()), Some(6));
-        assert_eq!(again.lies().unwrap(), [(3, 1), (3, 2), (3, 3), (3, 4), (2, 7)]);
+        let kept_of =
+            [about(3, 1), about(3, 2), about(3, 3), about(3, 4), about(2, 7), Lied::Voted { term: 9, node: 2 }];
+        assert_eq!(again.lies().unwrap(), kept_of);
         for (at, wanted) in [(4, Some(4)), (5, Some(5)), (6, None)] {
             assert_eq!(height(again.governing(at).unwrap()), wanted);
         }

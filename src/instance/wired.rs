@@ -4,7 +4,7 @@ use super::revocations::Revocations;
 use super::{Fate, Standing};
 use crate::blocks::Blocks;
 use crate::catch_up::{Bootstrap, CatchUp, Destination, Source};
-use crate::certificates::{Certificates, Certifying, Keys, era};
+use crate::certificates::{Certificates, Certifying, Keys, Told, era};
 use crate::clock::{Clock, wall};
 use crate::company::{Asking, Company};
 use crate::config::Config;
@@ -29,7 +29,7 @@ use ledger_api::tls::{TlsIdentity, TrustSource};
 use ledger_raft::{Input, PeerMessage, Secret};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Ballot;
-use ledger_replica::certifier::{Certifier, Event};
+use ledger_replica::certifier::Certifier;
 use ledger_replica::gateway::Shares;
 use ledger_replica::{Executor, Observer, Retries, Voting};
 use std::io;
@@ -126,7 +126,7 @@ impl Wired {
         (papers, config): (&Papers, &Config),
         (stores, trust): (&Stores, &Arc<dyn TrustSource>),
         (standing, clock, members): (&Standing, Clock, Arc<Members>),
-    ) -> Result<(Self, mpsc::UnboundedReceiver<Seen>, mpsc::UnboundedReceiver<Event>), Rejection> {
+    ) -> Result<(Self, mpsc::UnboundedReceiver<Seen>, mpsc::UnboundedReceiver<Told>), Rejection> {
         let (me, identity, ledger) = (standing.me.clone(), papers.identity.clone(), &stores.ledger);
         let (seat, pace) = (Arc::new(Seat::empty()), Pace::of(config.profile)?);
         let dialer = Dialer {
@@ -148,6 +148,7 @@ impl Wired {
             peers: Arc::clone(&peers),
             current: followers.current.clone(),
             denials: Arc::default(),
+            certificates: Arc::clone(&followers.certificates),
             behind: watch::Sender::new(None),
             fate: Fate::new(config),
         };

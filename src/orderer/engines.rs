@@ -2,6 +2,7 @@
 
 use super::Orderer;
 use crate::awake::Awake;
+use crate::certificates::Certificates;
 use crate::clock::Clock;
 use crate::config::Profile;
 use crate::denials::Denials;
@@ -72,6 +73,8 @@ pub(crate) struct Outside {
     pub current: Current,
     /// Calls that were refused, here by ordering.
     pub denials: Arc<Denials>,
+    /// Proofs of lies are kept there.
+    pub certificates: Arc<Certificates>,
     /// The engine's report about blocks that it lacks; the conductor acts on it.
     pub behind: watch::Sender<Option<Behind>>,
     /// Ends the node if it cannot go on.

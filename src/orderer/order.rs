@@ -182,6 +182,7 @@ impl Order {
                     tracing::warn!(peer, reason, "ordering ignores messages of a peer");
                 }
             }
+            Effect::VotedTwice(proof) => self.outside.certificates.voted_twice(proof),
             Effect::Failed(reason) => {
                 self.failed = true;
                 self.outside.fate.fail(reason);

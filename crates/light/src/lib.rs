@@ -17,7 +17,7 @@
 //! | [`checkpoint`] | where a reader was |
 //! | [`governance`] | whom to believe at a height, followed from a pinned beginning |
 //! | [`way`] | from where a reader was to the newest proof that it believes |
-//! | [`lie`] | two statements of one node about one height |
+//! | [`lie`] | two statements of one node about one height, or two votes of one node in one term |
 //!
 //! ```
 //! use ledger_hash::Hash;
@@ -54,7 +54,7 @@ pub mod way;
 pub use certificate::Certificate;
 pub use checkpoint::Checkpoint;
 pub use governance::{Change, Governance};
-pub use lie::Lie;
+pub use lie::{DoubleVote, Lie};
 pub use proof::Proof;
 pub use statement::{Signature, Signed, Statement};
 pub use vote::Vote;

@@ -301,7 +301,7 @@ impl Engine {
         }
         match message {
             PeerMessage::Raft(mut message) => {
-                match self.check_standing(from, &mut message) {
+                match self.check_standing(from, &mut message, out) {
                     Ok(()) => {}
                     Err(Doubt::Unproven { term }) => return self.want_mandate(from, term, out),
                     Err(Doubt::Because(reason)) => return out.push(Output::Ignored { from, reason }),

@@ -138,9 +138,22 @@ pub enum Output {
         /// Why.
         reason: &'static str,
     },
+    /// A voter has signed votes for two candidates in one term. No honest one does: this proves it.
+    VotedTwice(Box<VotedTwice>),
     /// The block store failed, or has lost what this voter promised to keep. The engine does nothing any more; the
     /// process should end.
     Failed(Rejection),
+}
+
+/// Two signed votes of one voter in one term.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct VotedTwice {
+    /// The term.
+    pub term: u64,
+    /// The voter.
+    pub voter: u64,
+    /// The candidates, each with the signed vote for it ([`crate::Ballots`]).
+    pub votes: [(u64, Bytes); 2],
 }
 
 /// The role of a node.

@@ -41,7 +41,7 @@ pub use engine::{
     Ballot, Ballots, ClockDoubt, Engine, EngineConfig, EngineError, PeerStatus, Replication, Secret, Status,
     TIME_AHEAD_MAX,
 };
-pub use interface::{Input, Lane, Output, Role, RoleChange};
+pub use interface::{Input, Lane, Output, Role, RoleChange, VotedTwice};
 pub use ledger::members::{Change, Membership, MembershipChange, MembershipError, NODES_MAX};
 pub use message::{
     CONTEXT_BYTES_MAX, ENTRIES_MAX, LogBegin, Mandate, MandateWanted, MessageError, PEER_MESSAGE_BYTES_MAX,

@@ -15,6 +15,7 @@ use crate::waiters::{Waiter, Waiters};
 use ledger::Refusal;
 use ledger::members::Membership;
 use ledger_invariant::invariant;
+use ledger_light::DoubleVote;
 use ledger_raft::{Ballots, ClockDoubt, Desired, Engine, EngineConfig, Input, PeerMessage, RoleChange, Secret, Status};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::{BlockStore, StoreError};
@@ -137,6 +138,8 @@ pub enum Effect {
         /// Why.
         reason: &'static str,
     },
+    /// A voter has voted for two candidates in one term. The proof is to be kept.
+    VotedTwice(Box<DoubleVote>),
     /// The node cannot go on.
     Failed(Rejection),
 }

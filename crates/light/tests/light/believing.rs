@@ -3,7 +3,7 @@
 use crate::world::{NETWORK, NOW, World, statement};
 use ledger_hash::Hash;
 use ledger_identity::key::KeyKind;
-use ledger_light::{Certificate, Lie, Statement};
+use ledger_light::{Certificate, DoubleVote, Lie, Statement, Vote};
 use ledger_rejection::Code;
 
 fn code(world: &World, certificate: &Certificate) -> Code {
@@ -95,6 +95,24 @@ fn two_statements_of_one_node_about_one_height_prove_a_lie_and_nothing_else_does
     let mut forged = Lie { first: world.sign(&statement(5), 3), second: world.sign(&other, 3) };
     forged.second.statement.results = Hash([4; 32]);
     assert_eq!(forged.verify(|der, time| world.identify(der, time)).unwrap_err().code, Code::BadSignature);
+}
+
+#[test]
+fn two_votes_of_one_node_in_one_term_prove_a_lie_and_nothing_else_does() {
+    let world = World::new();
+    let vote = |candidate, voter| (candidate, world.vote(&Vote { network: NETWORK, term: 7, candidate, voter }));
+    let proved = |votes| {
+        let proof = DoubleVote { network: NETWORK, term: 7, time: NOW, votes };
+        assert_eq!(DoubleVote::from_bytes(&proof.to_bytes()).unwrap(), proof);
+        proof.verify(|der, time| world.identify(der, time)).map(|liar| liar.id()).map_err(|refused| refused.code)
+    };
+    assert_eq!(proved([vote(1, 3), vote(2, 3)]).unwrap(), "Org2/node3");
+    assert_eq!(proved([vote(1, 3), vote(1, 3)]), Err(Code::Malformed), "the same twice");
+    assert_eq!(proved([vote(1, 3), vote(2, 1)]), Err(Code::Malformed), "two nodes");
+    let elsewhere = (2, world.vote(&Vote { network: NETWORK, term: 8, candidate: 2, voter: 3 }));
+    assert_eq!(proved([vote(1, 3), elsewhere]), Err(Code::BadSignature), "two terms");
+    let (_, signed) = vote(1, 3);
+    assert_eq!(proved([(1, signed.clone()), (2, signed)]), Err(Code::BadSignature), "a vote for another candidate");
 }
 
 #[test]

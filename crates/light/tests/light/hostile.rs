@@ -7,7 +7,7 @@ use ledger_light::fact::{FACT_BYTES_MAX, Fact};
 use ledger_light::merkle::{PATH_BYTES_MAX, Path};
 use ledger_light::proof::Shown;
 use ledger_light::statement::SIGNED_BYTES_MAX;
-use ledger_light::{Certificate, Change, Lie, Proof, Signature, Signed, Statement, lie};
+use ledger_light::{Certificate, Change, DoubleVote, Lie, Proof, Signature, Signed, Statement, lie};
 use ledger_rejection::{Code, Rejection};
 use proptest::prelude::*;
 
@@ -80,6 +80,10 @@ fn written() -> impl Strategy<Value = Bytes> {
         signed().prop_map(|signed| signed.to_bytes()),
         certificates().prop_map(|certificate| certificate.to_bytes()),
         (signed(), signed()).prop_map(|(first, second)| Lie { first, second }.to_bytes()),
+        (signed(), signed(), any::<[u64; 4]>()).prop_map(|(first, second, [term, time, one, other])| {
+            let votes = [(one, first.signature), (other, second.signature)];
+            DoubleVote { network: first.statement.network, term, time, votes }.to_bytes()
+        }),
         proofs(),
         prop::collection::vec((bytes(60), prop::option::of(bytes(200))), 0..4).prop_map(|writes| Change {
             height: 1,
@@ -91,13 +95,14 @@ fn written() -> impl Strategy<Value = Bytes> {
 
 /// The bytes again, from each kind that they are read as.
 fn read(bytes: &[u8]) -> Vec<Bytes> {
-    let again: [Result<Bytes, Rejection>; 8] = [
+    let again: [Result<Bytes, Rejection>; 9] = [
         Fact::from_bytes(bytes).map(|fact| fact.to_bytes().into()),
         Path::from_bytes(bytes).map(|path| path.to_bytes().into()),
         Statement::from_bytes(bytes).map(|statement| statement.to_bytes().into()),
         Signed::from_bytes(bytes).map(|signed| signed.to_bytes()),
         Certificate::from_bytes(bytes).map(|certificate| certificate.to_bytes()),
         Lie::from_bytes(bytes).map(|lie| lie.to_bytes()),
+        DoubleVote::from_bytes(bytes).map(|lie| lie.to_bytes()),
         Proof::from_bytes(bytes).map(|proof| proof.to_bytes()),
         Change::from_bytes(1, bytes).map(|change| change.to_bytes()),
     ];
@@ -155,6 +160,10 @@ fn limits_are_exact_and_hold_before_anything_is_allocated() {
     let lie = Lie { first: signed.clone(), second: signed.clone() };
     assert_eq!(lie.to_bytes().len(), lie::LIE_BYTES_MAX);
     assert!(Lie::from_bytes(&lie.to_bytes()).is_ok());
+    let votes = [(1, signature(1)), (2, signature(1))];
+    let votes = DoubleVote { network: Hash::ZERO, term: 1, time: 1, votes };
+    assert_eq!(votes.to_bytes().len(), lie::DOUBLE_VOTE_BYTES_MAX);
+    assert!(DoubleVote::from_bytes(&votes.to_bytes()).is_ok());
     let mut longer = signed.clone();
     longer.signature.signature = vec![0; 73].into();
     assert_eq!(Signed::from_bytes(&longer.to_bytes()).unwrap_err().code, Code::TooLarge);

@@ -5,7 +5,7 @@ use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
 use ledger_identity::msp::{Msp, Msps};
-use ledger_light::{Certificate, Signature, Signed, Statement, Voter, Voters};
+use ledger_light::{Certificate, Signature, Signed, Statement, Vote, Voter, Voters};
 use ledger_rejection::Rejection;
 use testkit::{Ca, User};
 
@@ -55,6 +55,11 @@ impl World {
     pub(crate) fn sign(&self, statement: &Statement, node: u64) -> Signed {
         let User { key, certificate } = &self.nodes[node as usize - 1];
         statement.sign(node, certificate.clone(), key).unwrap()
+    }
+
+    pub(crate) fn vote(&self, vote: &Vote) -> Signature {
+        let User { key, certificate } = &self.nodes[vote.voter as usize - 1];
+        vote.sign(certificate.clone(), key).unwrap()
     }
 
     pub(crate) fn certificate(&self, statement: Statement, signers: &[u64]) -> Certificate {

@@ -17,7 +17,7 @@
 //! A node that shows something wrong is not heard again about that until the next heartbeat is due.
 
 use super::Engine;
-use crate::interface::Output;
+use crate::interface::{Output, VotedTwice};
 use crate::message::{Mandate, MandateWanted, PeerMessage, RaftKind, RaftMessage, SignedVote};
 use bytes::Bytes;
 use ledger::members::Membership;
@@ -57,8 +57,8 @@ pub trait Ballots: Send + Sync {
 struct Elected {
     term: u64,
     leader: u64,
-    /// The nodes whose votes it showed.
-    by: BTreeSet<u64>,
+    /// The nodes whose votes it showed, and the votes.
+    by: BTreeMap<u64, Bytes>,
 }
 
 /// When something was last done for a node, in ticks.
@@ -128,12 +128,15 @@ impl Mandates {
         Mandate { term: self.term, votes: votes.collect() }
     }
 
-    /// Voters that have signed a vote for this node and one for another in the same term.
-    fn double_votes(&self, found: &Elected) -> BTreeSet<u64> {
-        let own = self.votes.keys().filter(|_| self.term == found.term);
-        let of_other = self.elected.iter().filter(|elected| elected.term == found.term);
-        let others = of_other.flat_map(|elected| &elected.by);
-        own.chain(others).filter(|voter| found.by.contains(voter)).copied().collect()
+    /// The vote of this voter in this term for another candidate, if this node has seen one: it stood for election itself as
+    /// `me`, or another was elected.
+    fn other_vote(&self, me: u64, ballot: Ballot) -> Option<(Ballot, &Bytes)> {
+        let own = Some((self.term, me, &self.votes));
+        let elected = self.elected.as_ref().map(|elected| (elected.term, elected.leader, &elected.by));
+        own.into_iter().chain(elected).find_map(|(term, candidate, votes)| {
+            let is_other = term == ballot.term && candidate != ballot.candidate;
+            votes.get(&ballot.voter).filter(|_| is_other).map(|vote| (Ballot { candidate, ..ballot }, vote))
+        })
     }
 }
 
@@ -146,7 +149,12 @@ fn elect(voters: &BTreeSet<u64>, members: &Membership) -> bool {
 impl Engine {
     /// Takes the signature from a vote for this node. One without it is not counted: the leader that it elects would have
     /// nothing to show.
-    pub(super) fn take_vote(&mut self, voter: u64, message: &RaftMessage) -> Result<(), &'static str> {
+    pub(super) fn take_vote(
+        &mut self,
+        voter: u64,
+        message: &RaftMessage,
+        out: &mut Vec<Output>,
+    ) -> Result<(), &'static str> {
         let (me, term) = (self.config.id, self.raw.raft.term);
         let counts = matches!(self.raw.raft.state, StateRole::Candidate | StateRole::Leader) && message.term == term;
         if message.reject || !counts || (self.mandates.term == term && self.mandates.votes.contains_key(&voter)) {
@@ -157,6 +165,7 @@ impl Engine {
         match self.mandates.ballots.check(ballot, &message.vote, self.now) {
             Ok(()) => {
                 self.mandates.keep_vote(term, voter, message.vote.clone());
+                self.report_double_vote(ballot, &message.vote, out);
                 Ok(())
             }
             Err(reason) => {
@@ -219,8 +228,10 @@ impl Engine {
             return;
         }
         let checked = self.hear_proof(by).and_then(|()| self.check_mandate(by, mandate));
-        if let Ok(found) = &checked {
-            self.report_double_votes(found, out);
+        if let Ok(Elected { term, leader, by }) = &checked {
+            for (voter, vote) in by {
+                self.report_double_vote(Ballot { term: *term, candidate: *leader, voter: *voter }, vote, out);
+            }
         }
         match checked.and_then(|elected| self.only_leader_of_term(elected)) {
             Ok(elected) => self.mandates.elected = Some(elected),
@@ -243,13 +254,14 @@ impl Engine {
         let enough = |voters: &BTreeSet<u64>| electorates.iter().any(|members| elect(voters, members));
         // Counting is cheap, so it comes first.
         let claimed = mandate.votes.iter().map(|vote| vote.node).collect();
-        let by = match votes(leader) && enough(&claimed) {
+        let by: BTreeMap<_, _> = match votes(leader) && enough(&claimed) {
             true => {
-                mandate.votes.iter().filter(|vote| votes(vote.node)).filter(is_good).map(|vote| vote.node).collect()
+                let good = mandate.votes.iter().filter(|vote| votes(vote.node)).filter(is_good);
+                good.map(|vote| (vote.node, vote.signed.clone())).collect()
             }
-            false => BTreeSet::new(),
+            false => BTreeMap::new(),
         };
-        if enough(&by) {
+        if enough(&by.keys().copied().collect()) {
             return Ok(Elected { term, leader, by });
         }
         self.mandates.doubted.begin(leader, self.ticks);
@@ -264,11 +276,15 @@ impl Engine {
         voter == leader || (voter == self.config.id && (raft.term, raft.vote) == (term, leader))
     }
 
-    /// A voter that has signed two votes in one term has lied.
-    fn report_double_votes(&self, found: &Elected, out: &mut Vec<Output>) {
-        for voter in self.mandates.double_votes(found) {
-            tracing::error!(voter, term = found.term, "a voter has signed votes for two candidates in one term");
-            out.push(Output::Ignored { from: voter, reason: "it has signed votes for two candidates in one term" });
+    /// A voter that has signed two votes in one term has lied. Some votes are believed without their signature; those prove
+    /// nothing.
+    fn report_double_vote(&self, ballot: Ballot, signed: &Bytes, out: &mut Vec<Output>) {
+        let Some((other, before)) = self.mandates.other_vote(self.config.id, ballot) else { return };
+        let is_signed = |(ballot, signed)| self.mandates.ballots.check(ballot, signed, self.now).is_ok();
+        let Ballot { term, voter, candidate } = ballot;
+        if is_signed((ballot, signed)) && is_signed((other, before)) {
+            let votes = [(other.candidate, before.clone()), (candidate, signed.clone())];
+            out.push(Output::VotedTwice(Box::new(VotedTwice { term, voter, votes })));
         }
     }
 

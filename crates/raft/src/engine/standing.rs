@@ -73,7 +73,12 @@ fn doubt(reason: &'static str) -> Result<(), Doubt> {
 
 impl Engine {
     /// Why this message is not taken from this peer. A claim in it that the sender may not make is taken out.
-    pub(super) fn check_standing(&mut self, from: u64, message: &mut RaftMessage) -> Result<(), Doubt> {
+    pub(super) fn check_standing(
+        &mut self,
+        from: u64,
+        message: &mut RaftMessage,
+        out: &mut Vec<Output>,
+    ) -> Result<(), Doubt> {
         let Ok(kind) = RaftKind::try_from(message.kind) else { return doubt("it is of an unknown kind") };
         if active(Mutation::BelieveAnybody) {
             return Ok(());
@@ -106,7 +111,7 @@ impl Engine {
                     return doubt("it answers with a later term to nobody who asked");
                 }
                 if kind == RaftKind::VoteResponse {
-                    self.take_vote(from, message)?;
+                    self.take_vote(from, message, out)?;
                 }
                 Ok(())
             }

@@ -6,7 +6,8 @@ use bytes::Bytes;
 use ledger::Refusal;
 use ledger::transaction::Transaction;
 use ledger_invariant::invariant;
-use ledger_raft::{Input, Output, PeerMessage, Role};
+use ledger_light::{DoubleVote, Signature};
+use ledger_raft::{Input, Output, PeerMessage, Role, VotedTwice};
 use ledger_rejection::{Code, Rejection};
 
 impl<W: Waiter> Replica<W> {
@@ -59,8 +60,19 @@ impl<W: Waiter> Replica<W> {
             }),
             Output::Behind { from, first_index } => out.push(Effect::Behind { from, first_index }),
             Output::Ignored { from, reason } => out.push(Effect::Ignored { from, reason }),
+            Output::VotedTwice(found) => match self.proof(now, &found) {
+                Ok(proof) => out.push(Effect::VotedTwice(Box::new(proof))),
+                Err(reason) => tracing::warn!(voter = found.voter, %reason, "two votes of one voter cannot be read"),
+            },
             Output::Failed(reason) => out.push(Effect::Failed(reason)),
         }
+    }
+
+    /// Two votes of one voter, for anybody to check.
+    fn proof(&self, now: Now, found: &VotedTwice) -> Result<DoubleVote, Rejection> {
+        let [(one, first), (other, second)] = &found.votes;
+        let votes = [(*one, Signature::from_bytes(first)?), (*other, Signature::from_bytes(second)?)];
+        Ok(DoubleVote { network: self.executor.ledger().network(), term: found.term, time: now.clock, votes })
     }
 
     /// There is no way to the leader now, so who waits for what was forwarded is told.

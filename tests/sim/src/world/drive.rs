@@ -85,6 +85,9 @@ impl World {
                 self.note(format_args!("n{id} drops {transaction:?}: {code}"));
             }
             Effect::Refused { input, reason } => self.note(format_args!("n{id} refuses {input:?}: {}", reason.code)),
+            Effect::VotedTwice(proof) => {
+                self.note(format_args!("n{id} has a proof: n{} has voted twice", proof.voter()))
+            }
             Effect::Ignored { from, reason } => self.note(format_args!("n{id} ignores a message of n{from}: {reason}")),
             Effect::Behind { from, first_index } => {
                 return self.conduct(id, Happened::Behind(Behind { from, first_index }));

@@ -239,13 +239,19 @@ fn the_first_leader_of_a_term_stays_the_only_one_although_a_voter_votes_twice() 
 }
 
 #[test]
-fn a_voter_that_signs_votes_for_two_candidates_in_one_term_is_named() {
+fn a_voter_that_signs_votes_for_two_candidates_in_one_term_is_named_with_the_proof() {
     let liars = |out: &[Output]| -> Vec<u64> {
         let named = out.iter().filter_map(|output| match output {
-            Output::Ignored { from, reason } if reason.contains("two candidates") => Some(*from),
+            Output::VotedTwice(found) => Some(found),
             _ => None,
         });
-        named.collect()
+        let proved = named.inspect(|found| {
+            let [(first, one), (second, other)] = &found.votes;
+            assert_ne!(first, second);
+            let vote = |candidate: &u64| signed(found.term, *candidate, found.voter);
+            assert_eq!((one, other), (&vote(first), &vote(second)));
+        });
+        proved.map(|found| found.voter).collect()
     };
     let mut follower = engine(2, &VOTERS, &[]);
     assert_eq!(liars(&bare_step(&mut follower, mandate(5, 1, &[1, 3]))), NOBODY);
@@ -259,6 +265,30 @@ fn a_voter_that_signs_votes_for_two_candidates_in_one_term_is_named() {
     }
     bare_step(&mut candidate, message(2, RaftKind::VoteResponse, |message| message.vote = signed(1, 1, 2)));
     assert_eq!(liars(&bare_step(&mut candidate, mandate(1, 5, &[2, 4, 5]))), [2], "it has voted for this node");
+    let late = message(4, RaftKind::VoteResponse, |message| message.vote = signed(1, 1, 4));
+    assert_eq!(liars(&bare_step(&mut candidate, late)), [4], "it has elected node 5 as well");
+}
+
+#[test]
+fn a_vote_that_is_believed_without_its_signature_proves_nothing() {
+    let mut node = engine(2, &VOTERS, &[]);
+    bare_step(&mut node, mandate(5, 1, &[1, 3]));
+    // Node 3 poses as elected by itself, and by node 1 with a vote that nobody has signed.
+    let forged = |node: u64| SignedVote { node, signed: Bytes::from_static(b"forged") };
+    let shown = Mandate { term: 5, votes: vec![SignedVote { node: 3, signed: signed(5, 3, 3) }, forged(1)] };
+    let out = bare_step(&mut node, Input::Message { from: 3, message: PeerMessage::Mandate(shown) });
+    assert!(!out.iter().any(|output| matches!(output, Output::VotedTwice(_))));
+    node.ticks += 4;
+    let shown = Mandate { term: 5, votes: vec![SignedVote { node: 1, signed: signed(5, 3, 1) }, forged(3)] };
+    let out = bare_step(&mut node, Input::Message { from: 3, message: PeerMessage::Mandate(shown) });
+    let named: Vec<_> = out
+        .iter()
+        .filter_map(|output| match output {
+            Output::VotedTwice(found) => Some(found.voter),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(named, [1], "node 3 did not sign its own vote");
 }
 
 #[test]
