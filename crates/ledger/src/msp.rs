@@ -58,6 +58,7 @@ mod caller;
 mod carriers;
 mod identities;
 mod invitations;
+mod joins;
 mod nodes;
 mod organisations;
 mod proposals;
@@ -81,6 +82,7 @@ pub use identities::{
 pub use invitations::{
     CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
 };
+pub use joins::{JOINS_MAX, JOINS_TIME};
 pub use nodes::{JoinNode, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, SetNodeRole, desired};
 pub use organisations::{Authority, ORGANISATIONS_MAX, Organisation};
 pub use proposals::{

@@ -83,6 +83,11 @@ impl Rules {
         self.0 >= 3
     }
 
+    /// Is it limited how many new nodes an organisation brings in within a time?
+    pub(crate) const fn joins_are_limited(self) -> bool {
+        self.0 >= 3
+    }
+
     /// Does the ledger remember the newest snapshot that two organisations attest, when nodes go on to newer ones?
     pub(crate) const fn keeps_shared_snapshots(self) -> bool {
         self.0 >= 3

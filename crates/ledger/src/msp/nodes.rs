@@ -10,7 +10,7 @@ use super::caller::{admin, node, object};
 use super::proposals::{Decision, decide};
 use super::rules::Speaks;
 use super::store::{self, MEMBERS_KEY, NEXT_NODE, NODES, json, node_key};
-use super::{NAME, attestations, carriers, rules};
+use super::{NAME, attestations, carriers, joins, rules};
 use crate::chaincode::Context;
 use crate::members::{Membership, NODES_MAX};
 use crate::network::Genesis;
@@ -184,6 +184,7 @@ pub(super) fn join(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rej
         Some(before) => change_role(ctx, &nodes, before, NodeRole::Removed)?,
         None => check_room(ctx, caller, live())?,
     }
+    joins::count(ctx, &caller.organisation)?;
     let id = store::next_number(ctx, NEXT_NODE)?;
     let node = NodeRecord::new(id, [&caller.organisation, &caller.name], &join.address, NodeRole::Learner);
     write(ctx, &node)?;

@@ -6,6 +6,7 @@
 //! | `former/<name>` | an organisation that was removed, as it was last |
 //! | `node/<id, 20 digits>` | [`super::NodeRecord`] |
 //! | `allowance/<organisation>` | how many nodes it may have, if the network has decided that |
+//! | `joins/<organisation>` | [`super::joins::Joins`]: how many nodes it has brought in lately; since rules 3 |
 //! | `next/node`, `next/proposal` | the next number, never given twice |
 //! | `rules` | array of [`crate::Activation`]; absent until rules were activated |
 //! | `members` | who votes and follows in fact; only the execution of blocks writes it |
@@ -99,6 +100,10 @@ pub(super) fn invitation_key(name: &str) -> String {
 
 pub(super) fn allowance_key(organisation: &str) -> String {
     format!("allowance/{organisation}")
+}
+
+pub(super) fn joins_key(organisation: &str) -> String {
+    format!("joins/{organisation}")
 }
 
 pub(super) fn attestation_key(organisation: &str, node: &str) -> String {

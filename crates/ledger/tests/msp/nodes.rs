@@ -2,7 +2,8 @@ use crate::world::{Network, code, is_executed, json, waiting};
 use bytes::Bytes;
 use ledger::Rules;
 use ledger::msp::{
-    self, Decision, NODES_ALLOWED_DEFAULT, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole, Nodes, desired,
+    self, Decision, JOINS_MAX, JOINS_TIME, NODES_ALLOWED_DEFAULT, NODES_PER_ORGANISATION_MAX, NodeRecord, NodeRole,
+    Nodes, desired,
 };
 use ledger_identity::key::KeyKind;
 use ledger_rejection::{Code, Rejection};
@@ -95,10 +96,35 @@ fn removed_nodes_are_forgotten_in_the_end_but_not_their_ids() {
     let mut network = Network::new(2, 2);
     for _ in 0..300 {
         network.node(2, "join_node", &[r#"{"address":"node2:7450","replace":true}"#]).unwrap();
+        network.time += JOINS_TIME / JOINS_MAX;
     }
     let nodes = network.roles();
     assert_eq!((nodes.len(), nodes[1].0), (258, 46));
     assert_eq!(nodes[257], (302, "Org2/node2".into(), LEARNER));
+}
+
+#[test]
+fn an_organisation_brings_in_so_many_new_nodes_in_an_hour_and_the_refusal_says_when_the_next_may_come() {
+    let mut network = Network::new(3, 2);
+    let (join, replace) = (r#"{"address":"node2:7450"}"#, r#"{"address":"node2:7450","replace":true}"#);
+    for number in 0..JOINS_MAX {
+        // Whichever way it comes anew.
+        match number % 2 {
+            0 => drop(network.node(2, "join_node", &[replace]).unwrap()),
+            _ => {
+                let last = network.roles().last().unwrap().0;
+                assert!(is_executed(network.admin(2, "set_node_role", &[&set(last, "removed")])));
+                network.node(2, "join_node", &[join]).unwrap();
+            }
+        }
+    }
+    let refused = network.node(2, "join_node", &[replace]).unwrap_err();
+    assert!(refused.code == Code::LimitExceeded && refused.next.ends_with(" min"), "{refused}");
+    network.node(2, "join_node", &[r#"{"address":"node2:7451"}"#]).unwrap();
+    // Other organisations have their own.
+    network.node(3, "join_node", &[r#"{"address":"node3:7450","replace":true}"#]).unwrap();
+    network.time += JOINS_TIME;
+    network.node(2, "join_node", &[replace]).unwrap();
 }
 
 #[test]

@@ -163,7 +163,9 @@ impl Look {
         }
         if !who.vouched && !self.voters.contains(&who.id) {
             tracing::warn!(
-                node = who.name, has = self.last, claimed = has.yours,
+                node = who.name,
+                has = self.last,
+                claimed = has.yours,
                 "a node without a vote says that this voter has lost blocks; it is not believed"
             );
             return Ok(());
