@@ -1,11 +1,14 @@
-//! The proof of a lie is refused, or written as it was read; it proves nothing of a node that told none.
+//! The proof of a lie or of a double vote is refused, or written as it was read; that of a lie proves nothing of a node that told none.
 #![no_main]
 
 use ledger_fuzz::{MSPS, TOLD};
-use ledger_light::Lie;
+use ledger_light::{DoubleVote, Lie};
 use libfuzzer_sys::fuzz_target;
 
 fuzz_target!(|bytes: &[u8]| {
+    if let Ok(votes) = DoubleVote::from_bytes(bytes) {
+        assert_eq!(&votes.to_bytes()[..], bytes);
+    }
     if let Ok(lie) = Lie::from_bytes(bytes) {
         assert_eq!(&lie.to_bytes()[..], bytes);
         let proved = lie.verify(|der, time| Ok(MSPS.verify(der, &[], time)?)).is_ok();
