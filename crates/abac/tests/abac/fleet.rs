@@ -56,7 +56,7 @@ pub(crate) struct Fleet {
     pub(crate) events: Vec<Event>,
     /// The writes of each block.
     pub(crate) writes: Vec<WriteSet>,
-    rules: Rules,
+    pub(crate) rules: Rules,
     /// The next call comes in the block of the one before.
     pub(crate) joins: bool,
     /// Counts what the calls of the newest block use.

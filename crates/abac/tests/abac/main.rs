@@ -25,3 +25,4 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod upgrade;
