@@ -208,7 +208,7 @@ pub fn grant(holder: &str, epoch: u64) -> Grant {
         holder: holder.into(),
         epoch,
         expires: NOW + 4 * SECOND,
-        mode: Mode::EXCLUSIVE,
+        mode: Mode::from("exclusive"),
         acquired_at: NOW,
         lease_ms: 4000,
         next_seq: 0,
