@@ -1,5 +1,5 @@
-//! Who drives changes in the middle of a drive at 50 Hz: by preemption, by a turn in line, by an emergency stop. CycloneDDS is at
-//! every end.
+//! The driver changes in the middle of a drive at 50 Hz: by preemption, by a turn in line, by an emergency stop. CycloneDDS
+//! is at every end.
 
 use crate::python::Python;
 use crate::world::{self, World};
@@ -20,7 +20,7 @@ enum Heard {
     Stop,
 }
 
-/// What the robot's controller hears.
+/// The robot's controller.
 struct Robot(Python);
 
 impl Robot {

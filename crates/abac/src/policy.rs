@@ -99,7 +99,7 @@ pub(crate) enum Verdict {
     Fault(String),
 }
 
-/// What policies say of something that they permit.
+/// The annotations of policies on something that they permit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Permit {
     /// The highest `@priority` of those that permit it.

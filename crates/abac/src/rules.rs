@@ -39,7 +39,7 @@ pub trait Rule: Send + Sync {
         &[]
     }
 
-    /// How many may wait; whoever is beyond leaves the line. By default as `on_conflict` and `queue_max` say.
+    /// How many may wait; those beyond leave the line. By default as `on_conflict` and `queue_max` say.
     fn line_max(&self, sharing: &Sharing) -> u64 {
         Terms::of(sharing).queue_max
     }

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// A stop that lasts: part of [`crate::RobotAsset`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stopped {
-    /// Who stopped the robot, e.g. `Org2/admin`.
+    /// The one who stopped the robot, e.g. `Org2/admin`.
     pub by: String,
     /// Why, in their words; may be empty.
     pub reason: String,
@@ -19,7 +19,7 @@ pub struct Stopped {
 pub struct Emergency {
     /// The robot.
     pub robot: String,
-    /// Who stopped or resumed it.
+    /// The one who stopped or resumed it.
     pub by: String,
     /// Why, in their words; may be empty.
     pub reason: String,

@@ -65,7 +65,7 @@ pub struct Released {
     pub epoch: u64,
     /// Why.
     pub reason: Told<Reason>,
-    /// Who took its place, if somebody did.
+    /// The one who took its place, if somebody did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
 }

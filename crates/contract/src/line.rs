@@ -4,11 +4,11 @@ use crate::grant::Grant;
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
 
-/// What `acquire` may be told besides the service.
+/// Options of `acquire`.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AcquireOptions {
-    /// The lease (milliseconds); what the service says by default.
+    /// The lease (milliseconds); by default that of the service.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lease_ms: Option<u64>,
     /// How long (milliseconds) to wait in line at most; 0 to be refused instead. As long as the service allows by default.

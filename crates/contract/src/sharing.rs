@@ -54,7 +54,7 @@ words! {
     }
 }
 
-/// The settings of a service's rule. What is not set has the default of docs/conflict.md.
+/// The settings of a service's rule. Each has a default: see docs/conflict.md.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sharing {

@@ -166,7 +166,7 @@ pub(crate) fn give(
     Ok(granted)
 }
 
-/// What the caller asks for besides the service.
+/// The wishes of the caller besides the service.
 fn options(ctx: &Context<'_>, target: &Target, args: Arguments<'_>) -> Result<AcquireOptions, Rejection> {
     if !args.has(1) {
         return Ok(AcquireOptions::default());

@@ -79,7 +79,7 @@ pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) ->
     })
 }
 
-/// Would they be granted it now? Who would have to wait, would not.
+/// Would they be granted it now, without waiting?
 fn could_acquire(
     ctx: &Context<'_>,
     decider: &Decider,

@@ -32,7 +32,8 @@ pub(crate) fn stop(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
         for target in commands(&robot) {
             ending.extend(grant::live(ctx, &target.id)?.into_iter().map(|holding| (holding, Reason::Stopped)));
         }
-        tell(ctx, "stopped", &robot, &by, &reason)?;
+        let told = told(&robot, &by, &reason)?;
+        ctx.emit("stopped", &robot.name, told);
         robots.push(robot.name);
     }
     let ended = end::end_all(ctx, ending)?;
@@ -54,7 +55,8 @@ pub(crate) fn resume(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         for target in commands(&robot) {
             queue::look_now(ctx, &target.id)?;
         }
-        tell(ctx, "resumed", &robot, &by, &reason)?;
+        let told = told(&robot, &by, &reason)?;
+        ctx.emit("resumed", &robot.name, told);
         robots.push(robot.name);
     }
     store::json(&EmergencyAnswer { robots, unchanged, ended: Vec::new() })
@@ -97,10 +99,8 @@ fn commands(robot: &Robot) -> impl Iterator<Item = Target> + '_ {
     commands.map(|service| Target::of(robot, service))
 }
 
-fn tell(ctx: &mut Context<'_>, event: &str, robot: &Robot, by: &str, reason: &str) -> Result<(), Rejection> {
-    let told = Emergency { robot: robot.name.clone(), by: by.to_owned(), reason: reason.to_owned() };
-    ctx.emit(event, &robot.name, store::json(&told)?);
-    Ok(())
+fn told(robot: &Robot, by: &str, reason: &str) -> Result<Bytes, Rejection> {
+    store::json(&Emergency { robot: robot.name.clone(), by: by.to_owned(), reason: reason.to_owned() })
 }
 
 /// May the service be commanded, or is its robot stopped?

@@ -1,8 +1,8 @@
 //! The line of a service: joining it, leaving it, and the turns, which come at the start of a block.
 //!
-//! Whatever ends a grant, or may change whose turn it is, notes that the service is to be [looked at](line::look_by). The
-//! start of the next block [goes on](go_on) with it: no caller pays for the turns of others, and nobody's release can fail
-//! because of who waits. What a block does is bounded: services that are looked at, turns, and steps of policies.
+//! An action that ends a grant, or may change whose turn it is, notes that the service is to be [looked at](line::look_by).
+//! The start of the next block [goes on](go_on) with it: no caller pays for the turns of others, and nobody's release can fail
+//! because of who waits. The work of a block is bounded: services that are looked at, turns, and steps of policies.
 
 use super::acquire::{self, Award};
 use super::contest::{Contest, claim};
@@ -196,7 +196,7 @@ pub(crate) fn next_look(ctx: &Context<'_>) -> Option<u64> {
     line::next_looks(ctx, 1).first().map(|(time, _)| *time)
 }
 
-/// What the start of a block may still do.
+/// The work that the start of a block may still do.
 struct Allowance {
     steps: u64,
     is_fresh: bool,

@@ -15,7 +15,7 @@ use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
 
 /// `release SERVICE [HOLDER]`: the caller's own grant; without one, an admin of the owner takes the service back,
-/// from everybody or from one holder. Who waits in line leaves it.
+/// from everybody or from one holder. A contender in line leaves it.
 pub(crate) fn release(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("release SERVICE [HOLDER]", args, 1, 2)?;
     let principal = Principal::of(ctx.submitter()?);

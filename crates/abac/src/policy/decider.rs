@@ -31,7 +31,7 @@ pub(crate) enum Action {
     Override,
 }
 
-/// What is done to a whole robot; each is an action of the schema since rules 3.
+/// An action on a whole robot; each is in the schema since rules 3.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum RobotAction {
     Stop,
@@ -102,7 +102,7 @@ pub(crate) struct Decider {
     decisions: Mutex<Cache<Key, Verdict>>,
     /// The objects of the questions, parsed before.
     pub(crate) records: Records,
-    /// Who wins among those who may.
+    /// The rules that decide between those who may.
     pub(crate) rules: Table,
 }
 

@@ -1,7 +1,7 @@
 //! Lines: who waits for a service, in order of arrival, and when a service is to be looked at again.
 //!
-//! A place in line is one key; what is needed only when its turn comes, the contender's certificate, is another one, so that
-//! a long line is quick to read. Two more keys find it by its contender's certificate, and find a service by the time at
+//! A place in line is one key. The contender's certificate is another one, needed only when its turn comes: so a long line is
+//! quick to read. Two more keys find it by its contender's certificate, and find a service by the time at
 //! which it is looked at again. They are written and removed together, and only here.
 
 use super::principal::Principal;

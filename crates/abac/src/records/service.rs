@@ -22,7 +22,7 @@ pub(crate) struct Service {
     pub(crate) lease_ms: u64,
     pub(crate) lease_ms_max: u64,
     pub(crate) stop_hex: Option<String>,
-    /// What the owner has set of its rule; since rules 3.
+    /// The settings of its rule; since rules 3.
     #[serde(default, skip_serializing_if = "Sharing::is_default")]
     pub(crate) sharing: Sharing,
 }

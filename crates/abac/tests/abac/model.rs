@@ -60,7 +60,7 @@ pub(crate) struct Model {
     /// In order of arrival.
     pub(crate) line: Vec<Waiter>,
     pub(crate) stopped: bool,
-    /// Who is forbidden by policy.
+    /// Those whom a policy forbids.
     pub(crate) forbidden: Vec<usize>,
     epoch: u64,
 }
@@ -92,7 +92,7 @@ impl Model {
         }
     }
 
-    /// Whoever goes first: the highest worth, then the earliest.
+    /// The next in line: the highest worth, then the earliest.
     fn best(&self, now: u64) -> Option<usize> {
         let mut best: Option<usize> = None;
         for index in 0..self.line.len() {

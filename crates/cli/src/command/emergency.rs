@@ -93,7 +93,7 @@ impl Which {
         let args = std::iter::once(robot).chain(self.reason).map(Bytes::from).collect();
         let done = session.call(ABAC, function, args).await.map_err(|refused| words.told(refused))?;
         let Committed { id, height, time, response, .. } = done;
-        let answer = answer::parse(&response, "what was done")?;
+        let answer = answer::parse(&response, "an answer about robots")?;
         output.show(&Done { answer, time, height, transaction: id, state })
     }
 }

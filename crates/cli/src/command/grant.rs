@@ -134,7 +134,7 @@ impl Facts for Granted {
 
 /// The words of the command line where the chaincode has other names.
 const ACQUIRE: Words =
-    Words { arguments: &[("LEASE_MS", "--for"), ("OPTIONS_JSON", "what you ask for")], help: "ledgerctl acquire" };
+    Words { arguments: &[("LEASE_MS", "--for"), ("OPTIONS_JSON", "the options")], help: "ledgerctl acquire" };
 const RENEW: Words = Words { help: "ledgerctl renew", ..ACQUIRE };
 const TAKE: Words = Words { arguments: &[("LEASE_MS", "--for"), ("REASON", "--reason")], help: "ledgerctl take" };
 const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledgerctl release" };

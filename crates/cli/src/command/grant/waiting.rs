@@ -25,7 +25,7 @@ pub(super) struct Waiting<'s> {
     shown: usize,
 }
 
-/// What the wait came to.
+/// The outcome of the wait.
 enum End {
     Granted(Box<Granted>),
     Left(Left),
