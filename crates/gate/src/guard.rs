@@ -10,6 +10,7 @@ mod questions;
 
 pub use self::act::{Act, Block, Told};
 use self::{act::changes, held::Held, questions::Questions};
+use ledger_mutation::{Mutation, active};
 
 use crate::{
     gate::{Gate, Now, Settings},
@@ -52,7 +53,7 @@ impl Guard {
     pub fn stop_at(&self) -> Option<(u64, &'static str)> {
         let lease = self.gate.deadline()?;
         let silence = self.heard.saturating_add(self.stale_us);
-        let unsigned = self.gate.fresh_until().unwrap_or(silence);
+        let unsigned = self.gate.fresh_until().filter(|_| !active(Mutation::IgnoreStaleness)).unwrap_or(silence);
         [(lease, "lease"), (silence, "stale"), (unsigned, "uncertified")].into_iter().min_by_key(|(due, _)| *due)
     }
 

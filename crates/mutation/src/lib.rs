@@ -72,6 +72,12 @@ pub enum Mutation {
     AcknowledgeAnyTime,
     /// A leader takes the time of its blocks from its own clock alone.
     OrderByOneClock,
+    /// A robot believes its node that somebody has been granted a service.
+    BelieveAGrant,
+    /// A robot does not compare epochs.
+    IgnoreEpochs,
+    /// A robot goes on without an answer of the voters for as long as its node talks.
+    IgnoreStaleness,
 }
 
 /// Is this bug turned on?

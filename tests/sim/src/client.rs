@@ -12,6 +12,7 @@ use crate::people::{CERTIFICATES, Person};
 use crate::world::{Event, World};
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
+use ledger_gate::gate::COMMAND_TTL;
 use ledger_hash::Hash;
 use ledger_rejection::{Class, Code};
 use serde::Deserialize;
@@ -86,6 +87,11 @@ impl Client {
             obliging: false,
             obeyed: Vec::new(),
         }
+    }
+
+    /// The client of a robot's bridge: it does nothing of its own.
+    pub(crate) fn for_robot(person: &str) -> Self {
+        Self { obedient: true, ..Self::new(person, 0) }
     }
 
     /// Is it doing something?
@@ -170,6 +176,9 @@ impl World {
             call => {
                 let (chaincode, function, args) = call.transaction();
                 let valid = self.random.clients.between(5, 60) * SECOND;
+                // Where a robot is looked at, commands are signed as bridges sign them.
+                let is_command = self.robot.is_some() && function == "set";
+                let valid = if is_command { COMMAND_TTL.as_micros() as u64 } else { valid };
                 let not_after = client.ahead + self.now + valid;
                 let introduce = !client.introduced || self.random.clients.percent(10);
                 let nonce = self.random.clients.number();
@@ -225,6 +234,9 @@ impl World {
     /// An answer arrives.
     pub(crate) fn answered(&mut self, reply: Reply, clock: u64, answer: Answer) -> Check {
         let number = reply.client;
+        if self.robot.as_ref().is_some_and(|robot| robot.client == number) {
+            return self.robot_answered(reply, clock, answer);
+        }
         let (now, late) = (self.now, self.clients[number].attempt != reply.attempt);
         let client = &mut self.clients[number];
         client.ahead = clock.saturating_sub(now).max(client.ahead / 2);
@@ -277,7 +289,7 @@ impl World {
     }
 
     /// The nodes that clients are told to use.
-    fn gateways(&self) -> Vec<u64> {
+    pub(crate) fn gateways(&self) -> Vec<u64> {
         self.desired.voters.iter().chain(&self.desired.learners).copied().collect()
     }
 
@@ -342,9 +354,13 @@ pub fn sign(
     network: Hash,
     nonce: u64,
     not_after: u64,
-    (chaincode, function, args): (&str, &str, Vec<Bytes>),
+    (chaincode, function, mut args): (&str, &str, Vec<Bytes>),
     introduce: bool,
 ) -> Transaction {
+    // No two commands are alike: what reaches a robot names its transaction.
+    if let Some(payload) = args.get_mut(3).filter(|_| function == "set") {
+        *payload = [&payload[..], &nonce.to_be_bytes()].concat().into();
+    }
     let body = Body {
         network: Bytes::copy_from_slice(&network.0),
         creator: Bytes::copy_from_slice(&whose.fingerprint().0),

@@ -1,6 +1,7 @@
 //! The damage that was really done to the cluster, counted where it is done: a fault that was only planned tests
 //! nothing.
 
+use crate::world::Untruth;
 use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -134,6 +135,20 @@ pub struct Coverage {
     pub lies_proved: u64,
     /// Engines that could not write what they had when they ended, for lack of space.
     pub full_at_end: u64,
+    /// Messages at a robot's gate: what passed, and why others did not.
+    pub gate: BTreeMap<&'static str, u64>,
+    /// Stops of robots, by reason.
+    pub stops: BTreeMap<&'static str, u64>,
+    /// Lies to a robot.
+    pub untruths: BTreeMap<Untruth, u64>,
+    /// Questions of robots, answers that were believed, and why others were not.
+    pub questions: u64,
+    /// See `questions`.
+    pub believed: u64,
+    /// See `questions`.
+    pub unbelieved: BTreeMap<Code, u64>,
+    /// Bridges of robots that started anew.
+    pub reopened: u64,
     /// Facts checked by the oracle.
     pub checks: u64,
 }
@@ -155,6 +170,21 @@ impl Coverage {
         for (code, count) in &other.refusals {
             *self.refusals.entry(*code).or_default() += count;
         }
+        for (what, count) in &other.gate {
+            *self.gate.entry(what).or_default() += count;
+        }
+        for (why, count) in &other.stops {
+            *self.stops.entry(why).or_default() += count;
+        }
+        for (kind, count) in &other.untruths {
+            *self.untruths.entry(*kind).or_default() += count;
+        }
+        for (code, count) in &other.unbelieved {
+            *self.unbelieved.entry(*code).or_default() += count;
+        }
+        self.questions += other.questions;
+        self.believed += other.believed;
+        self.reopened += other.reopened;
         self.seeds += other.seeds;
         self.time += other.time;
         self.blocks += other.blocks;
@@ -174,9 +204,12 @@ impl Coverage {
     }
 
     /// The kinds of faults that never happened.
-    pub fn missing(&self) -> Vec<&'static str> {
+    pub fn missing(&self) -> Vec<String> {
         let never = Fault::ALL.iter().filter(|fault| !self.faults.contains_key(fault));
-        never.map(|fault| fault.name()).collect()
+        let untold = Untruth::ALL.iter().filter(|kind| !self.untruths.contains_key(kind));
+        let idle = ["passed"].into_iter().filter(|what| !self.gate.contains_key(what));
+        let idle = idle.map(|what| format!("a message at a robot {what}"));
+        never.map(|fault| fault.name().to_owned()).chain(untold.map(Untruth::to_string)).chain(idle).collect()
     }
 
     /// Was so much done that every kind of fault should have happened?
@@ -203,11 +236,27 @@ impl fmt::Display for Coverage {
         writeln!(f, "attestations      {}", self.attestations)?;
         writeln!(f, "certificates      {}", self.certificates)?;
         writeln!(f, "lies              {} told, {} proved", self.lies, self.lies_proved)?;
+        writeln!(
+            f,
+            "robots            {} questions, {} answers believed, {} starts anew",
+            self.questions, self.believed, self.reopened
+        )?;
         writeln!(f, "full at the end   {} engines", self.full_at_end)?;
         writeln!(f, "facts checked     {}", self.checks)?;
         writeln!(f, "faults injected")?;
         for fault in Fault::ALL {
             writeln!(f, "  {:<26} {:>9}", fault.name(), self.faults.get(fault).unwrap_or(&0))?;
+        }
+        for (kind, count) in &self.untruths {
+            writeln!(f, "  {:<40} {count:>9}", kind.to_string())?;
+        }
+        writeln!(f, "answers that a robot did not believe")?;
+        for (code, count) in &self.unbelieved {
+            writeln!(f, "  {:<26} {count:>9}", code.name())?;
+        }
+        writeln!(f, "messages at a robot's gate, and its stops")?;
+        for (what, count) in self.gate.iter().chain(&self.stops) {
+            writeln!(f, "  {what:<26} {count:>9}")?;
         }
         writeln!(f, "verdicts on the chain")?;
         for (code, count) in &self.verdicts {

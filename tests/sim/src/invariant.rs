@@ -13,6 +13,7 @@ mod election_safety;
 mod epochs_grow;
 mod exactly_once;
 mod fair_share;
+mod gate;
 mod grant_exclusivity;
 mod in_order;
 mod informed_votes;
@@ -36,6 +37,7 @@ pub use election_safety::ElectionSafety;
 pub use epochs_grow::EpochsGrow;
 pub use exactly_once::ExactlyOnce;
 pub use fair_share::FairShare;
+pub use gate::{GateKeepsTheRules, Passed};
 pub use grant_exclusivity::GrantExclusivity;
 pub use in_order::{Call, InOrder};
 pub use informed_votes::VotesAreInformed;
@@ -136,6 +138,8 @@ pub struct Invariants {
     pub certified: CertificatesAreTrue,
     /// No block is further ahead than a majority allows.
     pub keeps_time: BlockTimeKeepsToTheClocks,
+    /// A robot's gate passes what the certified state allows.
+    pub gate: GateKeepsTheRules,
 }
 
 impl Invariants {
@@ -164,6 +168,7 @@ impl Invariants {
             members: MembersFollowTheLedger::default(),
             certified: CertificatesAreTrue::default(),
             keeps_time: BlockTimeKeepsToTheClocks::default(),
+            gate: GateKeepsTheRules::new(Arc::clone(people), crate::robot::STALE_AFTER),
         }
     }
 

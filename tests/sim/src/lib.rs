@@ -24,6 +24,7 @@
 //! | [`world`] | the event queue, and what happens: starts, threads, gateways, chaos, the operator |
 //! | [`node`], [`links`], [`clock`] | machines, network, time |
 //! | [`client`], [`people`], [`policy`] | who wants what, and who they are |
+//! | [`robot`] | a robot with the real gate, whose node may lie |
 //! | [`invariant`], [`oracle`], [`history`] | what must hold; the judge; what clients saw |
 //! | [`run`], [`trace`] | one seed from beginning to end |
 
@@ -45,6 +46,7 @@ pub mod oracle;
 pub mod people;
 pub mod plan;
 pub mod policy;
+pub mod robot;
 pub mod run;
 pub mod trace;
 pub mod world;

@@ -16,6 +16,7 @@ use crate::world::{Fetching, Keys};
 use bytes::Bytes;
 use ledger::{Ledger, Rules};
 use ledger_hash::Hash;
+use ledger_light::{Certificate, Proof};
 use ledger_raft::{Desired, Lane};
 use ledger_rejection::Code;
 use ledger_replica::catch_up::{Ballot, Holding, Look};
@@ -70,6 +71,8 @@ pub struct Node {
     pub speaks: Rules,
     /// The rules that its calls saw.
     pub rules: SeenRules,
+    /// The proofs of blocks that changed who governs, on its disk.
+    pub governing: BTreeMap<u64, Proof>,
 }
 
 /// The process of a node.
@@ -142,6 +145,8 @@ pub struct Running {
     pub fetching: Option<Fetching>,
     /// Makes certificates of what nodes state.
     pub certifier: Certifier<Keys>,
+    /// Recent certificates, by height.
+    pub certificates: BTreeMap<u64, Certificate>,
     /// Height of the newest block that this process has executed and that is to be certified.
     pub stated: u64,
     /// The heights that the node has attested.
@@ -380,6 +385,7 @@ impl Node {
             tear: false,
             speaks: Rules::NEWEST,
             rules: SeenRules::default(),
+            governing: BTreeMap::new(),
         }
     }
 }

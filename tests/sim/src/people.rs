@@ -39,6 +39,9 @@ const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
     ("Org2", "Mallory", "member", &[]),
 ];
 
+/// The certificate of the robot.
+const ROBOT: (&str, &str, &str) = ("Org2", "Rover", "robot");
+
 /// One certificate of a person, with its key.
 pub struct Person {
     /// The fields that a node reads from the certificate.
@@ -118,6 +121,15 @@ impl People {
                 all.push(Person { identity, certificate, key, nth: 0 });
             }
         }
+        let (organisation, name, role) = ROBOT;
+        let key = key(&format!("{organisation}/{name}"));
+        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+        let mut params = params(name, role);
+        params.serial_number = Some(SerialNumber::from(all.len() as u64 + 1000));
+        let certificate = params.signed_by(&public, &authorities[organisation]).unwrap();
+        let certificate = Bytes::copy_from_slice(certificate.der());
+        let identity = msps.verify(&certificate, &[], EPOCH).unwrap();
+        all.push(Person { identity, certificate, key, nth: 0 });
         Self { organisations, all, persons }
     }
 
@@ -140,7 +152,7 @@ impl People {
 
     /// How many identities there are.
     pub fn identities(&self) -> usize {
-        PEOPLE.len()
+        PEOPLE.len() + 1
     }
 
     /// Index of a person's `nth` certificate.

@@ -53,6 +53,9 @@ pub fn run(seed: u64, people: &Arc<People>, keep_trace: bool) -> Report {
     }
 }
 
+/// How often a user drives each robot in the end, at most.
+const LAST_WORDS: usize = 3;
+
 fn play(world: &mut World) -> Check {
     world.run_until(world.plan.chaos)?;
     world.heal();
@@ -69,7 +72,18 @@ fn play(world: &mut World) -> Check {
         client.obedient = true;
     }
     until(world, deadline, "every client has ended", |world| world.clients.iter().all(|client| !client.is_busy()))?;
+    until(world, deadline, "lies to a robot are over", World::robot_is_free)?;
     last_word(world, deadline)?;
+    // One command may come too late. Not all of them.
+    for _ in 1..LAST_WORDS {
+        if !world.robot_obeys("Org1/Nina") {
+            last_word(world, deadline)?;
+        }
+    }
+    if !world.robot_obeys("Org1/Nina") {
+        let what = "a robot with an honest node does not let pass what its holder signs";
+        return Err(Violation::new("the robot goes on", what));
+    }
     until(world, deadline, "all nodes have the same chain", agree)?;
     // Nodes go on to attest what they have, so both must hold at one moment.
     let certified = |world: &World| agree(world) && world.is_certified();

@@ -13,6 +13,7 @@ mod hostile;
 mod lies;
 mod look;
 mod operator;
+mod robot;
 mod start;
 mod statements;
 mod streams;
@@ -21,6 +22,7 @@ mod witness;
 pub(crate) use fetch::Contact;
 pub use fetch::Fetching;
 pub use operator::Replacement;
+pub use robot::Untruth;
 pub use statements::Keys;
 
 use crate::client::Client;
@@ -32,6 +34,7 @@ use crate::links::Links;
 use crate::node::{Answer, Node, Reply, Request};
 use crate::people::{People, organisation_of};
 use crate::plan::Plan;
+use crate::robot::Robot;
 use crate::trace::Trace;
 use bytes::Bytes;
 use ledger::members::Membership;
@@ -70,6 +73,8 @@ pub(crate) enum Event {
     Operator,
     /// A fault ends.
     Undo(Undo),
+    /// Something happens to the robot.
+    Robot(robot::Happening),
 }
 
 /// The work of a process at its own time.
@@ -120,6 +125,7 @@ pub(crate) struct Randoms {
     pub(crate) clients: Random,
     pub(crate) nodes: Random,
     pub(crate) statements: Random,
+    pub(crate) robot: Random,
 }
 
 /// A block as the first node executed it.
@@ -155,6 +161,8 @@ pub struct World {
     /// Name of the network.
     pub network: Hash,
     pub(crate) genesis: Bytes,
+    /// The robot that is looked at, if there is one.
+    pub(crate) robot: Option<Box<Robot>>,
     pub(crate) clients: Vec<Client>,
     pub(crate) links: Links,
     pub(crate) random: Randoms,
@@ -207,6 +215,7 @@ impl World {
             clients: sequence("clients"),
             nodes: sequence("nodes"),
             statements: sequence("statements"),
+            robot: sequence("robot"),
         };
         let (voters, all) = (plan.voters, plan.voters + plan.learners);
         let statements = &mut random.statements;
@@ -253,6 +262,7 @@ impl World {
             forges_next: false,
             liar,
             old_votes: Vec::new(),
+            robot: None,
             queue: BTreeMap::new(),
             sequence: 0,
             hours_ahead: None,
@@ -268,6 +278,7 @@ impl World {
             world.schedule(delay, Event::Start { node: id });
         }
         world.employ();
+        world.build_robot(seed);
         world.schedule(300 * MILLISECOND, Event::Operator);
         if !world.plan.faults.is_empty() {
             let first = SECOND + world.random.faults.around(world.plan.between_faults);
@@ -324,6 +335,7 @@ impl World {
             Event::Fault => return self.misfortune(),
             Event::Operator => return self.operate(),
             Event::Undo(undo) => self.undo(undo),
+            Event::Robot(happening) => return self.robot_event(happening),
         }
         Ok(())
     }

@@ -16,8 +16,9 @@ use ledger_storage::result::{BlockKind, EmittedEvent, Event, TransactionResult};
 use ledgerd_sim::client::{Call, sign};
 use ledgerd_sim::invariant::{
     AcknowledgedIsDurable, BlockTimeKeepsToTheClocks, ChainAgreement, CommittedIsImmutable, DeniedByDefault,
-    ElectionSafety, EpochsGrow, ExactlyOnce, Executed, GrantExclusivity, LeaderCompleteness, LogMatching,
-    MembersFollowTheLedger, RevokedStaysRevoked, SnapshotsAreAttested, StateAgreement, VotesAreInformed,
+    ElectionSafety, EpochsGrow, ExactlyOnce, Executed, GateKeepsTheRules, GrantExclusivity, LeaderCompleteness,
+    LogMatching, MembersFollowTheLedger, Passed, RevokedStaysRevoked, SnapshotsAreAttested, StateAgreement,
+    VotesAreInformed,
 };
 use ledgerd_sim::people::People;
 use std::sync::Arc;
@@ -294,4 +295,31 @@ fn block_time_that_no_majority_can_have_acknowledged_is_noticed() {
     at(500, 7_000_501).unwrap();
     at(1_000_000, 8_000_001).unwrap();
     at(1_000_000, 8_000_002).unwrap_err();
+}
+
+#[test]
+fn a_message_that_passes_a_gate_without_a_right_twice_out_of_order_or_late_is_noticed() {
+    const SECOND: u64 = 1_000_000;
+    let people = Arc::new(People::new());
+    let (salma, farhad) = (people.index("Org1/Salma", 0).unwrap(), people.index("Org1/Farhad", 0).unwrap());
+    let set = |who: usize, epoch, seq| {
+        let call = Call::Set { service: "R/cmd_vel".into(), epoch, seq };
+        sign(&people.all[who], Hash::ZERO, seq, 4 * SECOND, call.transaction(), true)
+    };
+    let mut gate = GateKeepsTheRules::new(Arc::clone(&people), SECOND);
+    gate.executed(&at(1, &event(block(1, Hash::ZERO), "granted", &grant("Org1/Salma", 3))), SECOND);
+    let pass = |gate: &mut GateKeepsTheRules, transaction: &Transaction, now| {
+        gate.passed(&Passed { opening: 1, service: "R/cmd_vel", transaction, now, wall: now })
+    };
+    pass(&mut gate, &set(salma, 3, 7), 2 * SECOND).unwrap();
+    pass(&mut gate, &set(salma, 3, 7), 2 * SECOND).unwrap_err();
+    pass(&mut gate, &set(salma, 3, 6), 2 * SECOND).unwrap_err();
+    pass(&mut gate, &set(salma, 2, 8), 2 * SECOND).unwrap_err();
+    pass(&mut gate, &set(farhad, 3, 8), 2 * SECOND).unwrap_err();
+    pass(&mut gate, &set(salma, 3, 9), 4 * SECOND).unwrap_err();
+    gate.executed(&at(1, &event(block(2, Hash::ZERO), "released", &grant("Org1/Salma", 3))), SECOND + SECOND / 2);
+    pass(&mut gate, &set(salma, 3, 10), 2 * SECOND).unwrap();
+    gate.moves("R/cmd_vel", 2 * SECOND).unwrap();
+    gate.moves("R/cmd_vel", 3 * SECOND).unwrap_err();
+    pass(&mut gate, &set(salma, 3, 11), 2 * SECOND + SECOND / 2 + 3000).unwrap_err();
 }

@@ -212,6 +212,21 @@ fn a_leader_that_nobody_elected_is_noticed_when_it_is_followed() {
 }
 
 #[test]
+fn a_robot_that_believes_its_node_about_a_grant_is_noticed() {
+    caught(Mutation::BelieveAGrant, &["gate"]);
+}
+
+#[test]
+fn a_robot_that_compares_no_epochs_is_noticed() {
+    caught(Mutation::IgnoreEpochs, &["gate"]);
+}
+
+#[test]
+fn a_robot_that_goes_on_without_the_voters_is_noticed() {
+    caught(Mutation::IgnoreStaleness, &["gate"]);
+}
+
+#[test]
 fn members_that_may_say_everything_are_noticed() {
     caught(
         Mutation::BelieveAnybody,

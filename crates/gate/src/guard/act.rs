@@ -4,6 +4,7 @@ use std::collections::HashMap;
 
 use bytes::Bytes;
 use ledger_contract::{Reason, Word};
+use ledger_mutation::{Mutation, active};
 
 use super::held::Message;
 use crate::{
@@ -82,6 +83,12 @@ impl Block {
         let delivered = Delivered { block_time: self.time, transaction, certificate };
         Ok(match (event.chaincode, event.name) {
             (ABAC, "message") => Some(Act::Publish(gate.pass(delivered, now)?)),
+            (ABAC, "granted") => {
+                if active(Mutation::BelieveAGrant) {
+                    read(event.payload).iter().for_each(|grant| gate.believe(grant));
+                }
+                None
+            }
             (ABAC, "released") => {
                 let released: Released = read(event.payload).ok_or(Refused::Malformed)?;
                 gate.released(&released, self.time, now).then(|| Act::Stop(reason(&released.reason)))

@@ -194,6 +194,8 @@ impl Model {
                 let (epoch, seq) = (number(text(1))?.unwrap_or(0), number(text(2))?.unwrap_or(0));
                 self.set(who, &first, epoch, seq, time)
             }
+            ("abac", "declare") if self.robots.contains_key(&first) => Ok(Code::Ok.into()),
+            ("abac", "declare") => Err(Code::UnknownRobot),
             ("abac", "replace") => self.replace(who, &body.args, time),
             ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
             ("msp", "join_node") => self.network_of_nodes.join(who, &first),

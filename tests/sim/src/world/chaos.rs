@@ -179,6 +179,10 @@ impl World {
             self.schedule(delay, Event::Start { node: id });
         }
         self.plan.disk_max = MILLISECOND;
+        if let Some(robot) = &mut self.robot {
+            // From now on its node is honest.
+            robot.stream = None;
+        }
     }
 
     /// A process ends, and starts again after a while.

@@ -88,6 +88,7 @@ impl World {
         self.invariants.rules_by_height.executed(id, height, number)?;
         self.invariants.executed(&Executed { node: id, outcome, transactions: &transactions }, first)?;
         if first {
+            self.invariants.gate.executed(&Executed { node: id, outcome, transactions: &transactions }, now);
             for result in &outcome.results {
                 *self.coverage.verdicts.entry(result.code()).or_default() += 1;
             }

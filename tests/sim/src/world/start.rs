@@ -136,6 +136,7 @@ impl World {
             fetching: None,
             said,
             certifier,
+            certificates: BTreeMap::new(),
             stated: 0,
             ordinary: tip,
             leading: false,

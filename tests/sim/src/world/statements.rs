@@ -8,10 +8,13 @@ use ledger::{Ledger, Outcome};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::Msps;
-use ledger_light::{Signature, Signed, Statement, Vote};
+use ledger_light::{Certificate, Proof, Signature, Signed, Statement, Vote};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::certifier::{Certifier, Effect, Era, Event, Signing};
 use std::sync::Arc;
+
+/// Most recent certificates of a node.
+const CERTIFICATES_MAX: usize = 128;
 
 /// The keys of a node, and the certificates that it believes.
 pub struct Keys {
@@ -101,8 +104,9 @@ impl World {
                         self.tell_all(id, &signed);
                     }
                 }
-                Effect::Certified { certificate, .. } => {
+                Effect::Certified { certificate, governs } => {
                     self.coverage.certificates += 1;
+                    self.keep(id, &certificate, governs);
                     let height = certificate.statement.height as usize;
                     let block = self.blocks.get(height - 1).map(|block| &block.outcome);
                     // As of the block before: the first members are those of the genesis.
@@ -121,6 +125,21 @@ impl World {
             }
         }
         Ok(())
+    }
+
+    /// A node keeps a certificate: for a while, or on its disk if the block changed who governs.
+    fn keep(&mut self, id: u64, certificate: &Certificate, governs: bool) {
+        let Some(node) = self.nodes.get_mut(&id) else { return };
+        let Some(running) = &mut node.up else { return };
+        let height = certificate.statement.height;
+        let facts = if governs { running.ledger.shown(height, |_| false).unwrap() } else { None };
+        if let Some(facts) = facts {
+            node.governing.insert(height, Proof { certificate: certificate.clone(), facts });
+        }
+        running.certificates.insert(height, certificate.clone());
+        if running.certificates.len() > CERTIFICATES_MAX {
+            running.certificates.pop_first();
+        }
     }
 
     /// Does this node lie?

@@ -1,0 +1,210 @@
+//! No gate passes what the certified state does not allow (docs/security.md): the transaction is signed by somebody who held
+//! the service with that epoch, and was not revoked, no longer ago than an answer of the voters counts. Each message passes
+//! once, in order, and not too long after its signature. A robot that moves is driven by somebody who might.
+//!
+//! Told by the events of the blocks, whatever nodes tell the robot.
+
+use super::{Check, Executed, Violation};
+use crate::people::{People, Person};
+use ledger::transaction::Transaction;
+use ledger_gate::gate::COMMAND_TTL;
+use ledger_hash::Hash;
+use ledger_rejection::Code;
+use serde::Deserialize;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+const NAME: &str = "gate";
+/// How long a service takes messages from their signature, microseconds: the default of the ledger.
+const MAX_AGE: u64 = 1_000_000;
+/// What rounding may take, microseconds.
+const SLACK: u64 = 2_000;
+
+/// From when until when something held, by virtual time.
+type Span = (u64, Option<u64>);
+
+/// See the module.
+pub struct GateKeepsTheRules {
+    people: Arc<People>,
+    /// How long an answer of the voters counts, microseconds.
+    stale_after: u64,
+    /// By service, holder, epoch.
+    grants: BTreeMap<(String, String, u64), Span>,
+    /// When each service was for everybody.
+    open: BTreeMap<String, Vec<Span>>,
+    /// When certificates were revoked.
+    revoked: BTreeMap<(String, String), u64>,
+    /// In which opening of a bridge a message passed, and what its wall clock said.
+    passed: BTreeMap<Hash, (u64, u64)>,
+    /// The last number by opening, service, publisher and epoch.
+    reached: BTreeMap<(u64, String, String, u64), u64>,
+    /// The driver of each service: the certificate, and the epoch.
+    drivers: BTreeMap<String, (Hash, u64)>,
+}
+
+/// A message that passed.
+#[derive(Clone, Copy, Debug)]
+pub struct Passed<'a> {
+    /// How often the bridge was started.
+    pub opening: u64,
+    /// The service.
+    pub service: &'a str,
+    /// The transaction.
+    pub transaction: &'a Transaction,
+    /// Virtual time.
+    pub now: u64,
+    /// The robot's wall clock.
+    pub wall: u64,
+}
+
+#[derive(Deserialize)]
+struct Granted {
+    service: String,
+    holder: String,
+    epoch: u64,
+}
+
+#[derive(Deserialize)]
+struct Robot {
+    name: String,
+    services: Vec<Service>,
+}
+
+#[derive(Deserialize)]
+struct Service {
+    topic: String,
+    mode: String,
+}
+
+impl GateKeepsTheRules {
+    /// For these people, and robots for which an answer counts so long.
+    pub fn new(people: Arc<People>, stale_after: u64) -> Self {
+        Self {
+            people,
+            stale_after,
+            grants: BTreeMap::new(),
+            open: BTreeMap::new(),
+            revoked: BTreeMap::new(),
+            passed: BTreeMap::new(),
+            reached: BTreeMap::new(),
+            drivers: BTreeMap::new(),
+        }
+    }
+
+    /// A block was executed for the first time.
+    pub fn executed(&mut self, executed: &Executed<'_>, now: u64) {
+        for emitted in &executed.outcome.events {
+            let event = &emitted.event;
+            if event.chaincode != "abac" || !matches!(&*event.name, "granted" | "released") {
+                continue;
+            }
+            let Granted { service, holder, epoch } = serde_json::from_slice(&event.payload).unwrap();
+            let grant = self.grants.entry((service, holder, epoch)).or_insert((now, None));
+            grant.1 = (event.name == "released").then_some(now);
+        }
+        for (transaction, result) in executed.transactions.iter().zip(&executed.outcome.results) {
+            let Some(body) = transaction.as_ref().filter(|_| result.code() == Code::Ok).map(Transaction::body) else {
+                continue;
+            };
+            let text = |at: usize| body.args.get(at).map(|text| String::from_utf8_lossy(text).to_ascii_lowercase());
+            match (&*body.chaincode, &*body.function) {
+                ("msp", "revoke") => {
+                    let key = (text(0).unwrap_or_default(), text(1).unwrap_or_default());
+                    self.revoked.entry(key).or_insert(now);
+                }
+                ("abac", "replace") => body.args.iter().for_each(|robot| self.described(robot, now)),
+                _ => {}
+            }
+        }
+    }
+
+    fn described(&mut self, robot: &[u8], now: u64) {
+        let Robot { name, services } = serde_json::from_slice(robot).unwrap();
+        for Service { topic, mode } in services {
+            let spans = self.open.entry(format!("{name}{topic}")).or_default();
+            let is_open = spans.last().is_some_and(|(_, until)| until.is_none());
+            match (mode == "open", spans.last_mut()) {
+                (true, _) if !is_open => spans.push((now, None)),
+                (false, Some((_, until))) if is_open => *until = Some(now),
+                _ => {}
+            }
+        }
+    }
+
+    /// A message passed the gate.
+    ///
+    /// # Errors
+    /// The certified state does not allow it, it passed before, or it is out of order or too old.
+    pub fn passed(&mut self, passed: &Passed<'_>) -> Check {
+        let Passed { opening, service, transaction, now, wall } = *passed;
+        let body = transaction.body();
+        let argument = |at: usize| {
+            let text = body.args.get(at).and_then(|text| std::str::from_utf8(text).ok());
+            text.ok_or_else(|| wrong(format!("{service}: no argument {at}")))
+        };
+        let epoch: u64 = argument(1)?.parse().map_err(|_| wrong("no epoch"))?;
+        let number: u64 = argument(2)?.parse().map_err(|_| wrong("no number"))?;
+        let id = transaction.id();
+        let what = |why: &str| wrong(format!("{service}: {id}, epoch {epoch}, number {number}: {why}"));
+        if argument(0)? != service || body.function != "set" || body.chaincode != "abac" {
+            return Err(what("is another call"));
+        }
+        let people = Arc::clone(&self.people);
+        let creator = people.by_fingerprint(&transaction.creator()).ok_or_else(|| what("is signed by nobody"))?;
+        if transaction.verify(&creator.identity.public_key).is_err() {
+            return Err(what("is not signed by its creator"));
+        }
+        let signed_at = body.not_after.saturating_sub(micros(COMMAND_TTL));
+        if wall > signed_at.saturating_add(MAX_AGE + SLACK) {
+            return Err(what("is too old"));
+        }
+        if !self.is_permitted(creator, service, epoch, now) {
+            return Err(what(&format!("{} had no right", creator.id())));
+        }
+        // A bridge that starts anew knows no numbers. It takes nothing that was signed before: by clocks that are not ahead.
+        if self.passed.get(&id).is_some_and(|(last, then)| *last == opening || signed_at <= *then) {
+            return Err(what("has passed before"));
+        }
+        self.passed.insert(id, (opening, wall));
+        let before = self.reached.insert((opening, service.to_owned(), creator.id(), epoch), number);
+        if let Some(reached) = before.filter(|reached| *reached >= number) {
+            return Err(what(&format!("after number {reached}")));
+        }
+        self.drivers.insert(service.to_owned(), (transaction.creator(), epoch));
+        Ok(())
+    }
+
+    /// A robot is moving, by what its gate says.
+    ///
+    /// # Errors
+    /// Whoever moved it had no right any more, for longer than an answer counts.
+    pub fn moves(&self, service: &str, now: u64) -> Check {
+        let Some((creator, epoch)) = self.drivers.get(service) else {
+            return Err(wrong(format!("{service} is moved by nobody")));
+        };
+        let creator = self.people.by_fingerprint(creator).ok_or_else(|| wrong("is moved by a stranger"))?;
+        if self.is_permitted(creator, service, *epoch, now) {
+            return Ok(());
+        }
+        Err(wrong(format!("{service} is not stopped: {} has lost epoch {epoch}", creator.id())))
+    }
+
+    /// Did the state allow it at a moment that is not longer ago than an answer counts?
+    fn is_permitted(&self, creator: &Person, service: &str, epoch: u64, now: u64) -> bool {
+        let since = now.saturating_sub(self.stale_after + SLACK);
+        let key = (hex::encode(creator.identity.issuer), hex::encode(&creator.identity.serial));
+        let revoked = self.revoked.get(&key).copied().unwrap_or(u64::MAX);
+        let held = |(from, until): &Span| since.max(*from) <= now.min(until.unwrap_or(u64::MAX)).min(revoked);
+        let grant = self.grants.get(&(service.to_owned(), creator.id(), epoch));
+        let open = self.open.get(service).filter(|_| epoch == 0);
+        grant.is_some_and(held) || open.is_some_and(|spans| spans.iter().any(held))
+    }
+}
+
+fn wrong(what: impl Into<String>) -> Violation {
+    Violation::new(NAME, what)
+}
+
+fn micros(duration: std::time::Duration) -> u64 {
+    u64::try_from(duration.as_micros()).unwrap_or(u64::MAX)
+}
