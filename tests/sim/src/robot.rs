@@ -221,7 +221,7 @@ impl Robot {
         let guards = self.watched.iter().flat_map(|Watched { guard, .. }| {
             [guard.stop_at().map(|(due, _)| due), guard.asks_at()].into_iter().flatten()
         });
-        let silent = self.stream.as_ref().map(|stream| stream.heard + SILENCE_MAX);
+        let silent = self.stream.as_ref().map(|stream| stream.heard + QUIET_MAX);
         let late = self.question.as_ref().map(|question| question.asked + ANSWER_MAX);
         let unconnected = self.stream.is_none().then_some(now + 100 * MILLISECOND);
         guards.chain(silent).chain(late).chain(unconnected).min().unwrap_or(u64::MAX)
@@ -229,6 +229,6 @@ impl Robot {
 }
 
 /// Silence of a node after which its robot asks another, microseconds.
-pub(crate) const SILENCE_MAX: u64 = 750 * MILLISECOND;
+pub(crate) const QUIET_MAX: u64 = 750 * MILLISECOND;
 /// How long an answer may take, microseconds.
 pub(crate) const ANSWER_MAX: u64 = 5 * SECOND;

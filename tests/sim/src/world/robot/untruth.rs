@@ -154,11 +154,15 @@ impl World {
                 batch.push(own(vec![event]));
             }
             Untruth::Reorder => {
-                if batch.iter().map(|delivery| delivery.events.len()).sum::<usize>() < 2 {
-                    return;
+                match batch.iter().map(|delivery| delivery.events.len()).sum() {
+                    0 => return,
+                    // What comes later comes first.
+                    1 => robot.held_back.append(batch),
+                    _ => {
+                        batch.reverse();
+                        batch.iter_mut().for_each(|delivery| delivery.events.reverse());
+                    }
                 }
-                batch.reverse();
-                batch.iter_mut().for_each(|delivery| delivery.events.reverse());
             }
             Untruth::HoldBack => {
                 if batch.is_empty() {
