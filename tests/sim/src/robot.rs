@@ -61,9 +61,9 @@ pub struct Robot {
     pub wakes_at: u64,
     /// The transactions that its node has told of, by the message in them.
     pub told: BTreeMap<Bytes, Transaction>,
-    /// Whose messages have passed since everything was healed: service, publisher.
+    /// Services, and publishers of which messages have passed since everything was healed.
     pub passed: BTreeSet<(String, String)>,
-    /// What the liar remembers of earlier answers: response and proof.
+    /// Earlier answers that the liar remembers: response and proof.
     pub old: Vec<(Bytes, Proof)>,
     /// Deliveries that the liar holds back.
     pub held_back: Vec<Delivery>,
@@ -102,7 +102,7 @@ pub struct Stream {
     pub silent_until: u64,
 }
 
-/// What a node delivers of a block.
+/// The events of a block, as a node delivers them.
 #[derive(Clone, Debug)]
 pub struct Delivery {
     /// Height.

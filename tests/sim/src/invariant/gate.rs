@@ -1,6 +1,6 @@
-//! No gate passes what the certified state does not allow (docs/security.md): the transaction is signed by somebody who held
-//! the service with that epoch, and was not revoked, no longer ago than an answer of the voters counts. Each message passes
-//! once, in order, and not too long after its signature. A robot that moves is driven by somebody who might.
+//! No gate passes what the certified state does not allow (docs/security.md). The transaction is signed by somebody who held the
+//! service with that epoch and was not revoked. An answer of the voters counts for so long after that, and no longer. Each message
+//! passes once, in order, and not too long after its signature. A robot that moves is driven by somebody who might.
 //!
 //! Told by the events of the blocks, whatever nodes tell the robot.
 
@@ -17,7 +17,7 @@ use std::sync::Arc;
 const NAME: &str = "gate";
 /// How long a service takes messages from their signature, microseconds: the default of the ledger.
 const MAX_AGE: u64 = 1_000_000;
-/// What rounding may take, microseconds.
+/// The most that rounding may take, microseconds.
 const SLACK: u64 = 2_000;
 
 /// From when until when something held, by virtual time.
@@ -177,7 +177,7 @@ impl GateKeepsTheRules {
     /// A robot is moving, by what its gate says.
     ///
     /// # Errors
-    /// Whoever moved it had no right any more, for longer than an answer counts.
+    /// The driver had no right any more, for longer than an answer counts.
     pub fn moves(&self, service: &str, now: u64) -> Check {
         let Some((creator, epoch)) = self.drivers.get(service) else {
             return Err(wrong(format!("{service} is moved by nobody")));

@@ -88,7 +88,7 @@ impl World {
         Ok(())
     }
 
-    /// What a bridge does whenever it has nothing else to do; then it waits for the next thing that is due.
+    /// A bridge looks after everything that is due, and waits for the next thing.
     fn look_after(&mut self, robot: &mut Robot) -> Check {
         for watched in &robot.watched {
             if let Some(fault) = watched.guard.gate().fault() {
