@@ -1,7 +1,7 @@
 //! The question with which a node starts: what do the others have, and what do they know it to have had?
 //!
 //! **Its purpose.** A voter that has lost blocks which it acknowledged must not vote: with its vote the others could
-//! elect a leader that lacks what was promised. It cannot tell by itself; the other voters can, and nobody else is believed.
+//! elect a leader that lacks what was promised. It cannot tell by itself; the leader and the attestations can.
 //!
 //! **How long it takes.** A node that refuses a connection has answered. The node waits for silent ones until
 //! [`ASK_TIME_MAX`] as long as a majority of the voters has not been heard, for then nothing can be ordered anyway. So it
@@ -155,19 +155,9 @@ impl Look {
         self.last > 0 && (!self.voters.contains(&self.me) || known > self.voters.len() / 2)
     }
 
-    /// Refuses if this node votes and a voter, or the node that a join token names, knows it to have had more than it has.
-    /// Nobody else is believed: a learner may stand on anybody's robot.
+    /// Refuses if this node votes and another knows it to have had more than it has.
     fn check_kept(&self, who: &Who, has: &Holding) -> Result<(), Rejection> {
         if !has.you_vote || has.yours <= self.last {
-            return Ok(());
-        }
-        if !who.vouched && !self.voters.contains(&who.id) {
-            tracing::warn!(
-                node = who.name,
-                has = self.last,
-                claimed = has.yours,
-                "a node without a vote says that this voter has lost blocks; it is not believed"
-            );
             return Ok(());
         }
         Err(Rejection::new(Code::DiskFailed, "this voter has lost blocks that it had before")
@@ -227,18 +217,6 @@ mod tests {
         assert!(!ballot.withholds(&message(RaftKind::Append)) && !ballot.withholds(&message(RaftKind::Heartbeat)));
         assert_eq!(look.step(look.due().unwrap(), Heard::Time).unwrap(), Stage::Closed);
         assert!(!ballot.withholds(&message(RaftKind::Vote)));
-    }
-
-    #[test]
-    fn a_node_without_a_vote_stops_no_voter_by_saying_that_blocks_were_lost() {
-        let lost = Holding { yours: 10, you_vote: true, ..Holding::default() };
-        let told = |id, vouched| {
-            let who = Who { id, vouched, ..Who::default() };
-            look(1, 3, 9, 2).step(1, Heard::Answer(&who, &lost)).map_err(|refused| refused.code)
-        };
-        assert_eq!(told(4, false), Ok(Stage::Asking), "a learner");
-        assert_eq!(told(0, false), Ok(Stage::Asking), "nobody knows who it is");
-        assert_eq!((told(3, false), told(0, true)), (Err(Code::DiskFailed), Err(Code::DiskFailed)));
     }
 
     #[test]
