@@ -212,7 +212,7 @@ struct Ended {
 impl Facts for Ended {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         if self.released.is_empty() {
-            writeln!(out, "nobody held it, or you were in line: you have left it")?;
+            writeln!(out, "no grant ended; if you were in line, you have left it")?;
         }
         for Released { service, holder, epoch, .. } in &self.released {
             writeln!(out, "{service} is released; {holder} held it with epoch {epoch}")?;
