@@ -53,11 +53,6 @@ impl<'t> Contest<'t> {
         ordered.map(|(waiting, position)| self.place(waiting, position)).collect()
     }
 
-    /// The place of a contender in line.
-    pub(crate) fn place_of(&self, rule: &dyn Rule, contender: &str) -> Option<Place> {
-        self.places(rule).into_iter().find(|place| place.contender == contender)
-    }
-
     fn place(&self, waiting: &Waiting, position: u64) -> Place {
         let Waiting { contender, priority, since, until, .. } = waiting.clone();
         let service = self.target.id.clone();

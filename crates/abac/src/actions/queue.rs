@@ -68,11 +68,12 @@ pub(crate) fn join(
     let is_new = before.is_none();
     line::put(ctx, &target.id, &waiting, principal)?;
     line::look_by(ctx, &target.id, waiting.until)?;
-    let place = Contest::of(ctx, target)?.place_of(decider.rules.of(target)?, &contender);
+    let places = Contest::of(ctx, target)?.places(decider.rules.of(target)?);
+    let place = places.iter().find(|place| place.contender == contender).cloned();
     let place = place.ok_or_else(|| Rejection::new(Code::Internal, format!("{contender} is not in line")))?;
     ctx.emit("queued", &target.id, store::json(&place)?);
     if is_new {
-        tell(ctx, decider, target)?;
+        tell_places(ctx, target, &places)?;
     }
     Ok(place)
 }
@@ -143,6 +144,10 @@ fn drop_out(ctx: &mut Context<'_>, service: &str, contender: &str, reason: LeftR
 /// Tells how the line is now.
 fn tell(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<(), Rejection> {
     let places = Contest::of(ctx, target)?.places(decider.rules.of(target)?);
+    tell_places(ctx, target, &places)
+}
+
+fn tell_places(ctx: &mut Context<'_>, target: &Target, places: &[Place]) -> Result<(), Rejection> {
     let next = places.iter().take(TOLD_MAX).map(|place| place.contender.clone()).collect();
     let told = LineTold { service: target.id.clone(), waiting: places.len() as u64, next };
     ctx.emit("line", &target.id, store::json(&told)?);
@@ -158,7 +163,7 @@ pub(crate) fn revoked(ctx: &mut Context<'_>, issuer: &[u8; 32], serial: &[u8]) -
     Ok(())
 }
 
-/// An organisation left: its members wait no more for this service. Answers how many left.
+/// An organisation left: its members wait no more for this service. Events name the first of them.
 pub(crate) fn members_left(ctx: &mut Context<'_>, service: &str, organisation: &str) -> Result<(), Rejection> {
     let waiting = line::all(ctx, service)?;
     let theirs = waiting.iter().filter(|waiting| waiting.contender.split('/').next() == Some(organisation));
