@@ -1,5 +1,6 @@
 //! Grants: who holds a service until when, and how that ends.
 
+use crate::limits::Limits;
 use crate::sharing::Mode;
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
@@ -26,6 +27,25 @@ pub struct Grant {
     /// Why it was taken whatever the rule says, if it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taken: Option<String>,
+    /// What policies bind its use to.
+    #[serde(default, skip_serializing_if = "Limits::is_none")]
+    pub limits: Limits,
+    /// Those who passed it on, the first one first, if it was delegated.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub givers: Vec<String>,
+    /// May its holder pass it on, though it was delegated itself?
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub may_delegate: bool,
+    /// The epoch that it follows without a stop between, if it was passed on or taken back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub follows: Option<u64>,
+    /// The task that it serves, if it does.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task: Option<u64>,
+}
+
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 words! {
@@ -51,6 +71,12 @@ words! {
         Stopped = "stopped",
         /// Somebody who may override the rule took the service.
         Overridden = "overridden",
+        /// Its holder passed it on for a while, or for good.
+        Delegated = "delegated",
+        /// One who had passed it on took it back.
+        Recalled = "recalled",
+        /// The task that it served has ended.
+        TaskEnded = "task_ended",
     }
 }
 
@@ -68,4 +94,7 @@ pub struct Released {
     /// The one who took its place, if somebody did.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub by: Option<String>,
+    /// Does the next one hold the service in the same block, so that the robot need not stop between?
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub goes_on: bool,
 }

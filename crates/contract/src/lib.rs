@@ -16,6 +16,7 @@
 mod capability;
 mod emergency;
 mod grant;
+mod limits;
 mod line;
 mod message;
 mod policy;
@@ -28,6 +29,7 @@ mod word;
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use emergency::{Emergency, EmergencyAnswer, Stopped};
 pub use grant::{Grant, Reason, Released};
+pub use limits::Limits;
 pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
 pub use message::{MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};

@@ -8,7 +8,7 @@ use std::{
 
 use bytes::Bytes;
 use ledger::transaction::{Body, Transaction};
-use ledger_contract::{Capabilities, Direction, Grant, Mode};
+use ledger_contract::{Capabilities, Direction, Grant, Limits, Mode};
 use ledger_hash::Hash;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
@@ -213,6 +213,11 @@ pub fn grant(holder: &str, epoch: u64) -> Grant {
         lease_ms: 4000,
         next_seq: 0,
         taken: None,
+        limits: Limits::default(),
+        givers: Vec::new(),
+        may_delegate: false,
+        follows: None,
+        task: None,
     }
 }
 

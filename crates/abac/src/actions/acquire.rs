@@ -14,7 +14,7 @@ use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::{AcquireOptions, Acquired, Grant, Reason};
+use ledger_contract::{AcquireOptions, Acquired, Grant, Limits, Reason};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
@@ -151,6 +151,11 @@ pub(crate) fn give(
             lease_ms,
             next_seq: publish::next_sequence(ctx, decider, target, epoch, &principal.id())?,
             taken,
+            limits: Limits::default(),
+            givers: Vec::new(),
+            may_delegate: false,
+            follows: None,
+            task: None,
         },
         principal,
         priority,

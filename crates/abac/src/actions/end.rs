@@ -39,7 +39,7 @@ fn tell(ctx: &mut Context<'_>, holding: &Holding, reason: Reason, by: Option<Str
     grant::remove(ctx, holding);
     let Grant { service, holder, epoch, .. } = holding.grant.clone();
     queue::look_now(ctx, &service)?;
-    let released = Released { service, holder, epoch, reason: reason.into(), by };
+    let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on: false };
     ctx.emit("released", &released.service, store::json(&released)?);
     Ok(released)
 }

@@ -40,13 +40,14 @@ pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     for service in &robot.services {
         grants.extend(hold::live(ctx, decider, &Target::of(&robot, service))?);
     }
-    store::json(&Declaration { robot: asset(ctx, decider, &robot)?, grants })
+    let told = described(ctx, decider, &robot, true)?;
+    store::json(&Declaration { robot: told, grants })
 }
 
 /// `service SERVICE`
 pub(crate) fn service(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("service SERVICE", args, 1, 1)?;
-    store::json(&state(ctx, decider, service::resolve(ctx, args.text(0, "SERVICE")?)?)?)
+    store::json(&state(ctx, decider, service::resolve(ctx, args.text(0, "SERVICE")?)?, ctx.is_query())?)
 }
 
 /// `line SERVICE`: who holds a service, and who waits for it.
@@ -57,11 +58,19 @@ pub(crate) fn line(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Resu
 }
 
 /// A robot as clients see it.
+///
+/// Capabilities are told to those who ask. The answer of an older transaction lacks them: it is part of snapshots, which every
+/// version of the program must make alike.
 pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Result<RobotAsset, Rejection> {
+    described(ctx, decider, robot, ctx.is_query())
+}
+
+/// A robot as clients see it, with the consequences of its services' rules or without.
+fn described(ctx: &Context<'_>, decider: &Decider, robot: &Robot, capable: bool) -> Result<RobotAsset, Rejection> {
     let services = robot
         .services
         .iter()
-        .map(|service| state(ctx, decider, Target::of(robot, service)))
+        .map(|service| state(ctx, decider, Target::of(robot, service), capable))
         .collect::<Result<Vec<_>, Rejection>>()?;
     let topics = |direction| {
         let of_direction = services.iter().filter(|service| service.direction == direction);
@@ -83,12 +92,9 @@ pub(crate) fn asset(ctx: &Context<'_>, decider: &Decider, robot: &Robot) -> Resu
 }
 
 /// A service with who holds it now.
-///
-/// Capabilities are told to those who ask. The answer of a transaction lacks them: it is part of snapshots, which every
-/// version of the program must make alike.
-fn state(ctx: &Context<'_>, decider: &Decider, target: Target) -> Result<ServiceState, Rejection> {
+fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) -> Result<ServiceState, Rejection> {
     let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
-    let capabilities = if ctx.is_query() { Some(decider.rules.of(&target)?.capabilities().into()) } else { None };
+    let capabilities = if capable { Some(decider.rules.of(&target)?.capabilities().into()) } else { None };
     let epoch = grant::newest_epoch(ctx, &target.id)?;
     let waiting = if sharing::known(ctx) { line::all(ctx, &target.id)?.len() as u64 } else { 0 };
     let Target { robot, service, id } = target;

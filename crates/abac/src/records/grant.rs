@@ -180,7 +180,7 @@ mod tests {
     use crate::fixture::block;
     use crate::records::robot;
     use crate::records::service::Service;
-    use ledger_contract::{Direction, Mode, Sharing};
+    use ledger_contract::{Direction, Limits, Mode, Sharing};
     use ledger_hash::Hash;
     use ledger_identity::Role;
     use std::collections::BTreeMap;
@@ -196,6 +196,11 @@ mod tests {
             lease_ms: 1,
             next_seq: 0,
             taken: None,
+            limits: Limits::default(),
+            givers: Vec::new(),
+            may_delegate: false,
+            follows: None,
+            task: None,
         };
         let principal = Principal {
             organisation: "Org1".to_owned(),

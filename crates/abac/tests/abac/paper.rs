@@ -36,7 +36,8 @@ fn the_experiment_of_the_paper_runs_as_told() {
             holder: "Org1/Salma".into(),
             epoch: 1,
             reason: Reason::Released.into(),
-            by: None
+            by: None,
+            goes_on: false,
         }
     );
     let grant: Grant = fleet.get(&farhad, "acquire", &["Turtlebot4"]);

@@ -197,12 +197,21 @@ fn a_declaration_tells_how_a_robot_stands_and_writes_its_record_as_it_is() {
     let declared: Declaration = fleet.get(&farhad(), "declare", &["Turtlebot4"]);
     let asked: RobotAsset = fleet.get(&farhad(), "robot", &["Turtlebot4"]);
     let listed: Vec<Grant> = fleet.get(&farhad(), "grants", &[TURTLEBOT]);
-    assert_eq!((declared.robot, declared.grants), (asked, listed));
+    assert_eq!((declared.robot.operator, declared.grants), (asked.operator, listed));
     fleet.ok(&farhad(), "declare", &["Turtlebot4"]);
     let writes = fleet.writes.last().unwrap();
     let key = &b"abac\0robot/Turtlebot4"[..];
     assert_eq!(writes.keys().map(|key| &key[..]).collect::<Vec<_>>(), [key]);
     assert_eq!(StateRead::get(&*fleet.state, key).unwrap().as_ref(), writes[key].as_ref());
     fleet.refused(&farhad(), Code::UnknownRobot, "declare", &["Turtlebot5"]);
+    let limited = r#"{"mode":"limited","sharing":{"publishers":2}}"#;
+    fleet.ok(&owner(), "configure", &[TURTLEBOT, limited]);
+    let declared: Declaration = fleet.get(&farhad(), "declare", &["Turtlebot4"]);
+    let capabilities = declared.robot.services[0].capabilities().unwrap();
+    assert_eq!(
+        capabilities.fencing,
+        Fencing::PerHolder,
+        "a gate learns what follows from a rule that it does not know"
+    );
     Fleet::of_the_paper_under(Rules::FIRST).refused(&farhad(), Code::UnknownFunction, "declare", &["Turtlebot4"]);
 }

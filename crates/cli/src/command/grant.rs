@@ -236,7 +236,7 @@ impl Release {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::Mode;
+    use ledger_contract::{Limits, Mode};
 
     fn granted(renewed: bool, mode: Mode) -> Granted {
         let grant = Grant {
@@ -249,6 +249,11 @@ mod tests {
             lease_ms: 10_000,
             next_seq: 0,
             taken: None,
+            limits: Limits::default(),
+            givers: Vec::new(),
+            may_delegate: false,
+            follows: None,
+            task: None,
         };
         Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction: ledger_hash::Hash::ZERO, renewed }
     }

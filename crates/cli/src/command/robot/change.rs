@@ -150,6 +150,9 @@ fn why(reason: &Told<Reason>) -> &str {
         Some(Reason::Preempted) => "somebody with a higher priority took its place",
         Some(Reason::Idle) => "its holder published nothing for too long",
         Some(Reason::Stopped) => "the robot is stopped",
+        Some(Reason::Delegated) => "its holder passed it on",
+        Some(Reason::Recalled) => "one who had passed it on took it back",
+        Some(Reason::TaskEnded) => "its task has ended",
         Some(Reason::Overridden) => "somebody took the service whatever its rule says",
         Some(_) | None => reason.word(),
     }
@@ -187,6 +190,7 @@ mod tests {
             epoch: 3,
             reason: Reason::Policy.into(),
             by: None,
+            goes_on: false,
         }];
         assert_eq!(
             text(changed, ended, false),
