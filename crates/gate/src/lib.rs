@@ -11,6 +11,7 @@
 //! | [`standing`] | how a robot stands, as the voters have signed it |
 //! | [`service`] | the service and the events of the ledger, as far as they are read here |
 //! | [`sample`] | one message as raw CDR, in the form that travels on the ledger |
+//! | [`speed`] | the speed that a message asks for, and how it is brought down to a limit |
 
 #[cfg(any(test, feature = "fixture"))]
 pub mod fixture;
@@ -18,6 +19,7 @@ pub mod gate;
 pub mod guard;
 pub mod sample;
 pub mod service;
+pub mod speed;
 pub mod standing;
 
 /// The access-control chaincode.

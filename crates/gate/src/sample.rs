@@ -92,6 +92,14 @@ impl Sample {
     pub fn body(&self) -> Bytes {
         self.0.slice(HEADER_BYTES.min(self.0.len())..)
     }
+
+    /// The same message with other bytes at a place of its body; none if the body ends before.
+    pub(crate) fn with(&self, at: usize, bytes: &[u8]) -> Option<Self> {
+        let start = HEADER_BYTES.checked_add(at)?;
+        let mut wire = BytesMut::from(&self.0[..]);
+        wire.get_mut(start..start.checked_add(bytes.len())?)?.copy_from_slice(bytes);
+        Some(Self(wire.freeze()))
+    }
 }
 
 fn check_len(len: usize, bytes_max: usize) -> Result<(), Rejection> {
@@ -127,6 +135,13 @@ mod tests {
         assert_eq!(again, sample);
         assert_eq!(again.body().as_ref(), [1, 2, 3, 4, 5]);
         assert_eq!(again.representation_id(), CDR_LE);
+    }
+
+    #[test]
+    fn other_bytes_take_their_place_in_the_body_and_reach_no_further() {
+        let sample = Sample::new(CDR_LE, &[1, 2, 3]).unwrap();
+        assert_eq!(sample.with(1, &[8, 9]), Some(Sample::new(CDR_LE, &[1, 8, 9]).unwrap()));
+        assert_eq!((sample.with(2, &[8, 9]), sample.with(usize::MAX, &[8])), (None, None));
     }
 
     #[test]
