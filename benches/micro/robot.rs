@@ -90,7 +90,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
             |command| {
                 let delivered =
                     Delivered { block_time: clock(), transaction: command.encoded(), certificate: &certificate };
-                assert_eq!(gate.pass(delivered, now()).unwrap().len(), 1);
+                assert_eq!(gate.pass(delivered, now()).unwrap().samples.len(), 1);
             },
         );
     });

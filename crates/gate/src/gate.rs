@@ -7,11 +7,13 @@
 //! A message passes if it is `abac set` of this very service, for this network, signed by a certificate of the network
 //! that was not revoked. Where the service's rule asks for them, it comes under a grant of its signer and in the newest
 //! epoch. Its sequence number is above the last; it is not older than allowed; and it is from after the start of the
-//! gate and its last stop.
+//! gate and its last stop. It keeps to the limits of its signer's grant: a message too many is dropped, and one that asks for more
+//! speed is brought down to the limit.
 //!
 //! Rule, grants, authorities and revocations are learnt from a [`Standing`] only, which voters have signed. A command passes
 //! for `stale_after` after the question that a standing answers. So a node that withholds the end of a grant wins no more than
-//! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides.
+//! that. An end of which a node tells stops the robot at once. Whether it was true, the answer to a later question decides. So it
+//! does where the node says that the next one goes on: the robot is not stopped until then.
 //!
 //! No command of a stopped robot passes, whatever grants stand. That, too, a standing decides; a node that tells of a stop is
 //! believed until the next answer.
@@ -22,29 +24,33 @@
 
 mod call;
 mod clock;
+mod ends;
 mod identities;
+mod limits;
 mod refused;
 mod sequences;
 
 #[cfg(test)]
 mod tests;
 
-use std::{collections::BTreeMap, sync::Arc, time::Duration};
+use std::{collections::BTreeMap, time::Duration};
 
 use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_hash::Hash;
-use ledger_identity::Identity;
 use ledger_mutation::{Mutation, active};
 
-use self::{call::Call, clock::Clock, identities::Identities, sequences::Sequences};
-pub use self::{clock::Now, refused::Refused};
-use crate::{
-    sample::Sample,
-    service::{Released, Revoked, Service},
-    standing::{Members, Standing},
+use self::{
+    call::Call,
+    clock::Clock,
+    ends::Driver,
+    identities::Identities,
+    limits::{Bounds, Rates},
+    sequences::Sequences,
 };
+pub use self::{clock::Now, refused::Refused};
+use crate::{sample::Sample, service::Service, speed::Layout, standing::Standing};
 
 /// How long a command may be on its way to its block. Short, because what a node holds back until then could still
 /// be brought to a robot.
@@ -76,6 +82,15 @@ pub struct Delivered<'a> {
     pub certificate: &'a Bytes,
 }
 
+/// The samples of a message that passed.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Passed {
+    /// To be published in this order.
+    pub samples: Vec<Sample>,
+    /// How many of them asked for more speed than the grant allows, and ask for less now.
+    pub clamped: usize,
+}
+
 /// The gate of one service.
 #[derive(Debug)]
 pub struct Gate {
@@ -92,6 +107,7 @@ pub struct Gate {
     told: u64,
     identities: Identities,
     sequences: Sequences,
+    rates: Rates,
     clock: Clock,
     /// Is the robot stopped, so that no command passes?
     halted: bool,
@@ -120,16 +136,9 @@ struct Holding {
     lease_us: u64,
     /// How long it lasted still, without that, when it became known, in microseconds.
     left_us: u64,
-}
-
-/// A driver of the robot.
-#[derive(Debug)]
-struct Driver {
-    identity: Arc<Identity>,
-    /// The epoch in which it moved the robot.
-    epoch: u64,
-    /// When the lease runs out without another sign of life, by the steady clock (microseconds).
-    until: u64,
+    /// The epoch that it follows without a stop between.
+    follows: Option<u64>,
+    bounds: Bounds,
 }
 
 /// The rule of the service's description for publishers.
@@ -139,6 +148,8 @@ struct Rules {
     /// The only organisation that publishes; none = any.
     publisher: Option<String>,
     max_age_us: u64,
+    /// The layout of its messages, if they ask for a speed.
+    layout: Option<Layout>,
     /// The lease where there is no grant, in microseconds.
     lease_us: u64,
 }
@@ -155,6 +166,7 @@ impl Gate {
             asked: None,
             told: 0,
             sequences: Sequences::default(),
+            rates: Rates::default(),
             clock: Clock::default(),
             halted: false,
             epoch: 0,
@@ -200,30 +212,9 @@ impl Gate {
             capabilities: service.capabilities,
             publisher: (!service.is_command()).then(|| service.organisation.clone()),
             max_age_us: age_us.min(own_us),
+            layout: Layout::of(&service.type_name),
             lease_us: service.lease_ms.saturating_mul(1000),
         }
-    }
-
-    /// The driver holds the robot still, or the robot must stop. A renewal since the last standing counts, too.
-    fn check_driver(&mut self, members: &Members, asked: u64) -> Option<&'static str> {
-        let by_policy = self.rules.as_ref().is_some_and(|rules| rules.capabilities.publishing == Publishing::Policy);
-        let driver = self.driver.as_mut()?;
-        let holding = self.holders.get(&driver.identity.id()).filter(|holding| holding.epoch == driver.epoch);
-        let over = match holding {
-            _ if self.halted => Some("stopped"),
-            _ if members.has_revoked(&driver.identity) => Some("revoked"),
-            Some(holding) => {
-                driver.until = driver.until.max(asked.saturating_add(holding.left_us));
-                None
-            }
-            // Where a policy is enough, nothing ends but by the lease.
-            None if driver.epoch == 0 && by_policy => None,
-            None => Some("released"),
-        };
-        if over.is_some() {
-            self.driver = None;
-        }
-        over
     }
 
     /// The contradiction that this gate found in itself. Nothing passes any more then: the robot is to be stopped, and after
@@ -269,13 +260,15 @@ impl Gate {
         self.identities.show(certificate);
     }
 
-    /// Lets a message pass, or says which rule it breaks. The samples are to be published in this order.
+    /// Lets a message pass, or says which rule it breaks.
     ///
     /// # Errors
     /// The first rule that is broken, the cheap ones first.
-    pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Vec<Sample>, Refused> {
+    pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Passed, Refused> {
         let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
-        let Rules { capabilities: Capabilities { publishing, fencing, sequence }, max_age_us, lease_us, .. } = *rules;
+        let Rules {
+            capabilities: Capabilities { publishing, fencing, sequence }, max_age_us, lease_us, layout, ..
+        } = *rules;
         let must_be_fresh = rules.publisher.is_none() && !active(Mutation::IgnoreStaleness);
         if must_be_fresh && self.fresh_until().is_none_or(|until| until < now.steady) {
             return Err(Refused::Stale);
@@ -285,7 +278,7 @@ impl Gate {
         }
         let transaction = self.decode(delivered)?;
         let call = Call::read(&transaction, &self.id)?;
-        let samples = self.read_samples(call.payloads)?;
+        let mut samples = self.read_samples(call.payloads)?;
         if !self.clock.heard(delivered.block_time, now) {
             return Err(Refused::FromFuture);
         }
@@ -313,6 +306,8 @@ impl Gate {
         if !self.sequences.may_follow(&name, sequence, call.epoch, call.first_seq) {
             return Err(Refused::StaleSequence);
         }
+        let age_us = self.age_us(&transaction, delivered.block_time, now);
+        let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us, now)?;
         let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
         let before = self.sequences.reached(&name);
         if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
@@ -336,9 +331,27 @@ impl Gate {
         }
         if is_command {
             let until = now.steady.saturating_add(lease_us);
-            self.driver = Some(Driver { identity: creator, epoch: call.epoch, until });
+            self.driver = Some(Driver::new(creator, call.epoch, until));
         }
-        Ok(samples)
+        Ok(Passed { samples, clamped })
+    }
+
+    /// Keeps the samples of a publisher to the limits of its grant, if it has one: also where it publishes without naming it. Answers
+    /// with the number of samples that are slower now.
+    fn keep_to_limits(
+        &mut self,
+        publisher: &str,
+        (layout, samples): (Option<Layout>, &mut [Sample]),
+        age_us: u64,
+        now: Now,
+    ) -> Result<usize, Refused> {
+        let Some(Holding { bounds, .. }) = self.holders.get(publisher) else { return Ok(0) };
+        if bounds.max_age_us.is_some_and(|most| age_us > most) {
+            return Err(Refused::TooOld);
+        }
+        let clamped = bounds.slow_down(layout, samples)?;
+        self.rates.take(publisher, bounds.rate_mhz, samples.len(), now.steady)?;
+        Ok(clamped)
     }
 
     /// The bug of [`Mutation::BelieveAGrant`].
@@ -347,52 +360,6 @@ impl Gate {
             self.epoch = self.epoch.max(grant.epoch);
             self.holders.insert(grant.holder.clone(), Holding::of(grant, grant.acquired_at));
         }
-    }
-
-    /// Takes the end of a grant as a node says it. True if the robot must stop: unless a newer grant is known. It proves nothing:
-    /// the next standing may bring the holder back.
-    pub fn released(&mut self, released: &Released, block_time: u64, now: Now) -> bool {
-        if released.service != self.id {
-            return false;
-        }
-        if self.holders.get(&released.holder).is_some_and(|known| known.epoch <= released.epoch) {
-            self.holders.remove(&released.holder);
-            self.told = now.steady;
-        }
-        // Where holders stand side by side, who moved the robot may be any of them.
-        let side_by_side = self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing == Fencing::PerHolder);
-        let is_newest = released.epoch >= self.epoch || side_by_side;
-        if is_newest {
-            (self.driver, self.told) = (None, now.steady);
-            // A block of tomorrow closes nothing until then.
-            self.not_before = self.not_before.max(block_time.min(self.clock.now(now)));
-        }
-        self.check_epochs(self.epoch);
-        is_newest
-    }
-
-    /// Takes the stop of the robot as a node says it. True if the robot must stop, which it must on every one if it takes commands
-    /// here. It proves nothing: the next standing decides.
-    pub fn halt(&mut self, now: Now) -> bool {
-        let is_command = self.rules.as_ref().is_none_or(|rules| rules.publisher.is_none());
-        if is_command {
-            self.halted = true;
-            self.told = now.steady;
-            self.stopped(now);
-        }
-        is_command
-    }
-
-    /// Takes the revocation of a certificate as a node says it. True if the robot must stop, because the revoked one moved it
-    /// last. It proves nothing: the next standing decides.
-    pub fn revoked(&mut self, revoked: &Revoked, now: Now) -> bool {
-        let key = self.identities.revoke(revoked);
-        self.told = now.steady;
-        let moved_it = self.driver.as_ref().is_some_and(|driver| Some(driver.identity.revocation_key()) == key);
-        if moved_it {
-            self.driver = None;
-        }
-        moved_it
     }
 
     /// Does anybody hold the service?
@@ -419,13 +386,6 @@ impl Gate {
         Some(self.asked?.saturating_add(stale_us))
     }
 
-    /// The robot is being stopped: nothing from before this moment passes any more.
-    pub fn stopped(&mut self, now: Now) {
-        self.driver = None;
-        self.signed_since = self.signed_since.max(self.clock.signed(now));
-        self.not_before = self.not_before.max(self.clock.now(now));
-    }
-
     fn decode(&self, delivered: Delivered<'_>) -> Result<Transaction, Refused> {
         let transaction = Transaction::decode(delivered.transaction.clone()).map_err(|_| Refused::Malformed)?;
         if transaction.body().network == self.settings.network.0[..] {
@@ -450,21 +410,32 @@ impl Gate {
         if not_after < time.max(block_time) || not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
             return Err(Refused::Expired);
         }
-        // Age counts from the signature. Bridges sign for so long; who signs for longer is as old as its block.
-        let ttl_us = u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX);
-        let signed_at = not_after.saturating_sub(ttl_us).min(block_time);
-        if time.saturating_sub(signed_at) > max_age_us {
+        if self.age_us(signed, block_time, now) > max_age_us {
             return Err(Refused::TooOld);
         }
-        let signed_before = not_after < self.signed_since.saturating_add(ttl_us);
+        let signed_before = not_after < self.signed_since.saturating_add(ttl_us());
         if signed_before || block_time < self.not_before { Err(Refused::BeforeStop) } else { Ok(()) }
     }
+
+    /// The age of a message in microseconds, from its signature on. Bridges sign for so long; one that is signed for longer is as old
+    /// as its block.
+    fn age_us(&self, signed: &Transaction, block_time: u64, now: Now) -> u64 {
+        let signed_at = signed.body().not_after.saturating_sub(ttl_us()).min(block_time);
+        self.clock.now(now).saturating_sub(signed_at)
+    }
+}
+
+/// [`COMMAND_TTL`] in microseconds.
+fn ttl_us() -> u64 {
+    u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX)
 }
 
 impl Holding {
     /// With the lease as of a block time.
     fn of(grant: &Grant, time: u64) -> Self {
         let lease_us = grant.lease_ms.saturating_mul(1000);
-        Self { epoch: grant.epoch, lease_us, left_us: grant.expires.saturating_sub(time) }
+        let left_us = grant.expires.saturating_sub(time);
+        let bounds = Bounds::from(&grant.limits);
+        Self { epoch: grant.epoch, lease_us, left_us, follows: grant.follows, bounds }
     }
 }

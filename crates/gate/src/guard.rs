@@ -8,6 +8,9 @@ mod act;
 mod held;
 mod questions;
 
+#[cfg(test)]
+mod tests;
+
 pub use self::act::{Act, Block, Told};
 use self::{act::changes, held::Held, questions::Questions};
 use ledger_mutation::{Mutation, active};
@@ -132,7 +135,7 @@ impl Guard {
         let mut acts = Vec::new();
         for message in self.held.take() {
             match self.gate.pass(message.delivered(), now) {
-                Ok(samples) => acts.push(Act::Publish(samples)),
+                Ok(passed) => acts.push(Act::Publish(passed)),
                 Err(refused) if refused.may_pass_later() && asked.is_some_and(|asked| message.came > asked) => {
                     self.held.keep(message);
                 }

@@ -46,6 +46,9 @@ pub struct Released {
     pub epoch: u64,
     /// Why.
     pub reason: String,
+    /// Does the next one hold the service in the same block, so that the robot need not stop between?
+    #[serde(default)]
+    pub goes_on: bool,
 }
 
 /// A revoked certificate, as `msp revocations` and the event `revoked` tell it.

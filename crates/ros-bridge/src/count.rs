@@ -38,6 +38,8 @@ pub struct RouteSummary {
     pub refused: Tally,
     /// Samples published to the local graph.
     pub published: u64,
+    /// Samples that the gate slowed down to the limit of their creator's grant.
+    pub clamped: u64,
     /// Samples that the local graph did not take, because a reader does not keep up.
     pub unpublished: u64,
     /// Stop messages published, by reason.
@@ -111,6 +113,7 @@ impl Counters {
             committed: 0,
             refused: Tally::new(),
             published: 0,
+            clamped: 0,
             unpublished: 0,
             stops: Tally::new(),
             gate: Tally::new(),

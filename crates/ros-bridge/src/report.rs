@@ -194,7 +194,7 @@ impl Reporter {
         }
     }
 
-    /// One line for each route that refused or lost something since the last time.
+    /// One line for each route that refused, lost or slowed down something since the last time.
     fn count(&mut self) {
         for (watched, last) in self.routes.iter().zip(&mut self.counted) {
             let now = watched.counters.summary();
@@ -204,7 +204,8 @@ impl Reporter {
             let replaced = since(now.replaced, before.replaced);
             let returned = since(now.returned, before.returned);
             let unpublished = since(now.unpublished, before.unpublished);
-            if refused.is_empty() && gate.is_empty() && replaced + returned + unpublished == 0 {
+            let clamped = since(now.clamped, before.clamped);
+            if refused.is_empty() && gate.is_empty() && replaced + returned + unpublished + clamped == 0 {
                 continue;
             }
             let (samples_in, committed) =
@@ -219,6 +220,7 @@ impl Reporter {
                 replaced,
                 returned,
                 published,
+                clamped,
                 unpublished,
                 gate,
                 "not everything passes"

@@ -11,8 +11,10 @@ pub enum Refused {
     WrongCall,
     /// More bytes than the route takes.
     TooLarge,
-    /// No CDR of ROS 2.
+    /// No CDR of ROS 2, or none of the service's type where a limit needs to read it.
     BadPayload,
+    /// A speed with a limit that is no finite number.
+    BadSpeed,
     /// Neither the gate has seen the creator's certificate, nor does it come along.
     UnknownCreator,
     /// The certificate is of no organisation of this network, or not valid at that time.
@@ -31,7 +33,9 @@ pub enum Refused {
     NotHolder,
     /// The sequence number does not increase: a replay, or out of order.
     StaleSequence,
-    /// Older than the service allows.
+    /// More messages than the grant of its creator allows in that time.
+    TooFast,
+    /// Older than the service or the grant of its creator allows.
     TooOld,
     /// The signer's own limit of time has passed, or lies further ahead than the ledger accepts.
     Expired,
@@ -63,6 +67,7 @@ impl Refused {
             Self::WrongCall => "wrong_call",
             Self::TooLarge => "too_large",
             Self::BadPayload => "bad_payload",
+            Self::BadSpeed => "bad_speed",
             Self::UnknownCreator => "unknown_creator",
             Self::Untrusted => "untrusted",
             Self::Revoked => "revoked",
@@ -72,6 +77,7 @@ impl Refused {
             Self::UnknownEpoch => "unknown_epoch",
             Self::NotHolder => "not_holder",
             Self::StaleSequence => "stale_sequence",
+            Self::TooFast => "too_fast",
             Self::TooOld => "too_old",
             Self::Expired => "expired",
             Self::FromFuture => "from_future",
@@ -90,7 +96,8 @@ impl Refused {
             Self::WrongNetwork => "it was signed for another network",
             Self::WrongCall => "it is a call of something else",
             Self::TooLarge => "it is larger than sample_bytes_max of this route",
-            Self::BadPayload => "it is no CDR of ROS 2",
+            Self::BadPayload => "it is no CDR of ROS 2, or not of the service's type",
+            Self::BadSpeed => "it asks for a speed that is no finite number",
             Self::UnknownCreator => "the certificate of its creator is not known",
             Self::Untrusted => "the certificate of its creator is of no organisation of this network, or not valid now",
             Self::Revoked => "the certificate of its creator was revoked",
@@ -100,7 +107,10 @@ impl Refused {
             Self::UnknownEpoch => "it belongs to a grant of which the voters know nothing",
             Self::NotHolder => "its creator does not hold the service",
             Self::StaleSequence => "a later message of its creator has passed",
-            Self::TooOld => "it is older than the service or max_age_ms allows; compare the clocks if that goes on",
+            Self::TooFast => "it is one more than max_rate of its creator's grant allows",
+            Self::TooOld => {
+                "it is older than the service, its grant or max_age_ms allows; if that goes on, compare the clocks"
+            }
             Self::Expired => "its signer's own limit of time has passed",
             Self::FromFuture => "its time is ahead of this machine's clock; compare the clocks",
             Self::BeforeStop => "it is from before the last stop",

@@ -2,6 +2,8 @@
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 mod faults;
+mod handover;
+mod limits;
 mod standing;
 mod stopped;
 
@@ -21,7 +23,7 @@ fn deliver(gate: &mut Gate, user: &User, transaction: &Transaction) -> Result<us
 
 fn deliver_at(gate: &mut Gate, user: &User, transaction: &Transaction, block_time: u64) -> Result<usize, Refused> {
     let delivered = Delivered { block_time, transaction: transaction.encoded(), certificate: &user.certificate };
-    gate.pass(delivered, now()).map(|samples| samples.len())
+    gate.pass(delivered, now()).map(|passed| passed.samples.len())
 }
 
 /// Tells the gate of a newer standing, as the answer to a question of now.
@@ -30,7 +32,7 @@ fn learn(gate: &mut Gate, network: &Network, service: &Service, grants: &[Grant]
 }
 
 fn released(holder: &str, epoch: u64) -> Released {
-    Released { service: "T/cmd_vel".into(), holder: holder.into(), epoch, reason: "released".into() }
+    Released { service: "T/cmd_vel".into(), holder: holder.into(), epoch, reason: "released".into(), goes_on: false }
 }
 
 #[test]
@@ -41,7 +43,7 @@ fn what_the_holder_signed_passes_byte_for_byte_and_in_order() {
     let signed = network.salma.set(3, 1, &payloads);
     let delivered =
         Delivered { block_time: NOW, transaction: signed.encoded(), certificate: &network.salma.certificate };
-    let samples = gate.pass(delivered, now()).unwrap();
+    let samples = gate.pass(delivered, now()).unwrap().samples;
     assert_eq!(samples.iter().map(|sample| sample.wire().clone()).collect::<Vec<_>>(), payloads);
     assert!(gate.is_moving());
 }

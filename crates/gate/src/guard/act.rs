@@ -9,16 +9,15 @@ use ledger_mutation::{Mutation, active};
 use super::held::Message;
 use crate::{
     ABAC, MSP,
-    gate::{Delivered, Gate, Now, Refused},
-    sample::Sample,
+    gate::{Delivered, Gate, Now, Passed, Refused},
     service::{Released, Revoked, read},
 };
 
 /// The action that is to be taken.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Act {
-    /// Publish these, in order.
-    Publish(Vec<Sample>),
+    /// Publish its samples, in order.
+    Publish(Passed),
     /// Publish the stop message, for this reason.
     Stop(&'static str),
     /// The gate did not let a message of this block pass.

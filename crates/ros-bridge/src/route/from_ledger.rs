@@ -18,7 +18,7 @@ use ledger_api::{
 };
 use ledger_gate::{
     ABAC, MSP,
-    gate::{Refused, Settings as GateSettings},
+    gate::{Passed, Refused, Settings as GateSettings},
     guard::{Act, Block, Guard, Told},
     sample::Sample,
     service::Service,
@@ -158,6 +158,8 @@ struct FromLedger {
     next_height: u64,
     renewed: Instant,
     complaint: Complaint,
+    /// Beside the other complaints: a holder may be slowed down and refused in turn.
+    clamps: Complaint,
 }
 
 impl FromLedger {
@@ -193,6 +195,7 @@ impl FromLedger {
             next_height: height.saturating_add(1),
             renewed: Instant::now(),
             complaint: Complaint::default(),
+            clamps: Complaint::default(),
         };
         // Without an answer the route waits for one, and nothing passes.
         opened.ask();
@@ -315,7 +318,7 @@ impl FromLedger {
 
     async fn carry_out(&mut self, act: Act) {
         match act {
-            Act::Publish(samples) => self.publish(&samples),
+            Act::Publish(passed) => self.publish(&passed),
             Act::Stop(reason) => self.publish_stop(reason).await,
             Act::Refused { refused, height } => self.refuse(refused, height),
         }
@@ -379,9 +382,16 @@ impl FromLedger {
         }
     }
 
-    fn publish(&mut self, samples: &[Sample]) {
+    fn publish(&mut self, Passed { samples, clamped }: &Passed) {
         let mut counts = self.counters.lock();
         counts.live.came = Some(Instant::now());
+        counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(*clamped).unwrap_or(u64::MAX));
+        if *clamped > 0
+            && let Some(not_logged) = self.clamps.worth("clamped", Instant::now())
+        {
+            let service = &self.route.service;
+            tracing::warn!(service, not_logged, "the gate slowed a message down to the limit of its creator's grant");
+        }
         for sample in samples {
             match self.outlet.write(sample) {
                 Ok(()) => {

@@ -199,8 +199,8 @@ impl World {
                     }
                     self.note(format_args!("robot: {service} lets a message not pass: {}", refused.name()));
                 }
-                Act::Publish(samples) => {
-                    for sample in samples {
+                Act::Publish(passed) => {
+                    for sample in passed.samples {
                         let Some(transaction) = robot.told.get(sample.wire()) else {
                             return Err(Violation::new("gate", format!("{service}: nobody told of {sample:?}")));
                         };

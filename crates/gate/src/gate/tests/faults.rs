@@ -12,16 +12,14 @@ fn a_gate_that_contradicts_itself_lets_nothing_pass_any_more() {
         |gate| gate.epoch = 2,
         // The holder is mistaken for one of another epoch.
         |gate| {
-            gate.holders.insert("Org1/Farhad".into(), Holding { epoch: 9, lease_us: 1, left_us: 1 });
+            gate.holders.insert("Org1/Farhad".into(), Holding::of(&grant("Org1/Farhad", 9), NOW));
         },
     ];
     for broken in breaks {
         let mut gate = network.gate(&service("exclusive"), &held);
         assert_eq!(deliver(&mut gate, &network.salma, &network.salma.set(4, 1, &TWIST)), Ok(1));
         broken(&mut gate);
-        let released =
-            Released { service: "T/cmd_vel".into(), holder: "Org1/Nobody".into(), epoch: 3, reason: String::new() };
-        gate.released(&Released { epoch: gate.epoch, ..released }, NOW, now());
+        gate.released(&released("Org1/Nobody", gate.epoch), NOW, now());
         assert!(gate.fault().is_some_and(|found| found.contains("epoch")), "{:?}", gate.fault());
         learn(&mut gate, &network, &service("exclusive"), &held);
         let next = network.salma.set(4, 2, &TWIST);

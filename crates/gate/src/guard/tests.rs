@@ -1,0 +1,76 @@
+//! A hand-over as the bridge sees it: events in, acts out.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use super::*;
+use crate::fixture::{NOW, SECOND, TWIST, User, grant, now, service, shared};
+use crate::gate::Refused;
+use bytes::Bytes;
+use ledger::transaction::Transaction;
+use ledger_contract::Grant;
+use std::time::Duration;
+
+/// A guard under which Salma drives in epoch 3.
+fn driven() -> Guard {
+    let (network, salma) = (shared(), &shared().salma);
+    let settings =
+        Settings { network: salma.network, sample_bytes_max: 1024, max_age: None, stale_after: Duration::from_secs(1) };
+    let mut guard = Guard::new(settings, "T/cmd_vel", now());
+    guard.ask(now());
+    let standing = network.standing(1, &[grant("Org1/Salma", 3)]);
+    assert_eq!(guard.answered(&service("exclusive"), &standing, now().steady, now()), []);
+    assert!(matches!(message(&mut guard, 2, salma, &salma.set(3, 1, &TWIST)), Some(Act::Publish(_))));
+    guard
+}
+
+fn tell(
+    guard: &mut Guard,
+    height: u64,
+    name: &str,
+    payload: &str,
+    signed: Option<(&User, &Transaction)>,
+) -> Option<Act> {
+    let none = Bytes::new();
+    let (transaction, certificate) =
+        signed.map_or((&none, &none), |(user, signed)| (signed.encoded(), &user.certificate));
+    let payload = payload.as_bytes();
+    let told = Told { index: 0, chaincode: crate::ABAC, name, payload, transaction, certificate };
+    guard.told(&mut Block::new(height, NOW), &told, now())
+}
+
+fn message(guard: &mut Guard, height: u64, user: &User, signed: &Transaction) -> Option<Act> {
+    tell(guard, height, "message", "", Some((user, signed)))
+}
+
+/// The end of Salma's grant, after which the next one goes on, or nobody does.
+fn end(guard: &mut Guard, goes_on: &str) -> Option<Act> {
+    let payload = format!(r#"{{"service":"T/cmd_vel","holder":"Org1/Salma","epoch":3,"reason":"delegated"{goes_on}}}"#);
+    tell(guard, 3, "released", &payload, None)
+}
+
+#[test]
+fn a_hand_over_is_asked_about_at_once_and_the_next_drivers_messages_wait_for_the_answer() {
+    let farhad = &shared().farhad;
+    let mut guard = driven();
+    assert_eq!(end(&mut guard, r#","goes_on":true"#), None, "no stop");
+    assert!(guard.asks_at().unwrap() <= now().steady + 50_000);
+    assert_eq!(guard.ask(now()), now().steady, "an answer from before does not count");
+    assert_eq!(message(&mut guard, 4, farhad, &farhad.set(4, 1, &TWIST)), None, "it waits");
+    let next = Grant { follows: Some(3), ..grant("Org1/Farhad", 4) };
+    let acts = guard.answered(&service("exclusive"), &shared().standing(5, &[next]), now().steady, now());
+    assert!(matches!(&acts[..], [Act::Publish(passed)] if passed.samples.len() == 1), "{acts:?}");
+}
+
+#[test]
+fn an_end_without_a_next_one_stops_at_once_and_a_made_up_hand_over_at_the_answer_or_when_none_comes() {
+    assert_eq!(end(&mut driven(), ""), Some(Act::Stop("delegated")));
+    let ended = Service { epoch: 3, ..service("exclusive") };
+    let mut guard = driven();
+    assert_eq!(end(&mut guard, r#","goes_on":true"#), None);
+    let salma = &shared().salma;
+    let refused = message(&mut guard, 4, salma, &salma.set(3, 2, &TWIST));
+    assert_eq!(refused, Some(Act::Refused { refused: Refused::NotHolder, height: 4 }));
+    assert_eq!(guard.stop_at().unwrap().0, now().steady + SECOND, "no later than without it");
+    guard.ask(now());
+    let acts = guard.answered(&ended, &shared().standing(5, &[]), now().steady, now());
+    assert_eq!(acts, [Act::Stop("released")]);
+}
