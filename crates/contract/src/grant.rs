@@ -27,7 +27,7 @@ pub struct Grant {
     /// Why it was taken whatever the rule says, if it was.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub taken: Option<String>,
-    /// What policies bind its use to.
+    /// The limits that policies bind its use to.
     #[serde(default, skip_serializing_if = "Limits::is_none")]
     pub limits: Limits,
     /// Those who passed it on, the first one first, if it was delegated.

@@ -88,7 +88,12 @@ impl Fake {
     }
 
     pub(crate) fn set_holder(&self, holder: &str, epoch: u64, lease_ms: u64) {
-        *self.grants.lock().unwrap() = json!([held_by(holder, epoch, lease_ms)]);
+        self.set_grant(&held_by(holder, epoch, lease_ms));
+    }
+
+    /// The only grant.
+    pub(crate) fn set_grant(&self, grant: &Grant) {
+        *self.grants.lock().unwrap() = json!([grant]);
     }
 
     pub(crate) fn set_free(&self) {

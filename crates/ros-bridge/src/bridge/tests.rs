@@ -4,6 +4,8 @@
 #[path = "../../../../tests/support/own_network.rs"]
 mod network;
 
+mod limit_tests;
+
 use std::{
     sync::{Arc, atomic::Ordering},
     time::Duration,
@@ -113,10 +115,16 @@ impl Bench {
     }
 
     fn message(&self, user: &User, epoch: u64, seq: u64) -> (Sample, u64) {
-        let (sample, now) = (twist(7), micros());
-        let signed = sign(user, epoch, seq, &sample, now);
-        self.fake.deliver(now, "message", &json!({}), Some((&signed, &user.certificate)));
+        let sample = twist(7);
+        let now = self.message_of(user, epoch, seq, &sample);
         (sample, now)
+    }
+
+    fn message_of(&self, user: &User, epoch: u64, seq: u64, sample: &Sample) -> u64 {
+        let now = micros();
+        let signed = sign(user, epoch, seq, sample, now);
+        self.fake.deliver(now, "message", &json!({}), Some((&signed, &user.certificate)));
+        now
     }
 }
 

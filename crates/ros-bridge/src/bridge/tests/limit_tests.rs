@@ -1,0 +1,64 @@
+//! The limits of a grant, and a hand-over, at a real local graph.
+
+use super::*;
+use ledger_contract::{Grant, Limits};
+
+/// A Twist forwards.
+fn forwards(speed: f64) -> Sample {
+    let body: Vec<u8> = [speed, 0.0, 0.0, 0.0, 0.0, 0.0].into_iter().flat_map(f64::to_le_bytes).collect();
+    Sample::new(CDR_LE, &body).unwrap()
+}
+
+fn speed_of(sample: &Sample) -> f64 {
+    f64::from_le_bytes(sample.body()[..8].try_into().unwrap())
+}
+
+#[tokio::test]
+async fn a_robot_hears_no_faster_command_than_the_grant_allows_and_the_bridge_counts_what_it_slowed_down_and_dropped() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let limits = Limits { max_linear_mm_s: Some(500), max_rate_mhz: Some(3_000), ..Limits::default() };
+    let held = Grant { limits, ..held_by("Org1/Salma", 3, 60_000) };
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_grant(&held)).await;
+    let mut reader = bench.reader().await;
+    let salma = &bench.network.salma;
+    bench.message_of(salma, 3, 1, &forwards(0.25));
+    assert_eq!(next(&mut reader).await, forwards(0.25), "slow enough: byte for byte");
+    bench.message_of(salma, 3, 2, &forwards(-9.0));
+    let slower = speed_of(&next(&mut reader).await);
+    assert!((-0.5..-0.499_999).contains(&slower), "{slower}");
+    bench.message_of(salma, 3, 3, &forwards(f64::INFINITY));
+    bench.until(|summary| summary.gate.contains_key("bad_speed")).await;
+    // Three in a second, and what comes at once after them is too much.
+    for seq in 4..40 {
+        bench.message_of(salma, 3, seq, &forwards(0.0));
+    }
+    bench.until(|summary| summary.gate.values().sum::<u64>() + summary.published == 39).await;
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!((summary.clamped, summary.gate["bad_speed"]), (1, 1));
+    assert!(summary.gate["too_fast"] > 0, "{summary:?}");
+}
+
+#[tokio::test]
+async fn a_robot_that_is_handed_over_hears_no_stop_between_its_drivers() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    let mut reader = bench.reader().await;
+    let (salma, farhad) = (&bench.network.salma, &bench.network.farhad);
+    let (sent, _) = bench.message(salma, 3, 1);
+    assert_eq!(next(&mut reader).await, sent);
+    bench.fake.set_grant(&Grant { follows: Some(3), ..held_by("Org1/Farhad", 4, 60_000) });
+    let released =
+        json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 3, "reason": "delegated", "goes_on": true });
+    bench.fake.deliver(micros(), "released", &released, None);
+    bench.message_of(salma, 3, 2, &forwards(0.1));
+    bench.message_of(farhad, 4, 1, &forwards(0.2));
+    assert_eq!(next(&mut reader).await, forwards(0.2), "nothing in between");
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(next(&mut reader).await, stop(), "Farhad moved it last");
+    assert_eq!(summary.stops.into_iter().collect::<Vec<_>>(), [("shutdown", 1)]);
+    assert_eq!(summary.published, 2);
+}
