@@ -4,7 +4,7 @@ use crate::founding::clock;
 use crate::{World, own_network, timed};
 use bytes::Bytes;
 use criterion::Criterion;
-use ledger_abac::{Capabilities, Direction, Fencing, Grant, Limits, Mode, Publishing, Sequence};
+use ledger_abac::{Capabilities, Direction, Fencing, Grant, Mode, Publishing, Sequence};
 use ledger_gate::gate::{Delivered, Gate, Now, Settings};
 use ledger_gate::sample::{CDR_LE, SAMPLE_BYTES_MAX, Sample};
 use ledger_gate::service::Service;
@@ -67,7 +67,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         lease_ms: 10_000,
         next_seq: 0,
         taken: None,
-        limits: Limits::default(),
+        limits: ledger_abac::Limits::default(),
         givers: Vec::new(),
         may_delegate: false,
         follows: None,
