@@ -4,7 +4,9 @@
 
 pub(crate) mod acquire;
 pub(crate) mod authorize;
+pub(crate) mod confirm;
 pub(crate) mod contest;
+pub(crate) mod delegate;
 pub(crate) mod describe;
 pub(crate) mod emergency;
 pub(crate) mod end;

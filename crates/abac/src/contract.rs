@@ -1,8 +1,8 @@
 //! The function table of the chaincode, and its hooks.
 
 use crate::actions::{
-    NAME, acquire, authorize, emergency, end, follow, hold, policies, publish, queue, release, renew, robots, settings,
-    show,
+    NAME, acquire, authorize, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
+    renew, robots, settings, show,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
@@ -27,6 +27,9 @@ use std::sync::Arc;
 /// | `take SERVICE REASON [LEASE_MS]` | an admin of the owner, whom policies permit `override` | [`crate::Grant`] |
 /// | `stop ROBOT\|* [REASON]` | an admin of the owner, whom policies permit it | [`crate::EmergencyAnswer`] |
 /// | `resume ROBOT\|* [REASON]` | an admin of the owner, whom policies permit it | [`crate::EmergencyAnswer`] |
+/// | `confirm SERVICE CONTENDER` | an admin of the owner, whom policies permit it; never the contender | [`crate::Confirmation`] |
+/// | `delegate SERVICE RECEIVER [OPTIONS_JSON]`, `handover SERVICE RECEIVER [OPTIONS_JSON]` | the holder | the receiver's [`crate::Grant`] |
+/// | `recall SERVICE [OPTIONS_JSON]` | one who delegated it | [`crate::Grant`] |
 /// | `renew SERVICE [LEASE_MS]` | the holder | [`crate::Grant`] |
 /// | `release SERVICE [HOLDER]` | the holder, who waits in line, an admin of the owner | the grants it ended |
 /// | `set SERVICE EPOCH FIRST_SEQ PAYLOAD...` | the holder; in open mode whom policies permit | [`crate::Published`] |
@@ -44,7 +47,7 @@ use std::sync::Arc;
 ///
 /// A service is named `Turtlebot4/cmd_vel`, or `Turtlebot4` while that robot has only one.
 ///
-/// Events: `granted` and `renewed` with the [`crate::Grant`], `released` with [`crate::Released`], `queued` with
+/// Events: `granted` and `renewed` with the [`crate::Grant`], `released` with [`crate::Released`], `delegated` with [`crate::Delegated`], `pending` and `confirmed` with [`crate::Pending`], `queued` with
 /// [`crate::Place`], `left` with [`crate::Left`], `line` with [`crate::LineTold`], `message` with
 /// [`crate::MessageEvent`], all with the service as subject; `robot` with [`crate::RobotEvent`], `stopped` and `resumed`
 /// with [`crate::Emergency`], and the robot as subject; `policy` with [`crate::PolicyChange`] and the organisation as subject.
@@ -53,16 +56,20 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 21] = [
+const FUNCTIONS: [&str; 25] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
     "configure",
+    "confirm",
     "declare",
+    "delegate",
     "grants",
+    "handover",
     "line",
     "policies",
     "policy",
+    "recall",
     "release",
     "remove",
     "renew",
@@ -85,11 +92,39 @@ const READS: [&str; 8] =
     ["GetSubmittingClientIdentity", "authorize", "grants", "line", "policies", "robot", "robots", "service"];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
-const URGENT: [&str; 9] = ["acquire", "configure", "policy", "release", "remove", "renew", "resume", "stop", "take"];
+const URGENT: [&str; 13] = [
+    "acquire",
+    "configure",
+    "confirm",
+    "delegate",
+    "handover",
+    "policy",
+    "recall",
+    "release",
+    "remove",
+    "renew",
+    "resume",
+    "stop",
+    "take",
+];
 
 /// The names of its events.
-const EVENTS: [&str; 11] =
-    ["granted", "left", "line", "message", "policy", "queued", "released", "renewed", "resumed", "robot", "stopped"];
+const EVENTS: [&str; 14] = [
+    "confirmed",
+    "pending",
+    "delegated",
+    "granted",
+    "left",
+    "line",
+    "message",
+    "policy",
+    "queued",
+    "released",
+    "renewed",
+    "resumed",
+    "robot",
+    "stopped",
+];
 
 impl AccessControl {
     /// The chaincode, with the thread on which it evaluates policies.
@@ -137,6 +172,10 @@ impl Chaincode for AccessControl {
             "acquire" => acquire::acquire(ctx, decider, args),
             "renew" => renew::renew(ctx, decider, args),
             "take" if sharing::known(ctx) => acquire::take(ctx, decider, args),
+            "delegate" if sharing::known(ctx) => delegate::delegate(ctx, decider, args),
+            "handover" if sharing::known(ctx) => delegate::handover(ctx, decider, args),
+            "recall" if sharing::known(ctx) => delegate::recall(ctx, decider, args),
+            "confirm" if sharing::known(ctx) => confirm::confirm(ctx, decider, args),
             "stop" if sharing::known(ctx) => emergency::stop(ctx, decider, args),
             "resume" if sharing::known(ctx) => emergency::resume(ctx, decider, args),
             "line" if sharing::known(ctx) => show::line(ctx, decider, args),

@@ -52,10 +52,11 @@ pub use actions::authorize::{Authorization, Caller};
 pub use actions::publish::MESSAGES_PER_CALL_MAX;
 pub use contract::AccessControl;
 pub use ledger_contract::{
-    AcquireOptions, Acquired, Capabilities, Declaration, Direction, Emergency, EmergencyAnswer, Fencing, Grant, Left,
-    LeftReason, Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, Place, PolicyChange, PolicyEntry,
-    Published, Publishing, Reason, Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence,
-    ServiceSpec, ServiceState, SettingChange, Sharing, Stopped, Told,
+    AcquireOptions, Acquired, Capabilities, Confirmation, Declaration, Delegated, Direction, Emergency,
+    EmergencyAnswer, Fencing, Grant, Left, LeftReason, Limits, LineState, LineTold, MessageEvent, Mode, OnConflict,
+    PassOptions, Pending, Place, PolicyChange, PolicyEntry, Published, Publishing, Reason, Released, RobotAsset,
+    RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Sharing,
+    Stopped, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
 pub use policy::limits::POLICY_BYTES_MAX;

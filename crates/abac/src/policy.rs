@@ -14,7 +14,9 @@ mod refusal;
 #[cfg(test)]
 mod tests;
 pub(crate) mod texts;
+mod window;
 
+use self::annotation::Said;
 use self::defaults::schemas;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
@@ -23,6 +25,7 @@ use cedar_policy::{
     Authorizer, Context, Decision, Entities, Entity, EntityId, EntityTypeName, EntityUid, PolicyId, PolicySet, Request,
     RestrictedExpression, Schema, ValidationMode, Validator,
 };
+use ledger_contract::Limits;
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
@@ -64,6 +67,16 @@ pub(crate) struct Question {
     pub(crate) doubted: bool,
 }
 
+impl Question {
+    /// What a policy that matches says. Older rules look at no annotation.
+    fn said(&self, policies: &PolicySet, id: &PolicyId) -> Result<Said, String> {
+        match self.resource.of_robot {
+            Some(_) => annotation::said(policies, id, self.time_ms),
+            None => Ok(Said::Permits(Permit::default())),
+        }
+    }
+}
+
 /// The caller.
 pub(crate) struct User {
     pub(crate) organisation: String,
@@ -93,6 +106,8 @@ pub(crate) enum Verdict {
     Permit(Permit),
     /// No policy permits it.
     NotPermitted,
+    /// Policies permit it within these windows of time only.
+    Closed(Vec<String>),
     /// These policies forbid it.
     Forbidden(Vec<String>),
     /// A policy could not be evaluated. Cedar would skip it, were it a `forbid`; here it denies.
@@ -100,10 +115,32 @@ pub(crate) enum Verdict {
 }
 
 /// The annotations of policies on something that they permit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Permit {
     /// The highest `@priority` of those that permit it.
     pub(crate) priority: Option<i64>,
+    /// What it is bound to: of each limit the strictest. The windows are those of policies that permit it now.
+    pub(crate) limits: Limits,
+    /// When the last of these windows closes (block time, microseconds); never, if a policy without one permits it.
+    pub(crate) closes: Option<u64>,
+}
+
+impl Permit {
+    /// Another policy permits the same.
+    fn or(self, other: Self) -> Self {
+        let closes = self.closes.zip(other.closes).map(|(one, two)| one.max(two));
+        let mut limits = self.limits.and(other.limits);
+        if closes.is_none() {
+            limits.between.clear();
+        }
+        Self { priority: self.priority.max(other.priority), limits, closes }
+    }
+
+    /// Another use must be permitted as well.
+    pub(crate) fn and(self, other: Self) -> Self {
+        let closes = self.closes.into_iter().chain(other.closes).min();
+        Self { priority: self.priority, limits: self.limits.and(other.limits), closes }
+    }
 }
 
 /// A verdict, and whether it holds whatever the time is.
@@ -280,7 +317,7 @@ fn validate(validator: &Validator, annotated: bool, text: &str) -> Result<(), Ve
 }
 
 fn parse_all(texts: &[(String, String)]) -> Parsed {
-    let timeless = !texts.iter().any(|(_, text)| text.contains("context"));
+    let timeless = !texts.iter().any(|(_, text)| text.contains("context") || annotation::may_have_window(text));
     let bytes = texts.iter().map(|(_, text)| text.len()).sum();
     Parsed { policies: index_all(texts), timeless, bytes }
 }
@@ -360,15 +397,20 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
 
     // Each set by itself, put together as Cedar would: what one forbids no other permits.
     let (principals, resources) = ([&principal, &home], [&resource, &robot, &owner]);
-    let (mut faults, mut forbidding, mut permitted) = (Vec::new(), Vec::new(), None);
+    let (mut faults, mut forbidding, mut closed, mut permitted) = (Vec::new(), Vec::new(), Vec::new(), None);
     for set in policies.candidates(&principals, &resources) {
         let response = Authorizer::new().is_authorized(&request, set, &entities);
         faults.extend(response.diagnostics().errors().map(ToString::to_string));
         match response.decision() {
             Decision::Allow => {
-                let priorities = response.diagnostics().reason().filter_map(|id| annotation::priority(set, id));
-                let Permit { priority } = permitted.unwrap_or_default();
-                permitted = Some(Permit { priority: priorities.chain(priority).max() });
+                for id in response.diagnostics().reason() {
+                    match question.said(set, id)? {
+                        Said::Permits(more) => {
+                            permitted = [Some(more), permitted].into_iter().flatten().reduce(Permit::or)
+                        }
+                        Said::Closed(window) => closed.push(window),
+                    }
+                }
             }
             Decision::Deny => forbidding.extend(response.diagnostics().reason().map(ToString::to_string)),
         }
@@ -382,6 +424,10 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     Ok(match permitted {
         _ if !forbidding.is_empty() => Verdict::Forbidden(forbidding),
         Some(permit) => Verdict::Permit(permit),
+        None if !closed.is_empty() => {
+            closed.sort();
+            Verdict::Closed(closed)
+        }
         None => Verdict::NotPermitted,
     })
 }

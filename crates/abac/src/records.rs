@@ -5,6 +5,7 @@ pub(crate) mod grant;
 pub(crate) mod last;
 pub(crate) mod line;
 pub(crate) mod parsed;
+pub(crate) mod pending;
 pub(crate) mod principal;
 pub(crate) mod robot;
 pub(crate) mod service;

@@ -14,6 +14,8 @@
 //! ```
 
 mod capability;
+mod confirmation;
+mod delegation;
 mod emergency;
 mod grant;
 mod limits;
@@ -27,6 +29,8 @@ mod sharing;
 mod word;
 
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
+pub use confirmation::{Confirmation, Pending};
+pub use delegation::{Delegated, PassOptions};
 pub use emergency::{Emergency, EmergencyAnswer, Stopped};
 pub use grant::{Grant, Reason, Released};
 pub use limits::Limits;

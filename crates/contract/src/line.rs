@@ -1,5 +1,6 @@
 //! The line of a service: what a contender asks for, how it is answered, and what is told about who waits.
 
+use crate::confirmation::Pending;
 use crate::grant::Grant;
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,11 @@ pub enum Acquired {
     Queued {
         /// Where.
         queued: Place,
+    },
+    /// Others must confirm the caller first.
+    Pending {
+        /// How far that is.
+        pending: Pending,
     },
     /// The caller holds the service.
     Granted(Box<Grant>),
@@ -69,6 +75,8 @@ words! {
         Removed = "removed",
         /// The robot or the service was taken out of service.
         RobotRemoved = "robot_removed",
+        /// Too few confirmed it in time.
+        Unconfirmed = "unconfirmed",
         /// The service has no line any more, or a shorter one.
         Rule = "rule",
     }
@@ -105,6 +113,9 @@ pub struct LineState {
     pub holders: Vec<Grant>,
     /// Those who wait, the next one first.
     pub line: Vec<Place>,
+    /// Those who wait to be confirmed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub pending: Vec<Pending>,
 }
 
 #[cfg(test)]

@@ -82,6 +82,18 @@ pub struct Sharing {
     /// A holder that publishes nothing for so long (milliseconds) loses the service; never by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub idle_release_ms: Option<u64>,
+    /// May a holder pass its grant on? No by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delegable: Option<bool>,
+    /// How many identities must confirm a contender before it competes; none by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confirm: Option<u64>,
+    /// How long (milliseconds) confirmations are waited for, and count; a minute by default.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub confirm_within_ms: Option<u64>,
+    /// How many may read the service at once; without it, everybody whom policies permit.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subscribers: Option<u64>,
 }
 
 /// A key of [`Sharing`]: its name, its value for people if it is set, how it takes the value of another, how it is cleared.
@@ -102,7 +114,10 @@ macro_rules! keys {
     };
 }
 
-keys!(publishers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms);
+keys!(
+    publishers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms
+    subscribers
+);
 
 impl Sharing {
     /// Are all settings the defaults?
@@ -158,6 +173,10 @@ mod tests {
             aging_ms: Some(6),
             min_hold_ms: Some(7),
             idle_release_ms: Some(8),
+            delegable: Some(true),
+            confirm: Some(9),
+            confirm_within_ms: Some(10),
+            subscribers: Some(11),
         };
         let json = serde_json::to_value(&all).unwrap();
         let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();

@@ -32,6 +32,7 @@
 //! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
 //! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
 //! | `cancel_registration {name}` | an admin | nothing |
+//! | `holder ORGANISATION/NAME` | everybody, since rules 3 | [`CertifiedHolder`] |
 //! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
 //! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
 //! | `record_certificate {...}` ([`RecordCertificate`]) | a node that carries the CA | [`Recorded`] |
@@ -75,9 +76,9 @@ pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
-    CERTIFICATES_MAX, CancelRegistration, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX, IdentityRecord,
-    IssuedCertificate, KnownIdentity, LocalSecret, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE, RecordCertificate, Recorded,
-    Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity, issued,
+    CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
+    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE,
+    RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity, issued,
 };
 pub use invitations::{
     CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
@@ -111,6 +112,7 @@ pub const NAME: &str = "msp";
 
 const ACTIVATE_RULES: &str = "activate_rules";
 const ALLOW_NODES: &str = "allow_nodes";
+const HOLDER: &str = "holder";
 const INVITE_ORGANISATION: &str = "invite_organisation";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
 const SET_NODE_ROLE: &str = "set_node_role";
@@ -130,7 +132,7 @@ static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 35] = [
+const FUNCTIONS: [(&str, &str); 36] = [
     ("activate_rules", "RULES_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
     ("approve", "ID"),
@@ -140,6 +142,7 @@ const FUNCTIONS: [(&str, &str); 35] = [
     ("cancel_registration", "NAME_JSON"),
     ("carriers", "none"),
     ("carry_ca", "CARRY_JSON"),
+    (HOLDER, "ORGANISATION/NAME"),
     ("identities", "PAGE_JSON, NAME_JSON or none"),
     ("invitations", "none"),
     ("invite_organisation", "INVITE_JSON"),
@@ -169,9 +172,10 @@ const FUNCTIONS: [(&str, &str); 35] = [
 ];
 
 /// Those of them that only read.
-const READS: [&str; 12] = [
+const READS: [&str; 13] = [
     "attestations",
     "carriers",
+    HOLDER,
     "identities",
     "invitations",
     "nodes",
@@ -197,7 +201,7 @@ const URGENT: [&str; 8] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 6] = [ALLOW_NODES, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
+const SINCE_RULES_3: [&str; 7] = [ALLOW_NODES, HOLDER, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
 
 /// The names of its events.
 const EVENTS: [&str; 25] = [
@@ -268,6 +272,7 @@ impl Chaincode for MspChaincode {
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),
             ("attestations", []) => attestations::list(ctx),
+            (HOLDER, [id]) => identities::holder(ctx, id),
             ("identities", [wanted]) if !ctx.is_query() => identities::executed(ctx, wanted),
             ("identities", [] | [_]) => identities::list(ctx, args),
             ("register", [register]) => identities::register(ctx, register),

@@ -14,6 +14,8 @@ pub enum Mutation {
     AcknowledgeBeforeMajority,
     /// A new grant gets the epoch of the one before.
     ReuseAnEpoch,
+    /// A contender that confirms itself counts.
+    CountTheRequester,
     /// A revoked certificate is accepted.
     SkipTheRevocationCheck,
     /// A `forbid` that cannot be evaluated is skipped.

@@ -180,6 +180,8 @@ codes! {
     Stopped = 3020 "STOPPED" Conflict;
     /// As many wait for the service as its owner allows.
     LineFull = 3021 "LINE_FULL" Conflict;
+    /// The grant cannot be passed on.
+    NotDelegable = 3022 "NOT_DELEGABLE" Conflict;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

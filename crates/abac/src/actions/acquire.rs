@@ -3,10 +3,11 @@
 use super::contest::{self, Contest, OVERRIDING};
 use super::describe::LEASE_MS_MIN;
 use super::hold::until;
-use super::{emergency, end, publish, queue, renew};
+use super::{confirm, emergency, end, publish, queue, renew};
 use crate::arguments::Arguments;
+use crate::policy::Permit;
 use crate::policy::decider::{self, Decider};
-use crate::records::grant::{self, HOLDERS_MAX, Holding};
+use crate::records::grant::{self, Giver, HOLDERS_MAX, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
 use crate::records::{line, sharing, store};
@@ -33,8 +34,38 @@ pub(crate) struct Award {
     pub(crate) principal: Principal,
     pub(crate) lease_ms: u64,
     pub(crate) priority: i64,
+    /// What policies bind it to.
+    pub(crate) permit: Permit,
     /// Why it is taken whatever the rule says.
     pub(crate) taken: Option<String>,
+    /// What it goes on with, if it was passed on or taken back.
+    pub(crate) passed: Passed,
+}
+
+/// The part of a grant that comes from those who had the service before.
+#[derive(Default)]
+pub(crate) struct Passed {
+    pub(crate) givers: Vec<Giver>,
+    pub(crate) may_delegate: bool,
+    /// When it ends in any case (block time, microseconds).
+    pub(crate) ends_by: Option<u64>,
+    /// Since when the service is held without a break (block time, microseconds).
+    pub(crate) since: Option<u64>,
+    /// The epoch that it follows without a stop between.
+    pub(crate) follows: Option<u64>,
+}
+
+impl Passed {
+    /// As it was passed to that grant, for another certificate of its holder.
+    fn on(holding: &Holding) -> Self {
+        Self {
+            givers: holding.givers.clone(),
+            may_delegate: holding.grant.may_delegate,
+            ends_by: holding.ends_by,
+            since: holding.since,
+            follows: None,
+        }
+    }
 }
 
 const USAGE: &str = "acquire SERVICE [LEASE_MS|OPTIONS_JSON]";
@@ -45,17 +76,39 @@ pub(crate) fn acquire(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
     let options = options(ctx, &target, args)?;
-    let (ending, priority) = match may_acquire(ctx, decider, &principal, &target, options.priority)? {
+    let (room, permit) = may_acquire(ctx, decider, &principal, &target, options.priority)?;
+    let waits = match &room {
+        Room::Own(_) => false,
+        Room::InLine { .. } => options.wait_ms != Some(0),
+        Room::After { .. } => true,
+    };
+    if waits && let Some(pending) = confirm::first(ctx, &target, &principal, &options)? {
+        return store::json(&Acquired::Pending { pending });
+    }
+    settle(ctx, decider, &target, principal, &options, room, permit)
+}
+
+/// Gives one who may the room that there is for it: a grant, or a place in line.
+pub(crate) fn settle(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    target: &Target,
+    principal: Principal,
+    options: &AcquireOptions,
+    room: Room,
+    permit: Permit,
+) -> Result<Bytes, Rejection> {
+    let (ending, priority, passed) = match room {
         Room::Own(own) if own.principal.same_certificate(&principal) => {
-            return renew::renewed(ctx, decider, &target, *own, options.lease_ms);
+            return renew::renewed(ctx, decider, target, *own, &permit, options.lease_ms);
         }
         // Another certificate of the same person: whoever holds the old one must be fenced off.
-        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority),
+        Room::Own(own) => (vec![(own.as_ref().clone(), Reason::Released)], own.priority, Passed::on(&own)),
         Room::After { ended, priority } => {
-            (ended.into_iter().map(|holding| (holding, Reason::Preempted)).collect(), priority)
+            (ended.into_iter().map(|holding| (holding, Reason::Preempted)).collect(), priority, Passed::default())
         }
         Room::InLine { again, priority } => {
-            let queued = queue::join(ctx, decider, &target, &principal, &options, priority)?;
+            let queued = queue::join(ctx, decider, target, &principal, options, priority)?;
             if let Some(again) = again {
                 line::look_by(ctx, &target.id, again)?;
             }
@@ -65,9 +118,9 @@ pub(crate) fn acquire(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     for (holding, reason) in ending {
         end::end_for(ctx, &holding, reason, &principal)?;
     }
-    queue::granted(ctx, decider, &target, &principal.id())?;
+    queue::granted(ctx, decider, target, &principal.id())?;
     let lease_ms = options.lease_ms.unwrap_or(target.service.lease_ms);
-    give(ctx, decider, &target, Award { principal, lease_ms, priority, taken: None })
+    give(ctx, decider, target, Award { principal, lease_ms, priority, permit, taken: None, passed })
 }
 
 /// `take SERVICE REASON [LEASE_MS]`: the service, whatever its rule says; by an admin of the owner, or whom policies permit
@@ -78,13 +131,14 @@ pub(crate) fn take(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
     let reason = args.text(1, "REASON")?.to_owned();
     let lease_ms = if args.has(2) { lease(&target, args, 2)? } else { target.service.lease_ms };
-    decider::may_override(ctx, decider, &principal, &target)?;
+    let permit = decider::may_override(ctx, decider, &principal, &target)?;
     emergency::check_goes(ctx, &target)?;
     for holding in grant::live(ctx, &target.id)? {
         end::end_for(ctx, &holding, Reason::Overridden, &principal)?;
     }
     queue::granted(ctx, decider, &target, &principal.id())?;
-    give(ctx, decider, &target, Award { principal, lease_ms, priority: OVERRIDING, taken: Some(reason) })
+    let (taken, passed) = (Some(reason), Passed::default());
+    give(ctx, decider, &target, Award { principal, lease_ms, priority: OVERRIDING, permit, taken, passed })
 }
 
 /// Algorithm 1 of the paper: may this principal have a grant now, by the policies and beside those who hold one?
@@ -97,13 +151,13 @@ pub(crate) fn may_acquire(
     principal: &Principal,
     target: &Target,
     asked: Option<i64>,
-) -> Result<Room, Rejection> {
+) -> Result<(Room, Permit), Rejection> {
     let permit = decider::may_hold(ctx, decider, principal, target)?;
     emergency::check_goes(ctx, target)?;
     if let Some(own) = grant::held_by(ctx, &target.id, &principal.id())? {
-        return Ok(Room::Own(Box::new(own)));
+        return Ok((Room::Own(Box::new(own)), permit));
     }
-    let priority = contest::priority(target, principal, permit, asked)?;
+    let priority = contest::priority(target, principal, &permit, asked)?;
     let contest = Contest::of(ctx, target)?;
     let waits = contest.line.iter().find(|waiting| waiting.contender == principal.id());
     let contender = match waits {
@@ -112,12 +166,12 @@ pub(crate) fn may_acquire(
     };
     match contest.decide(decider.rules.of(target)?, &contender) {
         Decision::Refuse => Err(held(target, &contest.holders)),
-        Decision::Wait { again } => Ok(Room::InLine { again, priority }),
+        Decision::Wait { again } => Ok((Room::InLine { again, priority }, permit)),
         Decision::Grant { ends } => {
             let ended: Vec<Holding> = ends.iter().filter_map(|index| contest.holders.get(*index)).cloned().collect();
             match contest.holders.len() - ended.len() {
                 beside if beside >= HOLDERS_MAX => Err(full(target, beside)),
-                _ => Ok(Room::After { ended, priority }),
+                _ => Ok((Room::After { ended, priority }, permit)),
             }
         }
     }
@@ -134,7 +188,8 @@ pub(crate) fn give(
     for dead in grant::stored(ctx, &target.id)?.iter().filter(|holding| !holding.is_live(now)) {
         end::end(ctx, dead, dead.reason())?;
     }
-    let Award { principal, lease_ms, priority, taken } = award;
+    let Award { principal, lease_ms, priority, permit, taken, passed } = award;
+    let Passed { givers, may_delegate, ends_by, since, follows } = passed;
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let epoch = newest
         .checked_add(u64::from(newest == 0 || !active(Mutation::ReuseAnEpoch)))
@@ -152,15 +207,20 @@ pub(crate) fn give(
             next_seq: publish::next_sequence(ctx, decider, target, epoch, &principal.id())?,
             taken,
             limits: Limits::default(),
-            givers: Vec::new(),
-            may_delegate: false,
-            follows: None,
+            givers: givers.iter().map(|giver| giver.principal.id()).collect(),
+            may_delegate,
+            follows,
             task: None,
         },
         principal,
         priority,
         ending: None,
+        closes: None,
+        ends_by,
+        since,
+        givers,
     };
+    holding.bind(&target.service, &permit);
     holding.extend(now);
     grant::put(ctx, &holding)?;
     if let Some(idle) = Terms::of(&target.service.sharing).idle_release_us {

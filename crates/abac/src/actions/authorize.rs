@@ -65,7 +65,9 @@ pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let outcome = match action {
         Action::Acquire => could_acquire(ctx, decider, &principal, &target),
         Action::Publish => publish::may_publish(ctx, decider, submitter, &target, None).map(drop),
-        Action::Subscribe | Action::Override => decider.decide(ctx, &principal, &target, action).map(drop),
+        Action::Subscribe | Action::Override | Action::Confirm => {
+            decider.decide(ctx, &principal, &target, action).map(drop)
+        }
     };
     let epoch = hold::own(ctx, &principal, &target).map_or(0, |own| own.grant.epoch);
     let code = outcome.as_ref().err().map_or(Code::Ok, |rejection| rejection.code);
@@ -86,7 +88,7 @@ fn could_acquire(
     principal: &Principal,
     target: &Target,
 ) -> Result<(), Rejection> {
-    match acquire::may_acquire(ctx, decider, principal, target, None)? {
+    match acquire::may_acquire(ctx, decider, principal, target, None)?.0 {
         Room::InLine { .. } => Err(acquire::held(target, &grant::live(ctx, &target.id)?)),
         Room::Own(_) | Room::After { .. } => Ok(()),
     }

@@ -1,8 +1,10 @@
 //! The contest for a service as its rule sees it: those who hold it, those who wait, and who asks.
 
+use super::confirm;
 use crate::policy::Permit;
 use crate::records::grant::{self, Holding};
 use crate::records::line::{self, Waiting};
+use crate::records::pending::Asking;
 use crate::records::principal::Principal;
 use crate::records::service::Target;
 use crate::rules::priority::{self, PRIORITY_MAX, Source};
@@ -71,10 +73,13 @@ impl<'t> Contest<'t> {
     }
 
     /// As everybody may see it.
-    pub(crate) fn told(self, rule: &dyn Rule) -> LineState {
+    pub(crate) fn told(self, rule: &dyn Rule, asking: &[Asking]) -> LineState {
+        let wanted = self.target.service.sharing.confirm.unwrap_or(0);
+        let pending = asking.iter().filter(|asking| asking.until > self.now);
+        let pending = pending.map(|asking| confirm::told(self.target, asking, wanted)).collect();
         let line = self.places(rule);
         let holders = self.holders.into_iter().map(|holding| holding.grant).collect();
-        LineState { service: self.target.id.clone(), holders, line }
+        LineState { service: self.target.id.clone(), holders, line, pending }
     }
 
     fn situation<'a>(&'a self, holders: &'a [Claim], line: &'a [Claim]) -> Situation<'a> {
@@ -94,7 +99,7 @@ pub(crate) fn newcomer(ctx: &Context<'_>, who: String, priority: i64) -> Claim {
 }
 
 pub(crate) fn claim_of_holder(holding: &Holding) -> Claim {
-    let (who, since) = (holding.grant.holder.clone(), holding.grant.acquired_at);
+    let (who, since) = (holding.grant.holder.clone(), holding.held_since());
     Claim { who, priority: holding.priority, since, ticket: 0 }
 }
 
@@ -105,7 +110,7 @@ pub(crate) fn claim_of_holder(holding: &Holding) -> Claim {
 pub(crate) fn priority(
     target: &Target,
     principal: &Principal,
-    permit: Permit,
+    permit: &Permit,
     asked: Option<i64>,
 ) -> Result<i64, Rejection> {
     let own = match Source::of(target.service.sharing.priority.as_deref())? {

@@ -21,7 +21,18 @@ const ENDINGS_MAX: usize = 256;
 
 /// Removes a grant, and tells the world why.
 pub(crate) fn end(ctx: &mut Context<'_>, holding: &Holding, reason: Reason) -> Result<Released, Rejection> {
-    tell(ctx, holding, reason, None)
+    tell(ctx, holding, reason, None, false)
+}
+
+/// Removes a grant because another one follows it in this block; the robot goes on between them, or stops.
+pub(crate) fn pass_on(
+    ctx: &mut Context<'_>,
+    holding: &Holding,
+    reason: Reason,
+    to: &str,
+    goes_on: bool,
+) -> Result<Released, Rejection> {
+    tell(ctx, holding, reason, Some(to.to_owned()), goes_on)
 }
 
 /// Removes a grant because somebody takes its place.
@@ -32,14 +43,20 @@ pub(crate) fn end_for(
     by: &Principal,
 ) -> Result<Released, Rejection> {
     let by = matches!(reason, Reason::Preempted | Reason::Overridden).then(|| by.id());
-    tell(ctx, holding, reason, by)
+    tell(ctx, holding, reason, by, false)
 }
 
-fn tell(ctx: &mut Context<'_>, holding: &Holding, reason: Reason, by: Option<String>) -> Result<Released, Rejection> {
+fn tell(
+    ctx: &mut Context<'_>,
+    holding: &Holding,
+    reason: Reason,
+    by: Option<String>,
+    goes_on: bool,
+) -> Result<Released, Rejection> {
     grant::remove(ctx, holding);
     let Grant { service, holder, epoch, .. } = holding.grant.clone();
     queue::look_now(ctx, &service)?;
-    let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on: false };
+    let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on };
     ctx.emit("released", &released.service, store::json(&released)?);
     Ok(released)
 }
@@ -135,7 +152,8 @@ pub(crate) fn organisation_removed(ctx: &mut Context<'_>, organisation: &str) ->
         for service in &robot.services {
             queue::members_left(ctx, &robot.service_id(service), organisation)?;
             let live = grant::live(ctx, &robot.service_id(service))?.into_iter();
-            let theirs = live.filter(|holding| holding.principal.organisation == organisation);
+            let theirs =
+                live.filter(|holding| holding.principals().any(|principal| principal.organisation == organisation));
             ending.extend(theirs.map(|holding| (holding, Reason::Revoked)));
         }
     }
@@ -209,12 +227,18 @@ fn unfit(
         let claim = contest::claim_of_holder(&holding);
         let beside = Situation { sharing: &target.service.sharing, holders: &stay, line: &[], now: ctx.block_time() };
         let has_room = matches!(rule.decide(&claim, &beside), Decision::Grant { ends } if ends.is_empty());
-        if ask && decider::may_keep(ctx, decider, &holding, target).is_err() {
+        let permit = if ask { decider::may_keep(ctx, decider, &holding, target).map(Some) } else { Ok(None) };
+        let Ok(permit) = permit else {
             ending.push((holding, Reason::Policy));
-        } else if !has_room {
+            continue;
+        };
+        if !has_room {
             ending.push((holding, Reason::Taken));
         } else {
             let mut changed = holding.clone();
+            if let Some(permit) = permit {
+                changed.bind(&target.service, &permit);
+            }
             changed.grant.mode = target.service.mode.clone();
             changed.grant.lease_ms = holding.grant.lease_ms.min(target.service.lease_ms_max);
             if changed != holding {

@@ -73,6 +73,9 @@ fn not_holder(target: &Target, who: &str, holders: &[Holding]) -> Rejection {
         .found(holders_of(who, holders))
         .wanted(format!("a grant of {id} to {who}"))
         .next(match holders {
+            [holding] if holding.grant.givers.iter().any(|giver| giver == who) => {
+                format!("take it back: ledgerctl recall {id}")
+            }
             [holding] if holding.grant.holder != who => format!("once it is free: ledgerctl acquire {id}"),
             _ => format!("ledgerctl acquire {id}"),
         })

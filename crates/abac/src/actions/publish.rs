@@ -104,9 +104,9 @@ pub(crate) fn may_publish(
     }
     let principal = &Principal::of(submitter);
     if by_policy {
-        decider.decide(ctx, principal, target, Action::Publish)?;
+        let permit = decider.decide(ctx, principal, target, Action::Publish)?;
         emergency::check_goes(ctx, target)?;
-        return Ok(None);
+        return if permit.limits.is_none() { Ok(None) } else { Err(limited(target, &principal.id())) };
     }
     emergency::check_goes(ctx, target)?;
     let newest = grant::newest_epoch(ctx, &target.id)?;
@@ -118,6 +118,14 @@ pub(crate) fn may_publish(
         Err(not_holder) => decider.decide(ctx, principal, target, Action::Publish).err().unwrap_or(not_holder),
     };
     Err(refused)
+}
+
+/// Limits are part of a grant, from which the robot learns them.
+fn limited(target: &Target, who: &str) -> Rejection {
+    Rejection::new(Code::NotHolder, format!("policies limit the use of {} by {who}, so it needs a grant", target.id))
+        .found("no grant")
+        .wanted("a grant, whose limits the robot enforces")
+        .next(format!("ledgerctl acquire {}", target.id))
 }
 
 fn stale(target: &Target, epoch: Option<u64>, wanted: u64) -> Rejection {

@@ -4,16 +4,16 @@
 //! The start of the next block [goes on](go_on) with it: no caller pays for the turns of others, and nobody's release can fail
 //! because of who waits. The work of a block is bounded: services that are looked at, turns, and steps of policies.
 
-use super::acquire::{self, Award};
+use super::acquire::{self, Award, Passed};
 use super::contest::{Contest, claim};
 use super::undecided::{self, IN_BLOCK};
-use super::{emergency, end};
+use super::{confirm, emergency, end};
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::Holding;
 use crate::records::line::{self, Waiting};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
-use crate::records::{last, sharing, store};
+use crate::records::{last, pending, sharing, store};
 use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use ledger::Context;
@@ -66,6 +66,7 @@ pub(crate) fn join(
         lease_ms: options.lease_ms.or(before.and_then(|before| before.lease_ms)),
     };
     let is_new = before.is_none();
+    pending::remove(ctx, &target.id, &contender)?;
     line::put(ctx, &target.id, &waiting, principal)?;
     line::look_by(ctx, &target.id, waiting.until)?;
     let places = Contest::of(ctx, target)?.places(decider.rules.of(target)?);
@@ -112,7 +113,7 @@ pub(crate) fn leave(
     reason: LeftReason,
 ) -> Result<bool, Rejection> {
     if line::of(ctx, &target.id, contender)?.is_none() {
-        return Ok(false);
+        return confirm::withdraw(ctx, &target.id, contender, reason);
     }
     drop_out(ctx, &target.id, contender, reason)?;
     line::look_by(ctx, &target.id, ctx.block_time())?;
@@ -127,6 +128,9 @@ pub(crate) fn granted(
     target: &Target,
     contender: &str,
 ) -> Result<(), Rejection> {
+    if sharing::known(ctx) {
+        pending::remove(ctx, &target.id, contender)?;
+    }
     if line::of(ctx, &target.id, contender)?.is_some() {
         line::remove(ctx, &target.id, contender)?;
         tell(ctx, decider, target)?;
@@ -160,11 +164,12 @@ pub(crate) fn revoked(ctx: &mut Context<'_>, issuer: &[u8; 32], serial: &[u8]) -
         drop_out(ctx, &service, &contender, LeftReason::Revoked)?;
         line::look_by(ctx, &service, ctx.block_time())?;
     }
-    Ok(())
+    confirm::revoked(ctx, issuer, serial)
 }
 
 /// An organisation left: its members wait no more for this service. Events name the first of them.
 pub(crate) fn members_left(ctx: &mut Context<'_>, service: &str, organisation: &str) -> Result<(), Rejection> {
+    confirm::members_left(ctx, service, organisation)?;
     let waiting = line::all(ctx, service)?;
     let theirs = waiting.iter().filter(|waiting| waiting.contender.split('/').next() == Some(organisation));
     for (waiting, told) in theirs.zip(0_usize..) {
@@ -238,14 +243,14 @@ fn look(ctx: &mut Context<'_>, decider: &Decider, service: &str, allowance: &mut
         Err(gone) if matches!(gone.code, Code::UnknownRobot | Code::UnknownService) => return dissolve(ctx, service),
         Err(fault) => return Err(fault),
     };
-    let idle = end_idle(ctx, decider, &target)?;
+    let (idle, unconfirmed) = (end_idle(ctx, decider, &target)?, confirm::send_away(ctx, service, false)?);
     let before = line::all(ctx, service)?.len();
     send_away(ctx, decider, &target)?;
     let again =
         if emergency::check_goes(ctx, &target).is_ok() { turns(ctx, decider, &target, allowance)? } else { None };
     let line = line::all(ctx, service)?;
     let patience = line.iter().map(|waiting| waiting.until).min();
-    if let Some(next) = [idle, again, patience].into_iter().flatten().min() {
+    if let Some(next) = [idle, unconfirmed, again, patience].into_iter().flatten().min() {
         line::look_by(ctx, service, next)?;
     }
     if line.len() == before { Ok(()) } else { tell(ctx, decider, &target) }
@@ -253,6 +258,7 @@ fn look(ctx: &mut Context<'_>, decider: &Decider, service: &str, allowance: &mut
 
 /// The service is gone: nobody waits for it any more.
 fn dissolve(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
+    confirm::send_away(ctx, service, true)?;
     let line = line::all(ctx, service)?;
     for waiting in line.iter().take(LEAVING_MAX) {
         drop_out(ctx, service, &waiting.contender, LeftReason::RobotRemoved)?;
@@ -342,14 +348,15 @@ fn turn(
     if principal.not_after <= ctx.block_time() {
         return drop_out(ctx, &target.id, &waiting.contender, LeftReason::Expired);
     }
-    if decider::may_hold(ctx, decider, &principal, target).is_err() {
+    let Ok(permit) = decider::may_hold(ctx, decider, &principal, target) else {
         return drop_out(ctx, &target.id, &waiting.contender, LeftReason::Policy);
-    }
+    };
     for holding in ended {
         end::end_for(ctx, &holding, Reason::Preempted, &principal)?;
     }
     line::remove(ctx, &target.id, &waiting.contender)?;
     let lease_ms = waiting.lease_ms.unwrap_or(target.service.lease_ms).min(target.service.lease_ms_max);
-    let award = Award { principal, lease_ms, priority: waiting.priority, taken: None };
+    let award =
+        Award { principal, lease_ms, priority: waiting.priority, permit, taken: None, passed: Passed::default() };
     acquire::give(ctx, decider, target, award).map(drop)
 }

@@ -3,6 +3,7 @@
 use super::acquire::lease;
 use super::{hold, publish};
 use crate::arguments::Arguments;
+use crate::policy::Permit;
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
@@ -18,9 +19,9 @@ pub(crate) fn renew(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let principal = Principal::of(ctx.submitter()?);
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
     let own = hold::own(ctx, &principal, &target)?;
-    decider::may_keep(ctx, decider, &own, &target)?;
+    let permit = decider::may_keep(ctx, decider, &own, &target)?;
     let lease_ms = if args.has(1) { Some(lease(&target, args, 1)?) } else { None };
-    renewed(ctx, decider, &target, own, lease_ms)
+    renewed(ctx, decider, &target, own, &permit, lease_ms)
 }
 
 /// Renews a grant and tells so.
@@ -29,11 +30,13 @@ pub(crate) fn renewed(
     decider: &Decider,
     target: &Target,
     before: Holding,
+    permit: &Permit,
     lease_ms: Option<u64>,
 ) -> Result<Bytes, Rejection> {
     let mut after = before.clone();
     after.grant.lease_ms = lease_ms.unwrap_or(before.grant.lease_ms).min(target.service.lease_ms_max);
     after.grant.next_seq = publish::next_sequence(ctx, decider, target, before.grant.epoch, &before.grant.holder)?;
+    after.bind(&target.service, permit);
     after.extend(ctx.block_time());
     grant::replace(ctx, &before, &after)?;
     let told = store::json(&after.grant)?;
@@ -51,12 +54,12 @@ pub(crate) fn used(
 ) -> Result<(), Rejection> {
     let now = ctx.block_time();
     let quarter = before.grant.lease_ms.saturating_mul(250);
-    if before.extended(now).saturating_sub(before.grant.expires) <= quarter
-        || decider::may_keep(ctx, decider, before, target).is_err()
-    {
+    if before.extended(now).saturating_sub(before.grant.expires) <= quarter {
         return Ok(());
     }
+    let Ok(permit) = decider::may_keep(ctx, decider, before, target) else { return Ok(()) };
     let mut after = before.clone();
+    after.bind(&target.service, &permit);
     after.extend(now);
     grant::replace(ctx, before, &after)
 }

@@ -6,7 +6,7 @@ use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Target};
-use crate::records::{grant, line, sharing, stopped, store};
+use crate::records::{grant, line, pending, sharing, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
@@ -54,7 +54,8 @@ pub(crate) fn service(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> R
 pub(crate) fn line(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("line SERVICE", args, 1, 1)?;
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
-    store::json(&Contest::of(ctx, &target)?.told(decider.rules.of(&target)?))
+    let asking = pending::all(ctx, &target.id)?;
+    store::json(&Contest::of(ctx, &target)?.told(decider.rules.of(&target)?, &asking))
 }
 
 /// A robot as clients see it.

@@ -8,7 +8,7 @@ use super::end;
 use crate::policy::decider::{self, Decider};
 use crate::policy::limits::STEPS_MAX;
 use crate::policy::texts;
-use crate::records::grant::Holding;
+use crate::records::grant::{self, Holding};
 use crate::records::robot::{self, Robot};
 use crate::records::service::Target;
 use crate::records::store;
@@ -109,10 +109,7 @@ fn some(
         let grants = ctx.range_after(&prefix, after, usize::try_from(left).unwrap_or(usize::MAX));
         let robot: Option<Robot> = store::read(ctx, &store::robot_key(&name))?;
         for (key, value) in &grants {
-            let holding: Holding = store::parse(key, value)?;
-            if denied(ctx, decider, robot.as_ref(), &holding) {
-                ending.push((holding, Reason::Policy));
-            }
+            ending.extend(decide(ctx, decider, robot.as_ref(), store::parse(key, value)?)?);
         }
         let looked_at = grants.len() as u64;
         match grants.last() {
@@ -124,12 +121,25 @@ fn some(
     Ok(ending)
 }
 
-/// Is it a live grant that policies deny now? One of a service that is gone has ended with it.
-fn denied(ctx: &Context<'_>, decider: &Decider, robot: Option<&Robot>, holding: &Holding) -> bool {
+/// Decides about a live grant. One of a service that is gone has ended with it.
+fn decide(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    robot: Option<&Robot>,
+    holding: Holding,
+) -> Result<Option<(Holding, Reason)>, Rejection> {
     let service = robot.and_then(|robot| {
         let offered = robot.services.iter().find(|service| robot.service_id(service) == holding.grant.service);
         offered.map(|service| Target::of(robot, service))
     });
-    let live = holding.is_live(ctx.block_time());
-    live && service.is_some_and(|target| decider::may_keep(ctx, decider, holding, &target).is_err())
+    let Some(target) = service.filter(|_| holding.is_live(ctx.block_time())) else { return Ok(None) };
+    let Ok(permit) = decider::may_keep(ctx, decider, &holding, &target) else {
+        return Ok(Some((holding, Reason::Policy)));
+    };
+    let mut bound = holding.clone();
+    bound.bind(&target.service, &permit);
+    if bound != holding {
+        grant::replace(ctx, &holding, &bound)?;
+    }
+    Ok(None)
 }

@@ -29,6 +29,8 @@ pub(crate) enum Action {
     Subscribe,
     /// Taking it whatever its rule says.
     Override,
+    /// Agreeing that somebody else acquires it.
+    Confirm,
 }
 
 /// An action on a whole robot; each is in the schema since rules 3.
@@ -117,6 +119,7 @@ impl Action {
             Self::Publish => "publish",
             Self::Subscribe => "subscribe",
             Self::Override => "override",
+            Self::Confirm => "confirm",
         }
     }
 }
@@ -270,16 +273,16 @@ impl Decider {
     }
 }
 
-/// May they hold a grant? It is the right to acquire and to publish. Answers with what the policies say of acquiring.
+/// May they hold a grant? It is the right to acquire and to publish. Answers with what the policies bind it to.
 pub(crate) fn may_hold(
     ctx: &Context<'_>,
     decider: &Decider,
     principal: &Principal,
     target: &Target,
 ) -> Result<Permit, Rejection> {
-    let permit = decider.decide(ctx, principal, target, Action::Acquire)?;
-    decider.decide(ctx, principal, target, Action::Publish)?;
-    Ok(permit)
+    let acquire = decider.decide(ctx, principal, target, Action::Acquire)?;
+    let publish = decider.decide(ctx, principal, target, Action::Publish)?;
+    Ok(acquire.and(publish))
 }
 
 /// May they take a service whatever its rule says? An admin of the owner may always.
@@ -288,23 +291,54 @@ pub(crate) fn may_override(
     decider: &Decider,
     principal: &Principal,
     target: &Target,
+) -> Result<Permit, Rejection> {
+    if principal.governs(&target.robot) {
+        Ok(Permit::default())
+    } else {
+        decider.decide(ctx, principal, target, Action::Override)
+    }
+}
+
+/// May they confirm who acquires a service? An admin of the owner may always.
+pub(crate) fn may_confirm(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    principal: &Principal,
+    target: &Target,
 ) -> Result<(), Rejection> {
     if principal.governs(&target.robot) {
         Ok(())
     } else {
-        decider.decide(ctx, principal, target, Action::Override).map(drop)
+        decider.decide(ctx, principal, target, Action::Confirm).map(drop)
     }
 }
 
-/// May they keep the grant that they have?
+/// May they keep the grant that they have? Everybody who passed it on must still be one who may hold it.
 pub(crate) fn may_keep(
     ctx: &Context<'_>,
     decider: &Decider,
     holding: &Holding,
     target: &Target,
-) -> Result<(), Rejection> {
-    match holding.grant.taken {
-        Some(_) => may_override(ctx, decider, &holding.principal, target),
-        None => may_hold(ctx, decider, &holding.principal, target).map(drop),
+) -> Result<Permit, Rejection> {
+    if holding.grant.taken.is_some() {
+        return may_override(ctx, decider, &holding.principal, target);
     }
+    let givers = holding.givers.iter().map(|giver| &giver.principal);
+    may_hold_after(ctx, decider, givers, &holding.principal, target)
+}
+
+/// May they hold a grant that the others have passed on? All of them must be permitted to hold it.
+pub(crate) fn may_hold_after<'a>(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    givers: impl Iterator<Item = &'a Principal>,
+    principal: &Principal,
+    target: &Target,
+) -> Result<Permit, Rejection> {
+    let mut permit = may_hold(ctx, decider, principal, target)?;
+    for giver in givers {
+        let closes = may_hold(ctx, decider, giver, target)?.closes;
+        permit.closes = permit.closes.into_iter().chain(closes).min();
+    }
+    Ok(permit)
 }

@@ -18,6 +18,7 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
         Action::Publish => "publish on",
         Action::Subscribe => "subscribe to",
         Action::Override => "take",
+        Action::Confirm => "confirm who acquires",
     };
     let refused = format!("{who} may not {verb} {}", target.id);
     let ask_owner = format!("ask an admin of {owner}");
@@ -34,10 +35,11 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
                 .wanted("no policy that forbids it")
                 .next(format!("{ask_owner}, or read it: ledgerctl query abac policies"));
         }
+        Verdict::Closed(windows) => return closed(owner, refused, &windows),
         Verdict::Permit(_) | Verdict::NotPermitted => {}
     }
-    if action == Action::Override {
-        return may_not(principal, owner, refused, "override");
+    if matches!(action, Action::Override | Action::Confirm) {
+        return may_not(principal, owner, refused, action.name());
     }
     if target.service.direction == Direction::Feed && action != Action::Subscribe {
         return Rejection::new(Code::DeniedByPolicy, format!("{refused}: it is a feed of the robot"))
@@ -70,6 +72,14 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
         .next(format!("{ask_owner}, or read the policies: ledgerctl query abac policies"))
 }
 
+/// The refusal of what policies permit at other times.
+fn closed(owner: &str, refused: String, windows: &[String]) -> Rejection {
+    Rejection::new(Code::DeniedByPolicy, format!("{refused} now: the policies of {owner} permit it at other times"))
+        .found("a time outside of every window")
+        .wanted(format!("a time within {}", windows.join(", or ")))
+        .next("try again when the window is open")
+}
+
 /// The refusal of something that the owner's admins may always do, and others if a policy permits the action.
 fn may_not(principal: &Principal, owner: &str, refused: String, action: &str) -> Rejection {
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits {action}"))
@@ -95,6 +105,7 @@ pub(crate) fn explain_robot(principal: &Principal, robot: &Robot, action: RobotA
                 .wanted("no policy that forbids it")
                 .next(format!("ask an admin of {owner}, or read it: ledgerctl query abac policies"))
         }
+        Verdict::Closed(windows) => closed(owner, refused, &windows),
         Verdict::Permit(_) | Verdict::NotPermitted => may_not(principal, owner, refused, action),
     }
 }

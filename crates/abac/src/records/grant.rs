@@ -8,7 +8,9 @@
 
 use super::principal::Principal;
 use super::robot::Robot;
+use super::service::Service;
 use super::{service, store};
+use crate::policy::Permit;
 use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::{Grant, Reason};
@@ -18,6 +20,9 @@ use serde::{Deserialize, Serialize};
 
 /// Most holders of one service.
 pub(crate) const HOLDERS_MAX: usize = 256;
+
+/// The types of messages that command a speed.
+const WITH_SPEED: [&str; 2] = ["geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"];
 
 /// A grant as the state holds it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -30,6 +35,31 @@ pub(crate) struct Holding {
     /// Set when the grant has ended and its event is still to come.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) ending: Option<Reason>,
+    /// When the window of the policies that permit it closes (block time, microseconds).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) closes: Option<u64>,
+    /// When it ends whatever its holder does, if whoever passed it on said so (block time, microseconds).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) ends_by: Option<u64>,
+    /// Since when the service has been held without a break, if it was passed on (block time, microseconds).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) since: Option<u64>,
+    /// Those who passed it on and may take it back, the first one first.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub(crate) givers: Vec<Giver>,
+}
+
+/// One who passed a grant on for a while, with what it had.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Giver {
+    pub(crate) principal: Principal,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub(crate) priority: i64,
+    pub(crate) lease_ms: u64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub(crate) ends_by: Option<u64>,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(crate) may_delegate: bool,
 }
 
 impl Holding {
@@ -43,9 +73,32 @@ impl Holding {
         self.ending.unwrap_or(Reason::Expired)
     }
 
-    /// When the lease ends if it is renewed `now`; never after the holder's certificate.
+    /// When the lease ends if it is renewed `now`: never after the certificates of its holder and of those who passed it on,
+    /// nor after the window of its policies, nor after the end that a giver set.
     pub(crate) fn extended(&self, now: u64) -> u64 {
-        now.saturating_add(self.grant.lease_ms.saturating_mul(1000)).min(self.principal.not_after)
+        let certificates = self.principals().map(|principal| principal.not_after);
+        let ends = self.givers.iter().filter_map(|giver| giver.ends_by).chain(self.ends_by).chain(self.closes);
+        certificates.chain(ends).fold(now.saturating_add(self.grant.lease_ms.saturating_mul(1000)), u64::min)
+    }
+
+    /// Since when the service is held without a break, whoever held it (block time, microseconds).
+    pub(crate) fn held_since(&self) -> u64 {
+        self.since.unwrap_or(self.grant.acquired_at)
+    }
+
+    /// Its holder, and those who passed it on.
+    pub(crate) fn principals(&self) -> impl Iterator<Item = &Principal> {
+        [&self.principal].into_iter().chain(self.givers.iter().map(|giver| &giver.principal))
+    }
+
+    /// Binds it to what policies say. Speeds are limited where messages have them.
+    pub(crate) fn bind(&mut self, service: &Service, permit: &Permit) {
+        self.grant.limits = permit.limits.clone();
+        if !WITH_SPEED.contains(&service.type_name.as_str()) {
+            (self.grant.limits.max_linear_mm_s, self.grant.limits.max_angular_mrad_s) = (None, None);
+        }
+        self.closes = permit.closes;
+        self.grant.expires = self.grant.expires.min(permit.closes.unwrap_or(u64::MAX));
     }
 
     /// Extends the lease from `now`.
@@ -110,7 +163,9 @@ fn write(ctx: &mut Context<'_>, holding: &Holding) -> Result<(), Rejection> {
     let (service, holder) = (&holding.grant.service, &holding.grant.holder);
     store::write(ctx, &store::grant_key(service, holder), holding)?;
     ctx.put(&due_key(holding), Bytes::new());
-    ctx.put(&certificate_key(holding), Bytes::new());
+    for key in certificate_keys(holding) {
+        ctx.put(&key, Bytes::new());
+    }
     Ok(())
 }
 
@@ -126,7 +181,9 @@ pub(crate) fn remove(ctx: &mut Context<'_>, holding: &Holding) {
     check(ctx, holding, Some(holding));
     ctx.delete(&store::grant_key(&holding.grant.service, &holding.grant.holder));
     ctx.delete(&due_key(holding));
-    ctx.delete(&certificate_key(holding));
+    for key in certificate_keys(holding) {
+        ctx.delete(&key);
+    }
 }
 
 /// Before a grant changes, the state has it exactly as `wanted`, with both index keys or without any. Everything that ends
@@ -139,7 +196,7 @@ fn check(ctx: &mut Context<'_>, holding: &Holding, wanted: Option<&Holding>) {
         (Some(value), Some(wanted)) => {
             store::parse::<Holding>(&grant_key, value).is_ok_and(|stored| stored == *wanted)
                 && ctx.get(&due_key(wanted)).is_some()
-                && ctx.get(&certificate_key(wanted)).is_some()
+                && certificate_keys(wanted).iter().all(|key| ctx.get(key).is_some())
         }
         _ => false,
     };
@@ -166,11 +223,14 @@ fn due_key(holding: &Holding) -> Vec<u8> {
     store::due_key(holding.grant.expires, &holding.grant.service, &holding.grant.holder)
 }
 
-fn certificate_key(holding: &Holding) -> Vec<u8> {
-    let serial = hex::decode(&holding.principal.serial).unwrap_or_default();
-    let mut key = store::certificate_prefix(&holding.principal.issuer.0, &serial);
-    key.extend_from_slice(format!("{}\0{}", holding.grant.service, holding.grant.holder).as_bytes());
-    key
+/// A key for the certificate of everybody whose revocation ends the grant.
+fn certificate_keys(holding: &Holding) -> Vec<Vec<u8>> {
+    let suffix = format!("{}\0{}", holding.grant.service, holding.grant.holder);
+    let key = |principal: &Principal| {
+        let serial = hex::decode(&principal.serial).unwrap_or_default();
+        [store::certificate_prefix(&principal.issuer.0, &serial).as_slice(), suffix.as_bytes()].concat()
+    };
+    holding.principals().map(key).collect()
 }
 
 #[cfg(test)]
@@ -212,7 +272,16 @@ mod tests {
             fingerprint: Hash::ZERO,
             not_after: u64::MAX,
         };
-        Holding { grant, principal, priority: 0, ending: None }
+        Holding {
+            grant,
+            principal,
+            priority: 0,
+            ending: None,
+            closes: None,
+            ends_by: None,
+            since: None,
+            givers: Vec::new(),
+        }
     }
 
     /// The robot of the service.
@@ -264,7 +333,7 @@ mod tests {
                 remove(ctx, &holding(5));
             }),
             ("it is not found by its certificate", |ctx| {
-                ctx.delete(&certificate_key(&holding(5)));
+                certificate_keys(&holding(5)).iter().for_each(|key| ctx.delete(key));
                 replace(ctx, &holding(5), &holding(9)).unwrap();
             }),
             ("it is another than was read", |ctx| replace(ctx, &holding(7), &holding(9)).unwrap()),

@@ -122,6 +122,21 @@ pub(crate) fn waiting_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
     format!("waiting/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
 }
 
+/// The prefix of those who wait to be confirmed for a service.
+pub(crate) fn pending_prefix(service: &str) -> Vec<u8> {
+    format!("pending/{service}\0").into_bytes()
+}
+
+/// The key of one who waits to be confirmed.
+pub(crate) fn pending_key(service: &str, contender: &str) -> Vec<u8> {
+    ["pending/", service, "\0", contender].concat().into_bytes()
+}
+
+/// The prefix of what a certificate asks to be confirmed, or has confirmed.
+pub(crate) fn asking_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
+    format!("asking/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
 /// The key of the time at which a service is looked at again.
 pub(crate) fn look_key(service: &str) -> Vec<u8> {
     ["look/", service].concat().into_bytes()

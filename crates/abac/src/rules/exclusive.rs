@@ -17,7 +17,18 @@ impl Rule for Exclusive {
     }
 
     fn keys(&self) -> &'static [&'static str] {
-        &["on_conflict", "queue_max", "queue_wait_max_ms", "priority", "aging_ms", "min_hold_ms", "idle_release_ms"]
+        &[
+            "on_conflict",
+            "queue_max",
+            "queue_wait_max_ms",
+            "priority",
+            "aging_ms",
+            "min_hold_ms",
+            "idle_release_ms",
+            "delegable",
+            "confirm",
+            "confirm_within_ms",
+        ]
     }
 
     fn decide(&self, contender: &Claim, situation: &Situation<'_>) -> Decision {

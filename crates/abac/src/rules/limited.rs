@@ -26,6 +26,9 @@ impl Rule for Limited {
             "aging_ms",
             "min_hold_ms",
             "idle_release_ms",
+            "delegable",
+            "confirm",
+            "confirm_within_ms",
         ]
     }
 

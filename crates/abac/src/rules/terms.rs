@@ -13,6 +13,10 @@ pub(crate) const QUEUE_MAX: u64 = 1024;
 const QUEUE_MAX_DEFAULT: u64 = 64;
 /// How long (milliseconds) a contender waits at most unless the owner says otherwise.
 const QUEUE_WAIT_MS_DEFAULT: u64 = 600_000;
+/// How long (milliseconds) confirmations are waited for unless the owner says otherwise.
+const CONFIRM_WITHIN_MS_DEFAULT: u64 = 60_000;
+/// Most identities that must confirm a contender.
+const CONFIRM_MAX: u64 = 16;
 /// The longest of all times (milliseconds): a day.
 const TIME_MS_MAX: u64 = 86_400_000;
 /// The shortest time (milliseconds) after which anything is looked at again: block time has not to be finer.
@@ -27,6 +31,7 @@ pub(crate) struct Terms {
     pub(crate) queue_wait_max_us: u64,
     pub(crate) min_hold_us: u64,
     pub(crate) idle_release_us: Option<u64>,
+    pub(crate) confirm_within_us: u64,
 }
 
 impl Terms {
@@ -43,6 +48,7 @@ impl Terms {
             queue_max,
             queue_wait_max_us: sharing.queue_wait_max_ms.unwrap_or(QUEUE_WAIT_MS_DEFAULT).saturating_mul(1000),
             min_hold_us: sharing.min_hold_ms.unwrap_or(0).saturating_mul(1000),
+            confirm_within_us: sharing.confirm_within_ms.unwrap_or(CONFIRM_WITHIN_MS_DEFAULT).saturating_mul(1000),
             idle_release_us: sharing.idle_release_ms.map(|ms| ms.saturating_mul(1000)),
         }
     }
@@ -51,13 +57,16 @@ impl Terms {
 /// The range of a number among the settings, and its unit.
 type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
 
-const BOUNDS: [Bounds; 6] = [
+const BOUNDS: [Bounds; 9] = [
     ("publishers", |sharing| sharing.publishers, 1, HOLDERS_MAX as u64, ""),
     ("queue_max", |sharing| sharing.queue_max, 1, QUEUE_MAX, ""),
     ("queue_wait_max_ms", |sharing| sharing.queue_wait_max_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("aging_ms", |sharing| sharing.aging_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("min_hold_ms", |sharing| sharing.min_hold_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("idle_release_ms", |sharing| sharing.idle_release_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+    ("confirm", |sharing| sharing.confirm, 1, CONFIRM_MAX, ""),
+    ("confirm_within_ms", |sharing| sharing.confirm_within_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
+    ("subscribers", |sharing| sharing.subscribers, 1, HOLDERS_MAX as u64, ""),
 ];
 
 /// Checks the settings of a service on this topic.
@@ -94,8 +103,26 @@ pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(
     check_together(sharing, topic)
 }
 
-/// A key that has no effect without another one is a mistake of its owner.
+/// A key that has no effect without another one, or undoes it, is a mistake of its owner.
 fn check_together(sharing: &Sharing, topic: &str) -> Result<(), Rejection> {
+    if sharing.confirm_within_ms.is_some() && sharing.confirm.is_none() {
+        return Err(Rejection::new(
+            Code::BadArgument,
+            format!("no confirm and confirm_within_ms of service {topic} do not go together"),
+        )
+        .found(format!("confirm_within_ms={}", sharing.shown("confirm_within_ms")))
+        .wanted("confirm=N with confirm_within")
+        .next("leave confirm_within out, or set confirm"));
+    }
+    if sharing.confirm.is_some() && sharing.delegable == Some(true) {
+        return Err(Rejection::new(
+            Code::BadArgument,
+            format!("confirm and delegable of service {topic} do not go together"),
+        )
+        .found("delegable=true: a receiver whom nobody has confirmed")
+        .wanted("one of both")
+        .next("leave one of them out"));
+    }
     let terms = Terms::of(sharing);
     let on_conflict = terms.on_conflict;
     let pointless = match () {

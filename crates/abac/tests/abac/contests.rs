@@ -132,6 +132,7 @@ fn answer(outcome: Result<Bytes, Code>) -> Answer {
         Ok(bytes) => match serde_json::from_slice(&bytes).unwrap() {
             Acquired::Granted(grant) => Answer::Granted(grant.epoch),
             Acquired::Queued { .. } => Answer::Queued,
+            Acquired::Pending { pending } => panic!("{pending:?}"),
         },
         Err(Code::Held) => Answer::Held,
         Err(Code::LineFull) => Answer::LineFull,

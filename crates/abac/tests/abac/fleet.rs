@@ -1,7 +1,7 @@
 //! The network of the paper in memory: two organisations, their people, three robots, and a block at a time.
 
 use bytes::Bytes;
-use ledger::msp::QUOTAS;
+use ledger::msp::{CertifiedHolder, QUOTAS};
 use ledger::{Chaincode, Context, Environment, Meter, Registry, Revocation, Rules};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
@@ -26,19 +26,32 @@ pub(crate) const TWIST: [u8; 52] = {
     message
 };
 
-/// Stands in for the membership chaincode: knows the names of the organisations.
-pub(crate) struct Members(pub(crate) Mutex<Vec<&'static str>>);
+/// Stands in for the membership chaincode: knows the names of the organisations, and certificates.
+pub(crate) struct Members(pub(crate) Mutex<Vec<&'static str>>, pub(crate) Mutex<Vec<Identity>>);
 
 impl Chaincode for Members {
     fn name(&self) -> &'static str {
         "msp"
     }
 
-    fn invoke(&self, _ctx: &mut Context<'_>, function: &str, _args: &[Bytes]) -> Result<Bytes, Rejection> {
+    fn invoke(&self, _ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match function {
+            "holder" => self.holder(&args[0]),
             "quotas" => Ok(serde_json::to_vec(&QUOTAS).unwrap().into()),
             _ => Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into()),
         }
+    }
+}
+
+impl Members {
+    fn holder(&self, id: &[u8]) -> Result<Bytes, Rejection> {
+        let known = self.1.lock().unwrap();
+        let found = known.iter().rev().find(|known| known.id().as_bytes() == id);
+        let Identity { organisation, name, role, attributes, issuer, serial, fingerprint, not_after, .. } =
+            found.cloned().ok_or_else(|| Rejection::new(Code::NotFound, "no certificate of this name counts now"))?;
+        let (issuer, serial, fingerprint) = (Hash(issuer), hex::encode(&serial), Hash(fingerprint));
+        let holder = CertifiedHolder { organisation, name, role, attributes, issuer, serial, fingerprint, not_after };
+        Ok(serde_json::to_vec(&holder).unwrap().into())
     }
 }
 
@@ -146,7 +159,10 @@ impl Fleet {
     fn under(rules: Rules, abac: AccessControl) -> Self {
         Self {
             abac: Arc::new(abac),
-            members: Arc::new(Members(Mutex::new(vec!["Org1", "Org2"]))),
+            members: Arc::new(Members(
+                Mutex::new(vec!["Org1", "Org2"]),
+                Mutex::new(vec![salma(), farhad(), admin1(), owner(), camera()]),
+            )),
             registry: Registry::new(),
             state: Arc::new(MemoryState::default()),
             height: 0,
@@ -258,6 +274,11 @@ impl Fleet {
             Ok(Bytes::new())
         })
         .unwrap();
+    }
+
+    /// How many keys of the chaincode begin so.
+    pub(crate) fn keys(&self, prefix: &str) -> usize {
+        self.look(None, |ctx, _| ctx.range(prefix.as_bytes(), usize::MAX).len())
     }
 
     /// When the leader should tick next.

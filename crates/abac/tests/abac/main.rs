@@ -10,11 +10,14 @@
 mod arguments;
 mod budgets;
 mod bytes;
+mod confirmation;
 mod contests;
+mod delegation;
 mod emergency;
 mod fleet;
 mod following;
 mod grants;
+mod limits;
 mod model;
 mod open;
 mod paper;

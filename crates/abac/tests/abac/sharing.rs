@@ -29,7 +29,7 @@ fn ranked(name: &str, rank: &str, serial: u8) -> Identity {
 fn place(fleet: &mut Fleet, who: &Identity, args: &[&str]) -> Place {
     match fleet.get(who, "acquire", args) {
         Acquired::Queued { queued } => queued,
-        Acquired::Granted(grant) => panic!("{grant:?}"),
+        other => panic!("{other:?}"),
     }
 }
 

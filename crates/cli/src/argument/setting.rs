@@ -32,7 +32,7 @@ const fn of_robot(name: &'static str, field: &'static str, wanted: &'static str,
 const DEFAULT: &str = "default";
 
 /// Every setting; those of services first.
-pub(crate) static KEYS: [Key; 17] = [
+pub(crate) static KEYS: [Key; 21] = [
     of_service("mode", "mode", "open|exclusive|limited", |settings, value| {
         settings.mode = Some(Mode::from(value));
         Ok(())
@@ -72,6 +72,15 @@ pub(crate) static KEYS: [Key; 17] = [
     of_service("idle-release", "idle_release_ms", "1m", |settings, value| {
         span(&mut settings.sharing.idle_release_ms, value)
     }),
+    of_service("delegable", "delegable", "true|false", |settings, value| {
+        settings.sharing.delegable = Some(value.parse().map_err(|_| "wanted true or false".to_owned())?);
+        Ok(())
+    }),
+    of_service("confirm", "confirm", "N", |settings, value| number(&mut settings.sharing.confirm, value)),
+    of_service("confirm-within", "confirm_within_ms", "1m", |settings, value| {
+        span(&mut settings.sharing.confirm_within_ms, value)
+    }),
+    of_service("subscribers", "subscribers", "N", |settings, value| number(&mut settings.sharing.subscribers, value)),
     of_robot("attr-required", "attribute_required", "KEY[=VALUE]", |settings, value| {
         settings.attribute_required = Some(value.to_owned());
         Ok(())
@@ -198,6 +207,10 @@ mod tests {
             "aging=10s",
             "min-hold=5s",
             "idle-release=30s",
+            "delegable=true",
+            "confirm=2",
+            "confirm-within=30s",
+            "subscribers=3",
             "attr-required=level=3",
             "trust=Org1,Org2",
         ]);

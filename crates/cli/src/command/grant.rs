@@ -1,9 +1,15 @@
-//! `acquire`, `renew`, `release`, `take`, `queue`: who may use a service, until when, and who is next.
+//! `acquire`, `renew`, `release`, `take`, `queue`, `delegate`, `handover`, `recall`, `confirm`: who may use a service, until when, and who is next.
 
+mod confirm;
 mod line;
+mod pass;
 mod waiting;
 
 use self::waiting::Waiting;
+pub(crate) use self::{
+    confirm::Confirm,
+    pass::{Delegate, Handover, Recall},
+};
 use crate::answer;
 use crate::argument::span::Milliseconds;
 use crate::cli::Global;
@@ -14,7 +20,7 @@ use crate::time;
 use crate::words::Words;
 use bytes::Bytes;
 use ledger_api::Committed;
-use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Released};
+use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Limits, Released};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -111,13 +117,17 @@ struct Granted {
     transaction: ledger_hash::Hash,
     #[serde(skip)]
     renewed: bool,
+    /// Is it somebody else's?
+    #[serde(skip)]
+    passed_on: bool,
 }
 
 impl Facts for Granted {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Grant { service, holder, epoch, expires, mode, .. } = &self.grant;
+        let Grant { service, holder, epoch, expires, mode, limits, givers, .. } = &self.grant;
         let is_alone = Capabilities::of_mode(mode).map(|known| known.fencing == Fencing::Newest);
         let what = match (self.renewed, is_alone) {
+            _ if self.passed_on => format!("is now held by {holder}"),
             (true, _) => "renewed".to_owned(),
             (false, Some(true)) => "is yours alone".to_owned(),
             (false, Some(false)) => "is yours, with everybody else who may".to_owned(),
@@ -128,8 +138,32 @@ impl Facts for Granted {
         table.pair("holder", holder);
         table.pair("epoch", epoch);
         table.pair("expires", format!("{} ({})", time::moment(*expires), time::relative(*expires, self.time)));
+        if !givers.is_empty() {
+            table.pair("by way of", givers.join(", then "));
+        }
+        if !limits.is_none() {
+            table.pair("limits", limits_text(limits));
+        }
         table.write(out, 2)
     }
+}
+
+/// Limits for people: `50 Hz, 0.5 m/s, within 08:00-18:00 Mon-Fri +02:00`.
+pub(super) fn limits_text(limits: &Limits) -> String {
+    let Limits { max_rate_mhz, max_age_ms, max_linear_mm_s, max_angular_mrad_s, between } = limits;
+    let thousandths = |value: u64, unit: &str| {
+        let text = format!("{}.{:03}", value / 1000, value % 1000);
+        format!("{} {unit}", text.trim_end_matches('0').trim_end_matches('.'))
+    };
+    let mut parts = Vec::new();
+    parts.extend(max_rate_mhz.map(|rate| thousandths(rate, "Hz")));
+    parts.extend(max_age_ms.map(|age| format!("not older than {age} ms")));
+    parts.extend(max_linear_mm_s.map(|speed| thousandths(speed, "m/s")));
+    parts.extend(max_angular_mrad_s.map(|speed| thousandths(speed, "rad/s")));
+    if !between.is_empty() {
+        parts.push(format!("within {}", between.join(" or ")));
+    }
+    parts.join(", ")
 }
 
 /// The words of the command line where the chaincode has other names.
@@ -141,7 +175,13 @@ const RELEASE: Words = Words { arguments: &[("HOLDER", "--holder")], help: "ledg
 
 impl Granted {
     fn of(done: &Committed, grant: Grant, renewed: bool) -> Self {
-        Self { grant, time: done.time, height: done.height, transaction: done.id, renewed }
+        let Committed { id: transaction, height, time, .. } = *done;
+        Self { grant, time, height, transaction, renewed, passed_on: false }
+    }
+
+    /// The grant is somebody else's now.
+    fn to_somebody(self, passed_on: bool) -> Self {
+        Self { passed_on, ..self }
     }
 }
 
@@ -161,8 +201,12 @@ impl Acquire {
         match answer::parse(&done.response, "a grant or a place in line")? {
             Acquired::Granted(grant) => output.show(&Granted::of(&done, *grant, false)),
             Acquired::Queued { queued } if wait.is_some() => {
-                Waiting::begin(&session, queued, done.height).until_granted(output).await
+                Waiting::in_line(&session, queued, done.height).until_granted(output).await
             }
+            Acquired::Pending { pending } if wait.is_some() => {
+                Waiting::for_confirmation(&session, pending, done.height).until_granted(output).await
+            }
+            Acquired::Pending { pending } => confirm::asked(pending, &done, output),
             Acquired::Queued { queued } => line::joined(queued, &done, output),
         }
     }
@@ -236,7 +280,7 @@ impl Release {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::{Limits, Mode};
+    use ledger_contract::Mode;
 
     fn granted(renewed: bool, mode: Mode) -> Granted {
         let grant = Grant {
@@ -255,7 +299,8 @@ mod tests {
             follows: None,
             task: None,
         };
-        Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction: ledger_hash::Hash::ZERO, renewed }
+        let transaction = ledger_hash::Hash::ZERO;
+        Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction, renewed, passed_on: false }
     }
 
     fn text(facts: &impl Facts) -> String {
@@ -274,6 +319,19 @@ mod tests {
         assert!(text(&granted(false, Mode::OPEN)).contains("everybody else who may"));
         let newer = text(&granted(false, Mode::LIMITED));
         assert!(newer.contains("Turtlebot4/cmd_vel is yours in mode limited"), "{newer}");
+    }
+
+    #[test]
+    fn limits_are_told_in_the_units_of_their_annotations() {
+        let limits = Limits {
+            max_rate_mhz: Some(12_500),
+            max_age_ms: Some(200),
+            max_linear_mm_s: Some(500),
+            max_angular_mrad_s: Some(1000),
+            between: vec!["08:00-18:00 Z".into()],
+        };
+        let wanted = "12.5 Hz, not older than 200 ms, 0.5 m/s, 1 rad/s, within 08:00-18:00 Z";
+        assert_eq!(limits_text(&limits), wanted);
     }
 
     #[test]

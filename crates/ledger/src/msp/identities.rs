@@ -8,15 +8,18 @@
 //! be lost. Nobody receives one for a secret whose certificate was revoked or has signed something.
 
 mod certificates;
+mod holder;
 mod list;
 mod registration;
 mod revocation;
 
 pub use certificates::{Ground, KnownIdentity, RecordCertificate, Recorded};
+pub use holder::CertifiedHolder;
 pub use registration::{CancelRegistration, Register};
 pub use revocation::{RevokeIdentity, RevokedIdentity};
 
 pub(super) use certificates::{adopt, record};
+pub(super) use holder::holder;
 use list::shown;
 pub(super) use list::{executed, list};
 pub(super) use registration::{cancel, register};

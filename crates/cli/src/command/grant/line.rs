@@ -1,5 +1,6 @@
 //! The line of a service, for people.
 
+use super::confirm;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::time;
@@ -20,13 +21,17 @@ pub(super) struct Line(pub(super) LineState, #[serde(skip)] pub(super) u64);
 
 impl Facts for Line {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Self(LineState { service, holders, line }, now) = self;
+        let Self(LineState { service, holders, line, pending }, now) = self;
         if holders.is_empty() {
             writeln!(out, "nobody holds {service}")?;
         }
         for grant in holders {
             let expires = time::relative(grant.expires, *now);
             writeln!(out, "{service} is held by {} with epoch {}, expires {expires}", grant.holder, grant.epoch)?;
+        }
+        for pending in pending {
+            let (who, until) = (&pending.contender, time::relative(pending.until, *now));
+            writeln!(out, "{who} waits to be confirmed until {until}: confirmed by {}", confirm::state(pending))?;
         }
         if line.is_empty() {
             return writeln!(out, "nobody waits for it");

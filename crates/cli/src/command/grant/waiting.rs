@@ -1,14 +1,14 @@
-//! Waiting in line for a service: a live line of position and holder, until the service is ours.
+//! Waiting for a service, in line or to be confirmed: a live line of where we are and who holds it, until the service is ours.
 
-use super::Granted;
 use super::line::turn;
+use super::{Granted, confirm};
 use crate::answer;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::session::{ABAC, Session};
 use bytes::Bytes;
 use ledger_api::{EventStream, Subscription, v1};
-use ledger_contract::{Grant, Left, LeftReason, LineState, Place};
+use ledger_contract::{Grant, Left, LeftReason, LineState, Pending, Place};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use std::io::{self, IsTerminal, Write};
@@ -16,11 +16,12 @@ use std::io::{self, IsTerminal, Write};
 /// How often the node says that it is alive while nothing changes, in milliseconds.
 const HEARTBEAT_MS: u32 = 2_000;
 
-/// A place in line that is waited in.
+/// A wait for a service: in line, or to be confirmed.
 pub(super) struct Waiting<'s> {
     session: &'s Session,
     stream: EventStream,
-    place: Place,
+    service: String,
+    contender: String,
     /// Width of the live line on the terminal; 0 while there is none.
     shown: usize,
 }
@@ -33,15 +34,24 @@ enum End {
 
 impl<'s> Waiting<'s> {
     /// Waits in a place that was given at this height.
-    pub(super) fn begin(session: &'s Session, place: Place, height: u64) -> Self {
+    pub(super) fn in_line(session: &'s Session, place: Place, height: u64) -> Self {
+        Self::begin(session, place.service, place.contender, height)
+    }
+
+    /// Waits to be confirmed, as asked at this height.
+    pub(super) fn for_confirmation(session: &'s Session, pending: Pending, height: u64) -> Self {
+        Self::begin(session, pending.service, pending.contender, height)
+    }
+
+    fn begin(session: &'s Session, service: String, contender: String, height: u64) -> Self {
         let stream = session.client.subscribe(Subscription {
             from_height: height + 1,
             chaincode: ABAC.to_owned(),
-            subjects: vec![place.service.clone()],
-            names: ["granted", "left", "line", "released"].map(str::to_owned).to_vec(),
+            subjects: vec![service.clone()],
+            names: ["confirmed", "granted", "left", "line", "queued", "released"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
         });
-        Self { session, stream, place, shown: 0 }
+        Self { session, stream, service, contender, shown: 0 }
     }
 
     /// Waits until the service is ours, until our patience ends, or until Ctrl-C, which leaves the line.
@@ -80,15 +90,16 @@ impl<'s> Waiting<'s> {
         match event.name.as_str() {
             "granted" => {
                 let grant: Grant = answer::parse(&event.payload, "a grant")?;
-                let is_ours = grant.holder == self.place.contender;
+                let is_ours = grant.holder == self.contender;
                 let (time, height) = (delivery.time, delivery.height);
                 // The block itself gave it: no transaction of ours did.
-                let granted = Granted { grant, time, height, transaction: Hash::ZERO, renewed: false };
+                let granted =
+                    Granted { grant, time, height, transaction: Hash::ZERO, renewed: false, passed_on: false };
                 Ok(is_ours.then(|| End::Granted(Box::new(granted))))
             }
             "left" => {
                 let left: Left = answer::parse(&event.payload, "an event of a line")?;
-                Ok((left.contender == self.place.contender).then_some(End::Left(left)))
+                Ok((left.contender == self.contender).then_some(End::Left(left)))
             }
             _ => Ok(None),
         }
@@ -99,24 +110,29 @@ impl<'s> Waiting<'s> {
         if !io::stderr().is_terminal() {
             return Ok(());
         }
-        let response = self.session.ask(ABAC, "line", vec![Bytes::from(self.place.service.clone())]).await?;
-        let state: LineState = answer::parse(&response, "a line")?;
-        let ours = state.line.iter().find(|place| place.contender == self.place.contender);
-        if let Some(place) = ours {
-            self.place = place.clone();
-        }
-        let holders: Vec<&str> = state.holders.iter().map(|grant| grant.holder.as_str()).collect();
-        let holders = if holders.is_empty() { "nobody".to_owned() } else { holders.join(", ") };
-        let Place { service, position, .. } = &self.place;
-        let length = state.line.len().max(1);
-        let turn = turn(&self.place, self.session.client.now());
-        let text = format!("{service}: position {position} of {length}, held by {holders}, your turn: {turn}");
+        let response = self.session.ask(ABAC, "line", vec![Bytes::from(self.service.clone())]).await?;
+        let text = self.state(&answer::parse(&response, "a line")?);
         let text = crate::output::printable(&text).into_owned();
         let width = text.chars().count();
         let _ = write!(io::stderr(), "\r{text}{}", " ".repeat(self.shown.saturating_sub(width)));
         let _ = io::stderr().flush();
         self.shown = width;
         Ok(())
+    }
+
+    /// Where we are, and who holds the service.
+    fn state(&self, state: &LineState) -> String {
+        let Self { service, contender, .. } = self;
+        let holders: Vec<&str> = state.holders.iter().map(|grant| grant.holder.as_str()).collect();
+        let holders = if holders.is_empty() { "nobody".to_owned() } else { holders.join(", ") };
+        if let Some(pending) = state.pending.iter().find(|pending| pending.contender == *contender) {
+            return format!("{service}: confirmed by {}, held by {holders}", confirm::state(pending));
+        }
+        let Some(place) = state.line.iter().find(|place| place.contender == *contender) else {
+            return format!("{service}: held by {holders}");
+        };
+        let (length, turn) = (state.line.len(), turn(place, self.session.client.now()));
+        format!("{service}: position {} of {length}, held by {holders}, your turn: {turn}", place.position)
     }
 
     /// Takes the live line off the terminal.
@@ -129,7 +145,7 @@ impl<'s> Waiting<'s> {
 
     /// Leaves the line, or gives the service back if it has just become ours.
     async fn leave(&self, output: &mut Output) -> Result<(), Failure> {
-        let service = self.place.service.clone();
+        let service = self.service.clone();
         match self.session.call(ABAC, "release", vec![Bytes::from(service.clone())]).await {
             Ok(_) => output.note(&format!("you have left the line of {service}")),
             // We were neither in line nor holders any more.
@@ -140,12 +156,13 @@ impl<'s> Waiting<'s> {
     }
 
     fn refused(&self, left: &Left) -> Rejection {
-        let service = &self.place.service;
+        let service = &self.service;
         let (code, why) = match left.reason.known() {
             Some(LeftReason::TimedOut) => (Code::Held, "others held it as long as you waited"),
             Some(LeftReason::Policy) => (Code::DeniedByPolicy, "its policies no longer permit you to have it"),
             Some(LeftReason::Revoked) => (Code::Revoked, "your certificate is revoked"),
             Some(LeftReason::Expired) => (Code::CertificateExpired, "your certificate has run out"),
+            Some(LeftReason::Unconfirmed) => (Code::Held, "too few confirmed you in time"),
             Some(LeftReason::Left) => (Code::Held, "you left the line with another command"),
             Some(LeftReason::Removed) => (Code::Held, "an admin of its owner sent you out of the line"),
             Some(LeftReason::RobotRemoved) => (Code::UnknownService, "it was taken out of service"),
@@ -154,7 +171,7 @@ impl<'s> Waiting<'s> {
         };
         Rejection::new(code, format!("{service} is not yours: {why}"))
             .found(format!("out of the line: {}", left.reason))
-            .wanted(format!("a grant of {service} to {}", self.place.contender))
+            .wanted(format!("a grant of {service} to {}", self.contender))
             .next(format!("to see who holds it and who waits: ledgerctl queue {service}"))
     }
 }
