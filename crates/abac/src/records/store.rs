@@ -10,9 +10,11 @@
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
 //! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
-//! | `line/<service>␀<contender>` | a place in line; since rules 3, as the five that follow |
+//! | `line/<service>␀<contender>` | a place in line; since rules 3, as the seven that follow |
 //! | `contender/<service>␀<contender>` | the certificate of a contender in line |
 //! | `waiting/<issuer>/<serial>/<service>␀<contender>` | nothing: finds the places of a revoked certificate |
+//! | `pending/<service>␀<contender>` | a contender that waits to be confirmed |
+//! | `asking/<issuer>/<serial>/<service>␀<contender>` | nothing: finds what a revoked certificate asks for or has confirmed |
 //! | `look/<service>` | when the service is looked at again (block time, microseconds) |
 //! | `looks/<time, 16 hex digits>/<service>` | nothing: orders services by that time |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
