@@ -20,6 +20,7 @@ pub(crate) mod renew;
 pub(crate) mod robots;
 pub(crate) mod settings;
 pub(crate) mod show;
+pub(crate) mod together;
 pub(crate) mod undecided;
 
 /// Name of the chaincode.

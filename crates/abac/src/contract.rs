@@ -2,7 +2,7 @@
 
 use crate::actions::{
     NAME, acquire, authorize, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
-    renew, robots, settings, show,
+    renew, robots, settings, show, together,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
@@ -24,6 +24,7 @@ use std::sync::Arc;
 /// | `replace ROBOT_JSON...` | an admin of the owner | a [`crate::RobotChange`] each |
 /// | `remove ROBOT` | an admin of the owner | the grants it ended |
 /// | `acquire SERVICE [LEASE_MS\|OPTIONS_JSON]` | whom policies permit | [`crate::Acquired`] |
+/// | `acquire_all OPTIONS_JSON SERVICE...` | whom policies permit all of them | [`crate::Grant`]s |
 /// | `take SERVICE REASON [LEASE_MS]` | an admin of the owner, whom policies permit `override` | [`crate::Grant`] |
 /// | `stop ROBOT\|* [REASON]` | an admin of the owner, whom policies permit it | [`crate::EmergencyAnswer`] |
 /// | `resume ROBOT\|* [REASON]` | an admin of the owner, whom policies permit it | [`crate::EmergencyAnswer`] |
@@ -56,9 +57,10 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 25] = [
+const FUNCTIONS: [&str; 26] = [
     "GetSubmittingClientIdentity",
     "acquire",
+    "acquire_all",
     "authorize",
     "configure",
     "confirm",
@@ -92,8 +94,9 @@ const READS: [&str; 8] =
     ["GetSubmittingClientIdentity", "authorize", "grants", "line", "policies", "robot", "robots", "service"];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
-const URGENT: [&str; 13] = [
+const URGENT: [&str; 14] = [
     "acquire",
+    "acquire_all",
     "configure",
     "confirm",
     "delegate",
@@ -170,6 +173,7 @@ impl Chaincode for AccessControl {
         match function {
             "set" => publish::set(ctx, decider, args),
             "acquire" => acquire::acquire(ctx, decider, args),
+            "acquire_all" if sharing::known(ctx) => together::acquire_all(ctx, decider, args),
             "renew" => renew::renew(ctx, decider, args),
             "take" if sharing::known(ctx) => acquire::take(ctx, decider, args),
             "delegate" if sharing::known(ctx) => delegate::delegate(ctx, decider, args),
@@ -225,11 +229,11 @@ impl Chaincode for AccessControl {
     }
 
     fn identity_revoked(&self, ctx: &mut Context<'_>, revoked: &Revocation) {
-        let _ = end::identity_revoked(ctx, revoked);
+        let _ = end::identity_revoked(ctx, &self.decider, revoked);
     }
 
     fn organisation_removed(&self, ctx: &mut Context<'_>, organisation: &str) {
-        let _ = end::organisation_removed(ctx, organisation);
+        let _ = end::organisation_removed(ctx, &self.decider, organisation);
     }
 
     fn events(&self) -> &'static [&'static str] {

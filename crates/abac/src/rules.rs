@@ -146,7 +146,7 @@ impl Table {
             Rejection::new(Code::BadArgument, "no rule has this mode")
                 .found(crate::arguments::shown(mode.name()))
                 .wanted(format!("mode {}", names.join(" or ")))
-                .next(did_you_mean(mode.name(), names, ""))
+                .next(did_you_mean(mode.name(), names, "ledgerctl robot set ROBOT/TOPIC mode=NAME"))
         })
     }
 

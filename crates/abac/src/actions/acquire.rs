@@ -256,7 +256,7 @@ pub(crate) fn lease(target: &Target, args: Arguments<'_>, index: usize) -> Resul
     Ok(lease_ms)
 }
 
-fn check_lease(target: &Target, args: Arguments<'_>, index: usize, lease_ms: u64) -> Result<(), Rejection> {
+pub(crate) fn check_lease(target: &Target, args: Arguments<'_>, index: usize, lease_ms: u64) -> Result<(), Rejection> {
     let max = target.service.lease_ms_max;
     if (LEASE_MS_MIN..=max).contains(&lease_ms) {
         return Ok(());

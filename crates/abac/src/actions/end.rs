@@ -121,7 +121,11 @@ fn next_due(ctx: &Context<'_>) -> Option<u64> {
 }
 
 /// Ends the grants of a certificate that was revoked.
-pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> Result<(), Rejection> {
+pub(crate) fn identity_revoked(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    revoked: &Revocation,
+) -> Result<(), Rejection> {
     let prefix = store::certificate_prefix(&revoked.issuer, &revoked.serial);
     let mut ending = Vec::new();
     let most = if robot::has_quotas(ctx) { usize::MAX } else { ROBOTS_MAX * SERVICES_MAX };
@@ -134,11 +138,15 @@ pub(crate) fn identity_revoked(ctx: &mut Context<'_>, revoked: &Revocation) -> R
         }
     }
     end_all(ctx, ending)?;
-    queue::revoked(ctx, &revoked.issuer, &revoked.serial)
+    queue::revoked(ctx, decider, &revoked.issuer, &revoked.serial)
 }
 
 /// Ends the grants of an organisation's members, and takes its robots out of service: nobody can govern them any more.
-pub(crate) fn organisation_removed(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
+pub(crate) fn organisation_removed(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    organisation: &str,
+) -> Result<(), Rejection> {
     let (mut ending, mut told) = (Vec::new(), 0);
     for robot in robot::all(ctx)? {
         if robot.organisation == organisation {
@@ -150,7 +158,7 @@ pub(crate) fn organisation_removed(ctx: &mut Context<'_>, organisation: &str) ->
             continue;
         }
         for service in &robot.services {
-            queue::members_left(ctx, &robot.service_id(service), organisation)?;
+            queue::members_left(ctx, decider, &Target::of(&robot, service), organisation)?;
             let live = grant::live(ctx, &robot.service_id(service))?.into_iter();
             let theirs =
                 live.filter(|holding| holding.principals().any(|principal| principal.organisation == organisation));

@@ -159,19 +159,36 @@ fn tell_places(ctx: &mut Context<'_>, target: &Target, places: &[Place]) -> Resu
 }
 
 /// A certificate was revoked: it waits nowhere any more.
-pub(crate) fn revoked(ctx: &mut Context<'_>, issuer: &[u8; 32], serial: &[u8]) -> Result<(), Rejection> {
+pub(crate) fn revoked(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    issuer: &[u8; 32],
+    serial: &[u8],
+) -> Result<(), Rejection> {
     for (service, contender) in line::of_certificate(ctx, issuer, serial) {
         drop_out(ctx, &service, &contender, LeftReason::Revoked)?;
         line::look_by(ctx, &service, ctx.block_time())?;
+        if let Ok(target) = service::resolve(ctx, &service) {
+            tell(ctx, decider, &target)?;
+        }
     }
     confirm::revoked(ctx, issuer, serial)
 }
 
 /// An organisation left: its members wait no more for this service. Events name the first of them.
-pub(crate) fn members_left(ctx: &mut Context<'_>, service: &str, organisation: &str) -> Result<(), Rejection> {
+pub(crate) fn members_left(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    target: &Target,
+    organisation: &str,
+) -> Result<(), Rejection> {
+    let service = &target.id;
     confirm::members_left(ctx, service, organisation)?;
     let waiting = line::all(ctx, service)?;
     let theirs = waiting.iter().filter(|waiting| waiting.contender.split('/').next() == Some(organisation));
+    if theirs.clone().next().is_none() {
+        return Ok(());
+    }
     for (waiting, told) in theirs.zip(0_usize..) {
         if told < TOLD_MAX {
             drop_out(ctx, service, &waiting.contender, LeftReason::Revoked)?;
@@ -179,7 +196,8 @@ pub(crate) fn members_left(ctx: &mut Context<'_>, service: &str, organisation: &
             line::remove(ctx, service, &waiting.contender)?;
         }
     }
-    Ok(())
+    line::look_by(ctx, service, ctx.block_time())?;
+    tell(ctx, decider, target)
 }
 
 /// Something about the service has changed that may make it somebody's turn.

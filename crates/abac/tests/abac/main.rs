@@ -28,4 +28,5 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod together;
 mod upgrade;

@@ -3,6 +3,7 @@
 mod confirm;
 mod line;
 mod pass;
+mod together;
 mod waiting;
 
 use self::waiting::Waiting;
@@ -23,6 +24,7 @@ use ledger_api::Committed;
 use ledger_contract::{AcquireOptions, Acquired, Capabilities, Fencing, Grant, Limits, Released};
 use serde::Serialize;
 use std::io::{self, Write};
+use std::time::Duration;
 
 /// Get the right to use a service of a robot.
 ///
@@ -36,10 +38,17 @@ use std::io::{self, Write};
 Example:
   ledgerctl acquire Turtlebot4
   ledgerctl acquire Turtlebot4/cmd_vel --for 30s
-  ledgerctl acquire Turtlebot4/cmd_vel --wait 5m")]
+  ledgerctl acquire Turtlebot4/cmd_vel --wait 5m
+  ledgerctl acquire Turtlebot4 Husky/cmd_vel --all-or-none")]
 pub(crate) struct Acquire {
     #[command(flatten)]
     lease: Lease,
+    /// More services, with --all-or-none
+    #[arg(value_name = "ROBOT[/TOPIC]", requires = "all_or_none")]
+    others: Vec<String>,
+    /// Several services in one transaction: all of them, or none
+    #[arg(long, conflicts_with = "no_wait")]
+    all_or_none: bool,
     /// Wait in line for the service at most this long, such as 5m
     #[arg(long, value_name = "SPAN")]
     wait: Option<Milliseconds>,
@@ -188,7 +197,13 @@ impl Granted {
 impl Acquire {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
-        let Self { lease: Lease { service, span }, wait, no_wait, priority } = self;
+        let Self { lease: Lease { service, span }, others, all_or_none, wait, no_wait, priority } = self;
+        if all_or_none {
+            let services: Vec<String> = std::iter::once(service).chain(others).collect();
+            let options = AcquireOptions { lease_ms: span.map(|span| span.0), priority, ..AcquireOptions::default() };
+            let wait = wait.map(|wait| Duration::from_millis(wait.0));
+            return together::acquire(&session, &services, &options, wait, output).await;
+        }
         let mut args = vec![Bytes::from(service)];
         let wait_ms = if no_wait { Some(0) } else { wait.as_ref().map(|wait| wait.0) };
         if wait_ms.is_some() || priority.is_some() {

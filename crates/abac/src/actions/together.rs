@@ -1,0 +1,78 @@
+//! `acquire_all`: several services at once, all or none.
+//!
+//! It is one transaction, so nobody ever holds some of them while it waits for others: there is no deadlock.
+
+use super::acquire::{self, Room};
+use super::confirm;
+use crate::arguments::{Arguments, shown};
+use crate::policy::decider::Decider;
+use crate::records::principal::Principal;
+use crate::records::service::{self, Target};
+use crate::records::{grant, store};
+use bytes::Bytes;
+use ledger::Context;
+use ledger_contract::{AcquireOptions, Grant};
+use ledger_rejection::{Code, Rejection};
+
+/// Most services of one call.
+const SERVICES_MAX: usize = 64;
+
+/// `acquire_all OPTIONS_JSON SERVICE...`
+pub(crate) fn acquire_all(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("acquire_all OPTIONS_JSON SERVICE...", args, 2, 1 + SERVICES_MAX)?;
+    let principal = Principal::of(ctx.submitter()?);
+    let wanted = "JSON with some of lease_ms and priority";
+    let options: AcquireOptions = serde_json::from_str(args.text(0, "OPTIONS_JSON")?)
+        .map_err(|fault| args.bad(0, "OPTIONS_JSON", fault.to_string(), wanted))?;
+    if options.wait_ms.is_some() {
+        return Err(args.bad(0, "OPTIONS_JSON", "wait_ms".to_owned(), wanted));
+    }
+    let mut targets: Vec<Target> = Vec::new();
+    for index in 1..=args.rest(1).len() {
+        let target = service::resolve(ctx, args.text(index, "SERVICE")?)?;
+        if targets.iter().any(|known| known.id == target.id) {
+            return Err(args.bad(index, "SERVICE", shown(&target.id), "each service once"));
+        }
+        if let Some(lease_ms) = options.lease_ms {
+            acquire::check_lease(&target, args, 0, lease_ms)?;
+        }
+        targets.push(target);
+    }
+    let mut grants: Vec<Grant> = Vec::new();
+    for target in &targets {
+        let granted = one(ctx, decider, target, &principal, &options).map_err(|mut refused| {
+            refused.message = format!("none of {} is granted: {}", listed(&targets), refused.message);
+            refused
+        })?;
+        grants.push(store::parse(b"grant", &granted)?);
+    }
+    store::json(&grants)
+}
+
+/// One of them, at once. What was granted before it is undone with the transaction if this one is refused.
+fn one(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    target: &Target,
+    principal: &Principal,
+    options: &AcquireOptions,
+) -> Result<Bytes, Rejection> {
+    let (room, permit) = acquire::may_acquire(ctx, decider, principal, target, options.priority)?;
+    match room {
+        Room::InLine { .. } => return Err(acquire::held(target, &grant::live(ctx, &target.id)?)),
+        Room::After { .. } => {
+            if let Some(pending) = confirm::first(ctx, target, principal, options)? {
+                return Err(Rejection::new(Code::Held, format!("others must confirm {} first", principal.id()))
+                    .found(format!("{} of {} confirmations", pending.confirmed.len(), pending.wanted))
+                    .wanted("a contender that is confirmed")
+                    .next(format!("ask for it alone first: ledgerctl acquire {}", target.id)));
+            }
+        }
+        Room::Own(_) => {}
+    }
+    acquire::settle(ctx, decider, target, principal.clone(), options, room, permit)
+}
+
+fn listed(targets: &[Target]) -> String {
+    targets.iter().map(|target| target.id.as_str()).collect::<Vec<_>>().join(", ")
+}
