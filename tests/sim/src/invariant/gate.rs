@@ -1,6 +1,7 @@
 //! No gate passes what the certified state does not allow (docs/security.md). The transaction is signed by somebody who held the
 //! service with that epoch and was not revoked. An answer of the voters counts for so long after that, and no longer. Each message
-//! passes once, in order, and not too long after its signature. A robot that moves is driven by somebody who might.
+//! passes once, in order, and not too long after its signature. A robot that moves is driven by somebody who might, or goes on
+//! under a grant that follows theirs.
 //!
 //! Told by the events of the blocks, whatever nodes tell the robot.
 
@@ -30,6 +31,8 @@ pub struct GateKeepsTheRules {
     stale_after: u64,
     /// By service, holder, epoch.
     grants: BTreeMap<(String, String, u64), Span>,
+    /// Holder and epoch of the grant that follows another one without a stop, by service and epoch of that one.
+    follows: BTreeMap<(String, u64), (String, u64)>,
     /// When each service was for everybody.
     open: BTreeMap<String, Vec<Span>>,
     /// When certificates were revoked.
@@ -62,6 +65,8 @@ struct Granted {
     service: String,
     holder: String,
     epoch: u64,
+    #[serde(default)]
+    follows: Option<u64>,
 }
 
 #[derive(Deserialize)]
@@ -83,6 +88,7 @@ impl GateKeepsTheRules {
             people,
             stale_after,
             grants: BTreeMap::new(),
+            follows: BTreeMap::new(),
             open: BTreeMap::new(),
             revoked: BTreeMap::new(),
             passed: BTreeMap::new(),
@@ -98,7 +104,10 @@ impl GateKeepsTheRules {
             if event.chaincode != "abac" || !matches!(&*event.name, "granted" | "released") {
                 continue;
             }
-            let Granted { service, holder, epoch } = serde_json::from_slice(&event.payload).unwrap();
+            let Granted { service, holder, epoch, follows } = serde_json::from_slice(&event.payload).unwrap();
+            if let Some(before) = follows {
+                self.follows.insert((service.clone(), before), (holder.clone(), epoch));
+            }
             let grant = self.grants.entry((service, holder, epoch)).or_insert((now, None));
             grant.1 = (event.name == "released").then_some(now);
         }
@@ -158,7 +167,7 @@ impl GateKeepsTheRules {
         if wall > signed_at.saturating_add(MAX_AGE + SLACK) {
             return Err(what("is too old"));
         }
-        if !self.is_permitted(creator, service, epoch, now) {
+        if !self.is_permitted(creator, service, (&creator.id(), epoch), now) {
             return Err(what(&format!("{} had no right", creator.id())));
         }
         // A bridge that starts anew knows no numbers. It takes nothing that was signed before: by clocks that are not ahead.
@@ -183,19 +192,24 @@ impl GateKeepsTheRules {
             return Err(wrong(format!("{service} is moved by nobody")));
         };
         let creator = self.people.by_fingerprint(creator).ok_or_else(|| wrong("is moved by a stranger"))?;
-        if self.is_permitted(creator, service, *epoch, now) {
-            return Ok(());
+        let mut grant = Some((creator.id(), *epoch));
+        while let Some((holder, epoch)) = grant {
+            if self.is_permitted(creator, service, (&holder, epoch), now) {
+                return Ok(());
+            }
+            let next = self.follows.get(&(service.to_owned(), epoch));
+            grant = next.filter(|(_, later)| *later > epoch).cloned();
         }
         Err(wrong(format!("{service} is not stopped: {} has lost epoch {epoch}", creator.id())))
     }
 
-    /// Did the state allow it at a moment that is not longer ago than an answer counts?
-    fn is_permitted(&self, creator: &Person, service: &str, epoch: u64, now: u64) -> bool {
+    /// Did the state allow it, by that holder's grant of an epoch, at a moment that is not longer ago than an answer counts?
+    fn is_permitted(&self, creator: &Person, service: &str, (holder, epoch): (&str, u64), now: u64) -> bool {
         let since = now.saturating_sub(self.stale_after + SLACK);
         let key = (hex::encode(creator.identity.issuer), hex::encode(&creator.identity.serial));
         let revoked = self.revoked.get(&key).copied().unwrap_or(u64::MAX);
         let held = |(from, until): &Span| since.max(*from) <= now.min(until.unwrap_or(u64::MAX)).min(revoked);
-        let grant = self.grants.get(&(service.to_owned(), creator.id(), epoch));
+        let grant = self.grants.get(&(service.to_owned(), holder.to_owned(), epoch));
         let open = self.open.get(service).filter(|_| epoch == 0);
         grant.is_some_and(held) || open.is_some_and(|spans| spans.iter().any(held))
     }
