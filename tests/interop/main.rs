@@ -18,6 +18,7 @@ mod loops;
 #[path = "../support/own_network.rs"]
 mod network;
 mod nodes_die;
+mod passing;
 mod python;
 mod readme;
 mod sharing;

@@ -14,24 +14,29 @@ const FARHADS: f64 = 100_000.0;
 const MANY: &str = "3000";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Heard {
+pub(crate) enum Heard {
     Salma,
     Farhad,
     Stop,
 }
 
 /// The robot's controller.
-struct Robot(Python);
+pub(crate) struct Robot(Python);
 
 impl Robot {
-    fn listen() -> Self {
+    pub(crate) fn listen() -> Self {
         let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "0", "0", "0", "240"]);
         assert_eq!((robot.line().unwrap(), robot.line().unwrap()), ("ready".to_owned(), "matched".to_owned()));
         Self(robot)
     }
 
+    /// The next message in hexadecimal digits, with its header.
+    pub(crate) fn line(&mut self) -> String {
+        self.0.line().expect("the robot hears something within a minute")
+    }
+
     fn hear(&mut self) -> Heard {
-        let line = self.0.line().expect("the robot hears something within a minute");
+        let line = self.line();
         if line == stop_message() {
             return Heard::Stop;
         }
@@ -40,7 +45,7 @@ impl Robot {
     }
 
     /// Hears nobody but `before` until `then`.
-    fn hears(&mut self, before: Heard, then: Heard) {
+    pub(crate) fn hears(&mut self, before: Heard, then: Heard) {
         loop {
             match self.hear() {
                 heard if heard == then => return,
@@ -50,18 +55,18 @@ impl Robot {
     }
 
     /// Hears this one and nobody else for as many messages.
-    fn hears_only(&mut self, who: Heard, count: usize) {
+    pub(crate) fn hears_only(&mut self, who: Heard, count: usize) {
         (0..count).for_each(|_| assert_eq!(self.hear(), who));
     }
 }
 
-fn drives(domain: &str, first: &str) -> Python {
+pub(crate) fn drives(domain: &str, first: &str) -> Python {
     let mut publisher = Python::start("twist_publisher.py", &[domain, "rt/cmd_vel", MANY, "50", "0", first]);
     assert_eq!(publisher.line().unwrap(), "matched");
     publisher
 }
 
-async fn owner_of(world: &World) -> Client {
+pub(crate) async fn owner_of(world: &World) -> Client {
     let context = ledger_api::Context::load(&world.path("home"), Some("dev-org2-admin")).unwrap();
     Client::connect(&context).await.unwrap()
 }
