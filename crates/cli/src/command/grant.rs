@@ -189,7 +189,7 @@ impl Granted {
     }
 
     /// The grant is somebody else's now.
-    fn to_somebody(self, passed_on: bool) -> Self {
+    fn for_somebody(self, passed_on: bool) -> Self {
         Self { passed_on, ..self }
     }
 }

@@ -80,7 +80,7 @@ async fn run(
     }
     let done = session.call(ABAC, function, args).await.map_err(|refused| words.told(refused))?;
     let grant = answer::parse(&done.response, "a grant")?;
-    output.show(&Granted::of(&done, grant, false).to_somebody(function != "recall"))
+    output.show(&Granted::of(&done, grant, false).for_somebody(function != "recall"))
 }
 
 impl Delegate {
