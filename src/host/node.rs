@@ -8,7 +8,7 @@ use crate::instance::{Ended, Instance, Prepared};
 use crate::join::{advised, nothing_here};
 use crate::stores::Stores;
 use ledger::{Chaincode, Ledger, Registry, Rules};
-use ledger_abac::AccessControl;
+use ledger_abac::{AccessControl, Rule};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::layout::GENESIS_FILE;
 use std::net::SocketAddr;
@@ -20,6 +20,7 @@ use std::time::Instant;
 pub struct NodeBuilder {
     registry: Registry,
     faults: Vec<Rejection>,
+    rules: Vec<Arc<dyn Rule>>,
     trusts_clock: bool,
 }
 
@@ -30,6 +31,13 @@ impl NodeBuilder {
         if let Err(fault) = self.registry.install(Arc::new(chaincode)) {
             self.faults.push(fault);
         }
+        self
+    }
+
+    /// Installs a rule for who wins: owners choose it by its mode. Every node of the network needs the same ones.
+    #[must_use]
+    pub fn rule(mut self, rule: impl Rule + 'static) -> Self {
+        self.rules.push(Arc::new(rule));
         self
     }
 
@@ -57,7 +65,8 @@ impl NodeBuilder {
             return Err(fault.clone());
         }
         let mut registry = self.registry.clone();
-        registry.install(Arc::new(AccessControl::new()?))?;
+        let access = self.rules.iter().cloned().try_fold(AccessControl::new()?, AccessControl::with_rule)?;
+        registry.install(Arc::new(access))?;
         Ok(registry)
     }
 

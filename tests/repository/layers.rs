@@ -161,6 +161,7 @@ const LAYERS: [(&str, &[&str]); 24] = [
             "testkit",
         ],
     ),
+    ("fair-share", &["ledger-abac", "ledgerd"]),
     (
         "inventory",
         &["ledger", "ledger-api", "ledger-hash", "ledger-identity", "ledger-rejection", "ledger-storage", "ledgerd"],

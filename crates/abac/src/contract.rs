@@ -142,8 +142,8 @@ impl AccessControl {
     ///
     /// # Errors
     /// [`ledger_rejection::Code::AlreadyExists`] if the mode has a rule.
-    pub fn with_rule(mut self, rule: impl Rule + 'static) -> Result<Self, Rejection> {
-        self.decider.rules.add(Arc::new(rule))?;
+    pub fn with_rule(mut self, rule: Arc<dyn Rule>) -> Result<Self, Rejection> {
+        self.decider.rules.add(rule)?;
         Ok(self)
     }
 

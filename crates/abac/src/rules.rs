@@ -44,6 +44,11 @@ pub trait Rule: Send + Sync {
         Terms::of(sharing).queue_max
     }
 
+    /// Does the rule look at past use, [`Claim::used`]? The ledger notes it only for rules that do.
+    fn remembers_use(&self) -> bool {
+        false
+    }
+
     /// The treatment of a contender that policies permit and that holds nothing of this service yet. If it waits already, it
     /// is not in `situation.line`.
     fn decide(&self, contender: &Claim, situation: &Situation<'_>) -> Decision;
@@ -66,6 +71,9 @@ pub struct Claim {
     pub since: u64,
     /// The order of arrival in line: less came earlier. The contender that is decided about for the first time came last.
     pub ticket: u64,
+    /// For how long it held the service within the last hour (microseconds of block time); 0 if the rule does not
+    /// [remember](Rule::remembers_use) it.
+    pub used: u64,
 }
 
 /// All that a rule looks at besides the contender.

@@ -218,9 +218,10 @@ pub(crate) fn give(
         closes: None,
         ends_by,
         since,
+        counted: decider.rules.of(target)?.remembers_use(),
         givers,
     };
-    holding.bind(&target.service, &permit);
+    holding.bind(&target.service, &permit.limits, permit.closes);
     holding.extend(now);
     grant::put(ctx, &holding)?;
     if let Some(idle) = Terms::of(&target.service.sharing).idle_release_us {

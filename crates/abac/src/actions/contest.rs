@@ -7,11 +7,13 @@ use crate::records::line::{self, Waiting};
 use crate::records::pending::Asking;
 use crate::records::principal::Principal;
 use crate::records::service::Target;
+use crate::records::used;
 use crate::rules::priority::{self, PRIORITY_MAX, Source};
 use crate::rules::{Claim, Decision, Rule, Situation};
 use ledger::Context;
 use ledger_contract::{LineState, Place};
 use ledger_rejection::{Code, Rejection};
+use std::collections::BTreeMap;
 
 /// The priority of one who took a service whatever its rule says: above all others.
 pub(crate) const OVERRIDING: i64 = i64::MAX;
@@ -23,6 +25,8 @@ pub(crate) struct Contest<'t> {
     pub(crate) holders: Vec<Holding>,
     /// In order of arrival.
     pub(crate) line: Vec<Waiting>,
+    /// Past use of the service within the last hour (microseconds).
+    used: BTreeMap<String, u64>,
     now: u64,
 }
 
@@ -30,23 +34,33 @@ impl<'t> Contest<'t> {
     /// As it stands on the ledger.
     pub(crate) fn of(ctx: &Context<'_>, target: &'t Target) -> Result<Self, Rejection> {
         let (holders, line) = (grant::live(ctx, &target.id)?, line::all(ctx, &target.id)?);
-        Ok(Self { target, holders, line, now: ctx.block_time() })
+        Ok(Self { target, holders, line, used: used::all(ctx, &target.id)?, now: ctx.block_time() })
     }
 
     /// The decision of the rule about a contender, who may be in line.
     pub(crate) fn decide(&self, rule: &dyn Rule, contender: &Claim) -> Decision {
-        let holders: Vec<Claim> = self.holders.iter().map(claim_of_holder).collect();
+        let holders = self.claims(self.holders.iter().map(claim_of_holder));
         let others = self.line.iter().filter(|waiting| waiting.contender != contender.who);
-        let line: Vec<Claim> = others.map(claim).collect();
-        rule.decide(contender, &self.situation(&holders, &line))
+        let line = self.claims(others.map(claim));
+        let contender = Claim { used: self.used_by(&contender.who), ..contender.clone() };
+        rule.decide(&contender, &self.situation(&holders, &line))
     }
 
     /// The line in the order in which its turns come.
     pub(crate) fn in_order(&self, rule: &dyn Rule) -> impl Iterator<Item = &Waiting> {
-        let holders: Vec<Claim> = self.holders.iter().map(claim_of_holder).collect();
-        let line: Vec<Claim> = self.line.iter().map(claim).collect();
+        let holders = self.claims(self.holders.iter().map(claim_of_holder));
+        let line = self.claims(self.line.iter().map(claim));
         let order = rule.order(&self.situation(&holders, &line));
         order.into_iter().filter_map(|index| self.line.get(index))
+    }
+
+    /// Claims with the past use of whoever claims.
+    fn claims(&self, claims: impl Iterator<Item = Claim>) -> Vec<Claim> {
+        claims.map(|claim| Claim { used: self.used_by(&claim.who), ..claim }).collect()
+    }
+
+    fn used_by(&self, who: &str) -> u64 {
+        self.used.get(who).copied().unwrap_or(0)
     }
 
     /// Everybody's place, the next one first.
@@ -90,17 +104,17 @@ impl<'t> Contest<'t> {
 /// A contender in line as the rule sees it.
 pub(crate) fn claim(waiting: &Waiting) -> Claim {
     let Waiting { contender, ticket, priority, since, .. } = waiting;
-    Claim { who: contender.clone(), priority: *priority, since: *since, ticket: *ticket }
+    Claim { who: contender.clone(), priority: *priority, since: *since, ticket: *ticket, used: 0 }
 }
 
 /// A contender that comes now.
 pub(crate) fn newcomer(ctx: &Context<'_>, who: String, priority: i64) -> Claim {
-    Claim { who, priority, since: ctx.block_time(), ticket: u64::MAX }
+    Claim { who, priority, since: ctx.block_time(), ticket: u64::MAX, used: 0 }
 }
 
 pub(crate) fn claim_of_holder(holding: &Holding) -> Claim {
     let (who, since) = (holding.grant.holder.clone(), holding.held_since());
-    Claim { who, priority: holding.priority, since, ticket: 0 }
+    Claim { who, priority: holding.priority, since, ticket: 0, used: 0 }
 }
 
 /// The priority of a contender: what the service's source says, or less if it asks for less.

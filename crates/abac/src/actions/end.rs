@@ -10,7 +10,7 @@ use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Target;
-use crate::records::store;
+use crate::records::{store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_contract::{Grant, Reason, Released};
@@ -54,6 +54,10 @@ fn tell(
     goes_on: bool,
 ) -> Result<Released, Rejection> {
     grant::remove(ctx, holding);
+    if holding.counted {
+        let Grant { service, holder, acquired_at, expires, .. } = &holding.grant;
+        used::add(ctx, service, holder, (*acquired_at, ctx.block_time().min(*expires)))?;
+    }
     let Grant { service, holder, epoch, .. } = holding.grant.clone();
     queue::look_now(ctx, &service)?;
     let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on };
@@ -245,7 +249,7 @@ fn unfit(
         } else {
             let mut changed = holding.clone();
             if let Some(permit) = permit {
-                changed.bind(&target.service, &permit);
+                changed.bind(&target.service, &permit.limits, permit.closes);
             }
             changed.grant.mode = target.service.mode.clone();
             changed.grant.lease_ms = holding.grant.lease_ms.min(target.service.lease_ms_max);

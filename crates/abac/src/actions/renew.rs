@@ -36,7 +36,7 @@ pub(crate) fn renewed(
     let mut after = before.clone();
     after.grant.lease_ms = lease_ms.unwrap_or(before.grant.lease_ms).min(target.service.lease_ms_max);
     after.grant.next_seq = publish::next_sequence(ctx, decider, target, before.grant.epoch, &before.grant.holder)?;
-    after.bind(&target.service, permit);
+    after.bind(&target.service, &permit.limits, permit.closes);
     after.extend(ctx.block_time());
     grant::replace(ctx, &before, &after)?;
     let told = store::json(&after.grant)?;
@@ -59,7 +59,7 @@ pub(crate) fn used(
     }
     let Ok(permit) = decider::may_keep(ctx, decider, before, target) else { return Ok(()) };
     let mut after = before.clone();
-    after.bind(&target.service, &permit);
+    after.bind(&target.service, &permit.limits, permit.closes);
     after.extend(now);
     grant::replace(ctx, before, &after)
 }

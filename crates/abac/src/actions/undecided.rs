@@ -137,7 +137,7 @@ fn decide(
         return Ok(Some((holding, Reason::Policy)));
     };
     let mut bound = holding.clone();
-    bound.bind(&target.service, &permit);
+    bound.bind(&target.service, &permit.limits, permit.closes);
     if bound != holding {
         grant::replace(ctx, &holding, &bound)?;
     }

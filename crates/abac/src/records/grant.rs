@@ -10,10 +10,9 @@ use super::principal::Principal;
 use super::robot::Robot;
 use super::service::Service;
 use super::{service, store};
-use crate::policy::Permit;
 use bytes::Bytes;
 use ledger::Context;
-use ledger_contract::{Grant, Reason};
+use ledger_contract::{Grant, Limits, Reason};
 use ledger_mutation::lease_clock;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -44,6 +43,9 @@ pub(crate) struct Holding {
     /// Since when the service has been held without a break, if it was passed on (block time, microseconds).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) since: Option<u64>,
+    /// Does the rule remember how long it was held?
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub(crate) counted: bool,
     /// Those who passed it on and may take it back, the first one first.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub(crate) givers: Vec<Giver>,
@@ -92,13 +94,13 @@ impl Holding {
     }
 
     /// Binds it to what policies say. Speeds are limited where messages have them.
-    pub(crate) fn bind(&mut self, service: &Service, permit: &Permit) {
-        self.grant.limits = permit.limits.clone();
+    pub(crate) fn bind(&mut self, service: &Service, limits: &Limits, closes: Option<u64>) {
+        self.grant.limits = limits.clone();
         if !WITH_SPEED.contains(&service.type_name.as_str()) {
             (self.grant.limits.max_linear_mm_s, self.grant.limits.max_angular_mrad_s) = (None, None);
         }
-        self.closes = permit.closes;
-        self.grant.expires = self.grant.expires.min(permit.closes.unwrap_or(u64::MAX));
+        self.closes = closes;
+        self.grant.expires = self.grant.expires.min(closes.unwrap_or(u64::MAX));
     }
 
     /// Extends the lease from `now`.
@@ -240,7 +242,7 @@ mod tests {
     use crate::fixture::block;
     use crate::records::robot;
     use crate::records::service::Service;
-    use ledger_contract::{Direction, Limits, Mode, Sharing};
+    use ledger_contract::{Direction, Mode, Sharing};
     use ledger_hash::Hash;
     use ledger_identity::Role;
     use std::collections::BTreeMap;
@@ -280,6 +282,7 @@ mod tests {
             closes: None,
             ends_by: None,
             since: None,
+            counted: false,
             givers: Vec::new(),
         }
     }

@@ -10,13 +10,14 @@
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
 //! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
-//! | `line/<service>␀<contender>` | a place in line; since rules 3, as the seven that follow |
+//! | `line/<service>␀<contender>` | a place in line; since rules 3, as the eight that follow |
 //! | `contender/<service>␀<contender>` | the certificate of a contender in line |
 //! | `waiting/<issuer>/<serial>/<service>␀<contender>` | nothing: finds the places of a revoked certificate |
 //! | `pending/<service>␀<contender>` | a contender that waits to be confirmed |
 //! | `asking/<issuer>/<serial>/<service>␀<contender>` | nothing: finds what a revoked certificate asks for or has confirmed |
 //! | `look/<service>` | when the service is looked at again (block time, microseconds) |
 //! | `looks/<time, 16 hex digits>/<service>` | nothing: orders services by that time |
+//! | `used/<service>␀<holder>` | when a holder had the service within the last hour, for rules that remember it |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
 //! | `last/<service>` | last message of a service whose sequences count by epoch |
 //! | `last/<service>␀<publisher>` | last message of a publisher of any other |
@@ -156,6 +157,16 @@ pub(crate) fn looks_key(time: u64, service: &str) -> Vec<u8> {
 pub(crate) fn parse_looks_key(key: &[u8]) -> Option<(u64, &str)> {
     let (time, service) = std::str::from_utf8(key.strip_prefix(LOOKS)?).ok()?.split_once('/')?;
     Some((u64::from_str_radix(time, 16).ok()?, service))
+}
+
+/// The prefix of the past use of a service.
+pub(crate) fn used_prefix(service: &str) -> Vec<u8> {
+    format!("used/{service}\0").into_bytes()
+}
+
+/// The key of the past use of a service by one holder.
+pub(crate) fn used_key(service: &str, holder: &str) -> Vec<u8> {
+    ["used/", service, "\0", holder].concat().into_bytes()
 }
 
 /// The key of the stop of a robot.

@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     fn claim(who: &str, priority: i64, since: u64, ticket: u64) -> Claim {
-        Claim { who: who.into(), priority, since, ticket }
+        Claim { who: who.into(), priority, since, ticket, used: 0 }
     }
 
     fn preempt() -> Sharing {

@@ -9,6 +9,7 @@ use ledger_abac::{
 };
 use ledger_identity::{Identity, Role};
 use ledger_rejection::Code;
+use std::sync::Arc;
 
 fn set(fleet: &mut Fleet, sharing: &str) -> RobotChange {
     fleet.get(&owner(), "configure", &[TURTLEBOT, sharing])
@@ -351,7 +352,7 @@ impl Rule for EvenHours {
 
 #[test]
 fn a_rule_of_somebody_else_decides_like_those_of_this_crate() {
-    let mut fleet = Fleet::with(AccessControl::new().unwrap().with_rule(EvenHours).unwrap());
+    let mut fleet = Fleet::with(AccessControl::new().unwrap().with_rule(Arc::new(EvenHours)).unwrap());
     fleet.ok(&owner(), "setup", &[&robot("Husky", "even-hours")]);
     fleet.ok(&salma(), "acquire", &[HUSKY]);
     // Five minutes before the next even hour; nobody waits longer than ten.
@@ -360,7 +361,75 @@ fn a_rule_of_somebody_else_decides_like_those_of_this_crate() {
     fleet.time = fleet.next_deadline().unwrap();
     fleet.tick();
     assert_eq!(fleet.newest::<Grant>("granted").epoch, 2);
-    assert!(AccessControl::new().unwrap().with_rule(EvenHours).unwrap().with_rule(EvenHours).is_err());
+    assert!(
+        AccessControl::new().unwrap().with_rule(Arc::new(EvenHours)).unwrap().with_rule(Arc::new(EvenHours)).is_err()
+    );
     let mut without = Fleet::empty();
     without.refused(&owner(), Code::BadArgument, "setup", &[&robot("Husky", "even-hours")]);
+}
+
+/// Least use goes first: a rule that remembers.
+struct LeastUsed;
+
+impl Rule for LeastUsed {
+    fn mode(&self) -> Mode {
+        Mode::named("least-used")
+    }
+
+    fn capabilities(&self) -> Capabilities {
+        Capabilities { publishing: Publishing::Grant, fencing: Fencing::Newest, sequence: Sequence::PerEpoch }
+    }
+
+    fn keys(&self) -> &'static [&'static str] {
+        &[]
+    }
+
+    fn line_max(&self, _sharing: &Sharing) -> u64 {
+        8
+    }
+
+    fn remembers_use(&self) -> bool {
+        true
+    }
+
+    fn decide(&self, _contender: &Claim, situation: &Situation<'_>) -> Decision {
+        if situation.holders.is_empty() { Decision::Grant { ends: vec![] } } else { Decision::Wait { again: None } }
+    }
+
+    fn order(&self, situation: &Situation<'_>) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..situation.line.len()).collect();
+        order.sort_by_key(|index| situation.line[*index].used);
+        order
+    }
+}
+
+#[test]
+fn a_rule_that_remembers_sees_how_long_each_one_held_the_service_within_the_last_hour() {
+    let mut fleet = Fleet::with(AccessControl::new().unwrap().with_rule(Arc::new(LeastUsed)).unwrap());
+    fleet.ok(&owner(), "setup", &[&robot("Turtlebot4", "least-used")]);
+    let used = |fleet: &mut Fleet, who: &Identity, seconds: u64| {
+        fleet.ok(who, "acquire", &[TURTLEBOT, "600000"]);
+        fleet.time += seconds * SECOND;
+        fleet.ok(who, "release", &[TURTLEBOT]);
+    };
+    let third = ranked("Third", "0", 61);
+    used(&mut fleet, &salma(), 100);
+    used(&mut fleet, &farhad(), 50);
+    fleet.ok(&third, "acquire", &[TURTLEBOT]);
+    place(&mut fleet, &salma(), &[TURTLEBOT]);
+    place(&mut fleet, &farhad(), &[TURTLEBOT]);
+    fleet.ok(&third, "release", &[TURTLEBOT]);
+    fleet.tick();
+    assert_eq!(holders(&fleet), ["Org1/Farhad"], "it came later, and used the robot less");
+    fleet.ok(&farhad(), "release", &[TURTLEBOT]);
+    fleet.tick();
+    assert_eq!(holders(&fleet), ["Org1/Salma"]);
+    assert_eq!(fleet.keys("used/"), 3);
+    // Whoever has not used it for an hour is forgotten.
+    fleet.time += 2 * 3600 * SECOND;
+    fleet.tick();
+    fleet.ok(&third, "acquire", &[TURTLEBOT]);
+    fleet.time += SECOND;
+    fleet.ok(&third, "release", &[TURTLEBOT]);
+    assert_eq!(fleet.keys("used/"), 1);
 }
