@@ -48,10 +48,7 @@ use std::sync::Arc;
 ///
 /// A service is named `Turtlebot4/cmd_vel`, or `Turtlebot4` while that robot has only one.
 ///
-/// Events: `granted` and `renewed` with the [`crate::Grant`], `released` with [`crate::Released`], `delegated` with [`crate::Delegated`], `pending` and `confirmed` with [`crate::Pending`], `queued` with
-/// [`crate::Place`], `left` with [`crate::Left`], `line` with [`crate::LineTold`], `message` with
-/// [`crate::MessageEvent`], all with the service as subject; `robot` with [`crate::RobotEvent`], `stopped` and `resumed`
-/// with [`crate::Emergency`], and the robot as subject; `policy` with [`crate::PolicyChange`] and the organisation as subject.
+/// Its events, with their subjects and payloads, are in docs/events.md.
 pub struct AccessControl {
     decider: Decider,
 }

@@ -34,11 +34,11 @@ pub(crate) struct Award {
     pub(crate) principal: Principal,
     pub(crate) lease_ms: u64,
     pub(crate) priority: i64,
-    /// What policies bind it to.
+    /// Its limits, by the policies.
     pub(crate) permit: Permit,
     /// Why it is taken whatever the rule says.
     pub(crate) taken: Option<String>,
-    /// What it goes on with, if it was passed on or taken back.
+    /// The part that stays, if it was passed on or taken back.
     pub(crate) passed: Passed,
 }
 

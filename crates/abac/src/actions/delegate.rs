@@ -156,7 +156,7 @@ fn check_may_pass_on(target: &Target, own: &Holding, for_good: bool) -> Result<(
     }
     let Some(giver) = own.givers.last().map(|giver| giver.principal.id()) else { return Ok(()) };
     if !own.grant.may_delegate {
-        return Err(refused("whoever delegated it does not allow it")
+        return Err(refused("its giver does not allow it")
             .found(format!("delegated by {giver}"))
             .wanted("a delegation with may_delegate")
             .next(format!("ask {giver} to delegate it with --may-delegate")));
@@ -204,7 +204,7 @@ fn certified(ctx: &mut Context<'_>, id: &str) -> Result<Principal, Rejection> {
     Ok(Principal { organisation, name, role, attributes, issuer, serial, fingerprint, not_after })
 }
 
-/// What policies bind the receiver to, if they permit it to hold the service, and everybody who passes it on.
+/// The limits of the receiver, if policies permit it and everybody who passes it on to hold the service.
 fn permit_of_all(
     ctx: &Context<'_>,
     decider: &Decider,

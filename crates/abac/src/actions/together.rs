@@ -49,7 +49,7 @@ pub(crate) fn acquire_all(ctx: &mut Context<'_>, decider: &Decider, args: &[Byte
     store::json(&grants)
 }
 
-/// One of them, at once. What was granted before it is undone with the transaction if this one is refused.
+/// One of them, at once. If this one is refused, the transaction undoes all that were granted before it.
 fn one(
     ctx: &mut Context<'_>,
     decider: &Decider,

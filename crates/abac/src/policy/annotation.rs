@@ -60,7 +60,7 @@ pub(super) enum Said {
     Closed(String),
 }
 
-/// What a policy that matches says at this time (milliseconds since the UNIX epoch).
+/// The word of a policy that matches, at this time (milliseconds since the UNIX epoch).
 ///
 /// # Errors
 /// The annotation that cannot be read: it was put under rules that did not look at it.
@@ -102,8 +102,8 @@ fn read(name: &str, value: &str, permit: &mut Permit) -> Result<(), String> {
             permit.priority.map(drop).ok_or_else(|| format!("a whole number from -{most} to {most}"))?;
         }
         "max_rate" => *max_rate_mhz = limit("Hz", 1)?,
-        "max_linear" => *max_linear_mm_s = limit("m/s", 0)?,
-        "max_angular" => *max_angular_mrad_s = limit("rad/s", 0)?,
+        "max_linear" => *max_linear_mm_s = limit("metres per second", 0)?,
+        "max_angular" => *max_angular_mrad_s = limit("radians per second", 0)?,
         "max_age" => {
             let age = milliseconds(value).filter(|ms| (1..=AGE_MS_MAX).contains(ms));
             *max_age_ms = Some(age.ok_or_else(|| format!("1ms to {}s, e.g. 200ms or 2s", AGE_MS_MAX / 1000))?);
