@@ -68,7 +68,7 @@ pub(crate) struct Question {
 }
 
 impl Question {
-    /// What a policy that matches says. Older rules look at no annotation.
+    /// The word of a policy that matches. Older rules look at no annotation.
     fn said(&self, policies: &PolicySet, id: &PolicyId) -> Result<Said, String> {
         match self.resource.of_robot {
             Some(_) => annotation::said(policies, id, self.time_ms),
@@ -119,7 +119,7 @@ pub(crate) enum Verdict {
 pub(crate) struct Permit {
     /// The highest `@priority` of those that permit it.
     pub(crate) priority: Option<i64>,
-    /// What it is bound to: of each limit the strictest. The windows are those of policies that permit it now.
+    /// Its limits: of each the strictest. The windows are those of policies that permit it now.
     pub(crate) limits: Limits,
     /// When the last of these windows closes (block time, microseconds); never, if a policy without one permits it.
     pub(crate) closes: Option<u64>,

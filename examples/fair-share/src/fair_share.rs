@@ -1,4 +1,4 @@
-//! One holder at a time; whoever used the service least in the last hour is next.
+//! One holder at a time; the contender that used the service least in the last hour is next.
 
 use ledger_abac::{Capabilities, Claim, Decision, Fencing, Mode, Publishing, Rule, Sequence, Sharing, Situation};
 

@@ -82,7 +82,7 @@ pub(super) fn said(policies: &PolicySet, id: &PolicyId, time_ms: i64) -> Result<
     }
 }
 
-/// Reads one annotation. What is not known says nothing.
+/// Reads one annotation. An unknown one says nothing.
 ///
 /// # Errors
 /// The form that is wanted.

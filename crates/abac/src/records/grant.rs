@@ -75,8 +75,8 @@ impl Holding {
         self.ending.unwrap_or(Reason::Expired)
     }
 
-    /// When the lease ends if it is renewed `now`: never after the certificates of its holder and of those who passed it on,
-    /// nor after the window of its policies, nor after the end that a giver set.
+    /// When the lease ends if it is renewed `now`. Certificates of its holder and its givers end it sooner; so do the window of
+    /// its policies, and the end that a giver set.
     pub(crate) fn extended(&self, now: u64) -> u64 {
         let certificates = self.principals().map(|principal| principal.not_after);
         let ends = self.givers.iter().filter_map(|giver| giver.ends_by).chain(self.ends_by).chain(self.closes);

@@ -17,7 +17,7 @@ pub(crate) struct Asking {
     pub(crate) principal: Principal,
     /// Until when (block time, microseconds).
     pub(crate) until: u64,
-    /// What it asked for.
+    /// Its wishes.
     pub(crate) options: AcquireOptions,
     /// Those who have confirmed it.
     pub(crate) confirmed: Vec<Principal>,
