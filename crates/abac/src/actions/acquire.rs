@@ -124,7 +124,12 @@ pub(crate) fn settle(
     }
     queue::granted(ctx, decider, target, &principal.id())?;
     let lease_ms = options.lease_ms.unwrap_or(target.service.lease_ms);
-    give(ctx, decider, target, Award { principal, lease_ms, priority, permit, taken: None, passed: Passed { preempts, ..passed } })
+    give(
+        ctx,
+        decider,
+        target,
+        Award { principal, lease_ms, priority, permit, taken: None, passed: Passed { preempts, ..passed } },
+    )
 }
 
 /// `take SERVICE REASON [LEASE_MS]`: the service, whatever its rule says; by an admin of the owner, or whom policies permit

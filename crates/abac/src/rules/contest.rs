@@ -42,6 +42,9 @@ pub(super) fn order(situation: &Situation<'_>) -> Vec<usize> {
     let rank = |claim: &Claim| (Reverse(precedence(claim, situation.sharing, situation.now)), claim.ticket);
     let mut ranked: Vec<_> = situation.line.iter().map(rank).zip(0..).collect();
     ranked.sort_unstable();
+    if active(Mutation::SkipTheLine) {
+        ranked.reverse();
+    }
     ranked.into_iter().map(|(_, index)| index).collect()
 }
 
