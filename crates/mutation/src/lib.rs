@@ -14,6 +14,12 @@ pub enum Mutation {
     AcknowledgeBeforeMajority,
     /// A new grant gets the epoch of the one before.
     ReuseAnEpoch,
+    /// A grant that ends another's gets the epoch of that one.
+    PreemptWithoutANewEpoch,
+    /// A free place goes to whoever asks, though others in line precede.
+    SkipTheLine,
+    /// A node that opens its state forgets which robots are stopped.
+    ForgetAStop,
     /// A contender that confirms itself counts.
     CountTheRequester,
     /// A revoked certificate is accepted.

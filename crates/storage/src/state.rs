@@ -26,6 +26,7 @@ use self::cache::Cache;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_invariant::invariant;
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::{Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -136,6 +137,12 @@ impl State {
         if store.get(INSTALLING_KEY)?.is_some() {
             return Err(Rejection::new(Code::Corrupt, "the world state was not filled from its snapshot to the end")
                 .next("delete the directories state/ and results/; the node fills them again"));
+        }
+        if active(Mutation::ForgetAStop)
+            && let Some(tip) = &tip
+        {
+            let stops = store.range(b"abac\0stopped/", None, usize::MAX)?;
+            store.write(&stops.into_iter().map(|(key, _)| (key, None)).collect(), (TIP_KEY, &tip.to_bytes()))?;
         }
         let recent = Unstored { dirty: BTreeMap::new(), bytes: 0, layers: VecDeque::new(), stored: tip.clone(), tip };
         Ok(Self { store, cache: Cache::default(), recent: RwLock::new(recent) })

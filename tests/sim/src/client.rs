@@ -1,7 +1,9 @@
 //! The clients: what they want, how they retry, and what they remember.
 
+mod contest;
 mod intent;
 
+pub use contest::{PUBLISHERS, Terms};
 pub use intent::{Call, SERVICES, robots};
 
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
@@ -321,7 +323,13 @@ impl World {
         }
         client.introduced = code != Code::UnknownCreator;
         match (code, call) {
-            (Code::Ok, Call::Acquire { service, .. } | Call::Renew { service }) => {
+            (
+                Code::Ok,
+                Call::Acquire { service, .. }
+                | Call::Contend { service, .. }
+                | Call::Take { service }
+                | Call::Renew { service },
+            ) => {
                 if let Ok(Granted { epoch, next_seq }) = serde_json::from_slice(response) {
                     client.grants.insert(service, (epoch, next_seq));
                 }

@@ -2,6 +2,7 @@
 //! nothing.
 
 use crate::world::Untruth;
+use ledger::Outcome;
 use ledger_rejection::Code;
 use std::collections::BTreeMap;
 use std::fmt;
@@ -93,6 +94,20 @@ faults! {
     Flood "flood of calls";
 }
 
+/// What must happen where several want a service, and to robots in an emergency.
+const CONTESTS: [&str; 10] = [
+    "queued",
+    "turn came",
+    "limited turn came",
+    "limited",
+    "preempted",
+    "left the line",
+    "sent away from the line",
+    "taken",
+    "stopped",
+    "resumed",
+];
+
 /// Seeds from which on every kind of fault must have happened. A rare one happens in about one of twenty.
 pub const SEEDS_ENOUGH: u64 = 100;
 
@@ -141,6 +156,8 @@ pub struct Coverage {
     pub stops: BTreeMap<&'static str, u64>,
     /// Lies to a robot.
     pub untruths: BTreeMap<Untruth, u64>,
+    /// What happened where several wanted a service, or to robots in an emergency.
+    pub contests: BTreeMap<&'static str, u64>,
     /// Questions of robots, answers that were believed, and why others were not.
     pub questions: u64,
     /// See `questions`.
@@ -157,6 +174,29 @@ impl Coverage {
     /// Counts a fault.
     pub fn fault(&mut self, fault: Fault) {
         *self.faults.entry(fault).or_default() += 1;
+    }
+
+    /// Counts what the events of a block tell of contests and emergencies.
+    pub fn follow(&mut self, outcome: &Outcome) {
+        for emitted in &outcome.events {
+            let event = &emitted.event;
+            let says = |text: &str| std::str::from_utf8(&event.payload).is_ok_and(|payload| payload.contains(text));
+            let limited = || says(r#""mode":"limited""#);
+            let what = match (&*event.chaincode, &*event.name) {
+                ("abac", "queued") => "queued",
+                ("abac", "granted") if emitted.index.is_none() && limited() => "limited turn came",
+                ("abac", "granted") if emitted.index.is_none() => "turn came",
+                ("abac", "granted") if says(r#""taken":""#) => "taken",
+                ("abac", "granted") if limited() => "limited",
+                ("abac", "released") if says(r#""reason":"preempted""#) => "preempted",
+                ("abac", "left") if says(r#""reason":"left""#) => "left the line",
+                ("abac", "left") => "sent away from the line",
+                ("abac", "stopped") => "stopped",
+                ("abac", "resumed") => "resumed",
+                _ => continue,
+            };
+            *self.contests.entry(what).or_default() += 1;
+        }
     }
 
     /// Adds what another run covered.
@@ -178,6 +218,9 @@ impl Coverage {
         }
         for (kind, count) in &other.untruths {
             *self.untruths.entry(*kind).or_default() += count;
+        }
+        for (what, count) in &other.contests {
+            *self.contests.entry(what).or_default() += count;
         }
         for (code, count) in &other.unbelieved {
             *self.unbelieved.entry(*code).or_default() += count;
@@ -209,7 +252,12 @@ impl Coverage {
         let untold = Untruth::ALL.iter().filter(|kind| !self.untruths.contains_key(kind));
         let idle = ["passed"].into_iter().filter(|what| !self.gate.contains_key(what));
         let idle = idle.map(|what| format!("a message at a robot {what}"));
-        never.map(|fault| fault.name().to_owned()).chain(untold.map(Untruth::to_string)).chain(idle).collect()
+        let contests = CONTESTS.into_iter().filter(|what| !self.contests.contains_key(what)).map(str::to_owned);
+        let refused = |code: &Code| self.verdicts.contains_key(code) || self.refusals.contains_key(code);
+        let refusals = [Code::LineFull, Code::Stopped].into_iter().filter(|code| !refused(code));
+        let refusals = refusals.map(|code| format!("refused with {}", code.name()));
+        let never = never.map(|fault| fault.name().to_owned()).chain(untold.map(Untruth::to_string));
+        never.chain(idle).chain(contests).chain(refusals).collect()
     }
 
     /// Was so much done that every kind of fault should have happened?
@@ -249,6 +297,10 @@ impl fmt::Display for Coverage {
         }
         for (kind, count) in &self.untruths {
             writeln!(f, "  {:<40} {count:>9}", kind.to_string())?;
+        }
+        writeln!(f, "contests and emergencies")?;
+        for (what, count) in &self.contests {
+            writeln!(f, "  {what:<26} {count:>9}")?;
         }
         writeln!(f, "answers that a robot did not believe")?;
         for (code, count) in &self.unbelieved {

@@ -21,11 +21,13 @@ mod keeps_time;
 mod leader_completeness;
 mod log_matching;
 mod members;
+mod nobody_is_overtaken;
 mod refused_is_final;
 mod revoked;
 mod rules_by_height;
 mod snapshot_trust;
 mod state_agreement;
+mod stops_last;
 
 pub use acknowledged::AcknowledgedIsDurable;
 pub use answered_is_seen::AnsweredIsSeen;
@@ -45,11 +47,13 @@ pub use keeps_time::BlockTimeKeepsToTheClocks;
 pub use leader_completeness::LeaderCompleteness;
 pub use log_matching::LogMatching;
 pub use members::MembersFollowTheLedger;
+pub use nobody_is_overtaken::NobodyIsOvertaken;
 pub use refused_is_final::RefusedIsFinal;
 pub use revoked::RevokedStaysRevoked;
 pub use rules_by_height::RulesByHeight;
 pub use snapshot_trust::SnapshotsAreAttested;
 pub use state_agreement::StateAgreement;
+pub use stops_last::StopsLast;
 
 use crate::people::People;
 use ledger::transaction::Transaction;
@@ -110,6 +114,10 @@ pub struct Invariants {
     pub acknowledged: AcknowledgedIsDurable,
     /// At most as many holders as the mode allows.
     pub grant_exclusivity: GrantExclusivity,
+    /// A grant from a line goes to whose turn it is.
+    pub overtaken: NobodyIsOvertaken,
+    /// A robot that is stopped stays stopped.
+    pub stops_last: StopsLast,
     /// Epochs never come twice.
     pub epochs_grow: EpochsGrow,
     /// A caller without a right has no success.
@@ -154,6 +162,8 @@ impl Invariants {
             exactly_once: ExactlyOnce::default(),
             acknowledged: AcknowledgedIsDurable::default(),
             grant_exclusivity: GrantExclusivity::default(),
+            overtaken: NobodyIsOvertaken::new(Arc::clone(people)),
+            stops_last: StopsLast::default(),
             epochs_grow: EpochsGrow::default(),
             denied_by_default: DeniedByDefault::new(Arc::clone(people)),
             revoked: RevokedStaysRevoked::new(Arc::clone(people)),
@@ -186,6 +196,8 @@ impl Invariants {
             self.denied_by_default.executed(executed)?;
             self.revoked.executed(executed)?;
             self.grant_exclusivity.executed(executed)?;
+            self.overtaken.executed(executed)?;
+            self.stops_last.executed(executed)?;
             self.snapshot_trust.executed(executed);
         }
         Ok(())

@@ -25,17 +25,17 @@ const NODE_ORGANISATIONS: usize = 3;
 const ED25519_PKCS8: &[u8] =
     &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
 
-/// The identity: organisation, name, role, attributes.
+/// The identity: organisation, name, role, attributes; an attribute without another value is `true`.
 const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
     ("Org1", "admin", "admin", &[]),
-    ("Org1", "Salma", "member", &["Turtlebot4", "Husky"]),
-    ("Org1", "Farhad", "member", &["Turtlebot4"]),
+    ("Org1", "Salma", "member", &["Turtlebot4", "Husky", "rank=2"]),
+    ("Org1", "Farhad", "member", &["Turtlebot4", "rank=1"]),
     ("Org1", "Nina", "member", &["Turtlebot4", "Husky"]),
     ("Org2", "admin", "admin", &[]),
-    ("Org2", "Owen", "member", &["Turtlebot4", "Husky"]),
+    ("Org2", "Owen", "member", &["Turtlebot4", "Husky", "rank=2"]),
     ("Org3", "admin", "admin", &[]),
     // Trusted by nobody, whatever the own CA signs.
-    ("Org3", "Trudy", "member", &["Turtlebot4", "Husky"]),
+    ("Org3", "Trudy", "member", &["Turtlebot4", "Husky", "rank=9"]),
     ("Org2", "Mallory", "member", &[]),
 ];
 
@@ -96,8 +96,9 @@ impl People {
                 let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
                 let mut params = params(name, role);
                 params.serial_number = Some(SerialNumber::from(all.len() as u64 + 1000));
+                let pairs = attributes.iter().map(|text| text.split_once('=').unwrap_or((text, "true")));
                 let attributes: BTreeMap<String, String> =
-                    attributes.iter().map(|name| ((*name).to_owned(), "true".to_owned())).collect();
+                    pairs.map(|(name, value)| (name.to_owned(), value.to_owned())).collect();
                 let json = encode_attributes(&attributes).unwrap();
                 params.custom_extensions.push(CustomExtension::from_oid_content(ATTRIBUTES_OID, json));
                 let certificate = params.signed_by(&public, &authorities[organisation]).unwrap();

@@ -44,6 +44,8 @@ pub struct Plan {
     pub disk_max: u64,
     /// The network is founded with the oldest rules, some nodes speak no others yet, and newer ones are activated.
     pub activates: bool,
+    /// Owners choose who wins, users wait in line, robots are stopped; in the other seeds there are only the older calls.
+    pub contests: bool,
 }
 
 /// The network's treatment of messages.
@@ -110,6 +112,7 @@ impl Plan {
             state_flush: random.between(100 * MILLISECOND, 3 * SECOND),
             disk_max: if faults.contains(&Fault::SlowDisk) { random.between(5, 60) * MILLISECOND } else { MILLISECOND },
             activates: random.percent(40),
+            contests: random.percent(75),
             network,
             faults,
         }

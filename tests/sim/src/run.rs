@@ -97,6 +97,7 @@ fn last_word(world: &mut World, deadline: u64) -> Check {
     let policies = [crate::policy::Policy::ErringForbid, crate::policy::Policy::ForbidFarhad];
     let mut orders: Vec<Call> = vec![Call::Setup { open: true }];
     orders.extend(policies.map(Call::Remove));
+    orders.push(Call::Resume { robot: "*" });
     orders.push(Call::Put(crate::policy::Policy::Trusted));
     orders.extend(SERVICES.map(|service| Call::Release { service: service.to_owned() }));
     let owner = world.employ_for("Org2/admin", orders, true);

@@ -126,6 +126,7 @@ pub(crate) struct Randoms {
     pub(crate) nodes: Random,
     pub(crate) statements: Random,
     pub(crate) robot: Random,
+    pub(crate) contests: Random,
 }
 
 /// A block as the first node executed it.
@@ -216,6 +217,7 @@ impl World {
             nodes: sequence("nodes"),
             statements: sequence("statements"),
             robot: sequence("robot"),
+            contests: sequence("contests"),
         };
         let (voters, all) = (plan.voters, plan.voters + plan.learners);
         let statements = &mut random.statements;

@@ -17,8 +17,8 @@ use ledgerd_sim::client::{Call, sign};
 use ledgerd_sim::invariant::{
     AcknowledgedIsDurable, BlockTimeKeepsToTheClocks, ChainAgreement, CommittedIsImmutable, DeniedByDefault,
     ElectionSafety, EpochsGrow, ExactlyOnce, Executed, GateKeepsTheRules, GrantExclusivity, LeaderCompleteness,
-    LogMatching, MembersFollowTheLedger, Passed, RevokedStaysRevoked, SnapshotsAreAttested, StateAgreement,
-    VotesAreInformed,
+    LogMatching, MembersFollowTheLedger, NobodyIsOvertaken, Passed, RevokedStaysRevoked, SnapshotsAreAttested,
+    StateAgreement, StopsLast, VotesAreInformed,
 };
 use ledgerd_sim::people::People;
 use std::sync::Arc;
@@ -187,6 +187,50 @@ fn an_epoch_that_comes_again_and_the_use_of_an_old_one_are_noticed() {
     epochs.executed(&at(1, &told("granted", &grant("B", 2)))).unwrap();
     epochs.executed(&at(1, &told("message", r#"{"epoch":1}"#))).unwrap_err();
     epochs.executed(&at(1, &told("granted", &grant("A", 2)))).unwrap_err();
+}
+
+/// A place in the line of `R/cmd_vel`.
+fn place(contender: &str, priority: i64) -> String {
+    format!(r#"{{"service":"R/cmd_vel","contender":"{contender}","priority":{priority}}}"#)
+}
+
+#[test]
+fn a_grant_past_a_line_is_noticed() {
+    let people = Arc::new(People::new());
+    let granted = |contender: &str| {
+        let mut overtaken = NobodyIsOvertaken::new(Arc::clone(&people));
+        for (height, (contender, priority)) in (1..).zip([("A", 0), ("B", 1), ("C", 1)]) {
+            let call = Call::Release { service: "R/cmd_vel".into() };
+            let (outcome, transactions) = with(&call, 0, &people, height);
+            let outcome = event(outcome, "queued", &place(contender, priority));
+            overtaken.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
+        }
+        let mut outcome = event(block(4, Hash::ZERO), "granted", &grant(contender, 1));
+        outcome.events[0].index = None;
+        overtaken.executed(&at(1, &outcome))
+    };
+    granted("B").unwrap();
+    granted("A").unwrap_err();
+    granted("C").unwrap_err();
+    granted("D").unwrap_err();
+}
+
+#[test]
+fn a_stop_that_does_not_last_is_noticed() {
+    let told = |height: u64, name: &str, payload: &str| event(block(height, Hash::ZERO), name, payload);
+    let mut stops = StopsLast::default();
+    let mut tell = |height, name: &str| stops.executed(&at(1, &told(height, name, &grant("A", 1))));
+    tell(1, "granted").unwrap();
+    tell(2, "stopped").unwrap_err();
+    tell(3, "released").unwrap();
+    tell(4, "stopped").unwrap();
+    tell(5, "message").unwrap_err();
+    tell(6, "granted").unwrap_err();
+    stops.opened(1, 6, &["R".to_owned()].into()).unwrap();
+    stops.opened(1, 6, &[].into()).unwrap_err();
+    stops.executed(&at(1, &told(7, "resumed", "{}"))).unwrap();
+    stops.executed(&at(1, &told(8, "granted", &grant("A", 2)))).unwrap();
+    stops.opened(1, 8, &["R".to_owned()].into()).unwrap_err();
 }
 
 #[test]

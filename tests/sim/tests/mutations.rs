@@ -72,6 +72,21 @@ fn an_epoch_that_comes_twice_is_noticed() {
 }
 
 #[test]
+fn a_preemption_that_gives_no_new_epoch_is_noticed() {
+    caught(Mutation::PreemptWithoutANewEpoch, &["epochs grow"]);
+}
+
+#[test]
+fn a_free_place_that_goes_to_somebody_before_the_line_is_noticed() {
+    caught(Mutation::SkipTheLine, &["nobody is overtaken", "the oracle agrees"]);
+}
+
+#[test]
+fn a_stop_that_a_node_forgets_when_it_starts_is_noticed() {
+    caught(Mutation::ForgetAStop, &["a stop lasts", "state agreement", "the oracle agrees"]);
+}
+
+#[test]
 fn a_revoked_certificate_that_is_accepted_is_noticed() {
     caught(Mutation::SkipTheRevocationCheck, &["revoked stays revoked"]);
 }

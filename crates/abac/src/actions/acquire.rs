@@ -53,6 +53,8 @@ pub(crate) struct Passed {
     pub(crate) since: Option<u64>,
     /// The epoch that it follows without a stop between.
     pub(crate) follows: Option<u64>,
+    /// Somebody else's grant ended for it.
+    pub(crate) preempts: bool,
 }
 
 impl Passed {
@@ -64,6 +66,7 @@ impl Passed {
             ends_by: holding.ends_by,
             since: holding.since,
             follows: None,
+            preempts: false,
         }
     }
 }
@@ -115,12 +118,18 @@ pub(crate) fn settle(
             return store::json(&Acquired::Queued { queued });
         }
     };
+    let preempts = ending.iter().any(|(_, reason)| *reason == Reason::Preempted);
     for (holding, reason) in ending {
         end::end_for(ctx, &holding, reason, &principal)?;
     }
     queue::granted(ctx, decider, target, &principal.id())?;
     let lease_ms = options.lease_ms.unwrap_or(target.service.lease_ms);
-    give(ctx, decider, target, Award { principal, lease_ms, priority, permit, taken: None, passed })
+    give(
+        ctx,
+        decider,
+        target,
+        Award { principal, lease_ms, priority, permit, taken: None, passed: Passed { preempts, ..passed } },
+    )
 }
 
 /// `take SERVICE REASON [LEASE_MS]`: the service, whatever its rule says; by an admin of the owner, or whom policies permit
@@ -189,10 +198,11 @@ pub(crate) fn give(
         end::end(ctx, dead, dead.reason())?;
     }
     let Award { principal, lease_ms, priority, permit, taken, passed } = award;
-    let Passed { givers, may_delegate, ends_by, since, follows } = passed;
+    let Passed { givers, may_delegate, ends_by, since, follows, preempts } = passed;
     let newest = grant::newest_epoch(ctx, &target.id)?;
+    let reuses = active(Mutation::ReuseAnEpoch) || preempts && active(Mutation::PreemptWithoutANewEpoch);
     let epoch = newest
-        .checked_add(u64::from(newest == 0 || !active(Mutation::ReuseAnEpoch)))
+        .checked_add(u64::from(newest == 0 || !reuses))
         .ok_or_else(|| Rejection::new(Code::LimitExceeded, format!("{} has used up its epochs", target.id)))?;
     store::write(ctx, &store::epoch_key(&target.id), &epoch)?;
     let mut holding = Holding {

@@ -64,6 +64,7 @@ pub(crate) fn recall(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         ends_by: giver.ends_by,
         since: Some(holding.held_since()),
         follows: (!options.stop).then_some(holding.grant.epoch),
+        preempts: false,
     };
     end::pass_on(ctx, holding, Reason::Recalled, &who, !options.stop)?;
     let Giver { priority, lease_ms, .. } = giver;
@@ -103,6 +104,7 @@ fn pass_on(
         ends_by: if for_good { own.ends_by } else { asked },
         since: Some(own.held_since()),
         follows: (!options.stop).then_some(own.grant.epoch),
+        preempts: false,
     };
     end::pass_on(ctx, &own, Reason::Delegated, to, !options.stop)?;
     queue::granted(ctx, decider, &target, to)?;

@@ -369,12 +369,13 @@ fn turn(
     let Ok(permit) = decider::may_hold(ctx, decider, &principal, target) else {
         return drop_out(ctx, &target.id, &waiting.contender, LeftReason::Policy);
     };
+    let preempts = !ended.is_empty();
     for holding in ended {
         end::end_for(ctx, &holding, Reason::Preempted, &principal)?;
     }
     line::remove(ctx, &target.id, &waiting.contender)?;
     let lease_ms = waiting.lease_ms.unwrap_or(target.service.lease_ms).min(target.service.lease_ms_max);
-    let award =
-        Award { principal, lease_ms, priority: waiting.priority, permit, taken: None, passed: Passed::default() };
+    let passed = Passed { preempts, ..Passed::default() };
+    let award = Award { principal, lease_ms, priority: waiting.priority, permit, taken: None, passed };
     acquire::give(ctx, decider, target, award).map(drop)
 }

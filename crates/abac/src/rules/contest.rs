@@ -3,6 +3,7 @@
 use super::terms::Terms;
 use super::{Claim, Decision, Situation};
 use ledger_contract::{OnConflict, Sharing};
+use ledger_mutation::{Mutation, active};
 use std::cmp::Reverse;
 
 /// Decides about a contender for one of so many places.
@@ -13,7 +14,8 @@ pub fn contend(places: usize, contender: &Claim, situation: &Situation<'_>) -> D
     let terms = Terms::of(situation.sharing);
     let rank = |claim: &Claim| (Reverse(precedence(claim, situation.sharing, situation.now)), claim.ticket);
     let is_first = situation.line.iter().all(|other| rank(other) > rank(contender));
-    if is_first && situation.holders.len() < places {
+    let may_come_now = is_first || active(Mutation::SkipTheLine);
+    if may_come_now && situation.holders.len() < places {
         return Decision::Grant { ends: Vec::new() };
     }
     let again = match terms.on_conflict {
@@ -40,6 +42,9 @@ pub(super) fn order(situation: &Situation<'_>) -> Vec<usize> {
     let rank = |claim: &Claim| (Reverse(precedence(claim, situation.sharing, situation.now)), claim.ticket);
     let mut ranked: Vec<_> = situation.line.iter().map(rank).zip(0..).collect();
     ranked.sort_unstable();
+    if active(Mutation::SkipTheLine) {
+        ranked.reverse();
+    }
     ranked.into_iter().map(|(_, index)| index).collect()
 }
 

@@ -1,10 +1,12 @@
 //! The next wish of a client.
 
 use super::READER;
+use super::contest::Terms;
 use crate::clock::EPOCH;
 use crate::policy::Policy;
 use crate::world::World;
 use bytes::Bytes;
+use serde_json::json;
 
 /// The services of the simulated robots.
 pub const SERVICES: [&str; 3] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel", "Husky/arm"];
@@ -20,6 +22,39 @@ pub enum Call {
         service: String,
         /// The lease, or the service's own.
         lease_ms: Option<u64>,
+    },
+    /// To hold it, or to wait in line for it.
+    Contend {
+        /// The service.
+        service: String,
+        /// The lease, or the service's own.
+        lease_ms: Option<u64>,
+        /// How long it waits at most.
+        wait_ms: Option<u64>,
+        /// A lower priority than its own.
+        priority: Option<i64>,
+    },
+    /// To have it whatever its rule says.
+    Take {
+        /// The service.
+        service: String,
+    },
+    /// To stop a robot, or all of them.
+    Stop {
+        /// The robot; `*` for all.
+        robot: &'static str,
+    },
+    /// To let it be commanded again.
+    Resume {
+        /// The robot; `*` for all.
+        robot: &'static str,
+    },
+    /// To change who wins where several want a service.
+    Configure {
+        /// The service.
+        service: String,
+        /// The settings.
+        terms: Terms,
     },
     /// To keep it.
     Renew {
@@ -98,6 +133,14 @@ impl Call {
                 let lease = lease_ms.map(|lease| text(&lease.to_string()));
                 ("abac", "acquire", std::iter::once(text(service)).chain(lease).collect())
             }
+            Self::Contend { service, lease_ms, wait_ms, priority } => {
+                let options = json!({"lease_ms": lease_ms, "wait_ms": wait_ms, "priority": priority});
+                ("abac", "acquire", vec![text(service), text(&options.to_string())])
+            }
+            Self::Take { service } => ("abac", "take", vec![text(service), text("it drives too near")]),
+            Self::Stop { robot } => ("abac", "stop", vec![text(robot)]),
+            Self::Resume { robot } => ("abac", "resume", vec![text(robot)]),
+            Self::Configure { service, terms } => ("abac", "configure", vec![text(service), text(&terms.json())]),
             Self::Renew { service } => ("abac", "renew", vec![text(service)]),
             Self::Release { service } => ("abac", "release", vec![text(service)]),
             Self::Set { service, epoch, seq } => {
@@ -185,6 +228,9 @@ impl World {
     }
 
     fn rule(&mut self, service: String) -> Call {
+        if let Some(call) = self.rule_contests() {
+            return call;
+        }
         let random = &mut self.random.clients;
         let until = (EPOCH + self.now) / 1000 + random.between(1_000, 20_000);
         let policies =
@@ -219,6 +265,9 @@ impl World {
     }
 
     fn use_service(&mut self, number: usize, service: String) -> Call {
+        if let Some(call) = self.contend() {
+            return call;
+        }
         let grant = self.clients[number].grants.get(&service).copied();
         let random = &mut self.random.clients;
         match (random.below(100), grant) {

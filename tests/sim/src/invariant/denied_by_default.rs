@@ -37,7 +37,8 @@ impl DeniedByDefault {
             let Some(person) = self.people.by_fingerprint(&transaction.creator()) else {
                 return Err(Violation::new(NAME, format!("an unknown certificate called {}", body.function)));
             };
-            let uses = body.chaincode == "abac" && matches!(&*body.function, "acquire" | "renew" | "set");
+            let uses = body.chaincode == "abac"
+                && matches!(&*body.function, "acquire" | "renew" | "set" | "take" | "stop" | "resume");
             let rules = matches!(
                 (&*body.chaincode, &*body.function),
                 ("abac", "setup" | "replace" | "configure" | "remove" | "policy") | ("msp", "revoke")

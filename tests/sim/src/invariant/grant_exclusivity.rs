@@ -3,6 +3,7 @@
 //! Told by the events, which is how the robots' bridges know.
 
 use super::{Check, Executed, Violation};
+use crate::client::PUBLISHERS;
 use ledger::Outcome;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,7 +37,12 @@ impl GrantExclusivity {
             match name {
                 "granted" => {
                     holders.insert((holder, epoch));
-                    if mode == "exclusive" && holders.len() > 1 {
+                    let most = match &*mode {
+                        "exclusive" => 1,
+                        "limited" => PUBLISHERS,
+                        _ => usize::MAX,
+                    };
+                    if holders.len() > most {
                         return Err(Violation::new(NAME, format!("at height {height} {service} has {holders:?}")));
                     }
                 }

@@ -1,5 +1,6 @@
 //! The rights of everybody, in as few words as possible.
 
+mod contest;
 mod grants;
 mod network;
 
@@ -35,6 +36,12 @@ pub(super) struct Model {
     epochs: BTreeMap<String, u64>,
     /// Of each service, oldest first.
     grants: BTreeMap<String, Vec<Grant>>,
+    /// Of each service, in order of arrival.
+    lines: BTreeMap<String, Vec<contest::Waiter>>,
+    /// Robots.
+    stopped: BTreeSet<String>,
+    /// Organisations with policies from before their steps were counted.
+    uncounted: BTreeSet<String>,
     /// Epoch and number of the last message: of a service for one, or of each publisher of one for all.
     last: BTreeMap<(String, String), (u64, u64)>,
     /// Nodes, and what they attest.
@@ -58,6 +65,8 @@ pub(super) struct Service {
     mode: String,
     lease_ms: u64,
     lease_ms_max: u64,
+    #[serde(default)]
+    sharing: serde_json::Map<String, serde_json::Value>,
 }
 
 /// A grant that has not ended.
@@ -69,6 +78,8 @@ pub(super) struct Grant {
     /// Block time, microseconds.
     pub(super) expires: u64,
     lease_ms: u64,
+    priority: i64,
+    since: u64,
 }
 
 /// A verdict, and what of the response can be told.
@@ -77,11 +88,13 @@ pub(super) struct Judged {
     pub(super) code: Code,
     /// Of a grant: epoch and expiry.
     pub(super) grant: Option<(u64, u64)>,
+    /// Of a place in line: position, priority, and until when.
+    pub(super) place: Option<(u64, i64, u64)>,
 }
 
 impl From<Code> for Judged {
     fn from(code: Code) -> Self {
-        Self { code, grant: None }
+        Self { code, grant: None, place: None }
     }
 }
 
@@ -99,6 +112,9 @@ impl Model {
             policies: BTreeMap::new(),
             epochs: BTreeMap::new(),
             grants: BTreeMap::new(),
+            lines: BTreeMap::new(),
+            stopped: BTreeSet::new(),
+            uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
             network_of_nodes: Nodes::founded(plan.rules(), plan.voters, plan.learners, plan.organisations),
         }
@@ -109,11 +125,12 @@ impl Model {
         self.network_of_nodes.next(height, members);
     }
 
-    /// A block begins: what is due ends.
-    pub(super) fn begin(&mut self, time: u64) {
+    /// A block begins: what is due ends, and turns come. `first` is the service of the first turn.
+    pub(super) fn begin(&mut self, first: Option<&str>, time: u64) {
         for grants in self.grants.values_mut() {
             grants.retain(|grant| grant.expires > time);
         }
+        self.turns(first, time);
     }
 
     /// Executes a transaction at a block time.
@@ -124,7 +141,7 @@ impl Model {
             self.done.insert(transaction.id());
             self.known.insert(transaction.creator());
             let people = Arc::clone(&self.people);
-            self.call(&people.all[creator], transaction, time)
+            self.call((&people.all[creator], creator), transaction, time)
         });
         match verdict {
             Ok(judged) => judged,
@@ -133,6 +150,12 @@ impl Model {
                 code.into()
             }
         }
+    }
+
+    /// The same before a block whose rules are new: a node that does not speak them answers by those of the block before.
+    pub(super) fn by_older_rules(&self) -> Option<Self> {
+        let mut copy = self.clone();
+        copy.network_of_nodes.keep_rules().then_some(copy)
     }
 
     /// The answer of a gateway at this state and time; nothing changes.
@@ -182,12 +205,16 @@ impl Model {
         self.revoked.contains(&(hex::encode(person.identity.issuer), hex::encode(&person.identity.serial)))
     }
 
-    fn call(&mut self, who: &Person, transaction: &Transaction, time: u64) -> Verdict {
+    fn call(&mut self, (who, person): (&Person, usize), transaction: &Transaction, time: u64) -> Verdict {
         let body = transaction.body();
         let text = |at: usize| body.args.get(at).map(|bytes| String::from_utf8_lossy(bytes).into_owned());
         let first = text(0).unwrap_or_default();
         match (&*body.chaincode, &*body.function) {
-            ("abac", "acquire") => self.acquire(who, &first, number(text(1))?, time),
+            ("abac", "acquire") => self.acquire((who, person), &first, text(1), time),
+            ("abac", "take") => self.take(who, &first, time),
+            ("abac", "stop") => self.emergency(who, &first, true, time),
+            ("abac", "resume") => self.emergency(who, &first, false, time),
+            ("abac", "configure") => self.configure(who, &first, &text(1).unwrap_or_default(), time),
             ("abac", "renew") => self.renew(who, &first, number(text(1))?, time),
             ("abac", "release") => self.release(who, &first, time),
             ("abac", "set") => {
@@ -229,7 +256,14 @@ impl Model {
             }
             _ => drop(self.policies.remove(&key).ok_or(Code::NotFound)?),
         }
-        self.end_unfit(&who.identity.organisation, time);
+        let organisation = &who.identity.organisation;
+        let has_own = self.policies.keys().any(|(owner, _)| owner == organisation);
+        if has_own && !self.has_contests() {
+            self.uncounted.insert(organisation.clone());
+        } else {
+            self.uncounted.remove(organisation);
+        }
+        self.end_unfit(organisation, time);
         Ok(Code::Ok.into())
     }
 
@@ -246,17 +280,14 @@ impl Model {
         for grants in self.grants.values_mut() {
             grants.retain(|grant| !revoked.contains(&grant.certificate));
         }
+        self.leave_all(|certificate| revoked.contains(certificate));
         Ok(Code::Ok.into())
     }
 
     /// Do the policies let them hold (or publish on) a robot's service?
     fn permits(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
-        let id = who.id();
-        let attribute = who.identity.attributes.get(&robot.attribute_required).is_some_and(|value| value == "true");
-        let trusted = robot.trusted.contains(&who.identity.organisation);
-        let asked = Asked { who: &id, trusted, attribute, time_ms: time / 1000 };
-        let own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner);
-        let mut said: Vec<Says> = own.map(|(_, policy)| policy.says(&asked)).collect();
+        let mut said = self.said(who, robot, time);
+        let asked = Asked { who: &who.id(), ..asked(who, robot, time) };
         if said.is_empty() {
             said.push(Policy::Attribute.says(&asked));
         }
@@ -266,12 +297,26 @@ impl Model {
             Err(Code::DeniedByPolicy)
         } else if said.contains(&Says::Permit) {
             Ok(())
-        } else if trusted && !attribute {
+        } else if asked.trusted && !asked.attribute {
             Err(Code::MissingAttribute)
         } else {
             Err(Code::DeniedByPolicy)
         }
     }
+
+    /// What the owner's own policies say to anything that they want to do with a robot.
+    fn said(&self, who: &Person, robot: &Robot, time: u64) -> Vec<Says> {
+        let asked = Asked { who: &who.id(), ..asked(who, robot, time) };
+        let own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner);
+        own.map(|(_, policy)| policy.says(&asked)).collect()
+    }
+}
+
+/// A question about a robot, without the name of who asks.
+fn asked(who: &Person, robot: &Robot, time: u64) -> Asked<'static> {
+    let attribute = who.identity.attributes.get(&robot.attribute_required).is_some_and(|value| value == "true");
+    let trusted = robot.trusted.contains(&who.identity.organisation);
+    Asked { who: "", trusted, attribute, time_ms: time / 1000 }
 }
 
 fn only_admins(who: &Person) -> Result<(), Code> {

@@ -92,6 +92,7 @@ impl World {
             for result in &outcome.results {
                 *self.coverage.verdicts.entry(result.code()).or_default() += 1;
             }
+            self.coverage.follow(outcome);
             self.coverage.blocks += 1;
             if self.invariants.rules_by_height.decided(outcome) {
                 self.coverage.fault(Fault::Activation);

@@ -22,11 +22,15 @@ use ledger_storage::block_store::StoreError;
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::Entry;
 use ledger_storage::snapshot::Snapshots;
-use std::collections::{BTreeMap, VecDeque};
+use ledger_storage::state::StateRead;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::{Arc, mpsc};
 
 /// The node that is broken when it ends for no reason that was injected.
 const UNEXPLAINED: &str = "a node ends only for a reason";
+
+/// The keys of robots that are stopped.
+const STOPPED: &[u8] = b"abac\0stopped/";
 
 impl World {
     /// Switches a node on.
@@ -87,6 +91,7 @@ impl World {
             self.observe(id, &ledger, entry, outcome)?;
         }
         let tip = ledger.tip().height;
+        self.invariants.stops_last.opened(id, tip, &stopped(&ledger))?;
         let ballot = Ballot::default();
         let members = ledger.members().unwrap();
         self.invariants.log_matching.look(id, &store)?;
@@ -284,6 +289,13 @@ impl World {
         let tip = self.nodes.get(&id)?.up.as_ref()?.ledger.tip();
         Some((tip.height, tip.hash, tip.digest))
     }
+}
+
+/// The robots that are stopped, by what a node has stored.
+fn stopped(ledger: &Ledger) -> BTreeSet<String> {
+    let stops = ledger.state().range(STOPPED, None, usize::MAX).unwrap();
+    let names = stops.iter().filter_map(|(key, _)| std::str::from_utf8(key.strip_prefix(STOPPED)?).ok());
+    names.map(str::to_owned).collect()
 }
 
 /// The members that a ledger wants.

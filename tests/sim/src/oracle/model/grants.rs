@@ -1,5 +1,6 @@
 //! Taking, keeping, using and giving back.
 
+use super::contest::Waiter;
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
 use ledger_hash::Hash;
@@ -15,16 +16,18 @@ const LEASE_MS_MIN: u64 = 100;
 pub(super) struct Before {
     grants: BTreeMap<String, Vec<Grant>>,
     robots: BTreeMap<String, Robot>,
+    lines: BTreeMap<String, Vec<Waiter>>,
 }
 
 impl Model {
     pub(super) fn clone_small(&self) -> Before {
-        Before { grants: self.grants.clone(), robots: self.robots.clone() }
+        Before { grants: self.grants.clone(), robots: self.robots.clone(), lines: self.lines.clone() }
     }
 
     pub(super) fn restore(&mut self, before: Before) {
         self.grants = before.grants;
         self.robots = before.robots;
+        self.lines = before.lines;
     }
 
     /// The grants of a service that count at a time, oldest first.
@@ -46,34 +49,54 @@ impl Model {
         Ok((robot.clone(), service.clone()))
     }
 
-    pub(super) fn acquire(&mut self, who: &Person, id: &str, lease_ms: Option<u64>, time: u64) -> Verdict {
+    /// The grants of a service that lie in the state, and the newest epoch.
+    pub(in crate::oracle) fn stored(&self, service: &str) -> &[Grant] {
+        self.grants.get(service).map_or(&[], Vec::as_slice)
+    }
+
+    pub(super) fn acquire(
+        &mut self,
+        (who, person): (&Person, usize),
+        id: &str,
+        wishes: Option<String>,
+        time: u64,
+    ) -> Verdict {
         let (robot, service) = self.find(id)?;
-        check_lease(&service, lease_ms)?;
+        let wishes = self.wishes(wishes)?;
+        check_lease(&service, wishes.lease_ms)?;
         self.permits(who, &robot, time)?;
-        let live = self.live(id, time);
-        let own = live.iter().find(|grant| grant.holder == who.id());
-        if let Some(own) = own {
-            if own.certificate == who.fingerprint() {
-                return Ok(self.extend(who, id, &service, lease_ms, time));
+        self.goes(&robot)?;
+        let own = self.live(id, time).into_iter().find(|grant| grant.holder == who.id());
+        match own {
+            Some(own) if own.certificate == who.fingerprint() => {
+                Ok(self.extend(who, id, &service, wishes.lease_ms, time))
             }
-            self.end(id, &who.id());
-        } else if service.mode == "exclusive" && !live.is_empty() {
-            return Err(Code::Held);
+            Some(own) => {
+                self.end(id, &who.id());
+                Ok(self.give(who, id, wishes.lease_ms.unwrap_or(service.lease_ms), own.priority, time))
+            }
+            None => self.enter((who, person), id, &wishes, time),
         }
+    }
+
+    /// Gives a grant.
+    pub(super) fn give(&mut self, who: &Person, id: &str, lease_ms: u64, priority: i64, time: u64) -> Judged {
         let epoch = self.epoch(id) + 1;
         self.epochs.insert(id.to_owned(), epoch);
-        let lease_ms = lease_ms.unwrap_or(service.lease_ms);
         let expires = expiry(who, lease_ms, time);
         let grants = self.grants.entry(id.to_owned()).or_default();
         grants.retain(|grant| grant.expires > time);
-        grants.push(Grant { holder: who.id(), certificate: who.fingerprint(), epoch, expires, lease_ms });
-        Ok(Judged { code: Code::Ok, grant: Some((epoch, expires)) })
+        let (holder, certificate) = (who.id(), who.fingerprint());
+        grants.push(Grant { holder, certificate, epoch, expires, lease_ms, priority, since: time });
+        Judged { grant: Some((epoch, expires)), ..Code::Ok.into() }
     }
 
     pub(super) fn renew(&mut self, who: &Person, id: &str, lease_ms: Option<u64>, time: u64) -> Verdict {
         let (robot, service) = self.find(id)?;
-        self.own(who, id, time).ok_or(Code::NotHolder)?;
-        self.permits(who, &robot, time)?;
+        let own = self.own(who, id, time).ok_or(Code::NotHolder)?;
+        if !self.keeps(who, &own, &robot, time) {
+            self.permits(who, &robot, time)?;
+        }
         check_lease(&service, lease_ms)?;
         Ok(self.extend(who, id, &service, lease_ms, time))
     }
@@ -82,6 +105,8 @@ impl Model {
         let (robot, _) = self.find(id)?;
         if self.own(who, id, time).is_some() {
             self.end(id, &who.id());
+        } else if self.leave(id, &who.id()) {
+            return Ok(Code::Ok.into());
         } else if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
             self.grants.remove(id);
         } else {
@@ -96,17 +121,21 @@ impl Model {
         let mut used = None;
         if open && epoch == 0 {
             self.permits(who, &robot, time)?;
+            self.goes(&robot)?;
         } else {
             match self.own(who, id, time) {
                 Some(own) if own.epoch == epoch => used = Some(own),
+                _ if self.stopped.contains(&robot.name) => return Err(Code::Stopped),
                 Some(_) => return Err(Code::StaleEpoch),
                 None if epoch > 0 && epoch < self.epoch(id) => return Err(Code::StaleEpoch),
                 None => return Err(self.permits(who, &robot, time).err().unwrap_or(Code::NotHolder)),
             }
         }
-        let place = (id.to_owned(), if open { who.id() } else { String::new() });
+        // Publishers that stand side by side number their messages apart.
+        let apart = service.mode != "exclusive";
+        let place = (id.to_owned(), if apart { who.id() } else { String::new() });
         if let Some((last_epoch, last)) = self.last.get(&place)
-            && (open || *last_epoch == epoch)
+            && (apart || *last_epoch == epoch)
             && seq <= *last
         {
             return Err(Code::StaleSequence);
@@ -115,7 +144,7 @@ impl Model {
             // Use keeps a grant alive, but is written down only when it is worth it, and only while policies permit.
             let expires = expiry(who, own.lease_ms, time);
             let worth = expires.saturating_sub(own.expires) > own.lease_ms * 250;
-            if worth && self.permits(who, &robot, time).is_ok() {
+            if worth && self.keeps(who, &own, &robot, time) {
                 self.change(id, &own.holder, |grant| grant.expires = expires);
             }
         }
@@ -133,8 +162,8 @@ impl Model {
                 let mut stay: Vec<Grant> = Vec::new();
                 for grant in self.live(&id, time) {
                     let who = people.by_fingerprint(&grant.certificate);
-                    let fits = service.mode == "open" || stay.is_empty();
-                    if fits && who.is_some_and(|who| self.permits(who, robot, time).is_ok()) {
+                    let fits = stay.len() < service.places();
+                    if fits && who.is_some_and(|who| self.keeps(who, &grant, robot, time)) {
                         stay.push(grant);
                     }
                 }
@@ -150,7 +179,7 @@ impl Model {
             grant.expires = expiry(who, grant.lease_ms, time);
             told = Some((grant.epoch, grant.expires));
         });
-        Judged { code: Code::Ok, grant: told }
+        Judged { grant: told, ..Code::Ok.into() }
     }
 
     /// The grant that somebody has with this very certificate.

@@ -82,7 +82,14 @@ impl Nodes {
         }
     }
 
-    fn active(&self) -> u32 {
+    /// The rules of the last block instead of those of the next; answers whether they are others.
+    pub(super) fn keep_rules(&mut self) -> bool {
+        let newest = self.active();
+        self.next.0 -= 1;
+        self.active() != newest
+    }
+
+    pub(super) fn active(&self) -> u32 {
         let reached = self.rules.iter().rfind(|activation| activation.height <= self.next.0);
         reached.map_or(0, |activation| activation.number)
     }

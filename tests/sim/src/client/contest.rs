@@ -1,0 +1,115 @@
+//! The wishes of clients where there are rules for who wins: lines, priorities, limits, emergencies.
+
+use super::Call;
+use super::intent::SERVICES;
+use crate::world::World;
+use testkit::Random;
+
+/// How many hold a `limited` service at once, in all settings of the collection.
+pub const PUBLISHERS: usize = 2;
+/// The rules that brought lines, limits and stops.
+const SINCE: u32 = 3;
+/// Every setting of a service's rule.
+const KEYS: &str = r#"["publishers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms"]"#;
+
+/// A choice of an owner for a service: the mode, and the settings of its rule as JSON.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Terms {
+    /// The mode.
+    pub mode: &'static str,
+    /// The settings.
+    pub sharing: &'static str,
+}
+
+const fn exclusive(sharing: &'static str) -> Terms {
+    Terms { mode: "exclusive", sharing }
+}
+
+const fn limited(sharing: &'static str) -> Terms {
+    Terms { mode: "limited", sharing }
+}
+
+/// The collection.
+const TERMS: [Terms; 10] = [
+    exclusive("{}"),
+    exclusive(r#"{"on_conflict":"queue"}"#),
+    exclusive(r#"{"on_conflict":"queue","queue_max":1,"queue_wait_max_ms":4000,"priority":"attribute:rank"}"#),
+    exclusive(r#"{"on_conflict":"queue","queue_max":4,"priority":"fixed:5"}"#),
+    exclusive(r#"{"on_conflict":"preempt","priority":"attribute:rank"}"#),
+    exclusive(r#"{"on_conflict":"preempt","priority":"attribute:rank","queue_max":3,"min_hold_ms":1500}"#),
+    exclusive(r#"{"on_conflict":"preempt","priority":"attribute:rank","queue_max":4,"aging_ms":1000}"#),
+    limited(r#"{"publishers":2}"#),
+    limited(r#"{"publishers":2,"on_conflict":"queue","queue_max":2,"priority":"attribute:rank"}"#),
+    limited(r#"{"publishers":2,"on_conflict":"preempt","queue_max":2,"priority":"attribute:rank"}"#),
+];
+
+/// The services whose rules change. The arm of the Husky is mostly for everybody.
+const CONTESTED: [&str; 2] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel"];
+/// The robots, and all of them.
+const STOPPED: [&str; 3] = ["Turtlebot4", "Husky", "*"];
+
+impl Terms {
+    /// The argument of `configure`: these settings, and no others.
+    pub fn json(&self) -> String {
+        format!(r#"{{"mode":"{}","sharing":{},"clear":{KEYS}}}"#, self.mode, self.sharing)
+    }
+}
+
+impl World {
+    /// Does a client want something of this kind now? The network must know it.
+    fn contends(&mut self, percent: u64) -> bool {
+        let next = self.blocks.len() as u64 + 1;
+        self.plan.contests
+            && self.invariants.rules_by_height.number_at(next) >= SINCE
+            && self.random.contests.percent(percent)
+    }
+
+    /// What the owner of the robots does about who wins, if anything.
+    pub(super) fn rule_contests(&mut self) -> Option<Call> {
+        if !self.contends(30) {
+            return None;
+        }
+        let random = &mut self.random.contests;
+        let robot = random.pick(&STOPPED).copied().unwrap_or("*");
+        let service = random.pick(&SERVICES).copied().unwrap_or(SERVICES[0]).to_owned();
+        Some(match random.below(20) {
+            0..=7 => {
+                // At most two hold anything of the Husky but its arm.
+                let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]);
+                let offered = if service == CONTESTED[0] { &TERMS[..] } else { &TERMS[..7] };
+                let terms = random.pick(offered).copied().unwrap_or(TERMS[0]);
+                Call::Configure { service: service.to_owned(), terms }
+            }
+            8..=9 => Call::Stop { robot },
+            10..=15 => Call::Resume { robot: "*" },
+            16 => Call::Resume { robot },
+            17..=18 => Call::Take { service },
+            _ => contender(random, service),
+        })
+    }
+
+    /// What a user wants of a service where there may be a line, if anything.
+    pub(super) fn contend(&mut self) -> Option<Call> {
+        if !self.contends(35) {
+            return None;
+        }
+        let random = &mut self.random.contests;
+        let robot = random.pick(&STOPPED).copied().unwrap_or("*");
+        let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]).to_owned();
+        Some(match random.below(100) {
+            0..=1 => Call::Stop { robot },
+            2..=3 => Call::Resume { robot },
+            4..=5 => Call::Take { service },
+            6..=20 => Call::Release { service },
+            _ => contender(random, service),
+        })
+    }
+}
+
+/// A contender that says how long it waits, and perhaps that it is less urgent.
+fn contender(random: &mut Random, service: String) -> Call {
+    let lease_ms = random.percent(20).then(|| random.between(50, 25_000));
+    let wait_ms = random.percent(40).then(|| random.below(6) * 1_000);
+    let priority = random.percent(20).then(|| random.below(4) as i64 - 1);
+    Call::Contend { service, lease_ms, wait_ms, priority }
+}
