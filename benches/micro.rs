@@ -18,6 +18,8 @@ mod busy;
 #[path = "micro/chain.rs"]
 mod chain;
 mod founding;
+#[path = "micro/lines.rs"]
+mod lines;
 mod load;
 mod network;
 #[path = "micro/ordering.rs"]
@@ -284,7 +286,7 @@ criterion_group!(
     chain::recover,
     chain::state_apply
 );
-criterion_group!(deciding, access::authorize, access::chaincode_call);
+criterion_group!(deciding, access::authorize, access::chaincode_call, lines::one_service, lines::many_services);
 criterion_group!(at_the_robot, robot::gate, robot::dds_leg, robot::iceoryx2_leg);
 
 fn main() {

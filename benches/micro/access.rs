@@ -20,13 +20,13 @@ const POLICIES: [usize; 4] = [10, 100, 1000, 10_000];
 /// Robots of the network; the last of each owner is free.
 const ROBOTS: usize = 1000;
 /// Organisations that own them.
-const OWNERS: usize = 4;
+pub(crate) const OWNERS: usize = 4;
 /// Rules of one policy text.
 const RULES_PER_TEXT: usize = 50;
 /// Robots of one call of `setup`.
 const ROBOTS_PER_SETUP: usize = 50;
 /// Block time, microseconds since the UNIX epoch.
-const NOW: u64 = 1_900_000_000_000_000;
+pub(crate) const NOW: u64 = 1_900_000_000_000_000;
 
 /// Stands in for the chaincode that knows the members.
 struct Members;
@@ -36,15 +36,15 @@ impl Chaincode for Members {
         "msp"
     }
 
-    fn invoke(&self, _: &mut Context<'_>, _: &str, _: &[Bytes]) -> Result<Bytes, Rejection> {
+    pub(crate) fn invoke(&self, _: &mut Context<'_>, _: &str, _: &[Bytes]) -> Result<Bytes, Rejection> {
         let owners = (0..OWNERS).map(owner_name);
         Ok(serde_json::to_vec(&owners.chain(["Users".to_owned()]).collect::<Vec<_>>()).unwrap().into())
     }
 }
 
 /// Robots, each held by another user, and policies about them.
-struct Fleet {
-    abac: Arc<AccessControl>,
+pub(crate) struct Fleet {
+    pub(crate) abac: Arc<AccessControl>,
     registry: Registry,
     /// Where the fleet is made.
     made: Arc<MemoryState>,
@@ -53,23 +53,23 @@ struct Fleet {
     directory: TempDir,
     meter: Meter,
     /// Each with the service that they hold and its epoch.
-    holders: Vec<(Identity, String, u64)>,
+    pub(crate) holders: Vec<(Identity, String, u64)>,
 }
 
-fn owner_name(owner: usize) -> String {
+pub(crate) fn owner_name(owner: usize) -> String {
     format!("Owner{owner}")
 }
 
-fn robot_name(number: usize) -> String {
+pub(crate) fn robot_name(number: usize) -> String {
     format!("Robot{number:04}")
 }
 
-fn user_name(number: usize) -> String {
+pub(crate) fn user_name(number: usize) -> String {
     format!("User{number:04}")
 }
 
 /// `serial` makes it another certificate.
-fn identity(organisation: &str, name: &str, role: Role, serial: u64) -> Identity {
+pub(crate) fn identity(organisation: &str, name: &str, role: Role, serial: u64) -> Identity {
     // Any key: nothing here verifies signatures. Algorithm Ed25519, then the base point of its curve.
     let mut spki = hex::decode("302a300506032b657003210058").unwrap();
     spki.extend([0x66; 31]);
@@ -89,6 +89,13 @@ fn identity(organisation: &str, name: &str, role: Role, serial: u64) -> Identity
 
 impl Fleet {
     fn new(policies: usize) -> Self {
+        let mut fleet = Self::made(policies);
+        fleet.store();
+        fleet
+    }
+
+    /// The fleet before it is stored.
+    pub(crate) fn made(policies: usize) -> Self {
         let abac = Arc::new(AccessControl::new().unwrap());
         let mut registry = Registry::new();
         registry.install(abac.clone()).unwrap();
@@ -118,12 +125,16 @@ impl Fleet {
             let grant: Grant = serde_json::from_slice(&granted).unwrap();
             fleet.holders.push((user, grant.service, grant.epoch));
         }
-        let store = SledStore::open(fleet.directory.path()).unwrap();
-        let pairs = StateRead::range(&*fleet.made, b"", None, usize::MAX).unwrap();
+        fleet
+    }
+
+    /// Puts the fleet into a store on disk.
+    pub(crate) fn store(&mut self) {
+        let store = SledStore::open(self.directory.path()).unwrap();
+        let pairs = StateRead::range(&*self.made, b"", None, usize::MAX).unwrap();
         let pairs: WriteSet = pairs.into_iter().map(|(key, value)| (key, Some(value))).collect();
         store.write(&pairs, (b"\0bench", b"")).unwrap();
-        fleet.state = Arc::new(State::open(Box::new(store)).unwrap());
-        fleet
+        self.state = Arc::new(State::open(Box::new(store)).unwrap());
     }
 
     /// A rule for everybody, and `count` about single robots and people.
@@ -141,7 +152,7 @@ impl Fleet {
         }
     }
 
-    fn environment<'a>(&'a self, who: &'a Identity) -> Environment<'a> {
+    pub(crate) fn environment<'a>(&'a self, who: &'a Identity) -> Environment<'a> {
         Environment {
             registry: &self.registry,
             submitter: Some(who),
@@ -154,7 +165,7 @@ impl Fleet {
         }
     }
 
-    fn overlay(&self) -> Overlay {
+    pub(crate) fn overlay(&self) -> Overlay {
         Overlay::new(self.state.clone())
     }
 
@@ -163,7 +174,7 @@ impl Fleet {
     }
 
     /// A call whose writes count.
-    fn call(&self, who: &Identity, function: &str, args: Vec<Bytes>) -> Bytes {
+    pub(crate) fn call(&self, who: &Identity, function: &str, args: Vec<Bytes>) -> Bytes {
         let mut overlay = Overlay::new(self.made.clone());
         let answer = self.invoke(&mut overlay, who, function, &args);
         self.made.apply(&overlay.finish().unwrap());

@@ -35,6 +35,7 @@ mod messages;
 mod network;
 mod older;
 mod overload;
+mod passing;
 mod power;
 mod readers;
 mod rebuild;
