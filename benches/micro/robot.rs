@@ -76,6 +76,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
     let standing = Standing {
         services: Vec::new(),
         grants: vec![grant],
+        tasks: Vec::new(),
         stopped: false,
         members: Members { msps: Arc::clone(&context.msps), revoked: Arc::default() },
         height: 1,

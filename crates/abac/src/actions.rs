@@ -20,6 +20,9 @@ pub(crate) mod renew;
 pub(crate) mod robots;
 pub(crate) mod settings;
 pub(crate) mod show;
+pub(crate) mod task_list;
+pub(crate) mod task_turns;
+pub(crate) mod tasks;
 pub(crate) mod together;
 pub(crate) mod undecided;
 

@@ -2,7 +2,7 @@
 
 use crate::actions::{
     NAME, acquire, authorize, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
-    renew, robots, settings, show, together,
+    renew, robots, settings, show, task_list, tasks, together,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
@@ -41,6 +41,10 @@ use std::sync::Arc;
 /// | `service SERVICE` | anybody | [`crate::ServiceState`] |
 /// | `line SERVICE` | anybody | [`crate::LineState`] |
 /// | `grants [SERVICE]`, `grants PAGE_JSON` | anybody | [`crate::Grant`]s |
+/// | `submit SERVICE TASK_JSON` | whom policies permit | [`crate::Submitted`] |
+/// | `progress ID REACHED`, `fail ID REASON` | the submitter of the task, the robot itself | [`crate::Task`] |
+/// | `cancel ID` | the submitter of the task, an admin of the owner | [`crate::Task`] |
+/// | `tasks [PAGE_JSON]`, `task ID` | anybody | [`crate::Task`]s |
 /// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
 /// | `policies [PAGE_JSON]` | anybody | [`crate::PolicyEntry`]s |
 ///
@@ -54,20 +58,23 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 26] = [
+const FUNCTIONS: [&str; 32] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
     "authorize",
+    "cancel",
     "configure",
     "confirm",
     "declare",
     "delegate",
+    "fail",
     "grants",
     "handover",
     "line",
     "policies",
     "policy",
+    "progress",
     "recall",
     "release",
     "remove",
@@ -80,36 +87,53 @@ const FUNCTIONS: [&str; 26] = [
     "set",
     "setup",
     "stop",
+    "submit",
     "take",
+    "task",
+    "tasks",
 ];
 
 /// The rules since which voters certify what executing a block gave.
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 8] =
-    ["GetSubmittingClientIdentity", "authorize", "grants", "line", "policies", "robot", "robots", "service"];
+const READS: [&str; 10] = [
+    "GetSubmittingClientIdentity",
+    "authorize",
+    "grants",
+    "line",
+    "policies",
+    "robot",
+    "robots",
+    "service",
+    "task",
+    "tasks",
+];
 
 /// Those of them that end or hand over control, or keep it: a renewal that waits would end it.
-const URGENT: [&str; 14] = [
+const URGENT: [&str; 18] = [
     "acquire",
     "acquire_all",
+    "cancel",
     "configure",
     "confirm",
     "delegate",
+    "fail",
     "handover",
     "policy",
+    "progress",
     "recall",
     "release",
     "remove",
     "renew",
     "resume",
     "stop",
+    "submit",
     "take",
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 14] = [
+const EVENTS: [&str; 15] = [
     "confirmed",
     "pending",
     "delegated",
@@ -124,6 +148,7 @@ const EVENTS: [&str; 14] = [
     "resumed",
     "robot",
     "stopped",
+    "task",
 ];
 
 impl AccessControl {
@@ -180,6 +205,12 @@ impl Chaincode for AccessControl {
             "stop" if sharing::known(ctx) => emergency::stop(ctx, decider, args),
             "resume" if sharing::known(ctx) => emergency::resume(ctx, decider, args),
             "line" if sharing::known(ctx) => show::line(ctx, decider, args),
+            "submit" if sharing::known(ctx) => tasks::submit(ctx, decider, args),
+            "progress" if sharing::known(ctx) => tasks::progress(ctx, decider, args),
+            "fail" if sharing::known(ctx) => tasks::fail(ctx, args),
+            "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
+            "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
+            "task" if sharing::known(ctx) => task_list::task(ctx, args),
             "release" => release::release(ctx, decider, args),
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),

@@ -54,9 +54,9 @@ pub use contract::AccessControl;
 pub use ledger_contract::{
     AcquireOptions, Acquired, Capabilities, Confirmation, Declaration, Delegated, Direction, Emergency,
     EmergencyAnswer, Fencing, Grant, Left, LeftReason, Limits, LineState, LineTold, MessageEvent, Mode, OnConflict,
-    PassOptions, Pending, Place, PolicyChange, PolicyEntry, Published, Publishing, Reason, Released, RobotAsset,
+    PassOptions, Pending, Place, Point, PolicyChange, PolicyEntry, Published, Publishing, Reason, Released, RobotAsset,
     RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Sharing,
-    Stopped, Told,
+    Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
 pub use policy::limits::POLICY_BYTES_MAX;

@@ -12,6 +12,7 @@ pub(crate) mod service;
 pub(crate) mod sharing;
 pub(crate) mod stopped;
 pub(crate) mod store;
+pub(crate) mod task;
 pub(crate) mod used;
 
 use self::grant::Holding;

@@ -26,6 +26,7 @@ mod robot;
 mod service;
 mod settings;
 mod sharing;
+mod task;
 mod word;
 
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
@@ -41,4 +42,8 @@ pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, ServiceSpec, ServiceState};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
 pub use sharing::{Mode, OnConflict, Sharing};
+pub use task::{
+    COORDINATE_UM_MAX, FRAME_DEFAULT, NEXT_MAX, POINTS_MAX, Point, RunningTask, Submitted, Task, TaskSpec, TaskState,
+    TaskTold, YAW_URAD_MAX,
+};
 pub use word::{Told, Word};

@@ -56,6 +56,9 @@ pub struct Place {
     /// When its turn comes at the latest if leases are not renewed (block time, microseconds); absent if nothing is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expected: Option<u64>,
+    /// The task that waits there, if it is one; a contender may have several places then.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub task: Option<u64>,
 }
 
 words! {

@@ -3,6 +3,7 @@
 use crate::emergency::Stopped;
 use crate::grant::Grant;
 use crate::service::{ServiceSpec, ServiceState};
+use crate::task::RunningTask;
 use serde::{Deserialize, Serialize};
 
 /// A robot as its owner describes it in `setup`.
@@ -59,6 +60,9 @@ pub struct Declaration {
     pub robot: RobotAsset,
     /// The live grants of its services.
     pub grants: Vec<Grant>,
+    /// The tasks that these grants serve.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tasks: Vec<RunningTask>,
 }
 
 /// Payload of the event `robot`.

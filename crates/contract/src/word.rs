@@ -110,7 +110,7 @@ impl<'d, T: Word> Deserialize<'d> for Told<T> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::{Told, Word};
-    use crate::{Direction, Fencing, LeftReason, OnConflict, Publishing, Reason, Sequence};
+    use crate::{Direction, Fencing, LeftReason, OnConflict, Publishing, Reason, Sequence, TaskState};
     use serde::Serialize;
     use serde::de::DeserializeOwned;
 
@@ -134,6 +134,7 @@ mod tests {
         agrees::<Publishing>();
         agrees::<Fencing>();
         agrees::<Sequence>();
+        agrees::<TaskState>();
     }
 
     #[test]

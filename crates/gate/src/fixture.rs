@@ -168,7 +168,7 @@ impl Network {
     /// How the robot stands after that block.
     pub fn standing(&self, height: u64, grants: &[Grant]) -> Standing {
         let (services, members) = (Vec::new(), self.members(&[]));
-        Standing { services, grants: grants.to_vec(), stopped: false, members, height, time: NOW }
+        Standing { services, grants: grants.to_vec(), tasks: Vec::new(), stopped: false, members, height, time: NOW }
     }
 
     /// The members after the revocation of these.

@@ -2,7 +2,7 @@
 
 use std::{collections::BTreeSet, sync::Arc};
 
-use ledger_contract::{Declaration, Grant, RobotAsset, ServiceState};
+use ledger_contract::{Declaration, Grant, RobotAsset, RunningTask, ServiceState};
 use ledger_identity::{Identity, msp::Msps};
 use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
@@ -41,6 +41,8 @@ pub struct Standing {
     pub services: Vec<ServiceState>,
     /// The grants of its services.
     pub grants: Vec<Grant>,
+    /// The tasks that these grants serve; none where the bridge believes its node.
+    pub tasks: Vec<RunningTask>,
     /// Is it stopped, until somebody who may resumes it?
     pub stopped: bool,
     /// The authorities and revocations.
@@ -63,9 +65,17 @@ impl Standing {
                 .wanted("the JSON that this version knows")
                 .next("use the same version for node and bridge")
         })?;
-        let Declaration { robot: RobotAsset { services, stopped, .. }, grants } = declared;
+        let Declaration { robot: RobotAsset { services, stopped, .. }, grants, tasks } = declared;
         let stopped = stopped.is_some();
-        Ok(Self { services, grants, stopped, members: members.clone(), height: after.height(), time: after.time() })
+        Ok(Self {
+            services,
+            grants,
+            tasks,
+            stopped,
+            members: members.clone(),
+            height: after.height(),
+            time: after.time(),
+        })
     }
 
     /// One of its services.

@@ -229,7 +229,7 @@ impl Gateway for Fake {
             return std::future::ready(Err(Rejection::new(Code::Timeout, "nobody answers"))).boxed();
         }
         let grants = serde_json::from_value(self.grants.lock().unwrap().clone()).unwrap();
-        let told = json!(Declaration { robot: self.asset(robot), grants });
+        let told = json!(Declaration { robot: self.asset(robot), grants, tasks: Vec::new() });
         let (network, height) = (known.network(), self.height.fetch_add(1, Ordering::Relaxed));
         let (control, digest, previous) = (Hash::ZERO, Hash::ZERO, Hash::ZERO);
         let ground = Fact::Ground { governing: known.chain(), control, digest, previous };

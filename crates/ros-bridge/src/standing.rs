@@ -147,7 +147,8 @@ impl Asker {
         let revoked = revoked.iter().filter_map(Revoked::key).collect();
         let members = Members { msps: Arc::clone(&self.stored), revoked: Arc::new(revoked) };
         let stopped = asset.stopped.is_some();
-        Ok(Standing { services: asset.services, grants, stopped, members, height, time })
+        let tasks = Vec::new();
+        Ok(Standing { services: asset.services, grants, tasks, stopped, members, height, time })
     }
 }
 

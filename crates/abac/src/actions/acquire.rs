@@ -3,7 +3,7 @@
 use super::contest::{self, Contest, OVERRIDING};
 use super::describe::LEASE_MS_MIN;
 use super::hold::until;
-use super::{confirm, emergency, end, publish, queue, renew};
+use super::{confirm, emergency, end, publish, queue, renew, task_turns};
 use crate::arguments::Arguments;
 use crate::policy::Permit;
 use crate::policy::decider::{self, Decider};
@@ -40,6 +40,8 @@ pub(crate) struct Award {
     pub(crate) taken: Option<String>,
     /// The part that stays, if it was passed on or taken back.
     pub(crate) passed: Passed,
+    /// The task that it serves.
+    pub(crate) task: Option<u64>,
 }
 
 /// The part of a grant that comes from those who had the service before.
@@ -124,12 +126,8 @@ pub(crate) fn settle(
     }
     queue::granted(ctx, decider, target, &principal.id())?;
     let lease_ms = options.lease_ms.unwrap_or(target.service.lease_ms);
-    give(
-        ctx,
-        decider,
-        target,
-        Award { principal, lease_ms, priority, permit, taken: None, passed: Passed { preempts, ..passed } },
-    )
+    let passed = Passed { preempts, ..passed };
+    give(ctx, decider, target, Award { principal, lease_ms, priority, permit, taken: None, passed, task: None })
 }
 
 /// `take SERVICE REASON [LEASE_MS]`: the service, whatever its rule says; by an admin of the owner, or whom policies permit
@@ -147,7 +145,7 @@ pub(crate) fn take(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
     }
     queue::granted(ctx, decider, &target, &principal.id())?;
     let (taken, passed) = (Some(reason), Passed::default());
-    give(ctx, decider, &target, Award { principal, lease_ms, priority: OVERRIDING, permit, taken, passed })
+    give(ctx, decider, &target, Award { principal, lease_ms, priority: OVERRIDING, permit, taken, passed, task: None })
 }
 
 /// Algorithm 1 of the paper: may this principal have a grant now, by the policies and beside those who hold one?
@@ -168,19 +166,33 @@ pub(crate) fn may_acquire(
     }
     let priority = contest::priority(target, principal, &permit, asked)?;
     let contest = Contest::of(ctx, target)?;
-    let waits = contest.line.iter().find(|waiting| waiting.contender == principal.id());
+    let waits = contest.line.iter().find(|waiting| waiting.place() == principal.id());
     let contender = match waits {
         Some(waiting) => contest::claim(waiting),
         None => contest::newcomer(ctx, principal.id(), priority),
     };
-    match contest.decide(decider.rules.of(target)?, &contender) {
+    let room = room(target, &contest, contest.decide(decider.rules.of(target)?, &contender), priority)?;
+    Ok((room, permit))
+}
+
+/// The position of a contender that holds nothing of the service, as the rule has decided.
+///
+/// # Errors
+/// [`Code::Held`], or [`Code::LimitExceeded`].
+pub(crate) fn room(
+    target: &Target,
+    contest: &Contest<'_>,
+    decision: Decision,
+    priority: i64,
+) -> Result<Room, Rejection> {
+    match decision {
         Decision::Refuse => Err(held(target, &contest.holders)),
-        Decision::Wait { again } => Ok((Room::InLine { again, priority }, permit)),
+        Decision::Wait { again } => Ok(Room::InLine { again, priority }),
         Decision::Grant { ends } => {
             let ended: Vec<Holding> = ends.iter().filter_map(|index| contest.holders.get(*index)).cloned().collect();
             match contest.holders.len() - ended.len() {
                 beside if beside >= HOLDERS_MAX => Err(full(target, beside)),
-                _ => Ok((Room::After { ended, priority }, permit)),
+                _ => Ok(Room::After { ended, priority }),
             }
         }
     }
@@ -197,7 +209,7 @@ pub(crate) fn give(
     for dead in grant::stored(ctx, &target.id)?.iter().filter(|holding| !holding.is_live(now)) {
         end::end(ctx, dead, dead.reason())?;
     }
-    let Award { principal, lease_ms, priority, permit, taken, passed } = award;
+    let Award { principal, lease_ms, priority, permit, taken, passed, task } = award;
     let Passed { givers, may_delegate, ends_by, since, follows, preempts } = passed;
     let newest = grant::newest_epoch(ctx, &target.id)?;
     let reuses = active(Mutation::ReuseAnEpoch) || preempts && active(Mutation::PreemptWithoutANewEpoch);
@@ -220,7 +232,7 @@ pub(crate) fn give(
             givers: givers.iter().map(|giver| giver.principal.id()).collect(),
             may_delegate,
             follows,
-            task: None,
+            task,
         },
         principal,
         priority,
@@ -239,6 +251,9 @@ pub(crate) fn give(
     }
     let granted = store::json(&holding.grant)?;
     ctx.emit("granted", &target.id, granted.clone());
+    if let Some(id) = task {
+        task_turns::runs(ctx, id)?;
+    }
     Ok(granted)
 }
 
@@ -267,6 +282,7 @@ pub(crate) fn lease(target: &Target, args: Arguments<'_>, index: usize) -> Resul
     Ok(lease_ms)
 }
 
+/// Refuses a lease that the service does not allow.
 pub(crate) fn check_lease(target: &Target, args: Arguments<'_>, index: usize, lease_ms: u64) -> Result<(), Rejection> {
     let max = target.service.lease_ms_max;
     if (LEASE_MS_MIN..=max).contains(&lease_ms) {

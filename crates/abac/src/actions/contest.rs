@@ -40,10 +40,16 @@ impl<'t> Contest<'t> {
     /// The decision of the rule about a contender, who may be in line.
     pub(crate) fn decide(&self, rule: &dyn Rule, contender: &Claim) -> Decision {
         let holders = self.claims(self.holders.iter().map(claim_of_holder));
-        let others = self.line.iter().filter(|waiting| waiting.contender != contender.who);
+        let others =
+            self.line.iter().filter(|waiting| waiting.ticket != contender.ticket && !self.holds(&waiting.contender));
         let line = self.claims(others.map(claim));
         let contender = Claim { used: self.used_by(&contender.who), ..contender.clone() };
         rule.decide(&contender, &self.situation(&holders, &line))
+    }
+
+    /// Does this contender hold the service? Its places in line are passed over until that ends.
+    pub(crate) fn holds(&self, contender: &str) -> bool {
+        self.holders.iter().any(|holding| holding.grant.holder == contender)
     }
 
     /// The line in the order in which its turns come.
@@ -70,9 +76,9 @@ impl<'t> Contest<'t> {
     }
 
     fn place(&self, waiting: &Waiting, position: u64) -> Place {
-        let Waiting { contender, priority, since, until, .. } = waiting.clone();
+        let Waiting { contender, priority, since, until, task, .. } = waiting.clone();
         let service = self.target.id.clone();
-        Place { service, contender, position, priority, since, until, expected: self.expected(position) }
+        Place { service, contender, position, priority, since, until, expected: self.expected(position), task }
     }
 
     /// When the turn of a position comes if nobody renews: places become free in the order of the leases' ends, then

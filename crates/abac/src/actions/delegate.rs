@@ -68,7 +68,12 @@ pub(crate) fn recall(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
     };
     end::pass_on(ctx, holding, Reason::Recalled, &who, !options.stop)?;
     let Giver { priority, lease_ms, .. } = giver;
-    acquire::give(ctx, decider, &target, Award { principal, lease_ms, priority, permit, taken: None, passed })
+    acquire::give(
+        ctx,
+        decider,
+        &target,
+        Award { principal, lease_ms, priority, permit, taken: None, passed, task: None },
+    )
 }
 
 fn pass_on(
@@ -109,7 +114,7 @@ fn pass_on(
     end::pass_on(ctx, &own, Reason::Delegated, to, !options.stop)?;
     queue::granted(ctx, decider, &target, to)?;
     let (lease_ms, ends_by) = (own.grant.lease_ms, passed.ends_by);
-    let award = Award { principal: receiver, lease_ms, priority, permit, taken: None, passed };
+    let award = Award { principal: receiver, lease_ms, priority, permit, taken: None, passed, task: None };
     let granted = acquire::give(ctx, decider, &target, award)?;
     let Grant { service, holder: receiver, epoch, .. } = store::parse(b"grant", &granted)?;
     let told = store::json(&Delegated { service, giver: principal.id(), receiver, epoch, for_good, ends_by })?;

@@ -4,7 +4,7 @@
 //! many grants end at once, those beyond the bound are marked as ended, which no check overlooks. They are due at once;
 //! the following blocks sweep them up and tell why they ended.
 
-use super::{contest, queue, robots, undecided};
+use super::{contest, queue, robots, task_turns, undecided};
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
@@ -62,6 +62,9 @@ fn tell(
     queue::look_now(ctx, &service)?;
     let released = Released { service, holder, epoch, reason: reason.into(), by, goes_on };
     ctx.emit("released", &released.service, store::json(&released)?);
+    if let Some(id) = holding.grant.task {
+        task_turns::grant_ended(ctx, id, reason)?;
+    }
     Ok(released)
 }
 

@@ -7,13 +7,13 @@
 use super::acquire::{self, Award, Passed};
 use super::contest::{Contest, claim};
 use super::undecided::{self, IN_BLOCK};
-use super::{confirm, emergency, end};
+use super::{confirm, emergency, end, task_turns};
 use crate::policy::decider::{self, Decider};
 use crate::records::grant::Holding;
 use crate::records::line::{self, Waiting};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
-use crate::records::{last, pending, sharing, store};
+use crate::records::{last, pending, sharing, store, task};
 use crate::rules::Decision;
 use crate::rules::terms::Terms;
 use ledger::Context;
@@ -49,7 +49,7 @@ pub(crate) fn join(
         return Err(acquire::held(target, &contest.holders));
     }
     let contender = principal.id();
-    let before = contest.line.iter().find(|waiting| waiting.contender == contender);
+    let before = contest.line.iter().find(|waiting| waiting.place() == contender);
     if before.is_none() {
         let most = decider.rules.of(target)?.line_max(&target.service.sharing);
         check_room(ctx, target, principal, &contest, most)?;
@@ -64,13 +64,14 @@ pub(crate) fn join(
         since: before.map_or(now, |before| before.since),
         until: now.saturating_add(wait).min(principal.not_after),
         lease_ms: options.lease_ms.or(before.and_then(|before| before.lease_ms)),
+        task: None,
     };
     let is_new = before.is_none();
     pending::remove(ctx, &target.id, &contender)?;
     line::put(ctx, &target.id, &waiting, principal)?;
     line::look_by(ctx, &target.id, waiting.until)?;
     let places = Contest::of(ctx, target)?.places(decider.rules.of(target)?);
-    let place = places.iter().find(|place| place.contender == contender).cloned();
+    let place = places.iter().find(|place| place.contender == contender && place.task.is_none()).cloned();
     let place = place.ok_or_else(|| Rejection::new(Code::Internal, format!("{contender} is not in line")))?;
     ctx.emit("queued", &target.id, store::json(&place)?);
     if is_new {
@@ -79,7 +80,8 @@ pub(crate) fn join(
     Ok(place)
 }
 
-fn check_room(
+/// Refuses one more place in a line that is full, or to a certificate that has too many.
+pub(crate) fn check_room(
     ctx: &Context<'_>,
     target: &Target,
     principal: &Principal,
@@ -138,15 +140,18 @@ pub(crate) fn granted(
     Ok(())
 }
 
-fn drop_out(ctx: &mut Context<'_>, service: &str, contender: &str, reason: LeftReason) -> Result<(), Rejection> {
-    line::remove(ctx, service, contender)?;
-    let left = Left { service: service.to_owned(), contender: contender.to_owned(), reason: reason.into() };
+fn drop_out(ctx: &mut Context<'_>, service: &str, place: &str, reason: LeftReason) -> Result<(), Rejection> {
+    line::remove(ctx, service, place)?;
+    if let Some(id) = line::task_at(place) {
+        return task_turns::left(ctx, id, reason);
+    }
+    let left = Left { service: service.to_owned(), contender: place.to_owned(), reason: reason.into() };
     ctx.emit("left", service, store::json(&left)?);
     Ok(())
 }
 
 /// Tells how the line is now.
-fn tell(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<(), Rejection> {
+pub(crate) fn tell(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result<(), Rejection> {
     let places = Contest::of(ctx, target)?.places(decider.rules.of(target)?);
     tell_places(ctx, target, &places)
 }
@@ -165,14 +170,15 @@ pub(crate) fn revoked(
     issuer: &[u8; 32],
     serial: &[u8],
 ) -> Result<(), Rejection> {
-    for (service, contender) in line::of_certificate(ctx, issuer, serial) {
-        drop_out(ctx, &service, &contender, LeftReason::Revoked)?;
+    for (service, place) in line::of_certificate(ctx, issuer, serial) {
+        drop_out(ctx, &service, &place, LeftReason::Revoked)?;
         line::look_by(ctx, &service, ctx.block_time())?;
         if let Ok(target) = service::resolve(ctx, &service) {
             tell(ctx, decider, &target)?;
         }
     }
-    confirm::revoked(ctx, issuer, serial)
+    confirm::revoked(ctx, issuer, serial)?;
+    task_turns::revoked(ctx, issuer, serial)
 }
 
 /// An organisation left: its members wait no more for this service. Events name the first of them.
@@ -185,15 +191,16 @@ pub(crate) fn members_left(
     let service = &target.id;
     confirm::members_left(ctx, service, organisation)?;
     let waiting = line::all(ctx, service)?;
+    task_turns::members_left(ctx, service, organisation)?;
     let theirs = waiting.iter().filter(|waiting| waiting.contender.split('/').next() == Some(organisation));
     if theirs.clone().next().is_none() {
         return Ok(());
     }
     for (waiting, told) in theirs.zip(0_usize..) {
         if told < TOLD_MAX {
-            drop_out(ctx, service, &waiting.contender, LeftReason::Revoked)?;
+            drop_out(ctx, service, &waiting.place(), LeftReason::Revoked)?;
         } else {
-            line::remove(ctx, service, &waiting.contender)?;
+            line::remove(ctx, service, &waiting.place())?;
         }
     }
     line::look_by(ctx, service, ctx.block_time())?;
@@ -202,7 +209,7 @@ pub(crate) fn members_left(
 
 /// Something about the service has changed that may make it somebody's turn.
 pub(crate) fn look_now(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
-    if sharing::known(ctx) && !line::is_empty(ctx, service) {
+    if sharing::known(ctx) && !(line::is_empty(ctx, service) && task::open(ctx, service, 1).is_empty()) {
         line::look_by(ctx, service, ctx.block_time())?;
     }
     Ok(())
@@ -262,16 +269,19 @@ fn look(ctx: &mut Context<'_>, decider: &Decider, service: &str, allowance: &mut
         Err(fault) => return Err(fault),
     };
     let (idle, unconfirmed) = (end_idle(ctx, decider, &target)?, confirm::send_away(ctx, service, false)?);
-    let before = line::all(ctx, service)?.len();
+    let before = line::all(ctx, service)?;
+    task_turns::due(ctx, &target)?;
     send_away(ctx, decider, &target)?;
     let again =
         if emergency::check_goes(ctx, &target).is_ok() { turns(ctx, decider, &target, allowance)? } else { None };
     let line = line::all(ctx, service)?;
     let patience = line.iter().map(|waiting| waiting.until).min();
-    if let Some(next) = [idle, unconfirmed, again, patience].into_iter().flatten().min() {
+    if let Some(next) =
+        [idle, unconfirmed, again, patience, task_turns::next_due(ctx, service)].into_iter().flatten().min()
+    {
         line::look_by(ctx, service, next)?;
     }
-    if line.len() == before { Ok(()) } else { tell(ctx, decider, &target) }
+    if line == before { Ok(()) } else { tell(ctx, decider, &target) }
 }
 
 /// The service is gone: nobody waits for it any more.
@@ -279,8 +289,9 @@ fn dissolve(ctx: &mut Context<'_>, service: &str) -> Result<(), Rejection> {
     confirm::send_away(ctx, service, true)?;
     let line = line::all(ctx, service)?;
     for waiting in line.iter().take(LEAVING_MAX) {
-        drop_out(ctx, service, &waiting.contender, LeftReason::RobotRemoved)?;
+        drop_out(ctx, service, &waiting.place(), LeftReason::RobotRemoved)?;
     }
+    task_turns::dissolve(ctx, service)?;
     if line.len() > LEAVING_MAX { line::look_by(ctx, service, ctx.block_time()) } else { Ok(()) }
 }
 
@@ -315,14 +326,14 @@ fn send_away(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Resul
     for waiting in line::all(ctx, &target.id)? {
         if waiting.until <= now {
             leaving.push((waiting, LeftReason::TimedOut));
-        } else if beside >= most {
+        } else if beside >= most && !(most == 0 && waiting.task.is_some()) {
             leaving.push((waiting, LeftReason::Rule));
         } else {
             beside += 1;
         }
     }
     for (waiting, reason) in leaving.iter().take(LEAVING_MAX) {
-        drop_out(ctx, &target.id, &waiting.contender, *reason)?;
+        drop_out(ctx, &target.id, &waiting.place(), *reason)?;
     }
     if leaving.len() > LEAVING_MAX { line::look_by(ctx, &target.id, now) } else { Ok(()) }
 }
@@ -338,10 +349,11 @@ fn turns(
     let steps = undecided::of_one(ctx, &target.robot.organisation)?;
     for _ in 0..TURNS_MAX {
         let contest = Contest::of(ctx, target)?;
-        let Some(next) = contest.in_order(rule).next().cloned() else { return Ok(None) };
+        let next = contest.in_order(rule).find(|waiting| !contest.holds(&waiting.contender)).cloned();
+        let Some(next) = next else { return Ok(None) };
         match contest.decide(rule, &claim(&next)) {
             Decision::Wait { again } => return Ok(again),
-            Decision::Refuse => drop_out(ctx, &target.id, &next.contender, LeftReason::Rule)?,
+            Decision::Refuse => drop_out(ctx, &target.id, &next.place(), LeftReason::Rule)?,
             Decision::Grant { .. } if !allowance.take(steps) => return Ok(Some(ctx.block_time())),
             Decision::Grant { ends } => {
                 let ended = ends.iter().filter_map(|index| contest.holders.get(*index));
@@ -360,22 +372,23 @@ fn turn(
     waiting: &Waiting,
     ended: Vec<Holding>,
 ) -> Result<(), Rejection> {
-    let Some(principal) = line::principal(ctx, &target.id, &waiting.contender)? else {
-        return line::remove(ctx, &target.id, &waiting.contender);
+    let place = waiting.place();
+    let Some(principal) = line::principal(ctx, &target.id, &place)? else {
+        return line::remove(ctx, &target.id, &place);
     };
     if principal.not_after <= ctx.block_time() {
-        return drop_out(ctx, &target.id, &waiting.contender, LeftReason::Expired);
+        return drop_out(ctx, &target.id, &place, LeftReason::Expired);
     }
     let Ok(permit) = decider::may_hold(ctx, decider, &principal, target) else {
-        return drop_out(ctx, &target.id, &waiting.contender, LeftReason::Policy);
+        return drop_out(ctx, &target.id, &place, LeftReason::Policy);
     };
     let preempts = !ended.is_empty();
     for holding in ended {
         end::end_for(ctx, &holding, Reason::Preempted, &principal)?;
     }
-    line::remove(ctx, &target.id, &waiting.contender)?;
+    line::remove(ctx, &target.id, &place)?;
     let lease_ms = waiting.lease_ms.unwrap_or(target.service.lease_ms).min(target.service.lease_ms_max);
-    let passed = Passed { preempts, ..Passed::default() };
-    let award = Award { principal, lease_ms, priority: waiting.priority, permit, taken: None, passed };
+    let (priority, passed) = (waiting.priority, Passed { preempts, ..Passed::default() });
+    let award = Award { principal, lease_ms, priority, permit, taken: None, passed, task: waiting.task };
     acquire::give(ctx, decider, target, award).map(drop)
 }

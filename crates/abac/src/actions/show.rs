@@ -1,7 +1,7 @@
 //! Robots and services as everybody sees them: `robots`, `robot`, `service`.
 
 use super::contest::Contest;
-use super::hold;
+use super::{hold, task_list};
 use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
@@ -41,7 +41,8 @@ pub(crate) fn declare(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
         grants.extend(hold::live(ctx, decider, &Target::of(&robot, service))?);
     }
     let told = described(ctx, decider, &robot, true)?;
-    store::json(&Declaration { robot: told, grants })
+    let tasks = task_list::running(ctx, &grants)?;
+    store::json(&Declaration { robot: told, grants, tasks })
 }
 
 /// `service SERVICE`

@@ -10,14 +10,21 @@
 //! | `grant/<service>␀<holder>` | who holds it |
 //! | `due/<expiry, 16 hex digits>/<service>␀<holder>` | nothing: orders grants by expiry |
 //! | `certificate/<issuer>/<serial>/<service>␀<holder>` | nothing: finds the grants of a revoked certificate |
-//! | `line/<service>␀<contender>` | a place in line; since rules 3, as the eight that follow |
-//! | `contender/<service>␀<contender>` | the certificate of a contender in line |
-//! | `waiting/<issuer>/<serial>/<service>␀<contender>` | nothing: finds the places of a revoked certificate |
+//! | `line/<service>␀<contender>[␀<task, 16 hex digits>]` | a place in line; since rules 3, as all that follow down to the stop |
+//! | `contender/<service>␀<contender>[␀<task>]` | the certificate of a contender in line |
+//! | `waiting/<issuer>/<serial>/<service>␀<contender>[␀<task>]` | nothing: finds the places of a revoked certificate |
 //! | `pending/<service>␀<contender>` | a contender that waits to be confirmed |
 //! | `asking/<issuer>/<serial>/<service>␀<contender>` | nothing: finds what a revoked certificate asks for or has confirmed |
 //! | `look/<service>` | when the service is looked at again (block time, microseconds) |
 //! | `looks/<time, 16 hex digits>/<service>` | nothing: orders services by that time |
 //! | `used/<service>␀<holder>` | when a holder had the service within the last hour, for rules that remember it |
+//! | `tasks/` | the newest number of a task, decimal |
+//! | `task/<task>` | a task, without its points |
+//! | `points/<task>` | the points of a task |
+//! | `open/<service>␀<task>` | nothing: finds the tasks of a service that have not ended |
+//! | `submitted/<issuer>/<serial>/<task>` | nothing: finds the tasks of a certificate that have not ended |
+//! | `times/<service>␀<time, 16 hex digits>/<task>` | nothing: orders tasks by the time at which they join the line or expire |
+//! | `ended/<service>␀<time>/<task>` | nothing: orders the tasks of a service that have ended; the newest 16 are kept |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
 //! | `last/<service>` | last message of a service whose sequences count by epoch |
 //! | `last/<service>␀<publisher>` | last message of a publisher of any other |
@@ -111,13 +118,13 @@ pub(crate) fn line_prefix(service: &str) -> Vec<u8> {
 }
 
 /// The key of a place in line.
-pub(crate) fn line_key(service: &str, contender: &str) -> Vec<u8> {
-    ["line/", service, "\0", contender].concat().into_bytes()
+pub(crate) fn line_key(service: &str, place: &str) -> Vec<u8> {
+    ["line/", service, "\0", place].concat().into_bytes()
 }
 
 /// The key of the certificate of a contender in line.
-pub(crate) fn contender_key(service: &str, contender: &str) -> Vec<u8> {
-    ["contender/", service, "\0", contender].concat().into_bytes()
+pub(crate) fn contender_key(service: &str, place: &str) -> Vec<u8> {
+    ["contender/", service, "\0", place].concat().into_bytes()
 }
 
 /// The prefix of the places in line of a certificate.
@@ -167,6 +174,61 @@ pub(crate) fn used_prefix(service: &str) -> Vec<u8> {
 /// The key of the past use of a service by one holder.
 pub(crate) fn used_key(service: &str, holder: &str) -> Vec<u8> {
     ["used/", service, "\0", holder].concat().into_bytes()
+}
+
+/// The newest number of a task.
+pub(crate) const TASKS: &[u8] = b"tasks/";
+
+/// The prefix of [`task_key`].
+pub(crate) const TASK: &[u8] = b"task/";
+
+/// The key of a task.
+pub(crate) fn task_key(task: u64) -> Vec<u8> {
+    format!("task/{task:016x}").into_bytes()
+}
+
+/// The key of the points of a task.
+pub(crate) fn points_key(task: u64) -> Vec<u8> {
+    format!("points/{task:016x}").into_bytes()
+}
+
+/// The prefix of the tasks of a service that have not ended.
+pub(crate) fn open_prefix(service: &str) -> Vec<u8> {
+    format!("open/{service}\0").into_bytes()
+}
+
+/// The prefix of the tasks of a certificate that have not ended.
+pub(crate) fn submitted_prefix(issuer: &[u8; 32], serial: &[u8]) -> Vec<u8> {
+    format!("submitted/{}/{}/", hex::encode(issuer), hex::encode(serial)).into_bytes()
+}
+
+/// The prefix of the tasks of a service by the time (microseconds) at which they join the line or expire.
+pub(crate) fn times_prefix(service: &str) -> Vec<u8> {
+    format!("times/{service}\0").into_bytes()
+}
+
+/// The prefix of the tasks of a service that have ended, by the time (microseconds) of that.
+pub(crate) fn ended_prefix(service: &str) -> Vec<u8> {
+    format!("ended/{service}\0").into_bytes()
+}
+
+/// A key that names a task behind this prefix.
+pub(crate) fn with_task(mut prefix: Vec<u8>, task: u64) -> Vec<u8> {
+    prefix.extend_from_slice(format!("{task:016x}").as_bytes());
+    prefix
+}
+
+/// A key that names a time (microseconds) and a task behind this prefix.
+pub(crate) fn with_time(mut prefix: Vec<u8>, time: u64, task: u64) -> Vec<u8> {
+    prefix.extend_from_slice(format!("{time:016x}/{task:016x}").as_bytes());
+    prefix
+}
+
+/// The number of the task that [`with_task`] or [`with_time`] has put behind this prefix, and the time.
+pub(crate) fn parse_task(key: &[u8], prefix: &[u8]) -> Option<(u64, u64)> {
+    let rest = std::str::from_utf8(key.strip_prefix(prefix)?).ok()?;
+    let (time, task) = rest.split_once('/').unwrap_or(("0", rest));
+    Some((u64::from_str_radix(time, 16).ok()?, u64::from_str_radix(task, 16).ok()?))
 }
 
 /// The key of the stop of a robot.

@@ -28,5 +28,7 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod task_ends;
+mod tasks;
 mod together;
 mod upgrade;

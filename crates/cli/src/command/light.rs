@@ -93,7 +93,7 @@ impl Shown {
         let Checkpoint { governance, proof } = &certified.checkpoint;
         let (statement, voters) = (proof.certificate.statement, governance.voters()?);
         let signers = proof.certificate.signatures.iter().filter_map(|signature| voters.nodes.get(&signature.node));
-        let Declaration { robot, grants } = declared;
+        let Declaration { robot, grants, .. } = declared;
         let services = robot.services.into_iter().map(|service| Service {
             grants: grants.iter().filter(|grant| grant.service == service.service).cloned().collect(),
             mode: service.mode.to_string(),
