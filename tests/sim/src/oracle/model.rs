@@ -237,12 +237,14 @@ impl Model {
 
     fn replace(&mut self, who: &Person, robots: &[Bytes], time: u64) -> Verdict {
         only_admins(who)?;
+        let mut replaced = Vec::new();
         for robot in robots {
             let mut robot: Robot = serde_json::from_slice(robot).map_err(|_| Code::BadArgument)?;
             robot.owner.clone_from(&who.identity.organisation);
+            replaced.push(robot.name.clone());
             self.robots.insert(robot.name.clone(), robot);
         }
-        self.end_unfit(&who.identity.organisation, time);
+        self.end_unfit(|robot| replaced.contains(&robot.name), time);
         Ok(Code::Ok.into())
     }
 
@@ -263,7 +265,7 @@ impl Model {
         } else {
             self.uncounted.remove(organisation);
         }
-        self.end_unfit(organisation, time);
+        self.end_unfit(|robot| robot.owner == *organisation, time);
         Ok(Code::Ok.into())
     }
 

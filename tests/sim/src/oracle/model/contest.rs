@@ -285,11 +285,11 @@ impl Model {
         if !self.has_contests() && (!service.sharing.is_empty() || service.mode == "limited") {
             return Err(Code::BadArgument);
         }
-        let owner = robot.owner.clone();
+        let name = robot.name.clone();
         let place = robot.services.iter_mut().find(|known| known.topic == service.topic);
         place.into_iter().for_each(|place| *place = service.clone());
         self.robots.insert(robot.name.clone(), robot);
-        self.end_unfit(&owner, time);
+        self.end_unfit(|robot| robot.name == name, time);
         Ok(Code::Ok.into())
     }
 

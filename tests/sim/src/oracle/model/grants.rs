@@ -152,10 +152,10 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    /// Ends what the policies of an owner, or the modes of its robots, do not allow any more.
-    pub(super) fn end_unfit(&mut self, owner: &str, time: u64) {
+    /// Ends what policies, or the rules of these robots, do not allow any more.
+    pub(super) fn end_unfit(&mut self, concerned: impl Fn(&Robot) -> bool, time: u64) {
         let people = Arc::clone(&self.people);
-        let robots: Vec<Robot> = self.robots.values().filter(|robot| robot.owner == owner).cloned().collect();
+        let robots: Vec<Robot> = self.robots.values().filter(|robot| concerned(robot)).cloned().collect();
         for robot in &robots {
             for service in &robot.services {
                 let id = format!("{}{}", robot.name, service.topic);
