@@ -7,6 +7,7 @@
     reason = "tests stop at the first surprise"
 )]
 
+mod agreements;
 mod arguments;
 mod budgets;
 mod bytes;
