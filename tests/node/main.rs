@@ -44,6 +44,7 @@ mod rules;
 mod sharing;
 mod story;
 mod subscribing;
+mod tasks;
 mod three;
 mod transcripts;
 mod two_nodes;

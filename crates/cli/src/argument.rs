@@ -4,6 +4,8 @@ pub(crate) mod attribute;
 pub(crate) mod bytes;
 pub(crate) mod message;
 pub(crate) mod number;
+pub(crate) mod points;
 pub(crate) mod service;
 pub(crate) mod setting;
 pub(crate) mod span;
+pub(crate) mod when;

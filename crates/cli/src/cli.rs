@@ -2,7 +2,7 @@
 
 use crate::command::{
     ca, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger, light, message,
-    network, policy, robot, whoami,
+    network, policy, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -72,6 +72,8 @@ enum Command {
     Handover(grant::Handover),
     Recall(grant::Recall),
     Confirm(grant::Confirm),
+    #[command(subcommand)]
+    Task(task::Task),
     Publish(message::Publish),
     Echo(message::Echo),
     #[command(subcommand)]
@@ -124,6 +126,7 @@ impl Cli {
             Command::Handover(command) => command.run(global, output).await,
             Command::Recall(command) => command.run(global, output).await,
             Command::Confirm(command) => command.run(global, output).await,
+            Command::Task(command) => command.run(global, output).await,
             Command::Publish(command) => command.run(global, output).await,
             Command::Echo(command) => command.run(global, output).await,
             Command::Policy(command) => command.run(global, output).await,

@@ -16,4 +16,5 @@ pub(crate) mod message;
 pub(crate) mod network;
 pub(crate) mod policy;
 pub(crate) mod robot;
+pub(crate) mod task;
 pub(crate) mod whoami;

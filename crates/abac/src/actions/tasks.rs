@@ -146,14 +146,14 @@ fn check_open(ctx: &Context<'_>, target: &Target, principal: &Principal) -> Resu
         return Err(Rejection::new(Code::LimitExceeded, format!("{} has too many open tasks", principal.id()))
             .found(format!("{own} tasks that have not ended"))
             .wanted(format!("fewer than {OPEN_MAX}"))
-            .next("wait for one to end, or cancel one: ledgerctl invoke abac cancel ID"));
+            .next("wait for one to end, or cancel one: ledgerctl task cancel ID"));
     }
     let most = usize::try_from(QUEUE_MAX).unwrap_or(usize::MAX);
     if task::open(ctx, &target.id, most).len() >= most {
         return Err(Rejection::new(Code::LimitExceeded, format!("{} has too many open tasks", target.id))
             .found(format!("{most} tasks that have not ended"))
             .wanted(format!("fewer than {most}"))
-            .next("try again later; to see them: ledgerctl query abac tasks"));
+            .next("try again later; to see them: ledgerctl task list"));
     }
     Ok(())
 }
@@ -233,7 +233,7 @@ pub(crate) fn find(ctx: &Context<'_>, id: u64) -> Result<Kept, Rejection> {
         Rejection::new(Code::NotFound, format!("there is no task {id}"))
             .found("no task with this number, or one that ended long ago")
             .wanted("the number of a task")
-            .next("ledgerctl query abac tasks tells the numbers; the event task tells how older ones ended")
+            .next("ledgerctl task list tells the numbers; the event task tells how older ones ended")
     })
 }
 

@@ -9,6 +9,7 @@ mod waiting;
 use self::waiting::Waiting;
 pub(crate) use self::{
     confirm::Confirm,
+    line::turn,
     pass::{Delegate, Handover, Recall},
 };
 use crate::answer;

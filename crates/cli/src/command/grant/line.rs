@@ -27,7 +27,8 @@ impl Facts for Line {
         }
         for grant in holders {
             let expires = time::relative(grant.expires, *now);
-            writeln!(out, "{service} is held by {} with epoch {}, expires {expires}", grant.holder, grant.epoch)?;
+            let who = with_task(&grant.holder, grant.task);
+            writeln!(out, "{service} is held by {who} with epoch {}, expires {expires}", grant.epoch)?;
         }
         for pending in pending {
             let (who, until) = (&pending.contender, time::relative(pending.until, *now));
@@ -40,7 +41,7 @@ impl Facts for Line {
         for place in line {
             table.row([
                 place.position.to_string(),
-                place.contender.clone(),
+                with_task(&place.contender, place.task),
                 place.priority.to_string(),
                 time::relative(place.since, *now),
                 time::relative(place.until, *now),
@@ -51,8 +52,13 @@ impl Facts for Line {
     }
 }
 
+/// A contender or holder, and the task for which it wants or holds the service.
+fn with_task(who: &str, task: Option<u64>) -> String {
+    task.map_or_else(|| who.to_owned(), |task| format!("{who} (task {task})"))
+}
+
 /// When a turn comes, as far as that is known.
-pub(super) fn turn(place: &Place, now: u64) -> String {
+pub(crate) fn turn(place: &Place, now: u64) -> String {
     match place.expected {
         None => "-".to_owned(),
         Some(expected) if expected <= now => "soon".to_owned(),
@@ -110,5 +116,18 @@ POSITION  WHO          PRIORITY  SINCE    UNTIL    TURN
 1         Org1/Farhad  -2        2 s ago  in 58 s  in 8 s if nobody renews
 ";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
+    }
+
+    #[test]
+    fn a_line_tells_the_tasks_of_holders_and_places() {
+        let mut state: LineState = serde_json::from_str(LINE).unwrap();
+        state.holders[0].task = Some(6);
+        state.line[0].task = Some(7);
+        let mut out = Vec::new();
+        Line(state, 3_000_000).text(&mut out).unwrap();
+        let told = String::from_utf8(out).unwrap();
+        for part in ["held by Org1/Salma (task 6) with epoch 3", "1         Org1/Farhad (task 7)  -2"] {
+            assert!(told.contains(part), "{part:?} in {told}");
+        }
     }
 }
