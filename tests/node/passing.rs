@@ -38,7 +38,7 @@ fn a_holder_passes_a_robot_on_by_name_and_takes_it_back_until_a_link_is_revoked(
     let back = salma.json(&["recall", "Turtlebot4"]);
     assert_eq!((&back["holder"], &back["epoch"], &back["follows"]), (&"Org1/Salma".into(), &3.into(), &2.into()));
     salma.run(&["handover", "Turtlebot4", "--to", "Org1/Farhad"]).ok();
-    salma.run(&["recall", "Turtlebot4"]).refused(5, &["LGR-3006"]);
+    salma.run(&["recall", "Turtlebot4"]).refused(2, &["LGR-3006"]);
     farhad.run(&["delegate", "Turtlebot4", "--to", "Org1/Salma"]).ok();
     dev.admin().run(&["identity", "revoke", "Farhad", "--reason", "left"]).ok();
     let queue = salma.json(&["queue", "Turtlebot4"]);

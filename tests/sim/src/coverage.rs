@@ -94,7 +94,7 @@ faults! {
     Flood "flood of calls";
 }
 
-/// What must happen where several want a service, and to robots in an emergency.
+/// The events that must happen where several want a service, and to robots in an emergency.
 const CONTESTS: [&str; 10] = [
     "queued",
     "turn came",
@@ -156,7 +156,7 @@ pub struct Coverage {
     pub stops: BTreeMap<&'static str, u64>,
     /// Lies to a robot.
     pub untruths: BTreeMap<Untruth, u64>,
-    /// What happened where several wanted a service, or to robots in an emergency.
+    /// The events where several wanted a service, or of robots in an emergency.
     pub contests: BTreeMap<&'static str, u64>,
     /// Questions of robots, answers that were believed, and why others were not.
     pub questions: u64,

@@ -79,7 +79,7 @@ struct Judge {
     stopped: bool,
     /// Since when each one asks to be confirmed, and by whom it was.
     asks: BTreeMap<String, (u64, BTreeSet<usize>)>,
-    /// Who was confirmed, and waits in line since.
+    /// Those who were confirmed, and wait in line since.
     in_line: BTreeSet<String>,
 }
 

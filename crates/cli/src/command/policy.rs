@@ -9,6 +9,7 @@ use crate::session::{ABAC, Session};
 use crate::words::Words;
 use ::bytes::Bytes;
 use ledger_contract::{PolicyChange, PolicyEntry};
+use ledger_rejection::Rejection;
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -53,13 +54,21 @@ pub(crate) struct Remove {
 const WORDS: Words =
     Words { arguments: &[("ID", "the name of the policy"), ("TEXT", "the policy")], help: "ledgerctl policy" };
 
+/// The text of a policy. One that begins with an annotation begins like the name of a file, and ends with a semicolon.
+fn text(policy: &str) -> Result<Bytes, Rejection> {
+    if policy.starts_with('@') && policy.trim_end().ends_with(';') {
+        return Ok(Bytes::from(policy.to_owned()));
+    }
+    bytes::argument(policy)
+}
+
 impl Policy {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let args = match self {
             Self::List(_) => {
                 return output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?));
             }
-            Self::Put(put) => vec!["put".into(), Bytes::from(put.id), bytes::argument(&put.policy)?],
+            Self::Put(put) => vec!["put".into(), Bytes::from(put.id), text(&put.policy)?],
             Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],
         };
         let done =

@@ -64,7 +64,7 @@ impl World {
             && self.random.contests.percent(percent)
     }
 
-    /// What the owner of the robots does about who wins, if anything.
+    /// The act of the owner of the robots about who wins, if there is one.
     pub(super) fn rule_contests(&mut self) -> Option<Call> {
         if !self.contends(30) {
             return None;
@@ -88,7 +88,7 @@ impl World {
         })
     }
 
-    /// What a user wants of a service where there may be a line, if anything.
+    /// The wish of a user for a service where there may be a line, if it has one.
     pub(super) fn contend(&mut self) -> Option<Call> {
         if !self.contends(35) {
             return None;

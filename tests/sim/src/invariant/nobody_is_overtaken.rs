@@ -1,5 +1,5 @@
-//! Nobody in line is overtaken (docs/conflict.md, "The line"): whoever is granted a service goes before all who wait for it: with
-//! a higher priority, or an equal one and an earlier arrival. Those whom policies permit no more leave before that. Where waiting
+//! Nobody in line is overtaken (docs/conflict.md, "The line"). A holder that is granted a service goes before all who wait for
+//! it: with a higher priority, or an equal one and an earlier arrival. Those whom policies permit no more leave before that. Where waiting
 //! raises priorities, the oracle judges alone.
 //!
 //! Told by the events, and by the settings that owners chose.

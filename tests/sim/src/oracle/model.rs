@@ -306,7 +306,7 @@ impl Model {
         }
     }
 
-    /// What the owner's own policies say to anything that they want to do with a robot.
+    /// The word of the owner's own policies to anything that they want to do with a robot.
     fn said(&self, who: &Person, robot: &Robot, time: u64) -> Vec<Says> {
         let asked = Asked { who: &who.id(), ..asked(who, robot, time) };
         let own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner);

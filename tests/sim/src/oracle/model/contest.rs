@@ -1,4 +1,4 @@
-//! Who wins where several want a service: places, lines, priorities; robots that are stopped. Lists, and one look at
+//! The contest where several want a service: places, lines, priorities; robots that are stopped. Lists, and one look at
 //! everything at the start of every block.
 
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
@@ -16,7 +16,7 @@ const SINCE: u32 = 3;
 const TAKEN: i64 = i64::MAX;
 /// How many wait at most, and how long (milliseconds), unless the owner says otherwise.
 const LINE_MAX: u64 = 64;
-const WAIT_MAX: u64 = 600_000;
+const PATIENCE_MS: u64 = 600_000;
 
 /// A contender in line.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -189,7 +189,7 @@ impl Model {
     pub(super) fn enter(&mut self, (who, person): (&Person, usize), id: &str, wishes: &Wishes, time: u64) -> Verdict {
         let (robot, service) = self.find(id)?;
         let priority = service.priority(who, &robot, wishes.priority);
-        let patience = service.setting("queue_wait_max_ms").unwrap_or(WAIT_MAX);
+        let patience = service.setting("queue_wait_max_ms").unwrap_or(PATIENCE_MS);
         let patience = wishes.wait_ms.map_or(patience, |wait| wait.min(patience));
         let mut line = self.line(id).to_vec();
         let known = line.iter().position(|waiter| waiter.who == who.id());
