@@ -36,7 +36,7 @@ impl Chaincode for Members {
         "msp"
     }
 
-    pub(crate) fn invoke(&self, _: &mut Context<'_>, _: &str, _: &[Bytes]) -> Result<Bytes, Rejection> {
+    fn invoke(&self, _: &mut Context<'_>, _: &str, _: &[Bytes]) -> Result<Bytes, Rejection> {
         let owners = (0..OWNERS).map(owner_name);
         Ok(serde_json::to_vec(&owners.chain(["Users".to_owned()]).collect::<Vec<_>>()).unwrap().into())
     }
@@ -169,7 +169,7 @@ impl Fleet {
         Overlay::new(self.state.clone())
     }
 
-    fn invoke(&self, overlay: &mut Overlay, who: &Identity, function: &str, args: &[Bytes]) -> Bytes {
+    pub(crate) fn invoke(&self, overlay: &mut Overlay, who: &Identity, function: &str, args: &[Bytes]) -> Bytes {
         Registry::invoke(self.environment(who), overlay, &mut Vec::new(), "abac", function, args).unwrap()
     }
 

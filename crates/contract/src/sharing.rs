@@ -91,9 +91,6 @@ pub struct Sharing {
     /// How long (milliseconds) confirmations are waited for, and count; a minute by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub confirm_within_ms: Option<u64>,
-    /// How many may read the service at once; without it, everybody whom policies permit.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub subscribers: Option<u64>,
 }
 
 /// A key of [`Sharing`]: its name, its value for people if it is set, how it takes the value of another, how it is cleared.
@@ -116,7 +113,6 @@ macro_rules! keys {
 
 keys!(
     publishers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms
-    subscribers
 );
 
 impl Sharing {
@@ -176,7 +172,6 @@ mod tests {
             delegable: Some(true),
             confirm: Some(9),
             confirm_within_ms: Some(10),
-            subscribers: Some(11),
         };
         let json = serde_json::to_value(&all).unwrap();
         let mut fields: Vec<&String> = json.as_object().unwrap().keys().collect();

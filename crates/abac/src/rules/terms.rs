@@ -57,7 +57,7 @@ impl Terms {
 /// The range of a number among the settings, and its unit.
 type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
 
-const BOUNDS: [Bounds; 9] = [
+const BOUNDS: [Bounds; 8] = [
     ("publishers", |sharing| sharing.publishers, 1, HOLDERS_MAX as u64, ""),
     ("queue_max", |sharing| sharing.queue_max, 1, QUEUE_MAX, ""),
     ("queue_wait_max_ms", |sharing| sharing.queue_wait_max_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
@@ -66,7 +66,6 @@ const BOUNDS: [Bounds; 9] = [
     ("idle_release_ms", |sharing| sharing.idle_release_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("confirm", |sharing| sharing.confirm, 1, CONFIRM_MAX, ""),
     ("confirm_within_ms", |sharing| sharing.confirm_within_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
-    ("subscribers", |sharing| sharing.subscribers, 1, HOLDERS_MAX as u64, ""),
 ];
 
 /// Checks the settings of a service on this topic.
