@@ -6,7 +6,7 @@ use ledger_abac::{Capabilities, Claim, Decision, Fencing, Mode, Publishing, Rule
 const LINE_MAX: u64 = 64;
 
 /// The rule behind `mode=fair-share`.
-pub struct FairShare;
+pub(crate) struct FairShare;
 
 /// Less use goes first; among equals, whoever came first.
 fn rank(claim: &Claim) -> (u64, u64) {
