@@ -96,7 +96,7 @@ pub(super) fn joined(queued: Place, done: &Committed, output: &mut Output) -> Re
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
 
