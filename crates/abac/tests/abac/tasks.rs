@@ -291,7 +291,7 @@ fn open_tasks_of_a_certificate_and_places_in_line_are_bounded() {
         submit(&mut fleet, &salma(), &later);
     }
     let refused = fleet.refused(&salma(), Code::LimitExceeded, "submit", &[TURTLEBOT, &later]);
-    assert!(refused.found.contains("64") && refused.next.contains("abac cancel"), "{refused}");
+    assert!(refused.found.contains("64") && refused.next.contains("ledgerctl task cancel"), "{refused}");
     fleet.ok(&salma(), "cancel", &["1"]);
     submit(&mut fleet, &salma(), &later);
 
