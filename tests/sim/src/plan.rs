@@ -112,7 +112,8 @@ impl Plan {
             state_flush: random.between(100 * MILLISECOND, 3 * SECOND),
             disk_max: if faults.contains(&Fault::SlowDisk) { random.between(5, 60) * MILLISECOND } else { MILLISECOND },
             activates: random.percent(40),
-            contests: random.percent(75),
+            // Drawn from nothing: the other seeds go on as they did, and with them the bugs that they notice.
+            contests: seed % 3 == 0,
             network,
             faults,
         }
