@@ -113,7 +113,7 @@ impl Plan {
             disk_max: if faults.contains(&Fault::SlowDisk) { random.between(5, 60) * MILLISECOND } else { MILLISECOND },
             activates: random.percent(40),
             // Drawn from nothing: the other seeds go on as they did, and with them the bugs that they notice.
-            contests: seed % 3 == 0,
+            contests: seed.is_multiple_of(3),
             network,
             faults,
         }
