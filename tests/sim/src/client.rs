@@ -178,10 +178,7 @@ impl World {
             call => {
                 let (chaincode, function, args) = call.transaction();
                 let valid = self.random.clients.between(5, 60) * SECOND;
-                // Where a robot is looked at, commands are signed as bridges sign them.
-                let is_command = self.robot.is_some() && function == "set";
-                let valid = if is_command { COMMAND_TTL.as_micros() as u64 } else { valid };
-                let not_after = client.ahead + self.now + valid;
+                let not_after = client.ahead + self.now + self.valid(function, valid);
                 let introduce = !client.introduced || self.random.clients.percent(10);
                 let nonce = self.random.clients.number();
                 let whose = &self.people.all[person];
@@ -199,6 +196,12 @@ impl World {
         let person = client.person.clone();
         self.note(format_args!("c{number} {person} begins {operation}: {name}"));
         self.again(number, false);
+    }
+
+    /// How long a call is valid, microseconds. Where a robot is looked at, commands are signed as bridges sign them.
+    pub(crate) fn valid(&self, function: &str, otherwise: u64) -> u64 {
+        let is_command = self.robot.is_some() && function == "set";
+        if is_command { COMMAND_TTL.as_micros() as u64 } else { otherwise }
     }
 
     /// Sends what the client is doing, perhaps to another node; gives it up after a while.

@@ -32,27 +32,33 @@ impl World {
         for stream in 0..STREAMS {
             let service = self.random.faults.pick(&SERVICES).copied().unwrap_or(SERVICES[0]).to_owned();
             let mut at = self.now + self.random.faults.below(time);
+            let grant = self.clients[client].grants.get(&service).map(|(epoch, _)| *epoch);
             for nth in 0..calls {
                 self.floods += 1;
                 let random = &mut self.random.faults;
                 let (service, epoch) = (service.clone(), random.below(3));
-                let call = match random.below(10) {
-                    0 => Call::Acquire { service, lease_ms: None },
-                    1 => Call::Release { service },
+                let call = match (random.below(10), grant) {
+                    // Of what it holds: messages, and control among them, that the state does not refuse.
+                    (0..=2, Some(_)) => Call::Renew { service },
+                    (3..=8, Some(epoch)) => Call::Set { service, epoch, seq: 1000 * self.floods + nth },
+                    (0, None) => Call::Acquire { service, lease_ms: None },
+                    (1, None) => Call::Release { service },
                     // Sometimes one that the state refuses.
                     _ => {
                         Call::Set { service, epoch, seq: if random.percent(20) { 0 } else { 1000 * self.floods + nth } }
                     }
                 };
                 let (nonce, first_attempt) = (random.number(), random.percent(60));
+                // Over some streams everything comes in one packet, and so waits at once.
+                at += if stream.is_multiple_of(3) { 0 } else { random.below(MILLISECOND) };
                 let whose = &self.people.all[person];
-                let not_after = EPOCH + self.now + 30 * SECOND;
-                let transaction = sign(whose, self.network, nonce, not_after, call.transaction(), true);
+                let signed = call.transaction();
+                let not_after = EPOCH + self.now + self.valid(signed.1, 30 * SECOND);
+                let transaction = sign(whose, self.network, nonce, not_after, signed, true);
                 let what = What::Submit { transaction: transaction.encoded().clone(), first_attempt };
                 // Nobody waits for an answer to these attempts.
                 let reply = Reply { client, attempt: u64::MAX - self.floods };
                 let stream = FIRST_STREAM + self.flooded + stream;
-                at += random.below(MILLISECOND);
                 self.schedule_at(
                     at,
                     Event::Request { node, request: Request { reply, min_height: seen, told, stream, what } },
