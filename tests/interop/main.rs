@@ -25,6 +25,7 @@ mod sharing;
 #[path = "../support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
 mod support;
+mod tasks;
 mod telling;
 mod world;
 

@@ -19,6 +19,8 @@
 //! max_age_ms = 1000            # from_ledger: may only shorten the service's own limit
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
+//! goal_topic = "/goal_pose"    # from_ledger: the next point of the running task, as geometry_msgs/msg/PoseStamped
+//! path_topic = "/task/path"    # from_ledger: all points that are left of it, as nav_msgs/msg/Path
 //! ```
 //! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
 //! Everything has a default but `service`, `direction` and `type`. Every fault is reported, not only the first.
@@ -305,7 +307,10 @@ mod tests {
         assert_eq!((config.domain_id, config.shared_memory), (None, true));
         let route = &config.routes[0];
         assert_eq!(route.kind.name, "from_ledger");
-        assert_eq!(format!("{:?}", route.plan), "Settings { max_age: None, stale_after: 1s, stop: None }");
+        assert_eq!(
+            format!("{:?}", route.plan),
+            "Settings { max_age: None, stale_after: 1s, stop: None, points: Topics { goal: None, path: None } }"
+        );
         assert_eq!(route.limits().queue_samples_max, 100);
     }
 

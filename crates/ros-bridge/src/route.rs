@@ -4,6 +4,7 @@
 mod from_ledger;
 pub(crate) mod kind;
 pub(crate) mod local;
+mod points;
 pub(crate) mod silence;
 mod to_ledger;
 

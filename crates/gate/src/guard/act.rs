@@ -110,7 +110,7 @@ impl Block {
 pub(super) fn changes(event: &Told<'_>) -> bool {
     matches!(
         (event.chaincode, event.name),
-        (ABAC, "granted" | "released" | "robot" | "stopped" | "resumed") | (MSP, "revoked")
+        (ABAC, "granted" | "released" | "robot" | "stopped" | "resumed" | "task") | (MSP, "revoked")
     )
 }
 

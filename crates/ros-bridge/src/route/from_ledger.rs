@@ -32,6 +32,7 @@ use super::{
     Clocks, Stop,
     kind::{Beside, Kind, Opened, Opening, Plan},
     local::Outlet,
+    points::{self, Points, Topics},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
 };
@@ -63,7 +64,7 @@ pub(super) static KIND: Kind = Kind {
     name: "from_ledger",
     right: "subscribe",
     other_end: Role::Subscriber,
-    keys: &["max_age_ms", "stale_after_ms", "stop_hex"],
+    keys: &["max_age_ms", "stale_after_ms", "stop_hex", points::KEYS[0], points::KEYS[1]],
     read,
     silence,
     beside,
@@ -78,6 +79,8 @@ struct Settings {
     stale_after: Duration,
     /// The stop message instead of the service's or the type's.
     stop: Option<Sample>,
+    /// Where the points of the running task go.
+    points: Topics,
 }
 
 fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
@@ -87,8 +90,9 @@ fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan>
     section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
         stop_sample(text, sample_bytes_max).map(Some)
     });
+    let points = Topics::read(section);
     let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
-    Arc::new(Settings { max_age, stale_after, stop })
+    Arc::new(Settings { max_age, stale_after, stop, points })
 }
 
 impl Plan for Settings {
@@ -109,7 +113,7 @@ impl Settings {
         let outlet = async {
             let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
             let counters = Counters::new(route, outlet.matched(), None);
-            Ok((outlet, counters))
+            Ok((outlet, self.points.open(local, topic, mark).await?, counters))
         };
         let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
         let (counters, in_memory) = (opened.counters.clone(), opened.outlet.in_memory());
@@ -146,6 +150,7 @@ struct FromLedger {
     route: RouteConfig,
     settings: Settings,
     outlet: Outlet,
+    points: Points,
     counters: Counters,
     clocks: Clocks,
     guard: Guard,
@@ -169,7 +174,7 @@ impl FromLedger {
         (route, settings): (RouteConfig, Settings),
         gate: GateSettings,
         service: Service,
-        outlet: impl Future<Output = Result<(Outlet, Counters), Rejection>>,
+        outlet: impl Future<Output = Result<(Outlet, Points, Counters), Rejection>>,
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
@@ -179,12 +184,13 @@ impl FromLedger {
             let message = route.message.to_string();
             tracing::warn!(service = route.service, message, "no stop message is known for this type: set stop_hex");
         }
-        let (outlet, counters) = outlet.await?;
+        let (outlet, points, counters) = outlet.await?;
         let mut opened = Self {
             gateway,
             route,
             settings,
             outlet,
+            points,
             counters,
             clocks,
             guard,
@@ -226,7 +232,15 @@ impl FromLedger {
                 self.publish_stop(reason).await;
             }
             let due = |due: Option<u64>| due.map(|due| self.clocks.instant(due));
-            let (stop_due, ask_due) = (due(self.guard.stop_at().map(|(due, _)| due)), due(self.guard.asks_at()));
+            let (stop_due, mut ask_due) = (due(self.guard.stop_at().map(|(due, _)| due)), due(self.guard.asks_at()));
+            if let Some((ask, stale)) = self.points.due(self.settings.stale_after) {
+                if stale <= Instant::now() {
+                    self.points.clear();
+                    continue;
+                }
+                let next = if self.question.is_some() { stale } else { ask };
+                ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
+            }
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -238,7 +252,10 @@ impl FromLedger {
                 () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
                 answer = self.answer() => self.answered(answer).await,
                 () = sleep_until(ask_due.unwrap_or_else(Instant::now).into()), if ask_due.is_some() => {
-                    self.ask();
+                    // With a question under way the points on show are too old: the next turn takes them away.
+                    if self.question.is_none() {
+                        self.ask();
+                    }
                 }
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
@@ -259,6 +276,7 @@ impl FromLedger {
         if self.guard.gate().is_moving() {
             self.halt(if fault.is_some() { "fault" } else { "shutdown" }).await;
         }
+        self.points.clear();
         if !self.outlet.flush(FLUSH_MAX).await {
             tracing::warn!(service = self.route.service, "not every subscriber confirmed the last messages");
         }
@@ -284,11 +302,13 @@ impl FromLedger {
     }
 
     fn subscribe(&self) -> Deliveries {
+        let tasks = if self.settings.points.is_empty() { &[][..] } else { &["task"] };
+        let names = ["message", "granted", "released", "robot", "stopped", "resumed"].iter().chain(tasks);
         self.gateway.subscribe(Subscription {
             from_height: self.next_height,
             chaincode: ABAC.to_owned(),
             subjects: vec![self.route.service.clone(), self.service.robot.clone()],
-            names: ["message", "granted", "released", "robot", "stopped", "resumed"].map(str::to_owned).to_vec(),
+            names: names.map(|name| (*name).to_owned()).collect(),
             heartbeat: HEARTBEAT_MS,
         })
     }
@@ -326,15 +346,20 @@ impl FromLedger {
 
     /// Takes the answer of the voters, and judges the messages that waited for it.
     async fn answered(&mut self, answer: Answer) {
-        let asked = answer.as_ref().ok().map(|answered| self.clocks.steady(answered.asked));
-        match answer.and_then(|answered| self.learn(&answered)) {
+        let answered = match answer {
+            Ok(answered) => answered,
+            Err(refused) => return self.not_known(&refused, None).await,
+        };
+        match self.learn(&answered) {
             Ok(acts) => {
                 for act in acts {
                     self.carry_out(act).await;
                 }
                 self.tell_holders();
+                let task = answered.standing.tasks.iter().find(|task| task.service == self.route.service);
+                self.points.show(task, answered.asked);
             }
-            Err(refused) => self.not_known(&refused, asked).await,
+            Err(refused) => self.not_known(&refused, Some(self.clocks.steady(answered.asked))).await,
         }
     }
 
@@ -368,8 +393,11 @@ impl FromLedger {
             let service = &self.route.service;
             tracing::warn!(service, reason, not_logged, "the voters do not say how the robot stands");
         }
-        if is_gone && self.guard.gate().is_moving() {
-            self.halt("no_service").await;
+        if is_gone {
+            self.points.clear();
+            if self.guard.gate().is_moving() {
+                self.halt("no_service").await;
+            }
         }
     }
 
@@ -416,6 +444,7 @@ impl FromLedger {
     }
 
     async fn publish_stop(&mut self, reason: &'static str) {
+        self.points.clear();
         let Some(stop) = &self.stop else { return };
         tracing::info!(service = self.route.service, reason, "stop");
         if let Err(error) = self.outlet.write_stop(stop).await {
