@@ -74,7 +74,7 @@ impl Topics {
     }
 }
 
-/// What the topics show.
+/// The topics, and the task that they show.
 pub(super) struct Points {
     goal: Option<Topic>,
     path: Option<Topic>,
