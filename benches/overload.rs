@@ -1,5 +1,6 @@
 //! Twice of what the network carries: how long do accepted commands wait, and what are the others told? How long do
-//! calls wait that give and end control, and somebody who drives another robot at 50 Hz?
+//! calls wait that give and end control, and somebody who drives another robot at 50 Hz? How long does a robot drive on that is
+//! stopped in an emergency?
 //!
 //! `cargo bench --bench overload`; `LEDGERD_BENCH_SECONDS` sets the length of each run.
 
@@ -15,9 +16,12 @@
 mod founding;
 mod load;
 mod network;
+mod own_network;
 mod report;
+#[path = "overload/stops.rs"]
+mod stops;
 
-use founding::PAPER;
+use founding::{Founding, PAPER};
 use hdrhistogram::Histogram;
 use ledger::transaction::Transaction;
 use ledger_rejection::{Code, Rejection};
@@ -31,6 +35,7 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
+use stops::Stops;
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::mpsc;
 
@@ -61,6 +66,8 @@ struct People {
     held: AtomicBool,
     /// Calls that were refused: those that came before the one before them was executed.
     uncontrolled: Arc<AtomicUsize>,
+    /// Drive a robot, and stop it.
+    stops: Mutex<Stops>,
 }
 
 /// The fate of the flood.
@@ -79,6 +86,8 @@ struct Outcome {
     operator: Run,
     delivery: Histogram<u64>,
     control: Run,
+    /// From the call of `stop` to its verdict, and to the stop message on the robot's topic.
+    stops: [Histogram<u64>; 2],
     /// Renewals by somebody who floods, over the same connection.
     renewals: Run,
     /// Commands of the operator, and calls that give and end control, that were refused.
@@ -86,20 +95,24 @@ struct Outcome {
 }
 
 fn main() {
+    assert!(own_network::enter(), "needs a network of its own: `unshare`, `ip`, and the right to use them");
     let smoke = !std::env::args().any(|argument| argument == "--bench");
     let seconds = std::env::var("LEDGERD_BENCH_SECONDS").map_or(20.0, |text| text.parse().expect("seconds"));
     let duration = Duration::from_secs_f64(if smoke { 0.3 } else { seconds });
     let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
     // The flood is on threads of its own, as on machines of its own.
     let other = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-    let network = runtime.block_on(Network::start(PAPER));
-    let people = people(&runtime, &other, &network);
+    let founding = Founding::new(PAPER);
+    let site = stops::Site::of(&founding);
+    let network = runtime.block_on(Network::start_founded(founding, ""));
+    let people = people(&runtime, &other, &network, site);
 
     let capacity = capacity(&other, &people.flooders, duration / 4);
     println!("capacity: {capacity:.0} commands/s of {FLOODERS} identities in a closed loop\n");
     println!(
         "  load  accepted/s  refused/s  p50     p99     max  | control p50     p99     max | same stream p99 | 50 Hz p50     \
-         p99  delivery p99  (ms)"
+         p99  delivery p99 | stop p99 | heard p50     p99     max \
+         (ms)"
     );
     let mut outcomes = Vec::new();
     for multiple in MULTIPLES {
@@ -114,16 +127,18 @@ fn main() {
     }
 }
 
-fn people(runtime: &Runtime, other: &Runtime, network: &Network) -> People {
+fn people(runtime: &Runtime, other: &Runtime, network: &Network, site: stops::Site) -> People {
     let names: Vec<_> = (0..FLOODERS).map(|number| format!("Flooded{number}")).collect();
-    let robots: Vec<_> = names.iter().map(String::as_str).chain(["Driven", "Controlled"]).collect();
+    let robots: Vec<_> = names.iter().map(String::as_str).chain(["Driven", "Controlled", stops::ROBOT]).collect();
     runtime.block_on(network.register(&robots));
     let flooders = names.iter().enumerate().map(|(number, robot)| other.block_on(network.driver(number, robot)));
     let flooders: Vec<_> = flooders.map(Arc::new).collect();
     let operator = runtime.block_on(network.driver(FLOODERS, "Driven"));
     let controller = Arc::new(runtime.block_on(network.driver(FLOODERS + 1, "Controlled")));
     let arrivals = runtime.block_on(network.listen("Driven"));
-    People { flooders, operator, arrivals, controller, held: AtomicBool::new(true), uncontrolled: Arc::default() }
+    let stops = Mutex::new(runtime.block_on(site.open(network, FLOODERS + 2)));
+    let (held, uncontrolled) = (AtomicBool::new(true), Arc::default());
+    People { flooders, operator, arrivals, controller, held, uncontrolled, stops }
 }
 
 /// The transactions of the flooders that are accepted in a second while they wait for their verdicts.
@@ -151,6 +166,7 @@ fn run(runtime: &Runtime, other: &Runtime, people: &People, multiple: f64, hz: f
         let flood = scope.spawn(|| flood(other, &people.flooders, &signed, duration));
         let control = scope.spawn(|| control(runtime, people, duration));
         let renewals = scope.spawn(|| renewals(runtime, &people.flooders[0], duration));
+        let stops = scope.spawn(|| runtime.block_on(people.stops.lock().unwrap().run(duration)));
         let missed = Arc::new(Mutex::new(Vec::new()));
         let operator = open_loop(runtime, OPERATOR_HZ, duration, || {
             let (seq, verdict, missed) = (people.operator.next_seq(), people.operator.command(), Arc::clone(&missed));
@@ -164,7 +180,8 @@ fn run(runtime: &Runtime, other: &Runtime, people: &People, multiple: f64, hz: f
         let delivery = delivery(&operator, &people.arrivals, first_seq..people.operator.next_seq(), &missed);
         let refused = (missed.len(), people.uncontrolled.swap(0, Ordering::Relaxed));
         let (flood, control, renewals) = (flood.join().unwrap(), control.join().unwrap(), renewals.join().unwrap());
-        Outcome { multiple, flood, operator, delivery, control, renewals, refused }
+        let stops = stops.join().unwrap();
+        Outcome { multiple, flood, operator, delivery, control, stops, renewals, refused }
     })
 }
 
@@ -245,12 +262,13 @@ fn delivery(run: &Run, arrivals: &Arrivals, seqs: Range<u64>, missed: &[u64]) ->
     histogram(delivered.map(|(number, seq)| arrivals.of(seq).saturating_duration_since(due(number))))
 }
 
-fn print(Outcome { multiple, flood, operator, delivery, control, renewals, refused }: &Outcome) {
+fn print(Outcome { multiple, flood, operator, delivery, control, stops, renewals, refused }: &Outcome) {
     let at = |times: &Histogram<u64>, quantile| times.value_at_quantile(quantile) as f64 / 1e6;
     let flood_refused: u64 = flood.refused.values().sum();
     let per_second = |count: u64| count as f64 / flood.seconds;
     println!(
-        "{multiple:4.1} x  {:10.0} {:10.0} {:7.2} {:7.2} {:7.2} | {:11.2} {:7.2} {:7.2} | {:15.2} | {:9.2} {:7.2} {:13.2}",
+        "{multiple:4.1} x  {:10.0} {:10.0} {:7.2} {:7.2} {:7.2} | {:11.2} {:7.2} {:7.2} | {:15.2} | {:9.2} {:7.2} {:13.2} | \
+         {:8.2} | {:9.2} {:7.2} {:7.2}",
         per_second(flood.accepted.len()),
         per_second(flood_refused),
         at(&flood.accepted, 0.5),
@@ -263,6 +281,10 @@ fn print(Outcome { multiple, flood, operator, delivery, control, renewals, refus
         at(&operator.latency, 0.5),
         at(&operator.latency, 0.99),
         at(delivery, 0.99),
+        at(&stops[0], 0.99),
+        at(&stops[1], 0.5),
+        at(&stops[1], 0.99),
+        at(&stops[1], 1.0),
     );
     if *refused != (0, 0) {
         println!("        the operator was refused {} commands, the controller {} calls", refused.0, refused.1);
@@ -272,12 +294,13 @@ fn print(Outcome { multiple, flood, operator, delivery, control, renewals, refus
     }
 }
 
-fn json(Outcome { multiple, flood, operator, delivery, control, renewals, refused }: &Outcome) -> Value {
+fn json(Outcome { multiple, flood, operator, delivery, control, stops, renewals, refused }: &Outcome) -> Value {
     json!({
         "multiple": multiple, "sent": flood.sent, "seconds": flood.seconds, "accepted": flood.accepted.len(),
         "refused": flood.refused, "accepted_ms": percentiles(&flood.accepted), "control_ms": percentiles(&control.latency),
         "control_over_flooding_stream_ms": percentiles(&renewals.latency),
         "operator_ms": percentiles(&operator.latency), "operator_hz": operator.achieved_hz,
-        "delivery_ms": percentiles(delivery), "operator_refused": refused.0, "control_refused": refused.1,
+        "delivery_ms": percentiles(delivery), "stops": stops[0].len(), "stop_ms": percentiles(&stops[0]),
+        "stop_heard_ms": percentiles(&stops[1]), "operator_refused": refused.0, "control_refused": refused.1,
     })
 }
