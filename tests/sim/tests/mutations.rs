@@ -77,6 +77,11 @@ fn a_preemption_that_gives_no_new_epoch_is_noticed() {
 }
 
 #[test]
+fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
+    caught(Mutation::CountTheRequester, &["the oracle agrees"]);
+}
+
+#[test]
 fn a_free_place_that_goes_to_somebody_before_the_line_is_noticed() {
     caught(Mutation::SkipTheLine, &["nobody is overtaken", "the oracle agrees"]);
 }

@@ -10,7 +10,7 @@ pub const PUBLISHERS: usize = 2;
 /// The rules that brought lines, limits and stops.
 const SINCE: u32 = 3;
 /// Every setting of a service's rule.
-const KEYS: &str = r#"["publishers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms"]"#;
+const KEYS: &str = r#"["publishers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","confirm","confirm_within_ms"]"#;
 
 /// A choice of an owner for a service: the mode, and the settings of its rule as JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +30,7 @@ const fn limited(sharing: &'static str) -> Terms {
 }
 
 /// The collection.
-const TERMS: [Terms; 10] = [
+const TERMS: [Terms; 13] = [
     exclusive("{}"),
     exclusive(r#"{"on_conflict":"queue"}"#),
     exclusive(r#"{"on_conflict":"queue","queue_max":1,"queue_wait_max_ms":4000,"priority":"attribute:rank"}"#),
@@ -38,6 +38,9 @@ const TERMS: [Terms; 10] = [
     exclusive(r#"{"on_conflict":"preempt","priority":"attribute:rank"}"#),
     exclusive(r#"{"on_conflict":"preempt","priority":"attribute:rank","queue_max":3,"min_hold_ms":1500}"#),
     exclusive(r#"{"on_conflict":"preempt","priority":"attribute:rank","queue_max":4,"aging_ms":1000}"#),
+    exclusive(r#"{"confirm":1}"#),
+    exclusive(r#"{"confirm":2,"confirm_within_ms":8000,"on_conflict":"queue","queue_max":2}"#),
+    exclusive(r#"{"confirm":1,"on_conflict":"preempt","queue_max":3,"priority":"attribute:rank"}"#),
     limited(r#"{"publishers":2}"#),
     limited(r#"{"publishers":2,"on_conflict":"queue","queue_max":2,"priority":"attribute:rank"}"#),
     limited(r#"{"publishers":2,"on_conflict":"preempt","queue_max":2,"priority":"attribute:rank"}"#),
@@ -45,6 +48,8 @@ const TERMS: [Terms; 10] = [
 
 /// The services whose rules change. The arm of the Husky is mostly for everybody.
 const CONTESTED: [&str; 2] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel"];
+/// Those whom others try to confirm.
+const CONTENDERS: [&str; 4] = ["Org1/Salma", "Org1/Farhad", "Org1/Nina", "Org2/Owen"];
 /// The robots, and all of them.
 const STOPPED: [&str; 3] = ["Turtlebot4", "Husky", "*"];
 
@@ -76,14 +81,15 @@ impl World {
             0..=7 => {
                 // At most two hold anything of the Husky but its arm.
                 let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]);
-                let offered = if service == CONTESTED[0] { &TERMS[..] } else { &TERMS[..7] };
+                let offered = if service == CONTESTED[0] { &TERMS[..] } else { &TERMS[..10] };
                 let terms = random.pick(offered).copied().unwrap_or(TERMS[0]);
                 Call::Configure { service: service.to_owned(), terms }
             }
             8..=9 => Call::Stop { robot },
             10..=15 => Call::Resume { robot: "*" },
             16 => Call::Resume { robot },
-            17..=18 => Call::Take { service },
+            17 => Call::Take { service },
+            18 => confirm(random),
             _ => contender(random, service),
         })
     }
@@ -101,9 +107,16 @@ impl World {
             2..=3 => Call::Resume { robot },
             4..=5 => Call::Take { service },
             6..=20 => Call::Release { service },
+            21..=30 => confirm(random),
             _ => contender(random, service),
         })
     }
+}
+
+/// Agrees that somebody may have a service, who perhaps never asked.
+fn confirm(random: &mut Random) -> Call {
+    let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]).to_owned();
+    Call::Confirm { service, contender: random.pick(&CONTENDERS).copied().unwrap_or(CONTENDERS[0]) }
 }
 
 /// A contender that says how long it waits, and perhaps that it is less urgent.

@@ -34,6 +34,13 @@ pub enum Call {
         /// A lower priority than its own.
         priority: Option<i64>,
     },
+    /// That somebody else has it, who must be confirmed.
+    Confirm {
+        /// The service.
+        service: String,
+        /// The one who wants it.
+        contender: &'static str,
+    },
     /// To have it whatever its rule says.
     Take {
         /// The service.
@@ -137,6 +144,7 @@ impl Call {
                 let options = json!({"lease_ms": lease_ms, "wait_ms": wait_ms, "priority": priority});
                 ("abac", "acquire", vec![text(service), text(&options.to_string())])
             }
+            Self::Confirm { service, contender } => ("abac", "confirm", vec![text(service), text(contender)]),
             Self::Take { service } => ("abac", "take", vec![text(service), text("it drives too near")]),
             Self::Stop { robot } => ("abac", "stop", vec![text(robot)]),
             Self::Resume { robot } => ("abac", "resume", vec![text(robot)]),

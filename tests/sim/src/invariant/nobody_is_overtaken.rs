@@ -23,6 +23,8 @@ pub struct NobodyIsOvertaken {
     lines: BTreeMap<String, Vec<(String, i64)>>,
     /// The settings, where there are some.
     settings: BTreeMap<String, Map<String, Value>>,
+    /// The calls of those who wait to be confirmed, by service and contender.
+    asking: BTreeMap<(String, String), Transaction>,
 }
 
 /// The fields that are read of events.
@@ -49,7 +51,7 @@ struct Wishes {
 impl NobodyIsOvertaken {
     /// For these people.
     pub fn new(people: Arc<People>) -> Self {
-        Self { people, lines: BTreeMap::new(), settings: BTreeMap::new() }
+        Self { people, lines: BTreeMap::new(), settings: BTreeMap::new(), asking: BTreeMap::new() }
     }
 
     /// A block was executed for the first time.
@@ -81,11 +83,15 @@ impl NobodyIsOvertaken {
     }
 
     fn told(&mut self, event: &Event, transaction: Option<&Transaction>, height: u64) -> Check {
-        if event.chaincode != "abac" || !matches!(&*event.name, "queued" | "left" | "granted") {
+        if event.chaincode != "abac" || !matches!(&*event.name, "queued" | "left" | "granted" | "pending") {
             return Ok(());
         }
         let Told { holder, contender, priority, mode } = told(event);
         let (service, who) = (&event.subject, holder.or(contender).unwrap_or_default());
+        if event.name == "pending" {
+            self.asking.extend(transaction.map(|call| ((service.clone(), who), call.clone())));
+            return Ok(());
+        }
         if event.name == "granted" && mode != "open" {
             self.judge(service, &who, transaction, height)?;
         }
@@ -109,7 +115,12 @@ impl NobodyIsOvertaken {
         let known = line.iter().position(|(waits, _)| waits == who);
         let (at, priority) = match (known, transaction) {
             (Some(at), _) => (at, line.get(at).map_or(0, |(_, priority)| *priority)),
-            (None, Some(transaction)) => (line.len(), self.priority(service, transaction)),
+            (None, Some(transaction)) => {
+                // One that others have confirmed comes with the wishes of its own call.
+                let asked = self.asking.get(&(service.to_owned(), who.to_owned()));
+                let asked = asked.filter(|_| transaction.body().function == "confirm").unwrap_or(transaction);
+                (line.len(), self.priority(service, asked))
+            }
             (None, None) => {
                 return Err(Violation::new(
                     NAME,

@@ -1,5 +1,6 @@
 //! The rights of everybody, in as few words as possible.
 
+mod confirm;
 mod contest;
 mod grants;
 mod network;
@@ -38,6 +39,8 @@ pub(super) struct Model {
     grants: BTreeMap<String, Vec<Grant>>,
     /// Of each service, in order of arrival.
     lines: BTreeMap<String, Vec<contest::Waiter>>,
+    /// Of each service, by name.
+    asking: confirm::Askings,
     /// Robots.
     stopped: BTreeSet<String>,
     /// Organisations with policies from before their steps were counted.
@@ -113,6 +116,7 @@ impl Model {
             epochs: BTreeMap::new(),
             grants: BTreeMap::new(),
             lines: BTreeMap::new(),
+            asking: confirm::Askings::new(),
             stopped: BTreeSet::new(),
             uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
@@ -211,6 +215,7 @@ impl Model {
         let first = text(0).unwrap_or_default();
         match (&*body.chaincode, &*body.function) {
             ("abac", "acquire") => self.acquire((who, person), &first, text(1), time),
+            ("abac", "confirm") => self.confirm(who, person, &first, &text(1).unwrap_or_default(), time),
             ("abac", "take") => self.take(who, &first, time),
             ("abac", "stop") => self.emergency(who, &first, true, time),
             ("abac", "resume") => self.emergency(who, &first, false, time),

@@ -30,8 +30,15 @@ pub(in crate::oracle) struct Waiter {
     lease_ms: Option<u64>,
 }
 
+/// Does a contender come by itself, or because the last one has confirmed it?
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stage {
+    Asks,
+    Confirmed,
+}
+
 /// The wishes of `acquire` besides the service.
-#[derive(Default, Deserialize)]
+#[derive(Clone, Default, Deserialize)]
 pub(super) struct Wishes {
     pub(super) lease_ms: Option<u64>,
     wait_ms: Option<u64>,
@@ -46,7 +53,7 @@ struct Settings {
 }
 
 impl Service {
-    fn setting(&self, key: &str) -> Option<u64> {
+    pub(super) fn setting(&self, key: &str) -> Option<u64> {
         self.sharing.get(key).and_then(Value::as_u64)
     }
 
@@ -63,7 +70,7 @@ impl Service {
         }
     }
 
-    fn line_max(&self) -> usize {
+    pub(super) fn line_max(&self) -> usize {
         let unless = if self.conflict() == "queue" { LINE_MAX } else { 0 };
         self.setting("queue_max").unwrap_or(unless) as usize
     }
@@ -186,7 +193,14 @@ impl Model {
     }
 
     /// Somebody who holds nothing wants a service: a grant, a place in line, or a refusal.
-    pub(super) fn enter(&mut self, (who, person): (&Person, usize), id: &str, wishes: &Wishes, time: u64) -> Verdict {
+    pub(super) fn enter(
+        &mut self,
+        (who, person): (&Person, usize),
+        id: &str,
+        wishes: &Wishes,
+        stage: Stage,
+        time: u64,
+    ) -> Verdict {
         let (robot, service) = self.find(id)?;
         let priority = service.priority(who, &robot, wishes.priority);
         let patience = service.setting("queue_wait_max_ms").unwrap_or(PATIENCE_MS);
@@ -202,12 +216,18 @@ impl Model {
         line[at].lease_ms = wishes.lease_ms.or(line[at].lease_ms);
         let is_first = service.mode == "open" || service.first(&line, time) == Some(at);
         let place = service.place(&self.live(id, time), &line[at], time).filter(|_| is_first);
+        let may_wait = service.line_max() > 0 && wishes.wait_ms != Some(0);
+        let is_new = known.is_none() && stage == Stage::Asks;
+        if is_new && (place.is_some() || may_wait) && self.must_wait((who, person), id, &service, wishes, time) {
+            return Ok(Code::Ok.into());
+        }
         if let Some(loser) = place {
             self.end_epoch(id, loser);
             self.leave(id, &who.id());
+            self.asks_no_more(id, &who.id());
             return Ok(self.give(who, id, wishes.lease_ms.unwrap_or(service.lease_ms), priority, time));
         }
-        if service.line_max() == 0 || wishes.wait_ms == Some(0) {
+        if !may_wait {
             return Err(Code::Held);
         }
         if known.is_none() && at >= service.line_max() {
@@ -219,6 +239,7 @@ impl Model {
         });
         let place = Some((ahead.count() as u64 + 1, line[at].priority, line[at].until));
         self.lines.insert(id.to_owned(), line);
+        self.asks_no_more(id, &who.id());
         Ok(Judged { place, ..Code::Ok.into() })
     }
 
@@ -236,6 +257,7 @@ impl Model {
         for line in self.lines.values_mut() {
             line.retain(|waiter| !is_revoked(&people.all[waiter.person].fingerprint()));
         }
+        self.asks_without(|person| is_revoked(&people.all[person].fingerprint()));
     }
 
     pub(super) fn take(&mut self, who: &Person, id: &str, time: u64) -> Verdict {
@@ -245,6 +267,7 @@ impl Model {
         self.goes(&robot)?;
         self.grants.remove(id);
         self.leave(id, &who.id());
+        self.asks_no_more(id, &who.id());
         Ok(self.give(who, id, service.lease_ms, TAKEN, time))
     }
 
@@ -293,12 +316,12 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    fn known(&self) -> Result<(), Code> {
+    pub(super) fn known(&self) -> Result<(), Code> {
         if self.has_contests() { Ok(()) } else { Err(Code::UnknownFunction) }
     }
 
     /// May they do to a robot what its owner's admins always may, and others only by a policy?
-    fn governs(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
+    pub(super) fn governs(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
         if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
             return Ok(());
         }

@@ -1,6 +1,7 @@
 //! Taking, keeping, using and giving back.
 
-use super::contest::Waiter;
+use super::confirm::Askings;
+use super::contest::{Stage, Waiter, Wishes};
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
 use ledger_hash::Hash;
@@ -17,17 +18,20 @@ pub(super) struct Before {
     grants: BTreeMap<String, Vec<Grant>>,
     robots: BTreeMap<String, Robot>,
     lines: BTreeMap<String, Vec<Waiter>>,
+    asking: Askings,
 }
 
 impl Model {
     pub(super) fn clone_small(&self) -> Before {
-        Before { grants: self.grants.clone(), robots: self.robots.clone(), lines: self.lines.clone() }
+        let (grants, robots) = (self.grants.clone(), self.robots.clone());
+        Before { grants, robots, lines: self.lines.clone(), asking: self.asking.clone() }
     }
 
     pub(super) fn restore(&mut self, before: Before) {
         self.grants = before.grants;
         self.robots = before.robots;
         self.lines = before.lines;
+        self.asking = before.asking;
     }
 
     /// The grants of a service that count at a time, oldest first.
@@ -61,9 +65,22 @@ impl Model {
         wishes: Option<String>,
         time: u64,
     ) -> Verdict {
-        let (robot, service) = self.find(id)?;
+        let (_, service) = self.find(id)?;
         let wishes = self.wishes(wishes)?;
         check_lease(&service, wishes.lease_ms)?;
+        self.compete((who, person), id, &wishes, Stage::Asks, time)
+    }
+
+    /// Somebody wants a service, with usable wishes.
+    pub(super) fn compete(
+        &mut self,
+        (who, person): (&Person, usize),
+        id: &str,
+        wishes: &Wishes,
+        stage: Stage,
+        time: u64,
+    ) -> Verdict {
+        let (robot, service) = self.find(id)?;
         self.permits(who, &robot, time)?;
         self.goes(&robot)?;
         let own = self.live(id, time).into_iter().find(|grant| grant.holder == who.id());
@@ -73,9 +90,10 @@ impl Model {
             }
             Some(own) => {
                 self.end(id, &who.id());
+                self.asks_no_more(id, &who.id());
                 Ok(self.give(who, id, wishes.lease_ms.unwrap_or(service.lease_ms), own.priority, time))
             }
-            None => self.enter((who, person), id, &wishes, time),
+            None => self.enter((who, person), id, wishes, stage, time),
         }
     }
 
@@ -105,7 +123,7 @@ impl Model {
         let (robot, _) = self.find(id)?;
         if self.own(who, id, time).is_some() {
             self.end(id, &who.id());
-        } else if self.leave(id, &who.id()) {
+        } else if self.leave(id, &who.id()) || self.asks_no_more(id, &who.id()) {
             return Ok(Code::Ok.into());
         } else if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
             self.grants.remove(id);
