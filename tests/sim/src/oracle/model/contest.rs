@@ -135,6 +135,7 @@ impl Model {
     /// The start of a block: who waited too long leaves, and turns come. `first` is the service that a block begins with,
     /// which matters where policies are so old that only one turn comes with each block.
     pub(super) fn turns(&mut self, first: Option<&str>, time: u64) {
+        self.asks_until(time);
         let services: Vec<String> = self.lines.keys().cloned().collect();
         for id in &services {
             let Ok((_, service)) = self.find(id) else { continue };
