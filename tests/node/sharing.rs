@@ -109,3 +109,46 @@ fn a_higher_priority_takes_the_place_and_the_owner_stops_resumes_and_takes() {
     dev.process.check();
     dev.process.interrupt();
 }
+
+#[test]
+fn one_more_reader_than_the_owner_allows_waits_until_a_place_is_free() {
+    let mut dev = Dev::start();
+    let [salma, farhad, maria] = ["Salma", "Farhad", "Maria"].map(|name| dev.user(name, &["Turtlebot4"], "ed25519"));
+    let settings = ["mode=limited", "publishers=1", "subscribers=1", "on-conflict=queue", "lease=1s"];
+    dev.owner().run(&[&["robot", "set", "Turtlebot4/cmd_vel"][..], &settings[..]].concat()).ok();
+    salma.run(&["acquire", "Turtlebot4"]).ok();
+    let readers = |names: &str| {
+        let listed = salma.run(&["robot", "list"]).ok().stdout;
+        let row = listed.lines().find(|line| line.starts_with("Turtlebot4/cmd_vel:subscribe")).unwrap().to_owned();
+        row.ends_with(names).then_some(())
+    };
+    eventually("nobody reads", || readers(" -"));
+
+    let maria_reads = begin(&maria, &["echo", "Turtlebot4/cmd_vel", "--hex"]);
+    eventually("Maria has the place", || readers("Org1/Maria"));
+    let farhad_reads = begin(&farhad, &["echo", "Turtlebot4/cmd_vel", "--hex", "--count", "1"]);
+    let waits = || {
+        let state = salma.json(&["queue", "Turtlebot4/cmd_vel:subscribe"]);
+        (state["line"][0]["contender"] == "Org1/Farhad").then_some(())
+    };
+    eventually("Farhad waits", waits);
+    salma.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST, "--rate", "5", "--count", "15"]).ok();
+    interrupt(&maria_reads);
+    let (code, stdout, stderr) = ended(maria_reads);
+    assert_eq!(code, 0, "{stderr}");
+    // A second is five messages.
+    assert!(stdout.lines().count() > 10, "she kept her place for longer than its lease: {stdout}");
+
+    // Her place is free at once.
+    eventually("Farhad has the place", || readers("Org1/Farhad"));
+    salma.run(&["acquire", "Turtlebot4"]).ok();
+    salma.run(&["publish", "Turtlebot4/cmd_vel", "--hex", TWIST]).ok();
+    let (code, stdout, stderr) = ended(farhad_reads);
+    assert_eq!((code, stdout.lines().count()), (0, 1), "{stderr}");
+    eventually("nobody reads any more", || readers(" -"));
+    farhad
+        .run(&["publish", "Turtlebot4/cmd_vel:subscribe", "--hex", TWIST])
+        .refused(3, &["publish on Turtlebot4/cmd_vel"]);
+    dev.process.check();
+    dev.process.interrupt();
+}

@@ -52,10 +52,10 @@ impl Records {
     pub(crate) fn held(
         &self,
         ctx: &Context<'_>,
-        target: &Target,
+        service: &str,
         submitter: &Identity,
     ) -> Result<Option<Arc<Holding>>, Rejection> {
-        let held = self.grants.read(ctx, &store::grant_key(&target.id, &submitter.id()), store::parse)?;
+        let held = self.grants.read(ctx, &store::grant_key(service, &submitter.id()), store::parse)?;
         let entitles = |held: &Arc<Holding>| {
             held.is_live(ctx.block_time()) && held.principal.fingerprint.0 == submitter.fingerprint
         };

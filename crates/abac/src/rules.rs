@@ -28,13 +28,13 @@ pub trait Rule: Send + Sync {
     /// The mode by which owners choose the rule.
     fn mode(&self) -> Mode;
 
-    /// The consequences of the rule for publishers, for gates and for clients.
-    fn capabilities(&self) -> Capabilities;
+    /// The consequences of the rule with these settings for publishers, for gates and for clients.
+    fn capabilities(&self, sharing: &Sharing) -> Capabilities;
 
     /// The keys of [`Sharing`] that the rule reads. A service that sets another one is refused.
     fn keys(&self) -> &'static [&'static str];
 
-    /// The keys among them that the owner must set.
+    /// The keys among them of which the owner must set one at least.
     fn required(&self) -> &'static [&'static str] {
         &[]
     }
@@ -158,6 +158,14 @@ impl Table {
         })
     }
 
+    /// The consequences of a service's rule.
+    ///
+    /// # Errors
+    /// As [`Table::of`].
+    pub(crate) fn capabilities(&self, target: &Target) -> Result<Capabilities, Rejection> {
+        Ok(self.of(target)?.capabilities(&target.service.sharing))
+    }
+
     /// The rule of a service.
     ///
     /// # Errors
@@ -175,7 +183,7 @@ impl Table {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_contract::{Fencing, Publishing, Sequence};
+    use ledger_contract::{Fencing, Sequence};
 
     #[test]
     fn every_mode_has_one_rule() {
@@ -189,7 +197,11 @@ mod tests {
     fn a_client_derives_the_capabilities_of_an_older_node_as_that_node_would_tell_them() {
         for mode in [Mode::OPEN, Mode::EXCLUSIVE] {
             let rule = Table::built_in();
-            assert_eq!(Capabilities::of_mode(&mode).unwrap(), rule.chosen(&mode).unwrap().capabilities(), "{mode}");
+            assert_eq!(
+                Capabilities::of_mode(&mode).unwrap(),
+                rule.chosen(&mode).unwrap().capabilities(&Sharing::default()),
+                "{mode}"
+            );
         }
     }
 
@@ -197,7 +209,7 @@ mod tests {
     #[test]
     fn sequences_count_by_epoch_only_where_the_newest_epoch_alone_may_publish() {
         for rule in Table::built_in().0 {
-            let Capabilities { fencing, sequence, .. } = rule.capabilities();
+            let Capabilities { fencing, sequence, .. } = rule.capabilities(&Sharing::default());
             assert!(sequence != Sequence::PerEpoch || fencing == Fencing::Newest, "{}", rule.mode());
         }
     }
@@ -207,7 +219,6 @@ mod tests {
         for rule in Table::built_in().0 {
             assert!(rule.keys().iter().all(|key| Sharing::keys().any(|known| known == *key)), "{}", rule.mode());
             assert!(rule.required().iter().all(|key| rule.keys().contains(key)), "{}", rule.mode());
-            assert!(rule.capabilities().publishing == Publishing::Grant || rule.required().is_empty());
         }
     }
 }

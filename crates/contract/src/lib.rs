@@ -41,7 +41,7 @@ pub use policy::{PolicyChange, PolicyEntry};
 pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, ServiceSpec, ServiceState};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
-pub use sharing::{Mode, OnConflict, Sharing};
+pub use sharing::{Mode, OnConflict, Sharing, read_from, readers};
 pub use task::{
     COORDINATE_UM_MAX, FRAME_DEFAULT, NEXT_MAX, POINTS_MAX, Point, RunningTask, Submitted, Task, TaskSpec, TaskState,
     TaskTold, YAW_URAD_MAX,

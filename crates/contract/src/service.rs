@@ -90,6 +90,9 @@ pub struct ServiceState {
     /// How many wait for it.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub waiting: u64,
+    /// All that hold a place of a subscriber, if their number is limited.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub readers: Vec<String>,
     /// The consequences of its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node
     /// does in the answer of a transaction, which stays as it always was.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -54,13 +54,29 @@ words! {
     }
 }
 
+/// Ends the id of the places from which a service is read. No topic has a colon.
+const READERS: &str = ":subscribe";
+
+/// The id under which the places of a service's subscribers are acquired: `Turtlebot4/camera:subscribe`.
+pub fn readers(service: &str) -> String {
+    format!("{service}{READERS}")
+}
+
+/// The service whose messages are read from the places with this id; none if it is the id of no such places.
+pub fn read_from(id: &str) -> Option<&str> {
+    id.strip_suffix(READERS)
+}
+
 /// The settings of a service's rule. Each has a default: see docs/conflict.md.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Sharing {
-    /// How many may hold the service at once; for mode `limited`.
+    /// How many may hold the service at once; for mode `limited`, where everybody may publish without it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub publishers: Option<u64>,
+    /// How many may read the messages of the service at once; for mode `limited`. Each takes a place: see [`readers`].
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub subscribers: Option<u64>,
     /// The treatment of a contender for whom no place is free; `deny` by default.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub on_conflict: Option<OnConflict>,
@@ -112,7 +128,7 @@ macro_rules! keys {
 }
 
 keys!(
-    publishers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms
+    publishers subscribers on_conflict queue_max queue_wait_max_ms priority aging_ms min_hold_ms idle_release_ms delegable confirm confirm_within_ms
 );
 
 impl Sharing {
@@ -159,9 +175,17 @@ mod tests {
     use super::*;
 
     #[test]
+    fn the_places_of_subscribers_are_named_by_their_service() {
+        let places = readers("Turtlebot4/camera");
+        assert_eq!((places.as_str(), read_from(&places)), ("Turtlebot4/camera:subscribe", Some("Turtlebot4/camera")));
+        assert_eq!(read_from("Turtlebot4/camera"), None);
+    }
+
+    #[test]
     fn every_field_of_the_settings_is_a_key() {
         let all = Sharing {
             publishers: Some(2),
+            subscribers: Some(11),
             on_conflict: Some(OnConflict::Queue),
             queue_max: Some(3),
             queue_wait_max_ms: Some(4),

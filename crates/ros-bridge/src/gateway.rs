@@ -14,10 +14,10 @@ use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
 
+use crate::place::Reading;
+
 /// How long a question may be on its way to its block.
 const QUESTION_TTL: Duration = Duration::from_secs(5);
-/// How long a subscription rests that was refused for good: rights may come back.
-const REFUSED_REST: Duration = Duration::from_secs(1);
 
 /// Deliveries as they come; an error is followed by more, some time later.
 pub(crate) type Deliveries = BoxStream<'static, Result<Delivery, Rejection>>;
@@ -95,15 +95,10 @@ impl Gateway for Client {
     }
 
     fn subscribe(&self, wanted: Subscription) -> Deliveries {
-        let start = (Self::subscribe(self, wanted), false);
         // The stream keeps a wait that was begun when its caller turns to something else in between.
-        stream::unfold(start, |(mut events, refused)| async move {
-            if refused {
-                tokio::time::sleep(REFUSED_REST).await;
-            }
-            let delivery = events.next().await;
-            let refused = delivery.is_err();
-            Some((delivery, (events, refused)))
+        stream::unfold(Reading::start(self, wanted), |mut reading| async move {
+            let delivery = reading.next().await;
+            Some((delivery, reading))
         })
         .boxed()
     }

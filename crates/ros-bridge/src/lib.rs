@@ -56,6 +56,7 @@ mod fit;
 mod gateway;
 pub mod mark;
 pub mod names;
+mod place;
 pub mod qos;
 pub mod queue;
 mod renewal;

@@ -18,7 +18,7 @@ impl Rule for FairShare {
         Mode::named("fair-share")
     }
 
-    fn capabilities(&self) -> Capabilities {
+    fn capabilities(&self, _sharing: &Sharing) -> Capabilities {
         Capabilities { publishing: Publishing::Grant, fencing: Fencing::Newest, sequence: Sequence::PerEpoch }
     }
 

@@ -1,7 +1,7 @@
 //! Questions that change nothing: `authorize`, `GetSubmittingClientIdentity`.
 
 use super::acquire::{self, Room};
-use super::{hold, publish};
+use super::{follow, hold, publish};
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::{Action, Decider};
 use crate::records::principal::Principal;
@@ -65,9 +65,8 @@ pub(crate) fn authorize(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let outcome = match action {
         Action::Acquire => could_acquire(ctx, decider, &principal, &target),
         Action::Publish => publish::may_publish(ctx, decider, submitter, &target, None).map(drop),
-        Action::Subscribe | Action::Override | Action::Confirm => {
-            decider.decide(ctx, &principal, &target, action).map(drop)
-        }
+        Action::Subscribe => follow::may_subscribe(ctx, decider, submitter, &target),
+        Action::Override | Action::Confirm => decider.decide(ctx, &principal, &target, action).map(drop),
     };
     let epoch = hold::own(ctx, &principal, &target).map_or(0, |own| own.grant.epoch);
     let code = outcome.as_ref().err().map_or(Code::Ok, |rejection| rejection.code);

@@ -108,7 +108,7 @@ fn told(robot: &Robot, by: &str, reason: &str) -> Result<Bytes, Rejection> {
 /// # Errors
 /// [`Code::Stopped`].
 pub(crate) fn check_goes(ctx: &Context<'_>, target: &Target) -> Result<(), Rejection> {
-    if target.service.direction != Direction::Command {
+    if target.service.direction != Direction::Command || target.is_for_readers() {
         return Ok(());
     }
     let Some(Stopped { by, reason, since }) = stopped::of(ctx, &target.robot.name)? else { return Ok(()) };

@@ -164,9 +164,9 @@ pub(crate) fn organisation_removed(
             }
             continue;
         }
-        for service in &robot.services {
-            queue::members_left(ctx, decider, &Target::of(&robot, service), organisation)?;
-            let live = grant::live(ctx, &robot.service_id(service))?.into_iter();
+        for target in Target::all_of(&robot) {
+            queue::members_left(ctx, decider, &target, organisation)?;
+            let live = grant::live(ctx, &target.id)?.into_iter();
             let theirs =
                 live.filter(|holding| holding.principals().any(|principal| principal.organisation == organisation));
             ending.extend(theirs.map(|holding| (holding, Reason::Revoked)));
@@ -189,8 +189,8 @@ pub(crate) fn policies_changed(
     }
     let mut ending = Vec::new();
     for robot in robot::all(ctx)?.iter().filter(|robot| robot.organisation == organisation) {
-        for service in &robot.services {
-            ending.extend(unfit(ctx, decider, true, &Target::of(robot, service))?);
+        for target in Target::all_of(robot) {
+            ending.extend(unfit(ctx, decider, true, &target)?);
         }
     }
     end_all(ctx, ending)
@@ -205,16 +205,15 @@ pub(crate) fn robot_changed(
 ) -> Result<Vec<Released>, Rejection> {
     let mut ending = Vec::new();
     let later = undecided::are_many(ctx, after)?;
-    for service in &before.services {
-        match after.services.iter().find(|kept| kept.topic == service.topic) {
+    for Target { id, .. } in Target::all_of(before) {
+        match Target::all_of(after).find(|kept| kept.id == id) {
             Some(kept) => {
-                let target = Target::of(after, kept);
-                ending.extend(unfit(ctx, decider, !later, &target)?);
-                queue::settings_changed(ctx, &target)?;
+                ending.extend(unfit(ctx, decider, !later, &kept)?);
+                queue::settings_changed(ctx, &kept)?;
             }
             None => {
-                queue::look_now(ctx, &after.service_id(service))?;
-                let gone = grant::live(ctx, &after.service_id(service))?;
+                queue::look_now(ctx, &id)?;
+                let gone = grant::live(ctx, &id)?;
                 ending.extend(gone.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
             }
         }

@@ -1,11 +1,14 @@
 //! The right to see events.
 
+use super::hold;
 use super::publish::MESSAGE;
 use crate::arguments::shown;
 use crate::policy::decider::{Action, Decider};
 use crate::records::principal::Principal;
-use crate::records::service;
+use crate::records::service::{self, Target};
 use ledger::Context;
+use ledger_contract::readers;
+use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 
@@ -16,9 +19,32 @@ pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> R
     if event.name != MESSAGE {
         return Ok(());
     }
-    let principal = Principal::of(submitter);
     let target = decider.records.target(ctx, &event.subject)?;
-    decider.decide(ctx, &principal, &target, Action::Subscribe).map(drop)
+    may_subscribe(ctx, decider, submitter, &target)
+}
+
+/// May they read the messages of a service? Policies decide. Where the owner limits the subscribers, everybody but its own
+/// robots and nodes needs a place, too: `k2` of the paper.
+///
+/// # Errors
+/// What [`Decider::decide`] says, or [`ledger_rejection::Code::NotHolder`] without a place.
+pub(crate) fn may_subscribe(
+    ctx: &Context<'_>,
+    decider: &Decider,
+    submitter: &Identity,
+    target: &Target,
+) -> Result<(), Rejection> {
+    let principal = Principal::of(submitter);
+    decider.decide(ctx, &principal, target, Action::Subscribe)?;
+    let robot = &target.robot;
+    let carries = matches!(submitter.role, Role::Robot | Role::Node) && submitter.organisation == robot.organisation;
+    if carries
+        || target.service.sharing.subscribers.is_none()
+        || decider.records.held(ctx, &readers(target.service_id()), submitter)?.is_some()
+    {
+        return Ok(());
+    }
+    Target::of_readers(robot, &target.service).map_or(Ok(()), |places| hold::own(ctx, &principal, &places).map(drop))
 }
 
 /// May the submitter follow these events? A reader of messages of services needs the right to subscribe to each.
@@ -33,12 +59,12 @@ pub(crate) fn may_follow(
     if !names.iter().any(|name| name == MESSAGE) {
         return Ok(());
     }
-    let principal = Principal::of(ctx.submitter()?);
+    let submitter = ctx.submitter()?;
     let (messages_only, waits) = (names.len() == 1, names.iter().any(|name| name == "robot"));
     for subject in subjects.iter().filter(|subject| messages_only || !service::split(subject).1.is_empty()) {
         match decider.records.target(ctx, subject) {
             Ok(target) if target.id == *subject => {
-                decider.decide(ctx, &principal, &target, Action::Subscribe)?;
+                may_subscribe(ctx, decider, submitter, &target)?;
             }
             Ok(target) => {
                 return Err(Rejection::new(

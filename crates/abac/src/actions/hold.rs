@@ -23,10 +23,7 @@ pub(crate) fn list(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Resu
     let targets = if args.has(0) {
         vec![service::resolve(ctx, args.text(0, "SERVICE")?)?]
     } else {
-        robot::all(ctx)?
-            .iter()
-            .flat_map(|robot| robot.services.iter().map(move |service| Target::of(robot, service)))
-            .collect()
+        robot::all(ctx)?.iter().flat_map(Target::all_of).collect()
     };
     let mut grants = Vec::new();
     for target in &targets {

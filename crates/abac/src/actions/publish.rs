@@ -42,7 +42,7 @@ pub(crate) fn set(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> R
     let own = may_publish(ctx, decider, submitter, &target, Some(epoch))?;
 
     let publisher = submitter.id();
-    let sequence = decider.rules.of(&target)?.capabilities().sequence;
+    let sequence = decider.rules.capabilities(&target)?.sequence;
     let next_seq = last::next_sequence(ctx, &target.id, sequence, epoch, &publisher)?;
     if first_seq < next_seq {
         return Err(Rejection::new(Code::StaleSequence, format!("{} has moved on", target.id))
@@ -82,7 +82,7 @@ pub(crate) fn foretell(args: &[Bytes]) -> Option<Foretold> {
 /// The usual case, a holder who publishes, reads three values of the state and asks no policy.
 ///
 /// # Errors
-/// [`Code::StaleEpoch`], [`Code::NotHolder`], or what [`Decider::decide`] says.
+/// [`Code::StaleEpoch`], [`Code::NotHolder`], [`Code::UnknownService`] for places of subscribers, or what [`Decider::decide`] says.
 pub(crate) fn may_publish(
     ctx: &Context<'_>,
     decider: &Decider,
@@ -90,10 +90,13 @@ pub(crate) fn may_publish(
     target: &Target,
     epoch: Option<u64>,
 ) -> Result<Option<Arc<Holding>>, Rejection> {
+    if target.is_for_readers() {
+        return Err(for_readers(target));
+    }
     let is_without_grant = epoch.is_none_or(|epoch| epoch == 0);
-    let by_policy = is_without_grant && decider.rules.of(target)?.capabilities().publishing == Publishing::Policy;
+    let by_policy = is_without_grant && decider.rules.capabilities(target)?.publishing == Publishing::Policy;
     if !by_policy
-        && let Some(own) = decider.records.held(ctx, target, submitter)?
+        && let Some(own) = decider.records.held(ctx, &target.id, submitter)?
         && epoch.is_none_or(|epoch| epoch == own.grant.epoch)
     {
         // A change of policies ends grants, but may not have come to this one yet.
@@ -120,6 +123,15 @@ pub(crate) fn may_publish(
     Err(refused)
 }
 
+/// Places of subscribers are for reading.
+fn for_readers(target: &Target) -> Rejection {
+    let id = target.service_id();
+    Rejection::new(Code::UnknownService, format!("{} are places of subscribers: nobody publishes there", target.id))
+        .found("places for reading")
+        .wanted(id)
+        .next(format!("publish on {id}"))
+}
+
 /// Limits are part of a grant, from which the robot learns them.
 fn limited(target: &Target, who: &str) -> Rejection {
     Rejection::new(Code::NotHolder, format!("policies limit the use of {} by {who}, so it needs a grant", target.id))
@@ -143,7 +155,7 @@ pub(crate) fn next_sequence(
     epoch: u64,
     publisher: &str,
 ) -> Result<u64, Rejection> {
-    last::next_sequence(ctx, &target.id, decider.rules.of(target)?.capabilities().sequence, epoch, publisher)
+    last::next_sequence(ctx, &target.id, decider.rules.capabilities(target)?.sequence, epoch, publisher)
 }
 
 /// Checks that every payload starts as CDR does; returns how many they are.

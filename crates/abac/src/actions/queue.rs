@@ -312,7 +312,7 @@ fn end_idle(ctx: &mut Context<'_>, decider: &Decider, target: &Target) -> Result
 
 /// When a holder last published, or got the service (block time, microseconds).
 fn last_use(ctx: &Context<'_>, decider: &Decider, target: &Target, holding: &Holding) -> Result<u64, Rejection> {
-    let sequence = decider.rules.of(target)?.capabilities().sequence;
+    let sequence = decider.rules.capabilities(target)?.sequence;
     let last = last::read(ctx, &target.id, sequence, &holding.grant.holder)?;
     let own = last.filter(|last| last.publisher == holding.grant.holder).and_then(|last| last.at);
     Ok(own.unwrap_or(0).max(holding.grant.acquired_at))

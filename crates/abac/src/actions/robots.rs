@@ -5,6 +5,7 @@ use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
 use crate::records::robot::{self, ROBOTS_MAX, Robot};
+use crate::records::service::Target;
 use crate::records::store;
 use bytes::Bytes;
 use ledger::Context;
@@ -67,9 +68,9 @@ pub(crate) fn remove(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rej
 /// Takes a robot out of service; answers with the grants that end by that.
 pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Holding, Reason)>, Rejection> {
     let mut ending = Vec::new();
-    for service in &robot.services {
-        queue::look_now(ctx, &robot.service_id(service))?;
-        ending.extend(grant::live(ctx, &robot.service_id(service))?.into_iter().map(|h| (h, Reason::RobotRemoved)));
+    for Target { id, .. } in Target::all_of(robot) {
+        queue::look_now(ctx, &id)?;
+        ending.extend(grant::live(ctx, &id)?.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
     }
     robot::remove(ctx, robot)?;
     Ok(ending)

@@ -96,8 +96,10 @@ fn described(ctx: &Context<'_>, decider: &Decider, robot: &Robot, capable: bool)
 /// A service with who holds it now.
 fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) -> Result<ServiceState, Rejection> {
     let grants: Vec<Grant> = grant::live(ctx, &target.id)?.into_iter().map(|holding| holding.grant).collect();
-    let capabilities = if capable { Some(decider.rules.of(&target)?.capabilities().into()) } else { None };
+    let capabilities = if capable { Some(decider.rules.capabilities(&target)?.into()) } else { None };
     let epoch = grant::newest_epoch(ctx, &target.id)?;
+    let readers = Target::of_readers(&target.robot, &target.service);
+    let readers = readers.map_or(Ok(Vec::new()), |places| grant::live(ctx, &places.id))?;
     let waiting = if sharing::known(ctx) { line::all(ctx, &target.id)?.len() as u64 } else { 0 };
     let Target { robot, service, id } = target;
     Ok(ServiceState {
@@ -118,6 +120,7 @@ fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) ->
         epoch,
         expires: grants.first().map_or(0, |grant| grant.expires),
         holders: grants.into_iter().map(|grant| grant.holder).collect(),
+        readers: readers.into_iter().map(|holding| holding.grant.holder).collect(),
         capabilities,
     })
 }

@@ -87,11 +87,11 @@ fn commanded(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
         }
     }
     let target = service::resolve(ctx, id)?;
-    if target.service.direction == Direction::Command {
+    if target.service.direction == Direction::Command && !target.is_for_readers() {
         return Ok(target);
     }
     Err(Rejection::new(Code::BadArgument, format!("{} takes no tasks", target.id))
-        .found("a feed: the robot publishes there")
+        .found(if target.is_for_readers() { "places of subscribers" } else { "a feed: the robot publishes there" })
         .wanted("a command service")
         .next(format!("choose a command service: ledgerctl robot show {}", target.robot.name)))
 }

@@ -128,11 +128,8 @@ fn decide(
     robot: Option<&Robot>,
     holding: Holding,
 ) -> Result<Option<(Holding, Reason)>, Rejection> {
-    let service = robot.and_then(|robot| {
-        let offered = robot.services.iter().find(|service| robot.service_id(service) == holding.grant.service);
-        offered.map(|service| Target::of(robot, service))
-    });
-    let Some(target) = service.filter(|_| holding.is_live(ctx.block_time())) else { return Ok(None) };
+    let target = robot.and_then(|robot| Target::all_of(robot).find(|target| target.id == holding.grant.service));
+    let Some(target) = target.filter(|_| holding.is_live(ctx.block_time())) else { return Ok(None) };
     let Ok(permit) = decider::may_keep(ctx, decider, &holding, &target) else {
         return Ok(Some((holding, Reason::Policy)));
     };

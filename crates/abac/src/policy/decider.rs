@@ -12,6 +12,7 @@ use crate::records::service::Target;
 use crate::records::sharing;
 use crate::rules::Table;
 use ledger::Context;
+use ledger_contract::Limits;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use quick_cache::unsync::Cache;
@@ -204,7 +205,7 @@ impl Decider {
             policies: version,
             robot: robot.version,
             service: match object {
-                Object::Service(target, _) => target.id.clone(),
+                Object::Service(target, _) => target.service_id().to_owned(),
                 Object::Robot(..) => String::new(),
             },
             action: object.action(),
@@ -241,7 +242,7 @@ impl Decider {
                 ("direction", service.direction.to_string()),
             ];
             texts.extend(required.clone());
-            (target.id.clone(), texts)
+            (target.service_id().to_owned(), texts)
         };
         let question = Question {
             version,
@@ -273,13 +274,19 @@ impl Decider {
     }
 }
 
-/// May they hold a grant? It is the right to acquire and to publish. Answers with what the policies bind it to.
+/// May they hold a grant? It is the right to acquire and to publish; for the place of a subscriber, to subscribe. Answers with
+/// what the policies bind it to. A subscriber sends nothing, so only windows limit its place.
 pub(crate) fn may_hold(
     ctx: &Context<'_>,
     decider: &Decider,
     principal: &Principal,
     target: &Target,
 ) -> Result<Permit, Rejection> {
+    if target.is_for_readers() {
+        let subscribe = decider.decide(ctx, principal, target, Action::Subscribe)?;
+        let limits = Limits { between: subscribe.limits.between.clone(), ..Limits::default() };
+        return Ok(Permit { limits, ..subscribe });
+    }
     let acquire = decider.decide(ctx, principal, target, Action::Acquire)?;
     let publish = decider.decide(ctx, principal, target, Action::Publish)?;
     Ok(acquire.and(publish))

@@ -1,10 +1,13 @@
 //! Services: the right to publish or subscribe on one topic of a robot.
+//!
+//! A service that limits its subscribers has places for them under an id of their own, such as `Turtlebot4/camera:subscribe`.
+//! They are acquired, waited for and ended like the service itself.
 
 use super::robot::{self, Robot};
-use super::store;
+use super::{sharing, store};
 use crate::arguments::shown;
 use ledger::Context;
-use ledger_contract::{Direction, Mode, Sharing};
+use ledger_contract::{Direction, Mode, Sharing, read_from, readers};
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
@@ -32,14 +35,45 @@ pub(crate) struct Service {
 pub(crate) struct Target {
     pub(crate) robot: Arc<Robot>,
     pub(crate) service: Service,
-    /// `<robot><topic>`.
+    /// `<robot><topic>`, or the id of the places of its subscribers.
     pub(crate) id: String,
+}
+
+impl Service {
+    /// The terms of the places of its subscribers, if it limits them. A subscriber sends nothing, so it is never idle.
+    fn for_readers(&self) -> Option<Self> {
+        let publishers = Some(self.sharing.subscribers?);
+        let sharing = Sharing { publishers, subscribers: None, idle_release_ms: None, ..self.sharing.clone() };
+        Some(Self { sharing, ..self.clone() })
+    }
 }
 
 impl Target {
     /// One of the robot's services.
     pub(crate) fn of(robot: &Robot, service: &Service) -> Self {
         Self { id: robot.service_id(service), robot: Arc::new(robot.clone()), service: service.clone() }
+    }
+
+    /// The places of the subscribers of one of the robot's services, if it limits them.
+    pub(crate) fn of_readers(robot: &Robot, service: &Service) -> Option<Self> {
+        let id = readers(&robot.service_id(service));
+        Some(Self { service: service.for_readers()?, id, robot: Arc::new(robot.clone()) })
+    }
+
+    /// All of a robot that can be acquired: its services, each with the places of its subscribers.
+    pub(crate) fn all_of(robot: &Robot) -> impl Iterator<Item = Self> + '_ {
+        let both = |service| std::iter::once(Self::of(robot, service)).chain(Self::of_readers(robot, service));
+        robot.services.iter().flat_map(both)
+    }
+
+    /// Are these the places of subscribers?
+    pub(crate) fn is_for_readers(&self) -> bool {
+        read_from(&self.id).is_some()
+    }
+
+    /// The id of the service itself, also of the places of its subscribers.
+    pub(crate) fn service_id(&self) -> &str {
+        read_from(&self.id).unwrap_or(&self.id)
     }
 }
 
@@ -56,7 +90,7 @@ impl Offered {
         Ok(Self(robot.services.iter().map(target).collect()))
     }
 
-    /// The service on a topic; without a topic the only one.
+    /// The service on a topic; without a topic the only one. Nobody publishes from the places of subscribers.
     pub(crate) fn find(&self, topic: &str) -> Option<&Arc<Target>> {
         match (topic, self.0.as_slice()) {
             ("", [only]) => Some(only),
@@ -70,13 +104,19 @@ pub(crate) fn split(id: &str) -> (&str, &str) {
     id.find('/').map_or((id, ""), |slash| id.split_at(slash))
 }
 
-/// The service of an id such as `Turtlebot4/cmd_vel`, or of just `Turtlebot4` if that robot has exactly one.
+/// The service of an id such as `Turtlebot4/cmd_vel`, or of just `Turtlebot4` if that robot has exactly one; or the places of
+/// its subscribers, `Turtlebot4/cmd_vel:subscribe`.
 ///
 /// # Errors
 /// [`Code::UnknownRobot`] or [`Code::UnknownService`], with the nearest name or the names that exist.
 pub(crate) fn resolve(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> {
     let (name, topic) = split(id);
     let robot = robot::find(ctx, name)?;
+    if let Some(topic) = read_from(topic).filter(|_| sharing::known(ctx))
+        && let Some(service) = robot.services.iter().find(|service| service.topic == topic)
+    {
+        return Target::of_readers(&robot, service).ok_or_else(|| unlimited(&robot.service_id(service)));
+    }
     let found = match (topic, robot.services.as_slice()) {
         ("", [only]) => Some(only),
         (topic, services) => services.iter().find(|service| service.topic == topic),
@@ -92,4 +132,12 @@ pub(crate) fn resolve(ctx: &Context<'_>, id: &str) -> Result<Target, Rejection> 
     };
     let next = did_you_mean(id, ids.iter().map(String::as_str), format!("ledgerctl robot show {name}"));
     Err(Rejection::new(Code::UnknownService, message).found(shown(id)).wanted(wanted).next(next))
+}
+
+/// The refusal of places that nobody needs.
+fn unlimited(service: &str) -> Rejection {
+    Rejection::new(Code::UnknownService, format!("{service} does not limit its subscribers"))
+        .found("no setting subscribers")
+        .wanted("a service with mode=limited and subscribers=K")
+        .next(format!("read it without a place: ledgerctl echo {service}"))
 }

@@ -2,7 +2,7 @@
 
 use super::contest::contend;
 use super::{Claim, Decision, Rule, Situation};
-use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence};
+use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence, Sharing};
 
 /// The holder of the service keeps it from the others.
 pub(super) struct Exclusive;
@@ -12,7 +12,7 @@ impl Rule for Exclusive {
         Mode::EXCLUSIVE
     }
 
-    fn capabilities(&self) -> Capabilities {
+    fn capabilities(&self, _sharing: &Sharing) -> Capabilities {
         Capabilities { publishing: Publishing::Grant, fencing: Fencing::Newest, sequence: Sequence::PerEpoch }
     }
 

@@ -1,10 +1,11 @@
-//! As many holders as the owner says: `k1` of the paper.
+//! As many holders as the owner says, and as many readers: `k1` and `k2` of the paper.
 
 use super::contest::contend;
+use super::open::Open;
 use super::{Claim, Decision, Rule, Situation};
-use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence};
+use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence, Sharing};
 
-/// Holders stand side by side until every place is taken.
+/// Holders stand side by side until every place is taken. Where only readers are limited, everybody may publish.
 pub(super) struct Limited;
 
 impl Rule for Limited {
@@ -12,13 +13,17 @@ impl Rule for Limited {
         Mode::LIMITED
     }
 
-    fn capabilities(&self) -> Capabilities {
+    fn capabilities(&self, sharing: &Sharing) -> Capabilities {
+        if sharing.publishers.is_none() {
+            return Open.capabilities(sharing);
+        }
         Capabilities { publishing: Publishing::Grant, fencing: Fencing::PerHolder, sequence: Sequence::PerPublisher }
     }
 
     fn keys(&self) -> &'static [&'static str] {
         &[
             "publishers",
+            "subscribers",
             "on_conflict",
             "queue_max",
             "queue_wait_max_ms",
@@ -33,10 +38,13 @@ impl Rule for Limited {
     }
 
     fn required(&self) -> &'static [&'static str] {
-        &["publishers"]
+        &["publishers", "subscribers"]
     }
 
     fn decide(&self, contender: &Claim, situation: &Situation<'_>) -> Decision {
-        contend(usize::try_from(situation.sharing.publishers.unwrap_or(1)).unwrap_or(usize::MAX), contender, situation)
+        match situation.sharing.publishers {
+            Some(places) => contend(usize::try_from(places).unwrap_or(usize::MAX), contender, situation),
+            None => Open.decide(contender, situation),
+        }
     }
 }

@@ -1,7 +1,7 @@
 //! Any number of holders, and publishers without a grant.
 
 use super::{Claim, Decision, Rule, Situation};
-use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence};
+use ledger_contract::{Capabilities, Fencing, Mode, Publishing, Sequence, Sharing};
 
 /// Everybody whom policies permit.
 pub(super) struct Open;
@@ -11,7 +11,7 @@ impl Rule for Open {
         Mode::OPEN
     }
 
-    fn capabilities(&self) -> Capabilities {
+    fn capabilities(&self, _sharing: &Sharing) -> Capabilities {
         Capabilities { publishing: Publishing::Policy, fencing: Fencing::PerHolder, sequence: Sequence::PerPublisher }
     }
 

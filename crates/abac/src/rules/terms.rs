@@ -57,8 +57,9 @@ impl Terms {
 /// The range of a number among the settings, and its unit.
 type Bounds = (&'static str, fn(&Sharing) -> Option<u64>, u64, u64, &'static str);
 
-const BOUNDS: [Bounds; 8] = [
+const BOUNDS: [Bounds; 9] = [
     ("publishers", |sharing| sharing.publishers, 1, HOLDERS_MAX as u64, ""),
+    ("subscribers", |sharing| sharing.subscribers, 1, HOLDERS_MAX as u64, ""),
     ("queue_max", |sharing| sharing.queue_max, 1, QUEUE_MAX, ""),
     ("queue_wait_max_ms", |sharing| sharing.queue_wait_max_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
     ("aging_ms", |sharing| sharing.aging_ms, TIME_MS_MIN, TIME_MS_MAX, " ms"),
@@ -84,11 +85,13 @@ pub(crate) fn check(rule: &dyn Rule, sharing: &Sharing, topic: &str) -> Result<(
             })
             .next(format!("leave {key} out, or choose another mode")));
     }
-    if let Some(key) = rule.required().iter().find(|key| sharing.shown(key).is_empty()) {
-        return Err(refuse(format!("mode={mode} of service {topic} needs {key}"))
-            .found(format!("no {key}"))
-            .wanted(format!("{key}=N"))
-            .next(format!("give {key}, or choose another mode")));
+    let required = rule.required();
+    if !required.is_empty() && required.iter().all(|key| sharing.shown(key).is_empty()) {
+        let keys = required.join(" or ");
+        return Err(refuse(format!("mode={mode} of service {topic} needs {keys}"))
+            .found(format!("no {}", required.join(", no ")))
+            .wanted(required.iter().map(|key| format!("{key}=N")).collect::<Vec<_>>().join(" or "))
+            .next(format!("give {keys}, or choose another mode")));
     }
     for (key, read, min, max, unit) in BOUNDS {
         if let Some(value) = read(sharing).filter(|value| !(min..=max).contains(value)) {

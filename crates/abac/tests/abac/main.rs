@@ -25,6 +25,7 @@ mod paper;
 mod policies;
 mod properties;
 mod publishing;
+mod readers;
 mod reads;
 mod robots;
 mod settings;

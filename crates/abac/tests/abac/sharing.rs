@@ -329,7 +329,7 @@ impl Rule for EvenHours {
         Mode::named("even-hours")
     }
 
-    fn capabilities(&self) -> Capabilities {
+    fn capabilities(&self, _sharing: &Sharing) -> Capabilities {
         Capabilities { publishing: Publishing::Grant, fencing: Fencing::PerHolder, sequence: Sequence::PerPublisher }
     }
 
@@ -376,7 +376,7 @@ impl Rule for LeastUsed {
         Mode::named("least-used")
     }
 
-    fn capabilities(&self) -> Capabilities {
+    fn capabilities(&self, _sharing: &Sharing) -> Capabilities {
         Capabilities { publishing: Publishing::Grant, fencing: Fencing::Newest, sequence: Sequence::PerEpoch }
     }
 

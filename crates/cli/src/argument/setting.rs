@@ -32,7 +32,7 @@ const fn of_robot(name: &'static str, field: &'static str, wanted: &'static str,
 const DEFAULT: &str = "default";
 
 /// Every setting; those of services first.
-pub(crate) static KEYS: [Key; 20] = [
+pub(crate) static KEYS: [Key; 21] = [
     of_service("mode", "mode", "open|exclusive|limited", |settings, value| {
         settings.mode = Some(Mode::from(value));
         Ok(())
@@ -55,6 +55,7 @@ pub(crate) static KEYS: [Key; 20] = [
         Ok(())
     }),
     of_service("publishers", "publishers", "N", |settings, value| number(&mut settings.sharing.publishers, value)),
+    of_service("subscribers", "subscribers", "N", |settings, value| number(&mut settings.sharing.subscribers, value)),
     of_service("on-conflict", "on_conflict", "deny|queue|preempt", |settings, value| {
         settings.sharing.on_conflict = Some(choice(value)?);
         Ok(())
@@ -199,6 +200,7 @@ mod tests {
             "stop=0001 0000",
             "type=std_msgs/msg/Empty",
             "publishers=2",
+            "subscribers=3",
             "on_conflict=preempt",
             "queue-max=8",
             "queue_wait_max=1m",

@@ -214,16 +214,33 @@ impl Acquire {
             args.extend(span.map(|span| Bytes::from(span.0.to_string())));
         }
         let done = session.call(ABAC, "acquire", args).await.map_err(|refused| ACQUIRE.told(refused))?;
-        match answer::parse(&done.response, "a grant or a place in line")? {
-            Acquired::Granted(grant) => output.show(&Granted::of(&done, *grant, false)),
-            Acquired::Queued { queued } if wait.is_some() => {
-                Waiting::in_line(&session, queued, done.height).until_granted(output).await
+        let acquired = answer::parse(&done.response, "a grant or a place in line")?;
+        match acquired {
+            Acquired::Pending { pending } if wait.is_none() => confirm::asked(pending, &done, output),
+            Acquired::Queued { queued } if wait.is_none() => line::joined(queued, &done, output),
+            acquired => {
+                let granted = granted(&session, &done, acquired, output).await?;
+                output.show(&granted)
             }
-            Acquired::Pending { pending } if wait.is_some() => {
-                Waiting::for_confirmation(&session, pending, done.height).until_granted(output).await
-            }
-            Acquired::Pending { pending } => confirm::asked(pending, &done, output),
-            Acquired::Queued { queued } => line::joined(queued, &done, output),
+        }
+    }
+}
+
+/// Acquires a service, and waits for it where others are first. Ctrl-C leaves the line.
+pub(crate) async fn acquire(session: &Session, service: String, output: &Output) -> Result<Grant, Failure> {
+    let done = session.call(ABAC, "acquire", vec![Bytes::from(service)]).await;
+    let done = done.map_err(|refused| ACQUIRE.told(refused))?;
+    let acquired = answer::parse(&done.response, "a grant or a place in line")?;
+    Ok(granted(session, &done, acquired, output).await?.grant)
+}
+
+/// The grant that `acquire` has given, or gives at the end of a wait.
+async fn granted(session: &Session, done: &Committed, acquired: Acquired, output: &Output) -> Result<Granted, Failure> {
+    match acquired {
+        Acquired::Granted(grant) => Ok(Granted::of(done, *grant, false)),
+        Acquired::Queued { queued } => Waiting::in_line(session, queued, done.height).until_granted(output).await,
+        Acquired::Pending { pending } => {
+            Waiting::for_confirmation(session, pending, done.height).until_granted(output).await
         }
     }
 }

@@ -155,6 +155,14 @@ impl Facts for Robots {
                     expires,
                     if service.waiting == 0 { String::new() } else { service.waiting.to_string() },
                 ]);
+                if service.sharing.subscribers.is_some() {
+                    let readers = if service.readers.is_empty() { "-".to_owned() } else { service.readers.join(", ") };
+                    let mut cells = [const { String::new() }; 9];
+                    cells[0] = ledger_contract::readers(&service.service);
+                    cells[2] = service.mode.to_string();
+                    cells[5] = readers;
+                    table.row(cells);
+                }
             }
         }
         table.write(out, 0)

@@ -55,7 +55,7 @@ impl<'s> Waiting<'s> {
     }
 
     /// Waits until the service is ours, until our patience ends, or until Ctrl-C, which leaves the line.
-    pub(super) async fn until_granted(mut self, output: &mut Output) -> Result<(), Failure> {
+    pub(super) async fn until_granted(mut self, output: &Output) -> Result<Granted, Failure> {
         let end = tokio::select! {
             end = self.follow() => end,
             _ = tokio::signal::ctrl_c() => {
@@ -65,7 +65,7 @@ impl<'s> Waiting<'s> {
         };
         self.clear();
         match end? {
-            End::Granted(granted) => output.show(&*granted),
+            End::Granted(granted) => Ok(*granted),
             End::Left(left) => Err(self.refused(&left).into()),
         }
     }
@@ -144,7 +144,7 @@ impl<'s> Waiting<'s> {
     }
 
     /// Leaves the line, or gives the service back if it has just become ours.
-    async fn leave(&self, output: &mut Output) -> Result<(), Failure> {
+    async fn leave(&self, output: &Output) -> Result<Granted, Failure> {
         let service = self.service.clone();
         match self.session.call(ABAC, "release", vec![Bytes::from(service.clone())]).await {
             Ok(_) => output.note(&format!("you have left the line of {service}")),

@@ -1,5 +1,7 @@
 //! `echo`: print the messages of a service as they are committed.
 
+mod place;
+
 use crate::answer;
 use crate::argument::message::Definitions;
 use crate::argument::number;
@@ -16,6 +18,7 @@ use ledger_contract::{MessageEvent, ServiceState};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
+use place::Place;
 use ros_message::{Message as Type, Value};
 use serde::Serialize;
 use std::collections::HashMap;
@@ -36,6 +39,9 @@ const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 /// number, and ends with `---`. The sender's signature is checked. A type without a definition is shown in hexadecimal
 /// digits. With
 /// `-o json` each line is an object.
+///
+/// Where the owner limits the subscribers, the command takes a place, waits for one if the service has a line, and gives it
+/// back at the end.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "\
 Example:
@@ -124,10 +130,19 @@ impl Shown {
 
 impl Echo {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        tokio::select! {
-            done = self.follow(global, output) => done,
+        self.definitions.library()?;
+        let session = Session::open(global).await?;
+        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
+        let response = response.map_err(|refused| WORDS.told(refused))?;
+        let service: ServiceState = answer::parse(&response, "a service")?;
+        let place = Place::take(&session, &service, output).await?;
+        let done = tokio::select! {
+            done = self.follow(&session, &service, output) => done,
+            lost = place.keep() => Err(lost.into()),
             _ = tokio::signal::ctrl_c() => Ok(()),
-        }
+        };
+        place.give_back().await;
+        done
     }
 
     /// How messages of this type are shown; says so where that is not what was hoped for.
@@ -147,18 +162,13 @@ impl Echo {
         Shown { kind, type_name: type_name.to_owned(), length_max }
     }
 
-    async fn follow(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
-        self.definitions.library()?;
-        let session = Session::open(global).await?;
-        let response = session.ask(ABAC, "service", vec![Bytes::from(self.service.clone())]).await;
-        let response = response.map_err(|refused| WORDS.told(refused))?;
-        let service: ServiceState = answer::parse(&response, "a service")?;
+    async fn follow(&self, session: &Session, service: &ServiceState, output: &mut Output) -> Result<(), Failure> {
         let shown = self.shown(&service.type_name, output);
         let mut stream = session.client.subscribe(Subscription {
             // To the node 0 means the next block. The genesis, block 0, has no messages.
             from_height: self.from.map_or(0, |height| height.max(1)),
             chaincode: ABAC.to_owned(),
-            subjects: vec![service.service],
+            subjects: vec![service.service.clone()],
             names: vec!["message".to_owned()],
             heartbeat: HEARTBEAT_MS,
         });
@@ -172,7 +182,7 @@ impl Echo {
                 output.note(&format!("this node keeps no blocks before {}", node.first_height));
             }
         }
-        let mut senders = Senders::new(&session);
+        let mut senders = Senders::new(session);
         let mut left = self.count.unwrap_or(u64::MAX);
         loop {
             let delivery = stream.next().await?;
