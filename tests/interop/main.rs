@@ -20,6 +20,7 @@ mod network;
 mod nodes_die;
 mod passing;
 mod python;
+mod readers;
 mod readme;
 mod sharing;
 #[path = "../support/mod.rs"]
