@@ -27,7 +27,7 @@ pub(crate) fn may_read(ctx: &Context<'_>, decider: &Decider, event: &Event) -> R
 /// robots and nodes needs a place, too: `k2` of the paper.
 ///
 /// # Errors
-/// What [`Decider::decide`] says, or [`ledger_rejection::Code::NotHolder`] without a place.
+/// Those of [`Decider::decide`]; [`ledger_rejection::Code::NotHolder`] without a place.
 pub(crate) fn may_subscribe(
     ctx: &Context<'_>,
     decider: &Decider,
