@@ -1,4 +1,4 @@
-//! The price of one more of everything: robots, users, policies, organisations, voters, learners, subscribers, blocks.
+//! The price of one more of everything: robots, users, lines, policies, organisations, voters, learners, subscribers, blocks.
 //!
 //! Each part has more and more of one thing on a network of real processes. It measures commit and delivery latency,
 //! CPU of all nodes, memory and disk while robots are driven, by the clock, at 50 Hz and at 1000 Hz. Then it says the
@@ -9,6 +9,8 @@
 //! | `robots` | robots that are driven, each by a holder of its own |
 //! | `users` | users, each with a key and a connection |
 //! | `registered` | robots that stand still |
+//! | `waiting` | users who wait for the robot that is driven |
+//! | `lines` | robots with a line, each held by one and wanted by another |
 //! | `policies` | rules in the policies of the robots' owner |
 //! | `organisations` | organisations without nodes |
 //! | `bystanders` | subscribers of robots that stand still |
@@ -63,10 +65,12 @@ const SECONDS_SMOKE: f64 = 0.1;
 const SECONDS_DEFAULT: f64 = 4.0;
 
 /// The parts: name, what one more of it is called, and what measures it.
-const PARTS: [(&str, &str, Measure); 10] = [
+const PARTS: [(&str, &str, Measure); 12] = [
     ("robots", "robot", parts::robots),
     ("users", "user", parts::users),
     ("registered", "registered robot", parts::registered),
+    ("waiting", "waiting user", parts::waiting),
+    ("lines", "robot with a line", parts::lines),
     ("policies", "policy", parts::policies),
     ("organisations", "organisation", parts::organisations),
     ("bystanders", "subscriber of another robot", parts::bystanders),

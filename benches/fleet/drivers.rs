@@ -6,7 +6,7 @@ use crate::network::Network;
 use bytes::Bytes;
 use futures::future::join_all;
 use ledger::transaction::{Body, Transaction};
-use ledger_abac::Grant;
+use ledger_abac::{Acquired, Grant};
 use ledger_api::{Client, Context, Pending};
 use ledger_hash::Hash;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
@@ -66,13 +66,12 @@ impl Drivers {
 
     /// Adds people with a robot each, which they acquire.
     pub(crate) async fn acquire(&mut self, people: &[(Context, String)]) {
-        let client = &self.clients[0];
         for people in people.chunks(AT_ONCE) {
+            let all = &*self;
             let granted = people.iter().map(|(who, robot)| async move {
                 let args = [robot.as_str(), LEASE_MS].map(|arg| Bytes::copy_from_slice(arg.as_bytes())).to_vec();
-                let call = sign(who, client.now(), "acquire", args);
-                let call = call.with_certificate(Bytes::copy_from_slice(&who.chain[0])).unwrap();
-                let granted = client.submit(call).await.unwrap();
+                let call = all.introduced(who, "acquire", args);
+                let granted = all.clients[0].submit(call).await.unwrap();
                 serde_json::from_slice::<Grant>(&granted.response).unwrap()
             });
             for (Grant { service, epoch, next_seq, .. }, (who, _)) in join_all(granted).await.into_iter().zip(people) {
@@ -81,6 +80,24 @@ impl Drivers {
                 self.drivers.push(driver);
             }
         }
+    }
+
+    /// Puts people in the lines of robots that others hold, at most this many at once.
+    pub(crate) async fn wait(&self, people: &[(Context, String)]) {
+        for people in people.chunks(AT_ONCE) {
+            let joined = people.iter().map(|(who, robot)| async move {
+                let call = self.introduced(who, "acquire", vec![Bytes::from(robot.clone())]);
+                let joined = self.clients[0].submit(call).await.unwrap();
+                serde_json::from_slice::<Acquired>(&joined.response).unwrap()
+            });
+            assert!(join_all(joined).await.iter().all(|joined| matches!(joined, Acquired::Queued { .. })));
+        }
+    }
+
+    /// A call of somebody whose certificate the ledger may not know yet.
+    fn introduced(&self, who: &Context, function: &str, args: Vec<Bytes>) -> Transaction {
+        let certificate = Bytes::copy_from_slice(&who.chain[0]);
+        sign(who, self.clients[0].now(), function, args).with_certificate(certificate).unwrap()
     }
 
     /// Adds people who share a service that is open to them; their first messages introduce them.

@@ -7,7 +7,7 @@ use crate::network::{Arrivals, Network};
 use crate::point::{Load, Point};
 use bytes::Bytes;
 use ledger_abac::DEFAULT_POLICY;
-use ledger_api::{Client, Subscription};
+use ledger_api::{Client, Context, Subscription};
 use std::time::{Duration, Instant};
 
 /// Rate of one robot: the paper's.
@@ -56,8 +56,7 @@ impl Site {
 pub(crate) fn robots(bench: &Bench) -> Vec<Point> {
     let counts = bench.counts(&[1, 10, 100, 1000]);
     let founding = Founding::new(PAPER);
-    let people = founding.members(*counts.last().unwrap(), "Fleet");
-    let people: Vec<_> = people.into_iter().enumerate().map(|(number, who)| (who, format!("Robot{number}"))).collect();
+    let people = with_robots(&founding, *counts.last().unwrap(), |number| format!("Robot{number}"));
     let network = bench.runtime.block_on(Network::start_founded(founding, ""));
     let arrivals = bench.runtime.block_on(network.listen_to(Vec::new()));
     let mut drivers = Drivers::new(vec![bench.runtime.block_on(network.connect(&people[0].0))]);
@@ -84,7 +83,7 @@ pub(crate) fn robots(bench: &Bench) -> Vec<Point> {
 pub(crate) fn users(bench: &Bench) -> Vec<Point> {
     let counts = bench.counts(&[1, 10, 100, 1000]);
     let founding = Founding::new(PAPER);
-    let people = founding.members(*counts.last().unwrap(), "Fleet");
+    let people = founding.members(*counts.last().unwrap(), &["Fleet"]);
     let mut site = Site::start(bench, founding);
     bench.runtime.block_on(register(&site.owner, vec![robot("Arena", "open")]));
     site.arrivals = bench.runtime.block_on(site.network.listen("Arena"));
@@ -116,6 +115,61 @@ pub(crate) fn registered(bench: &Bench) -> Vec<Point> {
             site.at_all_rates(bench, count)
         })
         .collect()
+}
+
+/// Users who wait in the line of the robot that is driven.
+pub(crate) fn waiting(bench: &Bench) -> Vec<Point> {
+    let counts = bench.counts(&[1, 10, 100, 1000]);
+    let founding = Founding::new(PAPER);
+    let people = with_robots(&founding, *counts.last().unwrap(), |_| "Turtlebot4".to_owned());
+    let site = Site::start(bench, founding);
+    bench.runtime.block_on(queue_for(&site.owner, "Turtlebot4"));
+    let mut known = 0;
+    let measured = counts.into_iter().flat_map(|count| {
+        bench.runtime.block_on(site.drivers.wait(&people[known..count]));
+        known = count;
+        site.at_all_rates(bench, count)
+    });
+    measured.collect()
+}
+
+/// Robots with a line: one user holds each, another waits. They stand still while another robot is driven.
+pub(crate) fn lines(bench: &Bench) -> Vec<Point> {
+    let counts = bench.counts(&[1, 10, 100, 1000]);
+    let founding = Founding::new(PAPER);
+    let most = *counts.last().unwrap();
+    let people = with_robots(&founding, 2 * most, |number| format!("Wanted{}", number % most));
+    let (holders, contenders) = people.split_at(most);
+    let site = Site::start(bench, founding);
+    let mut idle = Drivers::new(vec![bench.runtime.block_on(site.network.connect(&holders[0].0))]);
+    let mut points = Vec::new();
+    for count in counts {
+        let more = idle.len()..count;
+        bench.runtime.block_on(async {
+            let robots = more.clone().map(|number| robot(&holders[number].1, "exclusive")).collect();
+            register(&site.owner, robots).await;
+            for number in more.clone() {
+                queue_for(&site.owner, &holders[number].1).await;
+            }
+            idle.acquire(&holders[more.clone()]).await;
+            idle.wait(&contenders[more]).await;
+        });
+        points.extend(site.at_all_rates(bench, count));
+    }
+    points
+}
+
+/// Members who carry the attributes of the paper's robot and of all others, with the robot that each wants.
+fn with_robots(founding: &Founding, count: usize, robot: impl Fn(usize) -> String) -> Vec<(Context, String)> {
+    let people = founding.members(count, &["Fleet", "Turtlebot4"]).into_iter().enumerate();
+    people.map(|(number, who)| (who, robot(number))).collect()
+}
+
+/// Gives a robot's service a line of the greatest length.
+async fn queue_for(owner: &Client, robot: &str) {
+    let settings = r#"{"sharing":{"on_conflict":"queue","queue_max":1024,"queue_wait_max_ms":86400000}}"#;
+    let args = [format!("{robot}/cmd_vel"), settings.to_owned()].map(Bytes::from).to_vec();
+    owner.invoke("abac", "configure", args).await.unwrap();
 }
 
 /// Rules in the policies of the robots' owner.

@@ -135,13 +135,13 @@ impl Founding {
         }
     }
 
-    /// So many members of Salma's organisation who carry this attribute; they connect to the first node. Before it is
+    /// So many members of Salma's organisation who carry these attributes; they connect to the first node. Before it is
     /// started: it owns the CA then.
-    pub(crate) fn members(&self, count: usize, attribute: &str) -> Vec<Context> {
+    pub(crate) fn members(&self, count: usize, attributes: &[&str]) -> Vec<Context> {
         let mut authority = CertificateAuthority::open(&self.authority).unwrap();
         let mut issue = |number| {
             let name = format!("Member{number}");
-            let attributes = BTreeMap::from([(attribute.to_owned(), "true".to_owned())]);
+            let attributes = attributes.iter().map(|name| ((*name).to_owned(), "true".to_owned())).collect();
             let issued = authority.issue(&name, Role::Member, attributes, KeyKind::Ed25519, clock()).unwrap();
             let chain = std::iter::once(issued.certificate).chain(issued.chain).map(CertificateDer::from);
             Context { name, chain: chain.collect(), key: Arc::new(issued.key), ..self.salma.clone() }
