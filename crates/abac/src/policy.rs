@@ -241,7 +241,7 @@ fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
     Rejection::new(Code::PolicyInvalid, message)
         .found(found)
         .wanted(wanted)
-        .next("see the default policy: ledgerctl query abac policies")
+        .next("see the default policy: ledgerctl policy list")
 }
 
 /// A parsed set. It never leaves the thread: dropping it recurses as well.

@@ -56,7 +56,7 @@ pub(crate) fn change(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
                 return Err(Rejection::new(Code::NotFound, format!("{organisation} has no policy {}", shown(id)))
                     .found(shown(id))
                     .wanted("the id of one of its own policies")
-                    .next("ledgerctl query abac policies"));
+                    .next("ledgerctl policy list"));
             }
             ctx.delete(&key);
             "removed"

@@ -27,13 +27,13 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
             return Rejection::new(Code::PolicyError, format!("{refused}: a policy of {owner} cannot be evaluated"))
                 .found(fault)
                 .wanted("policies that evaluate without errors")
-                .next(format!("{ask_owner} to correct it: ledgerctl query abac policies"));
+                .next(format!("{ask_owner} to correct it: ledgerctl policy list"));
         }
         Verdict::Forbidden(ids) => {
             return Rejection::new(Code::DeniedByPolicy, format!("{refused}: a policy of {owner} forbids it"))
                 .found(format!("forbidden by {}", ids.join(", ")))
                 .wanted("no policy that forbids it")
-                .next(format!("{ask_owner}, or read it: ledgerctl query abac policies"));
+                .next(format!("{ask_owner}, or read it: ledgerctl policy list"));
         }
         Verdict::Closed(windows) => return closed(owner, refused, &windows),
         Verdict::Permit(_) | Verdict::NotPermitted => {}
@@ -69,7 +69,7 @@ pub(crate) fn explain(principal: &Principal, target: &Target, action: Action, ve
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits it"))
         .found(format!("role {}, attribute {attribute}={value}", principal.role))
         .wanted("a policy that permits it")
-        .next(format!("{ask_owner}, or read the policies: ledgerctl query abac policies"))
+        .next(format!("{ask_owner}, or read the policies: ledgerctl policy list"))
 }
 
 /// The refusal of what policies permit at other times.
@@ -85,7 +85,7 @@ fn may_not(principal: &Principal, owner: &str, refused: String, action: &str) ->
     Rejection::new(Code::DeniedByPolicy, format!("{refused}: no policy of {owner} permits {action}"))
         .found(format!("role {} of {}", principal.role, principal.organisation))
         .wanted(format!("an admin of {owner}, or a policy that permits the action {action}"))
-        .next(format!("ask an admin of {owner}, or read the policies: ledgerctl query abac policies"))
+        .next(format!("ask an admin of {owner}, or read the policies: ledgerctl policy list"))
 }
 
 /// The refusal of an action on a whole robot.
@@ -97,13 +97,13 @@ pub(crate) fn explain_robot(principal: &Principal, robot: &Robot, action: RobotA
             Rejection::new(Code::PolicyError, format!("{refused}: a policy of {owner} cannot be evaluated"))
                 .found(fault)
                 .wanted("policies that evaluate without errors")
-                .next(format!("ask an admin of {owner} to correct it: ledgerctl query abac policies"))
+                .next(format!("ask an admin of {owner} to correct it: ledgerctl policy list"))
         }
         Verdict::Forbidden(ids) => {
             Rejection::new(Code::DeniedByPolicy, format!("{refused}: a policy of {owner} forbids it"))
                 .found(format!("forbidden by {}", ids.join(", ")))
                 .wanted("no policy that forbids it")
-                .next(format!("ask an admin of {owner}, or read it: ledgerctl query abac policies"))
+                .next(format!("ask an admin of {owner}, or read it: ledgerctl policy list"))
         }
         Verdict::Closed(windows) => closed(owner, refused, &windows),
         Verdict::Permit(_) | Verdict::NotPermitted => may_not(principal, owner, refused, action),

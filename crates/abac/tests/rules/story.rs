@@ -1,6 +1,7 @@
 //! The story of the stored chains: calls of every chaincode, allowed and refused, and blocks that are none.
 
 use crate::chain::Chain;
+use crate::contests::contests;
 use crate::teller::{SECOND, Teller, Who};
 use bytes::Bytes;
 use ledger::Rules;
@@ -12,19 +13,19 @@ use ledger_rejection::Code::{self, Ok};
 use ledger_storage::entry::EntryKind;
 use serde_json::json;
 
-const BOSS: Who = |teller| &teller.boss;
-const OWNER: Who = |teller| &teller.owner;
-const SALMA: Who = |teller| &teller.salma;
-const FARHAD: Who = |teller| &teller.farhad;
+pub(crate) const BOSS: Who = |teller| &teller.boss;
+pub(crate) const OWNER: Who = |teller| &teller.owner;
+pub(crate) const SALMA: Who = |teller| &teller.salma;
+pub(crate) const FARHAD: Who = |teller| &teller.farhad;
 const CAMERA: Who = |teller| &teller.camera;
-const NODE1: Who = |teller| &teller.node1;
+pub(crate) const NODE1: Who = |teller| &teller.node1;
 const NODE2: Who = |teller| &teller.node2;
 const NODE3: Who = |teller| &teller.node3;
 const STRANGER: Who = |teller| &teller.stranger;
 
-const COMMANDS: &str = "Turtlebot4/cmd_vel";
+pub(crate) const COMMANDS: &str = "Turtlebot4/cmd_vel";
 /// CDR of nothing in particular.
-const MESSAGE: &str = "\0\u{1}\0\0message";
+pub(crate) const MESSAGE: &str = "\0\u{1}\0\0message";
 
 /// The whole story: it begins under the oldest rules, and goes on under these.
 pub(crate) fn tell(rules: u32) -> Chain {
@@ -37,6 +38,9 @@ pub(crate) fn tell(rules: u32) -> Chain {
     changed_robots(&mut teller);
     forged(&mut teller);
     (Rules::FIRST.number() + 1..=rules).for_each(|number| activation(&mut teller, number));
+    if rules >= 3 {
+        contests(&mut teller);
+    }
     nodes(&mut teller, rules);
     identities(&mut teller, rules);
     organisations(&mut teller, rules);

@@ -7,7 +7,7 @@ use ledger::block::Payload;
 use ledger::network::{FoundingNode, FoundingOrganisation, Genesis};
 use ledger::transaction::{Body, Transaction};
 use ledger_hash::Hash;
-use ledger_identity::key::KeyKind;
+use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_rejection::Code;
 use ledger_storage::entry::{Entry, EntryKind};
 use serde_json::Value;
@@ -32,6 +32,8 @@ pub(crate) struct Teller {
     pub(crate) node3: User,
     /// Of no organisation.
     pub(crate) stranger: User,
+    /// The CA of Org1.
+    pub(crate) ca: SigningKey,
 }
 
 impl Teller {
@@ -72,6 +74,7 @@ impl Teller {
             node1: one.user("node1", "node", KeyKind::P256),
             node2: two.user("node2", "node", KeyKind::P256),
             node3: two.user("node3", "node", KeyKind::P256),
+            ca: one.key(),
             stranger: Ca::new("org3-ca").user("stranger", "admin", ed25519),
         }
     }
