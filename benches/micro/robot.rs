@@ -36,6 +36,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         max_age: None,
         // The answer counts as long as the benchmark takes.
         stale_after: Duration::from_secs(3600),
+        command_timeout: None,
     };
     // Opened before any of the commands was signed; those are valid for a minute.
     let mut gate = Gate::new(settings, "Turtlebot4/cmd_vel", now());

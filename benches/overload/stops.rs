@@ -51,7 +51,8 @@ impl Site {
         let config = self.home.path().join("bridge.toml");
         let settings = format!(
             "context_dir = {context:?}\ndomain_id = {DOMAIN}\nshared_memory = false\n[[route]]\n\
-             service = \"{ROBOT}/cmd_vel\"\ndirection = \"from_ledger\"\ntype = \"geometry_msgs/msg/Twist\"\n"
+             service = \"{ROBOT}/cmd_vel\"\ndirection = \"from_ledger\"\ntype = \"geometry_msgs/msg/Twist\"\n\
+             command_timeout_ms = 0\n"
         );
         std::fs::write(&config, settings).unwrap();
         let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));

@@ -36,7 +36,11 @@ fn twist(number: u8) -> Sample {
 }
 
 fn route(direction: &str, topic: &str) -> String {
-    format!("[[route]]\nservice = \"Rover/cmd_vel\"\ndirection = {direction:?}\ntopic = {topic:?}\ntype = {TWIST:?}\n")
+    // The driver of these tests sends one message.
+    let patience = if direction == "from_ledger" { "command_timeout_ms = 0\n" } else { "" };
+    format!(
+        "[[route]]\nservice = \"Rover/cmd_vel\"\ndirection = {direction:?}\ntopic = {topic:?}\ntype = {TWIST:?}\n{patience}"
+    )
 }
 
 /// A node of ROS 2 beside the bridges.
@@ -63,6 +67,23 @@ async fn in_time<T>(world: &World, what: &str, future: impl Future<Output = T>) 
 
 async fn next(world: &World, reader: &mut Reader) -> Incoming {
     in_time(world, "a message arrives", reader.next()).await.unwrap()
+}
+
+/// The next message that is no stop: while nobody has driven, a bridge stops whoever comes.
+async fn command(world: &World, reader: &mut Reader) -> Sample {
+    loop {
+        let sample = next(world, reader).await.sample;
+        if sample != stop_message(&kind()).unwrap() {
+            return sample;
+        }
+    }
+}
+
+/// Nothing else is left than the stop, said again.
+fn only_stops(mut left: impl FnMut() -> Option<Incoming>) {
+    while let Some(incoming) = left() {
+        assert_eq!(incoming.sample, stop_message(&kind()).unwrap());
+    }
 }
 
 async fn matched(world: &World, reader: &Reader, writer: &Writer) {
@@ -99,15 +120,15 @@ async fn two_bridges_in_one_domain(mode: &str) {
     world.line("Rover", &["WARN", "a publisher beside this bridge on /cmd_vel", "go around the ledger"]).await;
     acquire(&world, mode).await;
     writer.write(&twist(1)).unwrap();
-    assert_eq!(next(&world, &mut reader).await.sample, twist(1));
+    assert_eq!(command(&world, &mut reader).await, twist(1));
     // Nothing renews the lease: it ends, and the robot is told to stop.
     assert_eq!(next(&world, &mut reader).await.sample, stop_message(&kind()).unwrap());
     is_free(&world, mode).await;
-    assert!(reader.try_next().is_none());
+    only_stops(|| reader.try_next());
     let [salma, rover] = bridges.map(|bridge| bridge.report()["routes"][0].clone());
     assert_eq!((&salma["samples_in"], &salma["committed"]), (&1.into(), &1.into()), "{salma}");
-    // The stop may not have come back yet.
-    assert!((1..=2).contains(&salma["returned"].as_u64().unwrap()), "{salma}");
+    // Stops may not have come back yet.
+    assert!(salma["returned"].as_u64().unwrap() >= 1, "{salma}");
     assert_eq!(rover["published"], 1, "{rover}");
 }
 
@@ -146,14 +167,19 @@ async fn two_bridges_over_shared_memory(mode: &str) {
     acquire(&world, mode).await;
     publisher.write(&twist(1)).unwrap();
     let mut received = async || in_time(&world, "a message arrives", subscriber.next()).await.unwrap().sample;
-    assert_eq!(received().await, twist(1));
-    assert_eq!(received().await, stop_message(&kind()).unwrap());
+    let stop = stop_message(&kind()).unwrap();
+    let mut heard = received().await;
+    while heard == stop {
+        heard = received().await;
+    }
+    assert_eq!(heard, twist(1));
+    assert_eq!(received().await, stop);
     is_free(&world, mode).await;
-    assert!(subscriber.try_next().is_none());
+    only_stops(|| subscriber.try_next());
     let [salma, rover] = bridges.map(|bridge| bridge.report()["routes"][0].clone());
     assert_eq!((&salma["samples_in"], &salma["committed"]), (&1.into(), &1.into()), "{salma}");
-    // The message and the stop, over DDS and shared memory; the last may not have come back yet.
-    assert!((1..=4).contains(&salma["returned"].as_u64().unwrap()), "{salma}");
+    // The message and stops, over DDS and shared memory; the last may not have come back yet.
+    assert!(salma["returned"].as_u64().unwrap() >= 1, "{salma}");
     assert_eq!(rover["published"], 1, "{rover}");
 }
 
@@ -201,7 +227,7 @@ fn a_bridge_that_watches_in_the_operators_domain_makes_no_loop() {
             world.line("Farhad", &["a subscriber on /cmd_vel has come"]).await;
         }
         assert_eq!(next(&world, &mut driver).await.sample, stop_message(&kind()).unwrap());
-        assert!(driver.try_next().is_none());
+        only_stops(|| driver.try_next());
         let salma = salma.report()["routes"][0].clone();
         assert_eq!((&salma["samples_in"], &salma["committed"]), (&3.into(), &3.into()), "{salma}");
         assert_eq!(rover.report()["routes"][0]["published"], 3);
@@ -246,7 +272,7 @@ async fn a_relay_in_the_operators_domain(bridges: &[(&str, String)]) {
     }
     assert_eq!(next(&world, &mut driver).await.sample, stop_message(&kind()).unwrap());
     is_free(&world, "exclusive").await;
-    assert!(driver.try_next().is_none());
+    only_stops(|| driver.try_next());
     relay.abort();
     let salma = bridges.remove(0).report()["routes"][0].clone();
     assert_eq!((&salma["samples_in"], &salma["committed"]), (&50.into(), &50.into()), "{salma}");

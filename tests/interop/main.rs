@@ -22,6 +22,7 @@ mod passing;
 mod python;
 mod readers;
 mod readme;
+mod robot_stands;
 mod sharing;
 #[path = "../support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
@@ -86,18 +87,21 @@ fn salma_drives_the_robot_and_farhad_does_not() {
         drive(&world, "/cmd_vel", (150, 50, 0), true).await;
 
         // When the holder lets go, the robot is told to stop; then the next holder drives.
-        let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "1", "0", "0", "30"]);
+        let mut robot = Python::start("twist_subscriber.py", &["3", "rt/cmd_vel", "2", "0", "0", "30"]);
         assert_eq!((robot.line().unwrap(), robot.line().unwrap()), ("ready".to_owned(), "matched".to_owned()));
+        let salma = Python::start("twist_publisher.py", &["1", "rt/cmd_vel", "1", "50", "0", "1000"]);
+        robot.line().unwrap();
+        assert!(salma.finish());
         call(&world.salma, "release", &["Rover/cmd_vel"]).await;
         assert_eq!(robot.line().unwrap(), stop_message());
         assert!(robot.finish());
 
         let reports = bridges.stop();
         let [salma, farhad, robot] = reports.each_ref().map(|report| &report["routes"][0]);
-        assert_eq!(salma["committed"], 150, "{salma}");
+        assert_eq!(salma["committed"], 151, "{salma}");
         assert_eq!(farhad["committed"], 0, "{farhad}");
         assert_eq!(farhad["refused"]["NOT_HOLDER"], 150, "{farhad}");
-        assert_eq!(robot["published"].as_u64().unwrap(), 150, "{robot}");
+        assert_eq!(robot["published"].as_u64().unwrap(), 151, "{robot}");
         assert_eq!(robot["stops"]["released"], 1, "{robot}");
     });
 }
@@ -212,11 +216,14 @@ fn a_holder_who_is_killed_leaves_the_robot_stopped_and_free() {
         }
         drop(salma);
         bridges.kill_first();
-        // Nobody renews the lease: it runs out in block time, and the robot is told to stop.
+        // Nothing comes: the robot is told to stop. Nobody renews the lease: it runs out in block time.
         assert_eq!(robot.line().unwrap(), stop_message());
-        tokio::time::timeout(Duration::from_secs(20), call(&world.farhad, "acquire", &["Rover/cmd_vel"]))
-            .await
-            .unwrap();
+        let acquired = async {
+            while world.farhad.invoke("abac", "acquire", vec!["Rover/cmd_vel".into()]).await.is_err() {
+                tokio::time::sleep(Duration::from_millis(200)).await;
+            }
+        };
+        tokio::time::timeout(Duration::from_secs(20), acquired).await.unwrap();
     });
 }
 

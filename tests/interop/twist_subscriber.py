@@ -2,7 +2,8 @@
 
 Prints "ready" when its reader exists and "matched" when a writer is found, then the CDR of every message as it came
 (hex, with header). Ends with 0 after COUNT messages, with 3 after SECONDS (default 30) without the full count. RATE_HZ
-is not used: the arguments are those of the publisher. COUNT 0 receives until SECONDS are over.
+is not used: the arguments are those of the publisher. COUNT 0 receives until SECONDS are over. A stop message is printed
+and counted once, however often it is said; the first ones, before anybody drives, are not.
 """
 
 import sys
@@ -34,6 +35,8 @@ print("ready", flush=True)
 
 deadline = time.monotonic() + seconds
 received, matched = 0, False
+stop = bytes([0, 1] + 50 * [0])
+stands = True
 while count == 0 or received < count:
     if time.monotonic() > deadline:
         sys.exit(0 if count == 0 else 3)
@@ -42,6 +45,9 @@ while count == 0 or received < count:
         print("matched", flush=True)
     for sample in reader.take(N=100):
         if isinstance(sample, Raw):
+            stood, stands = stands, sample.data == stop
+            if stood and stands:
+                continue
             received += 1
             print(sample.data.hex(), flush=True)
     time.sleep(0.001)

@@ -159,6 +159,7 @@ impl Network {
             sample_bytes_max: 1024,
             max_age: max_age_ms.map(Duration::from_millis),
             stale_after: Duration::from_secs(1),
+            command_timeout: None,
         };
         let mut gate = Gate::new(settings, "T/cmd_vel", now());
         assert_eq!(gate.learn(service, &self.standing(1, grants), now().steady, now()), None);

@@ -69,6 +69,8 @@ pub struct Settings {
     pub max_age: Option<Duration>,
     /// How long a standing counts from the question that it answers.
     pub stale_after: Duration,
+    /// Silence of a driver after which the robot is to be stopped; none for never.
+    pub command_timeout: Option<Duration>,
 }
 
 /// A transaction as a node delivers it.
@@ -331,7 +333,7 @@ impl Gate {
         }
         if is_command {
             let until = now.steady.saturating_add(lease_us);
-            self.driver = Some(Driver::new(creator, call.epoch, until));
+            self.driver = Some(Driver::new(creator, call.epoch, (now.steady, until)));
         }
         Ok(Passed { samples, clamped })
     }
@@ -377,6 +379,18 @@ impl Gate {
     /// so.
     pub fn deadline(&self) -> Option<u64> {
         self.driver.as_ref().map(|driver| driver.until)
+    }
+
+    /// The time at which the robot must stop unless its driver sends something, by the steady clock (microseconds). None if its
+    /// driver may be silent, or nobody moves it.
+    pub fn silent_at(&self) -> Option<u64> {
+        let timeout = u64::try_from(self.settings.command_timeout?.as_micros()).unwrap_or(u64::MAX);
+        Some(self.driver.as_ref()?.sent.saturating_add(timeout))
+    }
+
+    /// The robot is being stopped because its driver is silent. The next command moves it again.
+    pub fn paused(&mut self) {
+        self.driver = None;
     }
 
     /// The time from which on no command passes without a newer standing, by the steady clock (microseconds). None before the

@@ -21,6 +21,9 @@ use crate::{
     standing::Standing,
 };
 
+/// The reason of a stop because nothing comes from the driver.
+pub const SILENT: &str = "silent";
+
 /// The gate of a service, with the messages that wait for an answer of the voters, and the times at which to ask and to stop.
 #[derive(Debug)]
 pub struct Guard {
@@ -51,19 +54,25 @@ impl Guard {
         &self.gate
     }
 
-    /// The time at which the robot must stop, by the steady clock (microseconds), and why: the node is silent, its voters are, or
-    /// the driver's lease ends. The earliest of the three; none while nobody moves the robot.
+    /// The time at which the robot must stop, by the steady clock (microseconds), and why: the node is silent, its voters are,
+    /// its driver is, or the driver's lease ends. The earliest of them; none while nobody moves the robot.
     pub fn stop_at(&self) -> Option<(u64, &'static str)> {
         let lease = self.gate.deadline()?;
         let silence = self.heard.saturating_add(self.stale_us);
         let unsigned = self.gate.fresh_until().filter(|_| !active(Mutation::IgnoreStaleness)).unwrap_or(silence);
-        [(lease, "lease"), (silence, "stale"), (unsigned, "uncertified")].into_iter().min_by_key(|(due, _)| *due)
+        let quiet = self.gate.silent_at().unwrap_or(u64::MAX);
+        let causes = [(lease, "lease"), (silence, "stale"), (unsigned, "uncertified"), (quiet, SILENT)];
+        causes.into_iter().min_by_key(|(due, _)| *due)
     }
 
-    /// Why the robot must stop now, if it must. Then nothing from before passes any more.
+    /// Why the robot must stop now, if it must. Then nothing from before passes any more, unless only the driver was silent.
     pub fn overdue(&mut self, now: Now) -> Option<&'static str> {
         let (_, reason) = self.stop_at().filter(|(due, _)| *due <= now.steady)?;
-        self.stopped(now);
+        if reason == SILENT {
+            self.gate.paused();
+        } else {
+            self.stopped(now);
+        }
         Some(reason)
     }
 

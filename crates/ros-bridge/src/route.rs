@@ -6,6 +6,7 @@ pub(crate) mod kind;
 pub(crate) mod local;
 mod points;
 pub(crate) mod silence;
+mod stopping;
 mod to_ledger;
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};

@@ -200,6 +200,7 @@ impl Robot {
             sample_bytes_max: SAMPLE_BYTES_MAX,
             max_age: None,
             stale_after: Duration::from_micros(STALE_AFTER),
+            command_timeout: None,
         };
         let now = self.clocks(now);
         let watch = |id: &&'static str| Watched { id, guard: Guard::new(settings.clone(), id, now) };

@@ -20,14 +20,16 @@ pub(super) struct Driver {
     holder: String,
     /// The epoch of that grant.
     epoch: u64,
+    /// When the last command came, by the steady clock (microseconds).
+    pub(super) sent: u64,
     /// When its lease runs out without another sign of life, by the steady clock (microseconds).
     pub(super) until: u64,
 }
 
 impl Driver {
-    /// The signer of a command of an epoch.
-    pub(super) fn new(identity: Arc<Identity>, epoch: u64, until: u64) -> Self {
-        Self { holder: identity.id(), identity, epoch, until }
+    /// The signer of a command of an epoch, which came at one time and lasts until another.
+    pub(super) fn new(identity: Arc<Identity>, epoch: u64, (sent, until): (u64, u64)) -> Self {
+        Self { holder: identity.id(), identity, epoch, sent, until }
     }
 }
 

@@ -12,8 +12,13 @@ use std::time::Duration;
 /// A guard under which Salma drives in epoch 3.
 fn driven() -> Guard {
     let (network, salma) = (shared(), &shared().salma);
-    let settings =
-        Settings { network: salma.network, sample_bytes_max: 1024, max_age: None, stale_after: Duration::from_secs(1) };
+    let settings = Settings {
+        network: salma.network,
+        sample_bytes_max: 1024,
+        max_age: None,
+        stale_after: Duration::from_secs(1),
+        command_timeout: None,
+    };
     let mut guard = Guard::new(settings, "T/cmd_vel", now());
     guard.ask(now());
     let standing = network.standing(1, &[grant("Org1/Salma", 3)]);

@@ -19,7 +19,7 @@ use ledger_api::{
 use ledger_gate::{
     ABAC, MSP,
     gate::{Passed, Refused, Settings as GateSettings},
-    guard::{Act, Block, Guard, Told},
+    guard::{Act, Block, Guard, SILENT, Told},
     sample::Sample,
     service::Service,
 };
@@ -35,6 +35,7 @@ use super::{
     points::{self, Points, Topics},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
+    stopping::{Stopping, command_timeout},
 };
 use crate::{
     config::{HEARTBEAT_MS, RouteConfig, stop_sample},
@@ -49,7 +50,7 @@ use crate::{
 /// Shortest `stale_after_ms`: one heartbeat may be late.
 const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
 const STALE_MS_DEFAULT: u64 = 1_000;
-/// Longest `stale_after_ms` and `max_age_ms`.
+/// Longest `stale_after_ms`, `command_timeout_ms` and `max_age_ms`.
 const WAIT_MS_MAX: u64 = 3_600_000;
 /// How long a stop message is waited for when the bridge ends.
 const FLUSH_MAX: Duration = Duration::from_millis(500);
@@ -64,7 +65,7 @@ pub(super) static KIND: Kind = Kind {
     name: "from_ledger",
     right: "subscribe",
     other_end: Role::Subscriber,
-    keys: &["max_age_ms", "stale_after_ms", "stop_hex", points::KEYS[0], points::KEYS[1]],
+    keys: &["max_age_ms", "stale_after_ms", "command_timeout_ms", "stop_hex", points::KEYS[0], points::KEYS[1]],
     read,
     silence,
     beside,
@@ -77,6 +78,8 @@ struct Settings {
     max_age: Option<Duration>,
     /// Silence of the ledger or of its voters after which the robot is stopped.
     stale_after: Duration,
+    /// Silence of a driver after which the robot is stopped; that of the type if it is not set, zero for never.
+    command_timeout: Option<Duration>,
     /// The stop message instead of the service's or the type's.
     stop: Option<Sample>,
     /// Where the points of the running task go.
@@ -84,15 +87,17 @@ struct Settings {
 }
 
 fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let (mut max_age_ms, mut stale_after_ms, mut stop) = (None, STALE_MS_DEFAULT, None);
+    let (mut max_age_ms, mut stale_after_ms, mut timeout_ms, mut stop) = (None, STALE_MS_DEFAULT, None, None);
     section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
     section.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    section.integer("command_timeout_ms", 0..=WAIT_MS_MAX, &mut timeout_ms);
     section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
         stop_sample(text, sample_bytes_max).map(Some)
     });
     let points = Topics::read(section);
     let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
-    Arc::new(Settings { max_age, stale_after, stop, points })
+    let command_timeout = timeout_ms.map(Duration::from_millis);
+    Arc::new(Settings { max_age, stale_after, command_timeout, stop, points })
 }
 
 impl Plan for Settings {
@@ -109,6 +114,7 @@ impl Settings {
             sample_bytes_max: route.sample_bytes_max,
             max_age: self.max_age,
             stale_after: self.stale_after,
+            command_timeout: command_timeout(self.command_timeout, &route.message),
         };
         let outlet = async {
             let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
@@ -158,7 +164,7 @@ struct FromLedger {
     /// The question under way.
     question: Option<BoxFuture<'static, Answer>>,
     service: Service,
-    stop: Option<Sample>,
+    stopping: Stopping,
     /// The next height of the subscription.
     next_height: u64,
     renewed: Instant,
@@ -196,8 +202,8 @@ impl FromLedger {
             guard,
             asker,
             question: None,
+            stopping: Stopping::new(stop, &service),
             service,
-            stop,
             next_height: height.saturating_add(1),
             renewed: Instant::now(),
             complaint: Complaint::default(),
@@ -241,6 +247,7 @@ impl FromLedger {
                 let next = if self.question.is_some() { stale } else { ask };
                 ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
             }
+            let again = self.stopping.due(&self.outlet);
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -250,6 +257,11 @@ impl FromLedger {
                 }
                 // The next turn stops the robot.
                 () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
+                () = again => {
+                    if self.stopping.say_again(&self.outlet, &self.route.service).await {
+                        count(&mut self.counters.lock().summary.stops, "start", 1);
+                    }
+                }
                 answer = self.answer() => self.answered(answer).await,
                 () = sleep_until(ask_due.unwrap_or_else(Instant::now).into()), if ask_due.is_some() => {
                     // With a question under way the points on show are too old: the next turn takes them away.
@@ -277,6 +289,7 @@ impl FromLedger {
             self.halt(if fault.is_some() { "fault" } else { "shutdown" }).await;
         }
         self.points.clear();
+        self.stopping.finish(&self.outlet, &self.route.service).await;
         if !self.outlet.flush(FLUSH_MAX).await {
             tracing::warn!(service = self.route.service, "not every subscriber confirmed the last messages");
         }
@@ -367,7 +380,7 @@ impl FromLedger {
     fn learn(&mut self, Answered { standing, asked }: &Answered) -> Result<Vec<Act>, Rejection> {
         let service = standing.service(&self.route.service)?;
         topic_for(&service, &self.route)?;
-        self.stop = stop_for(&service, &self.route, self.settings.stop.as_ref())?;
+        self.stopping.learn(stop_for(&service, &self.route, self.settings.stop.as_ref())?, &service);
         let acts = self.guard.answered(&service, standing, self.clocks.steady(*asked), self.clocks.now());
         self.counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         self.service = service;
@@ -411,6 +424,7 @@ impl FromLedger {
     }
 
     fn publish(&mut self, Passed { samples, clamped }: &Passed) {
+        self.stopping.driven();
         let mut counts = self.counters.lock();
         counts.live.came = Some(Instant::now());
         counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(*clamped).unwrap_or(u64::MAX));
@@ -444,12 +458,15 @@ impl FromLedger {
     }
 
     async fn publish_stop(&mut self, reason: &'static str) {
-        self.points.clear();
-        let Some(stop) = &self.stop else { return };
-        tracing::info!(service = self.route.service, reason, "stop");
-        if let Err(error) = self.outlet.write_stop(stop).await {
-            tracing::error!(service = self.route.service, %error, "THE STOP MESSAGE WAS NOT PUBLISHED");
+        // A driver who is silent still holds the service, and a task goes on.
+        if reason != SILENT {
+            self.points.clear();
         }
+        if !self.stopping.is_known() {
+            return;
+        }
+        tracing::info!(service = self.route.service, reason, "stop");
+        self.stopping.say(&self.outlet, &self.route.service).await;
         count(&mut self.counters.lock().summary.stops, reason, 1);
     }
 

@@ -117,6 +117,7 @@ fn a_gate_that_was_opened_in_a_network_whose_time_is_ahead_takes_nothing_from_be
         sample_bytes_max: 1024,
         max_age: None,
         stale_after: std::time::Duration::from_secs(1),
+        command_timeout: None,
     };
     let mut gate = Gate::new(settings, "T/cmd_vel", now());
     let (ahead, later) = (NOW + 600 * SECOND, now_at(NOW + SECOND / 2));

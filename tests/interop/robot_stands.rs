@@ -1,0 +1,45 @@
+//! A robot that nobody drives any more stands still: its driver fell silent, or its bridge was killed. CycloneDDS is at both
+//! ends.
+
+use crate::sharing::{Heard, Robot, drives};
+use crate::world::{self, World};
+use crate::{call, network};
+use serde_json::Value;
+use std::time::Duration;
+
+const TYPE: &str = "geometry_msgs/msg/Twist";
+
+async fn is_held(world: &World) -> bool {
+    let answer = world.farhad.query("abac", "grants", vec!["Rover/cmd_vel".into()]).await.unwrap();
+    serde_json::from_slice::<Vec<Value>>(&answer.response).unwrap().iter().any(|grant| grant["holder"] == "Org1/Salma")
+}
+
+#[test]
+fn a_robot_stands_still_when_its_driver_is_killed_and_when_its_bridge_is_killed_and_comes_back() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/cmd_vel", TYPE).await;
+        let _salma = world.start_bridge("Salma", 1, "to_ledger", "/cmd_vel", TYPE);
+        let bridge = world.start_bridge("Rover", 3, "from_ledger", "/cmd_vel", TYPE);
+        let mut robot = Robot::listen();
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
+        let teleop = drives("1", "1");
+        robot.hears_only(Heard::Salma, 20);
+        drop(teleop);
+        robot.hears(Heard::Salma, Heard::Stop);
+        assert!(is_held(&world).await, "it stands long before the lease ends");
+
+        // The same driver comes back, and drives on under the same grant.
+        let teleop = drives("1", "1");
+        robot.hears_only(Heard::Salma, 20);
+        drop(bridge);
+        drop(teleop);
+        // Longer than any command is young enough for.
+        tokio::time::sleep(Duration::from_secs(3)).await;
+        let _bridge = world.start_bridge("Rover", 3, "from_ledger", "/cmd_vel", TYPE);
+        robot.hears(Heard::Salma, Heard::Stop);
+        assert!(is_held(&world).await);
+    });
+}
