@@ -309,7 +309,7 @@ mod tests {
         assert_eq!(route.kind.name, "from_ledger");
         assert_eq!(
             format!("{:?}", route.plan),
-            "Settings { max_age: None, stale_after: 1s, command_timeout: None, stop: None, points: Topics { goal: None, path: None } }"
+            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None } }"
         );
         assert_eq!(route.limits().queue_samples_max, 100);
     }

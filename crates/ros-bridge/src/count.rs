@@ -96,6 +96,8 @@ pub(crate) struct Live {
     pub(crate) needs_grant: bool,
     /// Does somebody hold the service? Where samples go to the ledger: the bridge's own user.
     pub(crate) held: bool,
+    /// Publishers of others on the topic of a route that delivers commands there.
+    pub(crate) beside: usize,
     /// The condition that the route waits for, before anything can pass.
     pub(crate) waiting: Option<String>,
 }

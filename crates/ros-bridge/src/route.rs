@@ -5,6 +5,7 @@ mod from_ledger;
 pub(crate) mod kind;
 pub(crate) mod local;
 mod points;
+mod side_door;
 pub(crate) mod silence;
 mod stopping;
 mod to_ledger;

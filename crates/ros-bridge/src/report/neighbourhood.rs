@@ -72,6 +72,7 @@ impl Neighbourhood {
         }
         for watched in Arc::clone(&self.routes).iter() {
             if watched.topic.dds() == neighbour.topic {
+                watched.counters.lock().live.beside = self.beside(watched);
                 let line = meaning(watched, &neighbour, came);
                 self.tell(watched, &neighbour, line, now);
             }
@@ -114,6 +115,15 @@ impl Neighbourhood {
         // A bridge is in shared memory as well; which one of them it is cannot be told.
         surroundings.in_memory = count_in_memory(watched).saturating_sub(surroundings.bridges);
         surroundings
+    }
+
+    /// How many publish on the topic of a route that delivers commands there, other than bridges of the same service.
+    fn beside(&self, watched: &Watched) -> usize {
+        let (topic, delivers) = (watched.topic.dds(), watched.is_command && !watched.route.kind.takes_in());
+        let others = self.known.values().filter(|neighbour| {
+            neighbour.topic == topic && neighbour.role == Role::Publisher && neighbour.mark != Some(watched.mark)
+        });
+        if delivers { others.count() } else { 0 }
     }
 
     /// Tells what somebody on a route's topic means. Warnings have a limit of their own: those who come and leave must

@@ -30,9 +30,10 @@ use tokio::time::sleep_until;
 
 use super::{
     Clocks, Stop,
-    kind::{Beside, Kind, Opened, Opening, Plan},
+    kind::{Kind, Opened, Opening, Plan},
     local::Outlet,
     points::{self, Points, Topics},
+    side_door::{self, SideDoor, Treatment},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
     stopping::{Stopping, command_timeout},
@@ -65,10 +66,18 @@ pub(super) static KIND: Kind = Kind {
     name: "from_ledger",
     right: "subscribe",
     other_end: Role::Subscriber,
-    keys: &["max_age_ms", "stale_after_ms", "command_timeout_ms", "stop_hex", points::KEYS[0], points::KEYS[1]],
+    keys: &[
+        "max_age_ms",
+        "stale_after_ms",
+        "command_timeout_ms",
+        side_door::NAME,
+        "stop_hex",
+        points::KEYS[0],
+        points::KEYS[1],
+    ],
     read,
     silence,
-    beside,
+    beside: side_door::beside,
 };
 
 /// The settings of this kind.
@@ -80,6 +89,7 @@ struct Settings {
     stale_after: Duration,
     /// Silence of a driver after which the robot is stopped; that of the type if it is not set, zero for never.
     command_timeout: Option<Duration>,
+    side_door: Treatment,
     /// The stop message instead of the service's or the type's.
     stop: Option<Sample>,
     /// Where the points of the running task go.
@@ -94,10 +104,10 @@ fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan>
     section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
         stop_sample(text, sample_bytes_max).map(Some)
     });
-    let points = Topics::read(section);
+    let (points, side_door) = (Topics::read(section), Treatment::read(section));
     let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
     let command_timeout = timeout_ms.map(Duration::from_millis);
-    Arc::new(Settings { max_age, stale_after, command_timeout, stop, points })
+    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points })
 }
 
 impl Plan for Settings {
@@ -138,15 +148,6 @@ fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
     }
 }
 
-/// The warning about another that publishes.
-fn beside(Beside { service, topic, is_same_service, is_command }: &Beside<'_>) -> Option<String> {
-    if *is_same_service {
-        let what = "each message arrives twice; stop one of both";
-        return Some(format!("another bridge delivers {service} on {topic} too: {what}"));
-    }
-    is_command.then(|| format!("a publisher beside this bridge on {topic}: its messages go around the ledger"))
-}
-
 /// The answer to a question.
 type Answer = Result<Arc<Answered>, Rejection>;
 
@@ -165,6 +166,7 @@ struct FromLedger {
     question: Option<BoxFuture<'static, Answer>>,
     service: Service,
     stopping: Stopping,
+    side_door: SideDoor,
     /// The next height of the subscription.
     next_height: u64,
     renewed: Instant,
@@ -186,15 +188,10 @@ impl FromLedger {
         let clocks = Clocks::start();
         let guard = Guard::new(gate, &route.service, clocks.now());
         let stop = stop_for(&service, &route, settings.stop.as_ref())?;
-        if stop.is_none() && service.is_command() {
-            let message = route.message.to_string();
-            tracing::warn!(service = route.service, message, "no stop message is known for this type: set stop_hex");
-        }
         let (outlet, points, counters) = outlet.await?;
         let mut opened = Self {
             gateway,
             route,
-            settings,
             outlet,
             points,
             counters,
@@ -203,6 +200,8 @@ impl FromLedger {
             asker,
             question: None,
             stopping: Stopping::new(stop, &service),
+            side_door: SideDoor::new(settings.side_door),
+            settings,
             service,
             next_height: height.saturating_add(1),
             renewed: Instant::now(),
@@ -236,6 +235,9 @@ impl FromLedger {
             // By the clock, before anything else is looked at: a flood of events must not put off a stop.
             if let Some(reason) = self.guard.overdue(self.clocks.now()) {
                 self.publish_stop(reason).await;
+            }
+            if self.side_door.opens(&self.counters) {
+                self.halt(side_door::NAME).await;
             }
             let due = |due: Option<u64>| due.map(|due| self.clocks.instant(due));
             let (stop_due, mut ask_due) = (due(self.guard.stop_at().map(|(due, _)| due)), due(self.guard.asks_at()));
@@ -424,6 +426,9 @@ impl FromLedger {
     }
 
     fn publish(&mut self, Passed { samples, clamped }: &Passed) {
+        if self.side_door.drops(&self.counters) {
+            return;
+        }
         self.stopping.driven();
         let mut counts = self.counters.lock();
         counts.live.came = Some(Instant::now());

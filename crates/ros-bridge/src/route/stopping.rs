@@ -38,6 +38,10 @@ pub(super) struct Stopping {
 
 impl Stopping {
     pub(super) fn new(message: Option<Sample>, service: &Service) -> Self {
+        if message.is_none() && service.is_command() {
+            let Service { service, type_name: message, .. } = service;
+            tracing::warn!(service, message, "no stop message is known for this type: set stop_hex");
+        }
         let mut new = Self { message, again: 0, said: Instant::now(), listeners: None, is_new: true };
         new.may_move(service);
         new
