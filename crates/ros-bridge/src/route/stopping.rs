@@ -1,6 +1,6 @@
 //! Stop messages. Each is said three times, unless somebody drives on meanwhile: a reader that does not insist on every message
-//! may miss one. A bridge that comes to a service that was used before says it to everybody who listens, until somebody drives:
-//! the robot may still follow what a bridge before it said.
+//! may miss one. A bridge may come back to a robot that still follows what it heard last. So where the service was used before,
+//! the bridge says the stop to everybody who listens, until somebody drives.
 
 use std::time::{Duration, Instant};
 
