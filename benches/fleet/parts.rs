@@ -2,12 +2,14 @@
 
 use crate::Bench;
 use crate::drivers::{Drivers, register, robot, salma};
-use crate::founding::{Founding, PAPER, Shape};
+use crate::founding::{Founding, OWNERS, PAPER, Shape};
 use crate::network::{Arrivals, Network};
 use crate::point::{Load, Point};
 use bytes::Bytes;
+use ledger::msp::QUOTAS_MAX;
 use ledger_abac::DEFAULT_POLICY;
 use ledger_api::{Client, Context, Subscription};
+use serde_json::json;
 use std::time::{Duration, Instant};
 
 /// Rate of one robot: the paper's.
@@ -35,7 +37,7 @@ struct Site {
 impl Site {
     fn start(bench: &Bench, founding: Founding) -> Self {
         bench.runtime.block_on(async {
-            let network = Network::start_founded(founding, "").await;
+            let network = start(founding).await;
             let owner = network.owner_at(0).await;
             let (drivers, arrivals) = (salma(&network).await, network.listen("Turtlebot4").await);
             Self { network, owner, drivers, arrivals }
@@ -51,13 +53,24 @@ impl Site {
     }
 }
 
+/// A network whose organisations allow the owner of the robots as many as any may have.
+async fn start(founding: Founding) -> Network {
+    let network = Network::start_founded(founding, "").await;
+    let quota = json!({ "organisation": OWNERS, "robots": QUOTAS_MAX.robots }).to_string();
+    let operator = network.connect(&network.founding().operator).await;
+    for admin in [network.owner_at(0).await, operator] {
+        admin.invoke("msp", "set_quota", vec![Bytes::from(quota.clone())]).await.unwrap();
+    }
+    network
+}
+
 /// Robots that are driven, each by a holder of its own. They share rates, and each runs at 50 Hz, with as many messages
 /// in a transaction as bring all to 1000 transactions a second.
 pub(crate) fn robots(bench: &Bench) -> Vec<Point> {
     let counts = bench.counts(&[1, 10, 100, 1000]);
     let founding = Founding::new(PAPER);
     let people = with_robots(&founding, *counts.last().unwrap(), |number| format!("Robot{number}"));
-    let network = bench.runtime.block_on(Network::start_founded(founding, ""));
+    let network = bench.runtime.block_on(start(founding));
     let arrivals = bench.runtime.block_on(network.listen_to(Vec::new()));
     let mut drivers = Drivers::new(vec![bench.runtime.block_on(network.connect(&people[0].0))]);
     let mut points = Vec::new();

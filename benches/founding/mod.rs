@@ -38,7 +38,7 @@ pub(crate) const THREE_VOTERS: Shape = Shape { name: "three_voters_and_learner",
 const DRIVERS: usize = 8;
 
 const OPERATORS: &str = "Org1";
-const OWNERS: &str = "Org2";
+pub(crate) const OWNERS: &str = "Org2";
 
 /// A founded network. Its directory goes with it.
 pub(crate) struct Founding {
