@@ -159,9 +159,11 @@ pub(crate) fn may_acquire(
     target: &Target,
     asked: Option<i64>,
 ) -> Result<(Room, Permit), Rejection> {
-    let permit = decider::may_hold(ctx, decider, principal, target)?;
+    let own = grant::held_by(ctx, &target.id, &principal.id())?;
+    let givers = own.iter().flat_map(|own| &own.givers).map(|giver| &giver.principal);
+    let permit = decider::may_hold_after(ctx, decider, givers, principal, target)?;
     emergency::check_goes(ctx, target)?;
-    if let Some(own) = grant::held_by(ctx, &target.id, &principal.id())? {
+    if let Some(own) = own {
         return Ok((Room::Own(Box::new(own)), permit));
     }
     let priority = contest::priority(target, principal, &permit, asked)?;

@@ -55,6 +55,7 @@ pub(crate) fn recall(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
     let place = |holding: &Holding| holding.givers.iter().position(|giver| giver.principal.id() == who);
     let found = holders.iter().find_map(|holding| Some((holding, place(holding)?)));
     let Some((holding, place)) = found else { return Err(not_passed_on(&target, &who, &holders)) };
+    check_has_none(ctx, &target, &who)?;
     let (before, after) = holding.givers.split_at(place);
     let giver = after.first().cloned().ok_or_else(|| Rejection::new(Code::Internal, "a giver has no place"))?;
     let permit = permit_of_all(ctx, decider, &target, before, &principal)?;
@@ -67,6 +68,7 @@ pub(crate) fn recall(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -
         preempts: false,
     };
     end::pass_on(ctx, holding, Reason::Recalled, &who, !options.stop)?;
+    queue::granted(ctx, decider, &target, &who)?;
     let Giver { priority, lease_ms, .. } = giver;
     acquire::give(
         ctx,
@@ -194,13 +196,19 @@ fn check_receiver(ctx: &Context<'_>, target: &Target, own: &Holding, to: &str) -
             .wanted("somebody who has not passed it on")
             .next(format!("{to} takes it back: ledgerctl recall {id}; or release it")));
     }
-    if grant::held_by(ctx, id, to)?.is_some() {
-        return Err(refused("it holds it already".to_owned())
-            .found("a grant of its own")
-            .wanted("somebody without one")
-            .next(format!("release yours: ledgerctl release {id}")));
+    check_has_none(ctx, target, to)
+}
+
+/// Refuses a second grant of the service for the same holder, as there may be where several hold it.
+fn check_has_none(ctx: &Context<'_>, target: &Target, to: &str) -> Result<(), Rejection> {
+    let id = &target.id;
+    if grant::held_by(ctx, id, to)?.is_none() {
+        return Ok(());
     }
-    Ok(())
+    Err(Rejection::new(Code::BadArgument, format!("{id} cannot be passed to {}: it holds it already", shown(to)))
+        .found("a grant of its own")
+        .wanted("somebody without one")
+        .next(format!("one of the two is released first: ledgerctl release {id}")))
 }
 
 /// The person behind a name, by its certificate on the ledger.

@@ -196,3 +196,47 @@ fn a_receiver_that_waited_in_line_waits_no_longer() {
     fleet.tick();
     assert_eq!(holders(&fleet), ["Org1/Third"]);
 }
+
+#[test]
+fn a_giver_that_has_a_grant_of_its_own_again_takes_no_second_one_back() {
+    let mut fleet = fleet("");
+    fleet.ok(&owner(), "configure", &[TURTLEBOT, r#"{"mode":"limited","sharing":{"publishers":2}}"#]);
+    fleet.ok(&salma(), "delegate", &[TURTLEBOT, "Org1/Farhad"]);
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    let refused = fleet.refused(&salma(), Code::BadArgument, "recall", &[TURTLEBOT]);
+    assert!(refused.message.contains("holds it already"), "{refused}");
+    assert_eq!(holders(&fleet), ["Org1/Farhad", "Org1/Salma"]);
+    fleet.ok(&salma(), "release", &[TURTLEBOT]);
+    fleet.ok(&salma(), "recall", &[TURTLEBOT]);
+    assert_eq!(holders(&fleet), ["Org1/Salma"]);
+}
+
+#[test]
+fn a_giver_that_takes_a_robot_back_waits_for_it_no_longer() {
+    let mut fleet = fleet(r#","on_conflict":"queue""#);
+    fleet.ok(&salma(), "delegate", &[TURTLEBOT, "Org1/Farhad"]);
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    fleet.ok(&salma(), "recall", &[TURTLEBOT]);
+    assert_eq!(fleet.keys("line/"), 0);
+    fleet.ok(&salma(), "release", &[TURTLEBOT]);
+    fleet.tick();
+    assert!(holders(&fleet).is_empty());
+}
+
+#[test]
+fn acquiring_what_was_delegated_renews_it_only_while_policies_permit_its_giver() {
+    let mut fleet = fleet("");
+    let closes = fleet.time / 1000 + 5000;
+    let until = format!(
+        r#"permit (principal == User::"Org1/Farhad", action, resource);
+        permit (principal, action, resource) when {{ context.time < {closes} }};"#
+    );
+    fleet.ok(&owner(), "policy", &["put", "p", &until]);
+    fleet.ok(&salma(), "delegate", &[TURTLEBOT, "Org1/Farhad"]);
+    fleet.time += 6 * SECOND;
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "renew", &[TURTLEBOT]);
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[TURTLEBOT]);
+    fleet.time += 10 * SECOND;
+    fleet.tick();
+    assert!(holders(&fleet).is_empty());
+}
