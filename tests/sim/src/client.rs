@@ -1,7 +1,9 @@
 //! The clients: what they want, how they retry, and what they remember.
 
 mod contest;
+mod enrol;
 mod intent;
+mod pass_on;
 
 pub use contest::{PUBLISHERS, Terms};
 pub use intent::{Call, SERVICES, robots};
@@ -65,6 +67,7 @@ pub struct Client {
 /// The fields that are read of a grant.
 #[derive(Deserialize)]
 struct Granted {
+    service: String,
     epoch: u64,
     next_seq: u64,
 }
@@ -129,6 +132,7 @@ impl World {
             let delay = self.random.clients.below(SECOND);
             self.schedule(delay, Event::Client { client: nth, attempt: 0 });
         }
+        self.enrol();
     }
 
     /// Adds a client that does only what it is told, and tells it.
@@ -331,11 +335,20 @@ impl World {
                 Call::Acquire { service, .. }
                 | Call::Contend { service, .. }
                 | Call::Take { service }
+                | Call::Recall { service, .. }
                 | Call::Renew { service },
             ) => {
-                if let Ok(Granted { epoch, next_seq }) = serde_json::from_slice(response) {
+                if let Ok(Granted { epoch, next_seq, .. }) = serde_json::from_slice(response) {
                     client.grants.insert(service, (epoch, next_seq));
                 }
+            }
+            (Code::Ok, Call::AcquireAll { .. }) => {
+                let granted: Vec<Granted> = serde_json::from_slice(response).unwrap_or_default();
+                let granted = granted.into_iter().map(|grant| (grant.service, (grant.epoch, grant.next_seq)));
+                client.grants.extend(granted);
+            }
+            (Code::Ok, Call::Delegate { service, .. } | Call::HandOver { service, .. }) => {
+                client.grants.remove(&service);
             }
             (Code::Ok, Call::Set { service, epoch, seq }) => {
                 client.grants.insert(service, (epoch, seq + 1));

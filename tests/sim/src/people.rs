@@ -180,12 +180,17 @@ fn key(name: &str) -> SigningKey {
     key
 }
 
+/// The key of an organisation's CA.
+pub fn ca_key(organisation: &str) -> SigningKey {
+    key(&format!("{organisation}-ca"))
+}
+
 fn authority(name: &str) -> CertifiedIssuer<'static, KeyPair> {
     let mut params = params(&format!("{name}-ca"), "ca");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
     params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
     params.serial_number = Some(SerialNumber::from(1u64));
-    let key = key(&format!("{name}-ca"));
+    let key = ca_key(name);
     let pair = KeyPair::from_pkcs8_der_and_sign_algo(&key.to_pkcs8_der().into(), &PKCS_ED25519).unwrap();
     CertifiedIssuer::self_signed(params, pair).unwrap()
 }

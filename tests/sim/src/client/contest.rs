@@ -10,7 +10,7 @@ pub const PUBLISHERS: usize = 2;
 /// The rules that brought lines, limits and stops.
 const SINCE: u32 = 3;
 /// Every setting of a service's rule.
-const KEYS: &str = r#"["publishers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","confirm","confirm_within_ms"]"#;
+const KEYS: &str = r#"["publishers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","delegable","confirm","confirm_within_ms"]"#;
 
 /// A choice of an owner for a service: the mode, and the settings of its rule as JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -30,7 +30,7 @@ const fn limited(sharing: &'static str) -> Terms {
 }
 
 /// The collection.
-const TERMS: [Terms; 13] = [
+const TERMS: [Terms; 18] = [
     exclusive("{}"),
     exclusive(r#"{"on_conflict":"queue"}"#),
     exclusive(r#"{"on_conflict":"queue","queue_max":1,"queue_wait_max_ms":4000,"priority":"attribute:rank"}"#),
@@ -41,15 +41,23 @@ const TERMS: [Terms; 13] = [
     exclusive(r#"{"confirm":1}"#),
     exclusive(r#"{"confirm":2,"confirm_within_ms":8000,"on_conflict":"queue","queue_max":2}"#),
     exclusive(r#"{"confirm":1,"on_conflict":"preempt","queue_max":3,"priority":"attribute:rank"}"#),
+    exclusive(r#"{"delegable":true}"#),
+    exclusive(r#"{"delegable":true,"on_conflict":"queue","queue_max":3}"#),
+    exclusive(r#"{"delegable":true,"on_conflict":"preempt","priority":"attribute:rank","queue_max":3,"min_hold_ms":1500}"#),
+    limited(r#"{"publishers":2,"delegable":true}"#),
+    limited(r#"{"publishers":2,"delegable":true,"on_conflict":"queue","queue_max":2,"priority":"attribute:rank"}"#),
     limited(r#"{"publishers":2}"#),
     limited(r#"{"publishers":2,"on_conflict":"queue","queue_max":2,"priority":"attribute:rank"}"#),
     limited(r#"{"publishers":2,"on_conflict":"preempt","queue_max":2,"priority":"attribute:rank"}"#),
 ];
 
+/// How many of them, from the first on, are for one holder.
+const EXCLUSIVE: usize = 13;
+
 /// The services whose rules change. The arm of the Husky is mostly for everybody.
-const CONTESTED: [&str; 2] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel"];
+pub(super) const CONTESTED: [&str; 2] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel"];
 /// Those whom others try to confirm.
-const CONTENDERS: [&str; 4] = ["Org1/Salma", "Org1/Farhad", "Org1/Nina", "Org2/Owen"];
+pub(super) const CONTENDERS: [&str; 4] = ["Org1/Salma", "Org1/Farhad", "Org1/Nina", "Org2/Owen"];
 /// The robots, and all of them.
 const STOPPED: [&str; 3] = ["Turtlebot4", "Husky", "*"];
 
@@ -81,7 +89,7 @@ impl World {
             0..=7 => {
                 // At most two hold anything of the Husky but its arm.
                 let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]);
-                let offered = if service == CONTESTED[0] { &TERMS[..] } else { &TERMS[..10] };
+                let offered = if service == CONTESTED[0] { &TERMS[..] } else { &TERMS[..EXCLUSIVE] };
                 let terms = random.pick(offered).copied().unwrap_or(TERMS[0]);
                 Call::Configure { service: service.to_owned(), terms }
             }
@@ -95,9 +103,12 @@ impl World {
     }
 
     /// The wish of a user for a service where there may be a line, if it has one.
-    pub(super) fn contend(&mut self) -> Option<Call> {
+    pub(super) fn contend(&mut self, number: usize) -> Option<Call> {
         if !self.contends(35) {
             return None;
+        }
+        if self.random.contests.percent(30) {
+            return Some(self.pass_on(number));
         }
         let random = &mut self.random.contests;
         let robot = random.pick(&STOPPED).copied().unwrap_or("*");
@@ -108,6 +119,7 @@ impl World {
             4..=5 => Call::Take { service },
             6..=20 => Call::Release { service },
             21..=30 => confirm(random),
+            31..=34 => several(random),
             _ => contender(random, service),
         })
     }
@@ -117,6 +129,15 @@ impl World {
 fn confirm(random: &mut Random) -> Call {
     let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]).to_owned();
     Call::Confirm { service, contender: random.pick(&CONTENDERS).copied().unwrap_or(CONTENDERS[0]) }
+}
+
+/// Wants two services at once, or none of them; sometimes one of them twice.
+fn several(random: &mut Random) -> Call {
+    let mut pick = || random.pick(&SERVICES).copied().unwrap_or(SERVICES[0]).to_owned();
+    let services = vec![pick(), pick()];
+    let lease_ms = random.percent(20).then(|| random.between(50, 25_000));
+    let priority = random.percent(20).then(|| random.below(4) as i64 - 1);
+    Call::AcquireAll { services, lease_ms, priority }
 }
 
 /// A contender that says how long it waits, and perhaps that it is less urgent.

@@ -63,6 +63,54 @@ pub enum Call {
         /// The settings.
         terms: Terms,
     },
+    /// To hold several services at once, or none of them.
+    AcquireAll {
+        /// The services.
+        services: Vec<String>,
+        /// The lease, or each service's own.
+        lease_ms: Option<u64>,
+        /// A lower priority than its own.
+        priority: Option<i64>,
+    },
+    /// To pass a grant on, and take it back later.
+    Delegate {
+        /// The service.
+        service: String,
+        /// The receiver.
+        to: &'static str,
+        /// For how long at most.
+        for_ms: Option<u64>,
+        /// May the receiver pass it on?
+        may_delegate: bool,
+    },
+    /// To pass a grant on for good.
+    HandOver {
+        /// The service.
+        service: String,
+        /// The receiver.
+        to: &'static str,
+    },
+    /// To take back a grant that was passed on.
+    Recall {
+        /// The service.
+        service: String,
+        /// Does the robot stop between?
+        stop: bool,
+    },
+    /// To carry the CA of an organisation, as a node.
+    Carry {
+        /// The organisation.
+        organisation: &'static str,
+        /// A signature of the CA's key.
+        proof: String,
+    },
+    /// To record a certificate of an organisation's CA, as a node.
+    Record {
+        /// The organisation.
+        organisation: &'static str,
+        /// The certificate, DER in hexadecimal.
+        certificate: String,
+    },
     /// To keep it.
     Renew {
         /// The service.
@@ -149,6 +197,27 @@ impl Call {
             Self::Stop { robot } => ("abac", "stop", vec![text(robot)]),
             Self::Resume { robot } => ("abac", "resume", vec![text(robot)]),
             Self::Configure { service, terms } => ("abac", "configure", vec![text(service), text(&terms.json())]),
+            Self::AcquireAll { services, lease_ms, priority } => {
+                let options = text(&json!({"lease_ms": lease_ms, "priority": priority}).to_string());
+                let services = services.iter().map(|service| text(service));
+                ("abac", "acquire_all", std::iter::once(options).chain(services).collect())
+            }
+            Self::Delegate { service, to, for_ms, may_delegate } => {
+                let options = json!({"for_ms": for_ms, "may_delegate": may_delegate});
+                ("abac", "delegate", vec![text(service), text(to), text(&options.to_string())])
+            }
+            Self::HandOver { service, to } => ("abac", "handover", vec![text(service), text(to)]),
+            Self::Recall { service, stop } => {
+                ("abac", "recall", vec![text(service), text(&json!({"stop": stop}).to_string())])
+            }
+            Self::Carry { organisation, proof } => {
+                ("msp", "carry_ca", vec![text(&json!({"organisation": organisation, "proof": proof}).to_string())])
+            }
+            Self::Record { organisation, certificate } => {
+                let ground = json!({"local": 1});
+                let record = json!({"organisation": organisation, "certificate": certificate, "ground": ground});
+                ("msp", "record_certificate", vec![text(&record.to_string())])
+            }
             Self::Renew { service } => ("abac", "renew", vec![text(service)]),
             Self::Release { service } => ("abac", "release", vec![text(service)]),
             Self::Set { service, epoch, seq } => {
@@ -273,7 +342,7 @@ impl World {
     }
 
     fn use_service(&mut self, number: usize, service: String) -> Call {
-        if let Some(call) = self.contend() {
+        if let Some(call) = self.contend(number) {
             return call;
         }
         let grant = self.clients[number].grants.get(&service).copied();

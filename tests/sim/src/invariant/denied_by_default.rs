@@ -38,7 +38,10 @@ impl DeniedByDefault {
                 return Err(Violation::new(NAME, format!("an unknown certificate called {}", body.function)));
             };
             let uses = body.chaincode == "abac"
-                && matches!(&*body.function, "acquire" | "renew" | "set" | "take" | "stop" | "resume");
+                && matches!(
+                    &*body.function,
+                    "acquire" | "acquire_all" | "delegate" | "handover" | "recall" | "renew" | "set" | "take" | "stop" | "resume"
+                );
             let rules = matches!(
                 (&*body.chaincode, &*body.function),
                 ("abac", "setup" | "replace" | "configure" | "remove" | "policy") | ("msp", "revoke")

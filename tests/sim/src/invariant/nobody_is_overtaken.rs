@@ -106,7 +106,9 @@ impl NobodyIsOvertaken {
 
     /// Does this one precede all who wait?
     fn judge(&self, service: &str, who: &str, transaction: Option<&Transaction>, height: u64) -> Check {
-        let taken = transaction.is_some_and(|transaction| transaction.body().function == "take");
+        // These go to one that its holder chose, or to one that is above every rule.
+        let chosen = |function: &str| matches!(function, "take" | "delegate" | "handover" | "recall");
+        let taken = transaction.is_some_and(|transaction| chosen(&transaction.body().function));
         let ages = self.settings.get(service).is_some_and(|settings| settings.contains_key("aging_ms"));
         let line = self.lines.get(service).map_or(&[][..], Vec::as_slice);
         if taken || ages || line.is_empty() {
@@ -154,7 +156,8 @@ impl NobodyIsOvertaken {
             Some((_, name)) => creator.and_then(|creator| creator.identity.attributes.get(name)?.parse().ok()),
             None => None,
         };
-        let wishes = transaction.body().args.get(1).and_then(|text| serde_json::from_slice::<Wishes>(text).ok());
+        let body = transaction.body();
+        let wishes = body.args.get(usize::from(body.function != "acquire_all")).and_then(|text| serde_json::from_slice::<Wishes>(text).ok());
         let (own, wanted) = (own.unwrap_or(0), wishes.and_then(|wishes| wishes.priority));
         wanted.map_or(own, |wanted| own.min(wanted))
     }

@@ -2,6 +2,8 @@
 
 mod confirm;
 mod contest;
+mod delegate;
+mod enrol;
 mod grants;
 mod network;
 
@@ -24,8 +26,9 @@ use std::sync::Arc;
 pub(super) struct Model {
     people: Arc<People>,
     network: Hash,
-    /// Certificates that the ledger knows.
+    /// Certificates that the ledger knows, and those that nodes have recorded.
     known: BTreeSet<Hash>,
+    enrolled: enrol::Enrolled,
     /// Issuer and serial in hexadecimal.
     revoked: BTreeSet<(String, String)>,
     /// Transactions that were executed.
@@ -82,7 +85,9 @@ pub(super) struct Grant {
     pub(super) expires: u64,
     lease_ms: u64,
     priority: i64,
+    /// Since when the service is held without a break.
     since: u64,
+    chain: delegate::Chain,
 }
 
 /// A verdict, and what of the response can be told.
@@ -109,6 +114,7 @@ impl Model {
             people: Arc::clone(people),
             network,
             known: BTreeSet::new(),
+            enrolled: enrol::Enrolled::default(),
             revoked: BTreeSet::new(),
             done: BTreeSet::new(),
             robots: BTreeMap::new(),
@@ -215,6 +221,10 @@ impl Model {
         let first = text(0).unwrap_or_default();
         match (&*body.chaincode, &*body.function) {
             ("abac", "acquire") => self.acquire((who, person), &first, text(1), time),
+            ("abac", "acquire_all") => self.acquire_all((who, person), &body.args, time),
+            ("abac", "delegate") => self.pass_on(who, &body.args, false, time),
+            ("abac", "handover") => self.pass_on(who, &body.args, true, time),
+            ("abac", "recall") => self.recall(who, &body.args, time),
             ("abac", "confirm") => self.confirm(who, person, &first, &text(1).unwrap_or_default(), time),
             ("abac", "take") => self.take(who, &first, time),
             ("abac", "stop") => self.emergency(who, &first, true, time),
@@ -232,6 +242,8 @@ impl Model {
             ("abac", "policy") => self.policy(who, &first, &text(1).unwrap_or_default(), text(2), time),
             ("msp", "join_node") => self.network_of_nodes.join(who, &first),
             ("msp", "set_node_role") => self.network_of_nodes.set_role(who, &first),
+            ("msp", "carry_ca") => self.carry(who, &first),
+            ("msp", "record_certificate") => self.record(who, &first),
             ("msp", "speak") => self.network_of_nodes.speak(who, &first),
             ("msp", "activate_rules") => self.network_of_nodes.activate(who, &first),
             ("msp", "attest") => self.network_of_nodes.attest(who, &first),
@@ -285,7 +297,7 @@ impl Model {
         let revoked = people.all.iter().filter(|person| self.is_revoked(person)).map(Person::fingerprint);
         let revoked: BTreeSet<Hash> = revoked.collect();
         for grants in self.grants.values_mut() {
-            grants.retain(|grant| !revoked.contains(&grant.certificate));
+            grants.retain(|grant| !grant.certificates().any(|certificate| revoked.contains(certificate)));
         }
         self.leave_all(|certificate| revoked.contains(certificate));
         Ok(Code::Ok.into())

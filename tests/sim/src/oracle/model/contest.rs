@@ -45,6 +45,13 @@ pub(super) struct Wishes {
     priority: Option<i64>,
 }
 
+impl Wishes {
+    /// The same, for one that does not wait.
+    pub(super) fn at_once(&self) -> Self {
+        Self { wait_ms: Some(0), ..self.clone() }
+    }
+}
+
 #[derive(Deserialize)]
 struct Settings {
     mode: String,
@@ -55,6 +62,11 @@ struct Settings {
 impl Service {
     pub(super) fn setting(&self, key: &str) -> Option<u64> {
         self.sharing.get(key).and_then(Value::as_u64)
+    }
+
+    /// May a holder pass its grant on?
+    pub(super) fn is_delegable(&self) -> bool {
+        self.sharing.get("delegable").and_then(Value::as_bool).unwrap_or(false)
     }
 
     fn conflict(&self) -> &str {
@@ -76,7 +88,7 @@ impl Service {
     }
 
     /// The priority of a person, who may want a lower one.
-    fn priority(&self, who: &Person, robot: &Robot, wanted: Option<i64>) -> i64 {
+    pub(super) fn priority(&self, who: &Person, robot: &Robot, wanted: Option<i64>) -> i64 {
         let source = self.sharing.get("priority").and_then(Value::as_str).unwrap_or("fixed:0");
         let own = match source.split_once(':') {
             Some(("fixed", number)) => number.parse().unwrap_or(0),
@@ -172,7 +184,7 @@ impl Model {
         true
     }
 
-    fn end_epoch(&mut self, id: &str, epoch: Option<u64>) {
+    pub(super) fn end_epoch(&mut self, id: &str, epoch: Option<u64>) {
         if let (Some(epoch), Some(grants)) = (epoch, self.grants.get_mut(id)) {
             grants.retain(|grant| grant.epoch != epoch);
         }
@@ -339,7 +351,18 @@ impl Model {
 
     /// May the holder keep what it has?
     pub(super) fn keeps(&self, who: &Person, grant: &Grant, robot: &Robot, time: u64) -> bool {
-        let may = if grant.priority == TAKEN { self.governs(who, robot, time) } else { self.permits(who, robot, time) };
+        let may = if grant.is_taken() {
+            self.governs(who, robot, time)
+        } else {
+            self.permits_all(who, &grant.chain, robot, time)
+        };
         may.is_ok()
+    }
+}
+
+impl Grant {
+    /// Was it taken whatever the rule says?
+    pub(super) fn is_taken(&self) -> bool {
+        self.priority == TAKEN
     }
 }

@@ -2,6 +2,7 @@
 
 use super::confirm::Askings;
 use super::contest::{Stage, Waiter, Wishes};
+use super::delegate::{Award, Chain};
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
 use ledger_hash::Hash;
@@ -81,9 +82,10 @@ impl Model {
         time: u64,
     ) -> Verdict {
         let (robot, service) = self.find(id)?;
-        self.permits(who, &robot, time)?;
-        self.goes(&robot)?;
         let own = self.live(id, time).into_iter().find(|grant| grant.holder == who.id());
+        let chain = own.as_ref().map(|own| own.chain.clone()).unwrap_or_default();
+        self.permits_all(who, &chain, &robot, time)?;
+        self.goes(&robot)?;
         match own {
             Some(own) if own.certificate == who.fingerprint() => {
                 Ok(self.extend(who, id, &service, wishes.lease_ms, time))
@@ -91,7 +93,10 @@ impl Model {
             Some(own) => {
                 self.end(id, &who.id());
                 self.asks_no_more(id, &who.id());
-                Ok(self.give(who, id, wishes.lease_ms.unwrap_or(service.lease_ms), own.priority, time))
+                self.leave(id, &who.id());
+                let since = if own.is_passed_on() { own.since } else { time };
+                let lease_ms = wishes.lease_ms.unwrap_or(service.lease_ms);
+                Ok(self.give_on(who, id, Award { lease_ms, priority: own.priority, since, chain }, time))
             }
             None => self.enter((who, person), id, wishes, stage, time),
         }
@@ -99,13 +104,21 @@ impl Model {
 
     /// Gives a grant.
     pub(super) fn give(&mut self, who: &Person, id: &str, lease_ms: u64, priority: i64, time: u64) -> Judged {
+        self.give_on(who, id, Award { lease_ms, priority, since: time, chain: Chain::default() }, time)
+    }
+
+    /// Gives a grant that may come from somebody who had the service before.
+    pub(super) fn give_on(&mut self, who: &Person, id: &str, award: Award, time: u64) -> Judged {
+        let Award { lease_ms, priority, since, chain } = award;
         let epoch = self.epoch(id) + 1;
         self.epochs.insert(id.to_owned(), epoch);
-        let expires = expiry(who, lease_ms, time);
+        let (holder, certificate) = (who.id(), who.fingerprint());
+        let mut grant = Grant { holder, certificate, epoch, expires: 0, lease_ms, priority, since, chain };
+        grant.expires = grant.until(&self.people, time);
+        let expires = grant.expires;
         let grants = self.grants.entry(id.to_owned()).or_default();
         grants.retain(|grant| grant.expires > time);
-        let (holder, certificate) = (who.id(), who.fingerprint());
-        grants.push(Grant { holder, certificate, epoch, expires, lease_ms, priority, since: time });
+        grants.push(grant);
         Judged { grant: Some((epoch, expires)), ..Code::Ok.into() }
     }
 
@@ -113,7 +126,7 @@ impl Model {
         let (robot, service) = self.find(id)?;
         let own = self.own(who, id, time).ok_or(Code::NotHolder)?;
         if !self.keeps(who, &own, &robot, time) {
-            self.permits(who, &robot, time)?;
+            self.permits_all(who, &own.chain, &robot, time)?;
         }
         check_lease(&service, lease_ms)?;
         Ok(self.extend(who, id, &service, lease_ms, time))
@@ -160,7 +173,7 @@ impl Model {
         }
         if let Some(own) = used {
             // Use keeps a grant alive, but is written down only when it is worth it, and only while policies permit.
-            let expires = expiry(who, own.lease_ms, time);
+            let expires = own.until(&self.people, time);
             let worth = expires.saturating_sub(own.expires) > own.lease_ms * 250;
             if worth && self.keeps(who, &own, &robot, time) {
                 self.change(id, &own.holder, |grant| grant.expires = expires);
@@ -191,17 +204,17 @@ impl Model {
     }
 
     fn extend(&mut self, who: &Person, id: &str, service: &Service, lease_ms: Option<u64>, time: u64) -> Judged {
-        let mut told = None;
+        let (mut told, people) = (None, Arc::clone(&self.people));
         self.change(id, &who.id(), |grant| {
             grant.lease_ms = lease_ms.unwrap_or(grant.lease_ms).min(service.lease_ms_max);
-            grant.expires = expiry(who, grant.lease_ms, time);
+            grant.expires = grant.until(&people, time);
             told = Some((grant.epoch, grant.expires));
         });
         Judged { grant: told, ..Code::Ok.into() }
     }
 
     /// The grant that somebody has with this very certificate.
-    fn own(&self, who: &Person, id: &str, time: u64) -> Option<Grant> {
+    pub(super) fn own(&self, who: &Person, id: &str, time: u64) -> Option<Grant> {
         let certificate: Hash = who.fingerprint();
         self.live(id, time).into_iter().find(|grant| grant.holder == who.id() && grant.certificate == certificate)
     }
@@ -220,12 +233,7 @@ impl Model {
     }
 }
 
-fn check_lease(service: &Service, lease_ms: Option<u64>) -> Result<(), Code> {
+pub(super) fn check_lease(service: &Service, lease_ms: Option<u64>) -> Result<(), Code> {
     let fits = lease_ms.is_none_or(|lease| (LEASE_MS_MIN..=service.lease_ms_max).contains(&lease));
     if fits { Ok(()) } else { Err(Code::BadArgument) }
-}
-
-/// No lease outlives the certificate.
-fn expiry(who: &Person, lease_ms: u64, time: u64) -> u64 {
-    (time + lease_ms * 1000).min(who.identity.not_after)
 }

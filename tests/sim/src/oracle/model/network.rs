@@ -135,7 +135,7 @@ impl Nodes {
         Ok(Code::Ok.into())
     }
 
-    fn present(&self, name: &str) -> bool {
+    pub(super) fn present(&self, name: &str) -> bool {
         self.nodes.values().any(|(node, role)| node == name && role != "removed")
     }
 
