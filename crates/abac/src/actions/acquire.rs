@@ -214,7 +214,9 @@ pub(crate) fn give(
     let Award { principal, lease_ms, priority, permit, taken, passed, task } = award;
     let Passed { givers, may_delegate, ends_by, since, follows, preempts } = passed;
     let newest = grant::newest_epoch(ctx, &target.id)?;
-    let reuses = active(Mutation::ReuseAnEpoch) || preempts && active(Mutation::PreemptWithoutANewEpoch);
+    let reuses = active(Mutation::ReuseAnEpoch)
+        || preempts && active(Mutation::PreemptWithoutANewEpoch)
+        || since.is_some() && active(Mutation::PassOnWithoutANewEpoch);
     let epoch = newest
         .checked_add(u64::from(newest == 0 || !reuses))
         .ok_or_else(|| Rejection::new(Code::LimitExceeded, format!("{} has used up its epochs", target.id)))?;

@@ -43,7 +43,9 @@ const TERMS: [Terms; 18] = [
     exclusive(r#"{"confirm":1,"on_conflict":"preempt","queue_max":3,"priority":"attribute:rank"}"#),
     exclusive(r#"{"delegable":true}"#),
     exclusive(r#"{"delegable":true,"on_conflict":"queue","queue_max":3}"#),
-    exclusive(r#"{"delegable":true,"on_conflict":"preempt","priority":"attribute:rank","queue_max":3,"min_hold_ms":1500}"#),
+    exclusive(
+        r#"{"delegable":true,"on_conflict":"preempt","priority":"attribute:rank","queue_max":3,"min_hold_ms":1500}"#,
+    ),
     limited(r#"{"publishers":2,"delegable":true}"#),
     limited(r#"{"publishers":2,"delegable":true,"on_conflict":"queue","queue_max":2,"priority":"attribute:rank"}"#),
     limited(r#"{"publishers":2}"#),

@@ -40,7 +40,16 @@ impl DeniedByDefault {
             let uses = body.chaincode == "abac"
                 && matches!(
                     &*body.function,
-                    "acquire" | "acquire_all" | "delegate" | "handover" | "recall" | "renew" | "set" | "take" | "stop" | "resume"
+                    "acquire"
+                        | "acquire_all"
+                        | "delegate"
+                        | "handover"
+                        | "recall"
+                        | "renew"
+                        | "set"
+                        | "take"
+                        | "stop"
+                        | "resume"
                 );
             let rules = matches!(
                 (&*body.chaincode, &*body.function),

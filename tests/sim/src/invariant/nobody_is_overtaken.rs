@@ -157,7 +157,10 @@ impl NobodyIsOvertaken {
             None => None,
         };
         let body = transaction.body();
-        let wishes = body.args.get(usize::from(body.function != "acquire_all")).and_then(|text| serde_json::from_slice::<Wishes>(text).ok());
+        let wishes = body
+            .args
+            .get(usize::from(body.function != "acquire_all"))
+            .and_then(|text| serde_json::from_slice::<Wishes>(text).ok());
         let (own, wanted) = (own.unwrap_or(0), wishes.and_then(|wishes| wishes.priority));
         wanted.map_or(own, |wanted| own.min(wanted))
     }

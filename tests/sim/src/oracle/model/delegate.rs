@@ -20,6 +20,8 @@ pub(super) struct Chain {
     may_delegate: bool,
     /// When it ends in any case (block time, microseconds).
     pub(super) ends_by: Option<u64>,
+    /// Did somebody else have it before, without a break?
+    pub(super) goes_on: bool,
 }
 
 /// One who passed a grant on, with the grant that it had.
@@ -80,7 +82,8 @@ impl Model {
         }
         let people = Arc::clone(&self.people);
         let receiver = self.newest_of(&to, time).and_then(|at| people.all.get(at)).ok_or(Code::NotFound)?;
-        let mut chain = Chain { ends_by: options.for_ms.map(|ms| time + ms * 1000), ..own.chain.clone() };
+        let ends_by = options.for_ms.map(|ms| time + ms * 1000);
+        let mut chain = Chain { ends_by, goes_on: true, ..own.chain.clone() };
         if for_good {
             chain.ends_by = own.chain.ends_by;
         } else {
@@ -100,9 +103,8 @@ impl Model {
         let id = text(args, 0);
         let (robot, _) = self.find(&id)?;
         let live = self.live(&id, time);
-        let place = |grant: &Grant| {
-            grant.chain.givers.iter().position(|giver| self.name(&giver.certificate) == who.id())
-        };
+        let place =
+            |grant: &Grant| grant.chain.givers.iter().position(|giver| self.name(&giver.certificate) == who.id());
         let found = live.iter().find_map(|grant| Some((grant, place(grant)?)));
         let (grant, place) = found.ok_or(Code::NotHolder)?;
         if live.iter().any(|grant| grant.holder == who.id()) {
@@ -110,7 +112,7 @@ impl Model {
         }
         let giver = grant.chain.givers.get(place).cloned().ok_or(Code::NotHolder)?;
         let givers = grant.chain.givers.iter().take(place).cloned().collect();
-        let chain = Chain { givers, may_delegate: giver.may_delegate, ends_by: giver.ends_by };
+        let chain = Chain { givers, may_delegate: giver.may_delegate, ends_by: giver.ends_by, goes_on: true };
         self.permits_all(who, &chain, &robot, time)?;
         let award = Award { lease_ms: giver.lease_ms, priority: giver.priority, since: grant.since, chain };
         Ok(self.follow(who, &id, grant.epoch, award, time))
@@ -160,11 +162,7 @@ impl Model {
 fn may_be_passed(service: &Service, own: &Grant, for_good: bool) -> Result<(), Code> {
     let givers = own.chain.givers.len();
     let allowed = own.chain.may_delegate && (givers < GIVERS_MAX || for_good);
-    if service.is_delegable() && !own.is_taken() && (givers == 0 || allowed) {
-        Ok(())
-    } else {
-        Err(Code::NotDelegable)
-    }
+    if service.is_delegable() && !own.is_taken() && (givers == 0 || allowed) { Ok(()) } else { Err(Code::NotDelegable) }
 }
 
 fn options(args: &[Bytes], at: usize) -> Result<Options, Code> {

@@ -94,7 +94,7 @@ impl Model {
                 self.end(id, &who.id());
                 self.asks_no_more(id, &who.id());
                 self.leave(id, &who.id());
-                let since = if own.is_passed_on() { own.since } else { time };
+                let since = if own.chain.goes_on { own.since } else { time };
                 let lease_ms = wishes.lease_ms.unwrap_or(service.lease_ms);
                 Ok(self.give_on(who, id, Award { lease_ms, priority: own.priority, since, chain }, time))
             }
