@@ -17,6 +17,7 @@ const LEASE_MS_MIN: u64 = 100;
 /// The changes that a refused call may have made before it was refused.
 pub(super) struct Before {
     grants: BTreeMap<String, Vec<Grant>>,
+    epochs: BTreeMap<String, u64>,
     robots: BTreeMap<String, Robot>,
     lines: BTreeMap<String, Vec<Waiter>>,
     asking: Askings,
@@ -24,12 +25,13 @@ pub(super) struct Before {
 
 impl Model {
     pub(super) fn clone_small(&self) -> Before {
-        let (grants, robots) = (self.grants.clone(), self.robots.clone());
-        Before { grants, robots, lines: self.lines.clone(), asking: self.asking.clone() }
+        let (grants, epochs, robots) = (self.grants.clone(), self.epochs.clone(), self.robots.clone());
+        Before { grants, epochs, robots, lines: self.lines.clone(), asking: self.asking.clone() }
     }
 
     pub(super) fn restore(&mut self, before: Before) {
         self.grants = before.grants;
+        self.epochs = before.epochs;
         self.robots = before.robots;
         self.lines = before.lines;
         self.asking = before.asking;
