@@ -126,7 +126,7 @@ pub(crate) fn may_publish(
 /// Places of subscribers are for reading.
 fn for_readers(target: &Target) -> Rejection {
     let id = target.service_id();
-    Rejection::new(Code::UnknownService, format!("{} are places of subscribers: nobody publishes there", target.id))
+    Rejection::new(Code::UnknownService, format!("nobody publishes on {}, the places of subscribers", target.id))
         .found("places for reading")
         .wanted(id)
         .next(format!("publish on {id}"))

@@ -92,10 +92,13 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
         let target = service::resolve(ctx, id)?;
         if target.is_for_readers() {
             let service = target.service_id();
-            return Err(Rejection::new(Code::BadArgument, format!("{} have no settings of their own", target.id))
-                .found("places of subscribers")
-                .wanted(service)
-                .next(format!("set those of the service: ledgerctl robot set {service} KEY=VALUE")));
+            return Err(Rejection::new(
+                Code::BadArgument,
+                format!("the places {} have no settings of their own", target.id),
+            )
+            .found("places of subscribers")
+            .wanted(service)
+            .next(format!("set those of the service: ledgerctl robot set {service} KEY=VALUE")));
         }
         for service in after.services.iter_mut().filter(|service| service.topic == target.service.topic) {
             *service = describe::check_service(ctx, decider, apply(&settings, service.clone())?)?;

@@ -3,7 +3,6 @@
 
 use std::time::Instant;
 
-use ledger_rejection::Rejection;
 use ledger_settings::Section;
 
 use super::kind::Beside;
@@ -26,10 +25,10 @@ impl Treatment {
     /// Reads `side_door`.
     pub(super) fn read(section: &mut Section<'_, '_>) -> Self {
         let mut treatment = Self::default();
-        section.parsed(NAME, "warn or stop", &mut treatment, |text| match text {
-            "warn" => Ok(Self::Warn),
-            "stop" => Ok(Self::Stop),
-            _ => Err(Rejection::new(ledger_rejection::Code::BadArgument, "no treatment of the side door")),
+        section.text(NAME, "\"warn\" or \"stop\"", &mut treatment, |text| match text {
+            "warn" => Some(Self::Warn),
+            "stop" => Some(Self::Stop),
+            _ => None,
         });
         treatment
     }
