@@ -18,8 +18,6 @@ pub enum Mutation {
     PreemptWithoutANewEpoch,
     /// A grant that is passed on keeps its epoch.
     PassOnWithoutANewEpoch,
-    /// A delegated grant outlives the certificates of those who passed it on.
-    ForgetTheGivers,
     /// A free place goes to whoever asks, though others in line precede.
     SkipTheLine,
     /// A node that opens its state forgets which robots are stopped.

@@ -82,11 +82,6 @@ fn a_grant_that_is_passed_on_without_a_new_epoch_is_noticed() {
 }
 
 #[test]
-fn a_delegated_grant_that_outlives_a_revoked_giver_is_noticed() {
-    caught(Mutation::ForgetTheGivers, &["the oracle agrees"]);
-}
-
-#[test]
 fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
     caught(Mutation::CountTheRequester, &["the oracle agrees"]);
 }

@@ -13,7 +13,7 @@ use super::{service, store};
 use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::{Grant, Limits, Reason};
-use ledger_mutation::{Mutation, active, lease_clock};
+use ledger_mutation::lease_clock;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
 
@@ -232,8 +232,7 @@ fn certificate_keys(holding: &Holding) -> Vec<Vec<u8>> {
         let serial = hex::decode(&principal.serial).unwrap_or_default();
         [store::certificate_prefix(&principal.issuer.0, &serial).as_slice(), suffix.as_bytes()].concat()
     };
-    let forgets = active(Mutation::ForgetTheGivers);
-    holding.principals().take(if forgets { 1 } else { usize::MAX }).map(key).collect()
+    holding.principals().map(key).collect()
 }
 
 #[cfg(test)]
