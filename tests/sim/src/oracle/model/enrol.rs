@@ -5,7 +5,7 @@ use ledger_identity::Role;
 use ledger_rejection::Code;
 use serde::Deserialize;
 
-/// Who may record, and what was recorded.
+/// The nodes that may record, and the certificates that they recorded.
 #[derive(Clone, Default)]
 pub(super) struct Enrolled {
     /// Nodes and the organisations whose CAs they carry. A node that was removed carries none.
