@@ -23,6 +23,7 @@ use crate::{
     gateway::Gateway,
     mark::Mark,
     names::TopicName,
+    reach::Reach,
     renewal::keep_renewed,
     report::{Reporter, Watched},
     route::{
@@ -118,7 +119,8 @@ impl Bridge {
         }
         no_circle(&config.routes, &services)?;
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
-        let local = Local::open(domain.id, &config.node_name, config.shared_memory).await?;
+        let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
+        let local = Local::open(domain.id, &reach, &config.node_name, config.shared_memory).await?;
         let checkpoint =
             config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
         let known = checkpoint.map(|checkpoint| checkpoint.governance);
@@ -145,7 +147,7 @@ impl Bridge {
             counters.push(counted.clone());
             watched.push(Watched { route: route.clone(), topic, mark, is_command, counters: counted, in_memory });
         }
-        let reporter = Reporter::ready(&config, context, domain, gateway, local, watched);
+        let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, watched);
         routes.push(Box::pin(reporter.run(told)));
         let (ending, ended) = watch::channel(false);
         let tasks = routes.into_iter().map(|route| {

@@ -3,6 +3,9 @@
 //! ```toml
 //! context = "Salma"            # who the bridge is towards the ledger; or context_dir = "/path/to/contexts/Salma"
 //! domain_id = 1                # ROS 2 domain of the local graph; by default ROS_DOMAIN_ID, else 0
+//! discovery_range = "localhost" # "subnet": other hosts too; by default ROS_AUTOMATIC_DISCOVERY_RANGE, else "localhost"
+//! static_peers = "10.0.0.5;nuc.local" # hosts beyond that range; by default ROS_STATIC_PEERS
+//! interfaces = "10.0.0.4"      # addresses of the interfaces that are used; by default all
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
 //! checkpoint = "fleet.checkpoint" # where to begin to follow who governs; by default at the genesis
@@ -41,6 +44,7 @@ use crate::{
     names::{TopicName, TypeName},
     qos::{DEPTH_SAMPLES_MAX, Durability, Qos, Reliability},
     queue::Limits,
+    reach,
     route::kind::{KINDS, Kind, Plan},
 };
 
@@ -59,6 +63,8 @@ pub struct Config {
     pub identity: IdentitySource,
     /// ROS 2 domain of the local graph; none = that of `ROS_DOMAIN_ID`, else 0.
     pub domain_id: Option<u16>,
+    /// With which hosts it shares that domain.
+    pub reach: reach::Settings,
     /// Name of the bridge in that graph.
     pub node_name: String,
     /// Whether local processes are served over iceoryx2 as well.
@@ -155,6 +161,7 @@ impl Config {
         };
         section.integer("domain_id", 0..=u64::from(DOMAIN_MAX), &mut domain_id);
         self.domain_id = domain_id.and_then(|id: u64| u16::try_from(id).ok());
+        self.reach.read(section);
         section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
         section.boolean("shared_memory", &mut self.shared_memory);
         section.text("checkpoint", "the file of a checkpoint", &mut self.checkpoint, |path| {
@@ -181,6 +188,7 @@ impl Default for Config {
         Self {
             identity: IdentitySource::Selected,
             domain_id: None,
+            reach: reach::Settings::default(),
             node_name: "ledgerd_bridge".to_owned(),
             shared_memory: true,
             checkpoint: None,

@@ -14,11 +14,13 @@
 //!   start.
 //! - **History is counted in samples**, and kept per topic after reading: `depth` times the largest
 //!   message is the memory of a topic. The bytes that wait for us are limited by [`crate::queue`].
-//! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, RustDDS 50 s). A
+//! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, a bridge 6 s). A
 //!   reliable writer keeps what it has not acknowledged, up to [`WRITER_BYTES_MAX`], and then refuses.
-//! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) loses its DDS. The thread that
-//!   waits for the sockets is interrupted, takes that for a failure and ends, without a word. So readers and writers
-//!   look every second whether it is still there, and say so if not: [`Matched::ended`].
+//! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) lost its DDS: the threads that wait
+//!   for the sockets took the interruption for a failure. The copy of RustDDS in `vendor` goes on. Should such a thread
+//!   end all the same, readers and writers notice it within a second: [`Matched::ended`].
+//! - **Other hosts.** Interfaces alone close no door: its unicast sockets are bound to all addresses. The copy drops
+//!   datagrams of other hosts by their source address, and keeps multicasts on this host ([`crate::reach`]).
 //! - **Large messages to Fast DDS** (above about 200 kB) need a larger receive buffer on its side.
 //!
 //! Creating a participant takes tens of milliseconds and two threads; reading and writing never
@@ -50,8 +52,11 @@ use crate::{
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
+    reach::{Range, Reach},
 };
 
+/// How long others keep a participant that was killed. It announces itself five times in it.
+const LEASE: Duration = Duration::from_secs(6);
 /// How often a reader or writer looks whether DDS is still there.
 const ALIVE_EVERY: Duration = Duration::from_secs(1);
 
@@ -67,9 +72,14 @@ pub struct Participant {
 }
 
 impl Participant {
+    /// Joins a domain with the processes of this host; as [`Participant::join`].
+    pub async fn open(domain: u16, node_name: &str) -> Result<Self> {
+        Self::join(domain, node_name, &Reach::default()).await
+    }
+
     /// Joins a domain as the node `node_name` (shown by `ros2 node list`). Fails if the domain is out of
     /// range, the name is not valid, or the UDP ports of the domain cannot be opened.
-    pub async fn open(domain: u16, node_name: &str) -> Result<Self> {
+    pub async fn join(domain: u16, node_name: &str, reach: &Reach) -> Result<Self> {
         if domain > DOMAIN_MAX {
             let wanted = format!("0 to {DOMAIN_MAX}");
             let hint = "domains up to 101 are safe on every system";
@@ -77,8 +87,16 @@ impl Participant {
             return Err(Error::Setting(Explained::new(what, domain.to_string(), wanted, hint)));
         }
         let node = graph::node_name(node_name)?;
+        let reach = reach.clone();
         let join = move || {
-            let dds = DomainParticipantBuilder::new(domain)
+            let mut builder = DomainParticipantBuilder::new(domain)
+                .only_local(reach.range == Range::Localhost)
+                .static_peers(reach.peers())
+                .participant_lease(LEASE);
+            if let Some(interfaces) = reach.interfaces {
+                builder = builder.with_only_networks(interfaces);
+            }
+            let dds = builder
                 .build()
                 .map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?;
             let graph = Arc::new(Graph::announce(&dds, node)?);

@@ -16,7 +16,7 @@
 //! | `gateway`, `service` | what is asked of the ledger, and what it answers |
 //! | `standing` | asks how a robot stands |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |
-//! | [`domain`] | which ROS domain it joins |
+//! | [`domain`], [`reach`] | which ROS domain it joins, and with which hosts |
 //! | [`mark`], [`door`] | bridges of a network know each other; what came from the ledger does not enter again |
 //! | [`names`] | topic and type names: checked, and mapped to what DDS calls them |
 //! | [`qos`] | the quality-of-service settings of a route |
@@ -59,6 +59,7 @@ pub mod names;
 mod place;
 pub mod qos;
 pub mod queue;
+pub mod reach;
 mod renewal;
 mod report;
 mod route;

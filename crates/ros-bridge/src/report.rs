@@ -27,6 +27,7 @@ use crate::{
     gateway::{Gateway, Tally},
     mark::Mark,
     names::TopicName,
+    reach::Reach,
     route::{
         Stop,
         local::Local,
@@ -73,7 +74,7 @@ impl Reporter {
     pub(crate) fn ready(
         config: &Config,
         context: &Context,
-        domain: Domain,
+        (domain, reach): (Domain, &Reach),
         gateway: Arc<dyn Gateway>,
         local: Local,
         routes: Vec<Watched>,
@@ -88,10 +89,11 @@ impl Reporter {
             node,
             domain = id,
             domain_from = chosen_by.to_string(),
+            reach = reach.to_string(),
             node_name = name,
             shared_memory,
             routes = count,
-            "the bridge of {identity} is ready: ROS domain {id} (from {chosen_by}), node {node}"
+            "the bridge of {identity} is ready: ROS domain {id} (from {chosen_by}), {reach}, node {node}"
         );
         if chosen_by == ChosenBy::Default {
             tracing::info!(

@@ -15,6 +15,7 @@ use crate::{
     names::{TopicName, TypeName},
     qos::Qos,
     queue::{Incoming, Limits},
+    reach::Reach,
     shm,
 };
 
@@ -33,8 +34,8 @@ pub(crate) struct Local {
 }
 
 impl Local {
-    pub(crate) async fn open(domain: u16, node_name: &str, shared_memory: bool) -> Result<Self> {
-        let participant = Participant::open(domain, node_name).await?;
+    pub(crate) async fn open(domain: u16, reach: &Reach, node_name: &str, shared_memory: bool) -> Result<Self> {
+        let participant = Participant::join(domain, node_name, reach).await?;
         let shm =
             if shared_memory { Some(shm::Node::open(domain, node_name, participant.guid()).await?) } else { None };
         Ok(Self { participant, shm, delivered: Arc::default() })
