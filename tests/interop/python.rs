@@ -2,6 +2,7 @@
 
 use std::{
     env,
+    ffi::OsString,
     io::{BufRead, BufReader},
     path::Path,
     process::{Child, Command, Stdio},
@@ -26,16 +27,23 @@ impl Python {
     /// Starts a script of this directory. The interpreter is `LEDGERD_TEST_PYTHON` or `python3`; it must have the
     /// package `cyclonedds`.
     pub(crate) fn start(script: &str, args: &[&str]) -> Self {
+        Self::start_within(&[], CYCLONE, script, args)
+    }
+
+    /// The same by another command, such as `nsenter`, and with that configuration of CycloneDDS.
+    pub(crate) fn start_within(by: &[&str], cyclone: &str, script: &str, args: &[&str]) -> Self {
         let python = env::var_os("LEDGERD_TEST_PYTHON").unwrap_or_else(|| "python3".into());
         let script = Path::new(env!("CARGO_MANIFEST_DIR"))
             .ancestors()
             .map(|directory| directory.join("tests/interop").join(script))
             .find(|script| script.exists())
             .expect("the script is in tests/interop");
-        let mut child = Command::new(&python)
-            .arg(script)
+        let mut words: Vec<_> = by.iter().map(OsString::from).collect();
+        words.extend([python.clone(), script.into()]);
+        let mut child = Command::new(&words[0])
+            .args(&words[1..])
             .args(args)
-            .env("CYCLONEDDS_URI", CYCLONE)
+            .env("CYCLONEDDS_URI", cyclone)
             .stdout(Stdio::piped())
             .spawn()
             .unwrap_or_else(|error| panic!("{python:?} does not start: {error}; set LEDGERD_TEST_PYTHON"));

@@ -19,13 +19,13 @@ pub(crate) fn read(path: &Path) -> String {
     fs::read_to_string(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// Every file below a directory whose name ends so, except what is built.
+/// Every file below a directory whose name ends so, except what is built and what others wrote.
 pub(crate) fn files(directory: &Path, ending: &str) -> Vec<PathBuf> {
     let mut found = Vec::new();
     let entries = fs::read_dir(directory).unwrap_or_else(|error| panic!("{}: {error}", directory.display()));
     for path in entries.flatten().map(|entry| entry.path()) {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if path.is_dir() && !name.starts_with("target") && name != ".git" {
+        if path.is_dir() && !name.starts_with("target") && name != ".git" && name != "vendor" {
             found.extend(files(&path, ending));
         } else if name.ends_with(ending) {
             found.push(path);

@@ -165,7 +165,7 @@ impl Bridge {
         // An error means that every route has ended.
         drop(self.ended.clone().wait_for(|ended| *ended).await);
         Rejection::new(Code::MiddlewareFailed, "the local ROS 2 graph is lost")
-            .found("DDS has ended, as it does when its process was stopped and continued, or a debugger looked into it")
+            .found("DDS has ended: one of its threads is gone")
             .wanted("a running DDS")
             .next("start the bridge again, or let a service unit do it")
     }

@@ -36,7 +36,8 @@ mod writer;
 
 use std::{sync::Arc, time::Duration};
 
-use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, RTPSEntity, Topic, TopicKind};
+use ros_message::Library;
+use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, RTPSEntity, Topic, TopicKind};
 
 use self::graph::Graph;
 pub use self::{
@@ -96,9 +97,8 @@ impl Participant {
             if let Some(interfaces) = reach.interfaces {
                 builder = builder.with_only_networks(interfaces);
             }
-            let dds = builder
-                .build()
-                .map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?;
+            let dds =
+                builder.build().map_err(|error| dds_error(&format!("cannot join ROS domain {domain}"), &error))?;
             let graph = Arc::new(Graph::announce(&dds, node)?);
             Ok(Self { dds, graph })
         };
@@ -142,6 +142,16 @@ impl Participant {
     /// The ROS domain.
     pub fn domain(&self) -> u16 {
         self.dds.domain_id()
+    }
+
+    /// These policies with the hash of the type, as `rmw` announces it. It is computed from the definition; for a type
+    /// without one it is taken from somebody in the graph who knows it.
+    fn with_type_hash(&self, policies: QosPolicies, message: &TypeName) -> QosPolicies {
+        let computed = Library::builtin().message(&message.to_string()).ok().map(|message| message.type_hash());
+        match computed.or_else(|| self.hash_in_graph(&message.dds())) {
+            Some(hash) => policies.with_user_data(format!("typehash={hash};").into_bytes()),
+            None => policies,
+        }
     }
 
     fn guid_prefix(&self) -> [u8; 12] {

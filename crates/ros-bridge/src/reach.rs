@@ -149,16 +149,16 @@ mod tests {
     use super::*;
 
     fn choose(settings: &Settings, range: &str, peers: &str) -> Result<Reach, Rejection> {
-        Reach::choose(settings, |name| {
-            Some(if name == ROS_STATIC_PEERS { peers.to_owned() } else { range.to_owned() })
-        })
+        Reach::choose(settings, |name| Some(if name == ROS_STATIC_PEERS { peers.to_owned() } else { range.to_owned() }))
     }
 
     #[test]
     fn local_processes_only_unless_somebody_says_otherwise() {
         let none = Settings::default();
         assert_eq!(Reach::choose(&none, |_| None).unwrap(), Reach::default());
-        for (text, range) in [("", Range::Localhost), ("LOCALHOST", Range::Localhost), ("SYSTEM_DEFAULT", Range::Localhost)] {
+        for (text, range) in
+            [("", Range::Localhost), ("LOCALHOST", Range::Localhost), ("SYSTEM_DEFAULT", Range::Localhost)]
+        {
             assert_eq!(choose(&none, text, "").unwrap().range, range, "{text:?}");
         }
         assert_eq!(choose(&none, "SUBNET", "").unwrap().range, Range::Subnet);
@@ -173,7 +173,10 @@ mod tests {
         };
         let reach = choose(&settings, "SUBNET", "10.0.0.6").unwrap();
         assert_eq!((reach.range, reach.static_peers), (Range::Localhost, vec!["10.0.0.5".to_owned()]));
-        assert_eq!(choose(&Settings::default(), "", "10.0.0.6; robot7.local;").unwrap().static_peers, ["10.0.0.6", "robot7.local"]);
+        assert_eq!(
+            choose(&Settings::default(), "", "10.0.0.6; robot7.local;").unwrap().static_peers,
+            ["10.0.0.6", "robot7.local"]
+        );
     }
 
     #[test]

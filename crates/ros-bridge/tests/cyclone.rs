@@ -19,6 +19,7 @@ use ros_bridge::{
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
+    reach::{Range, Reach},
 };
 
 const DEADLINE: Duration = Duration::from_secs(30);
@@ -202,7 +203,111 @@ async fn ros_tools_see_one_node_with_its_endpoints() {
     assert!(until(&mut python, "/ ledgerd_bridge 0 0"));
 }
 
+#[tokio::test]
+async fn endpoints_announce_the_hash_of_their_type() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let (topic, message) = names("/cmd_vel", "geometry_msgs/msg/Twist");
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    let _reader = bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
+    writer.write(&twist(1)).unwrap();
+    let mut python = Python::start("hash_watcher.py", &["5"]);
+    // As `ros2 topic info -v /cmd_vel` shows it in Jazzy.
+    let hash = "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a";
+    for role in ["publisher", "subscriber"] {
+        assert!(until(&mut python, &format!("{role} rt/cmd_vel typehash={hash};")), "{role}");
+    }
+}
+
 /// Whether a line comes before the script ends.
 fn until(python: &mut Python, wanted: &str) -> bool {
     std::iter::from_fn(|| python.line()).any(|line| line == wanted)
+}
+
+/// Another host: a network namespace with a link to this one. It ends with the test.
+struct Host(std::process::Child);
+
+impl Host {
+    const HERE: &str = "10.99.0.1";
+    const THERE: &str = "10.99.0.2";
+
+    fn start() -> Self {
+        let mut child = Command::new("unshare").args(["-n", "sleep", "600"]).spawn().expect("unshare starts");
+        let id = child.id().to_string();
+        let own = std::fs::read_link("/proc/self/ns/net").unwrap();
+        while std::fs::read_link(format!("/proc/{id}/ns/net")).is_ok_and(|other| other == own) {
+            assert!(child.try_wait().unwrap().is_none(), "the namespace is there");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let host = Self(child);
+        ip(&["link", "add", "lan", "type", "veth", "peer", "name", "uplink", "netns", &id]);
+        ip(&["address", "add", &format!("{}/24", Self::HERE), "dev", "lan"]);
+        ip(&["link", "set", "lan", "up"]);
+        for words in [
+            ["link", "set", "lo", "up"].as_slice(),
+            &["address", "add", &format!("{}/24", Self::THERE), "dev", "uplink"],
+            &["link", "set", "uplink", "up"],
+        ] {
+            let done = Command::new("nsenter").args(["-t", &id, "-n", "ip"]).args(words).status().unwrap();
+            assert!(done.success(), "{words:?}");
+        }
+        host
+    }
+
+    /// CycloneDDS as it is there by default: everybody on the link is a neighbour.
+    fn python(&self, script: &str, args: &[&str]) -> Python {
+        let cyclone = format!(
+            "<CycloneDDS><Domain><General><Interfaces><NetworkInterface address='{}'/></Interfaces></General>\
+             <Discovery><ParticipantIndex>auto</ParticipantIndex></Discovery></Domain></CycloneDDS>",
+            Self::THERE
+        );
+        Python::start_within(&["nsenter", "-t", &self.0.id().to_string(), "-n"], &cyclone, script, args)
+    }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        drop(self.0.kill());
+        drop(self.0.wait());
+    }
+}
+
+fn ip(words: &[&str]) {
+    assert!(Command::new("ip").args(words).status().unwrap().success(), "ip {words:?}");
+}
+
+#[tokio::test]
+async fn a_stranger_on_another_host_is_heard_only_by_those_who_reach_there() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let host = Host::start();
+    let (topic, message) = names("/cmd_vel", "geometry_msgs/msg/Twist");
+    let mut readers = Vec::new();
+    for reach in [
+        Reach { range: Range::Subnet, ..Reach::default() },
+        Reach { static_peers: vec![Host::THERE.to_owned()], ..Reach::default() },
+        Reach::default(),
+    ] {
+        let bridge = Participant::join(5, "ledgerd_bridge", &reach).await.unwrap();
+        readers.push(bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap());
+    }
+    let args = ["5", &topic.dds(), "100", "50", "0"];
+    let mut stranger = host.python("twist_publisher.py", &args);
+    for reader in &mut readers[..2] {
+        tokio::time::timeout(DEADLINE, reader.next()).await.expect("it reaches the other host").unwrap();
+    }
+    assert_eq!(stranger.line().unwrap(), "matched");
+    for _ in 0..100 {
+        assert!(stranger.line().is_some());
+    }
+    assert!(stranger.finish(), "those who reach there have acknowledged everything");
+    assert!(readers[2].try_next().is_none(), "a message of another host came in");
+
+    // The same program on this host is heard.
+    let mut local = Python::start("twist_publisher.py", &args);
+    tokio::time::timeout(DEADLINE, readers[2].next()).await.expect("local processes are heard").unwrap();
+    assert_eq!(local.line().unwrap(), "matched");
 }

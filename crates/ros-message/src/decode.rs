@@ -55,7 +55,7 @@ impl Decoder<'_> {
             Count::Array(count) => count,
             Count::Sequence(most) => self.reader.length(field.element.bytes_min(), most)?,
         };
-        if let Element::Primitive(Primitive::U8) = field.element {
+        if let Element::Primitive(Primitive::U8 | Primitive::Byte) = field.element {
             return Ok(Value::Bytes(self.reader.take(1, count)?.to_vec()));
         }
         if count.saturating_mul(field.element.bytes_min()) > self.reader.left() {
@@ -93,7 +93,7 @@ fn too_many() -> Fault {
 fn read(primitive: Primitive, bits: u64) -> Value {
     match primitive {
         Primitive::Bool => Value::Bool(bits != 0),
-        Primitive::U8 | Primitive::U16 | Primitive::U32 | Primitive::U64 => Value::Unsigned(bits),
+        Primitive::U8 | Primitive::Byte | Primitive::U16 | Primitive::U32 | Primitive::U64 => Value::Unsigned(bits),
         Primitive::I8 => Value::Signed((bits as u8).cast_signed().into()),
         Primitive::I16 => Value::Signed((bits as u16).cast_signed().into()),
         Primitive::I32 => Value::Signed((bits as u32).cast_signed().into()),

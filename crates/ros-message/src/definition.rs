@@ -25,8 +25,10 @@ const FIELDS_MAX: usize = 1024;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Primitive {
     Bool,
-    /// `uint8`, and the same under two other names: `byte`, `char`.
+    /// `uint8`, and the same under another name: `char`.
     U8,
+    /// `byte`: a `uint8` with a number of its own in the hash of a type.
+    Byte,
     I8,
     U16,
     I16,
@@ -42,7 +44,7 @@ impl Primitive {
     /// Bytes of one, which is its alignment as well.
     pub(crate) fn bytes(self) -> usize {
         match self {
-            Self::Bool | Self::U8 | Self::I8 => 1,
+            Self::Bool | Self::U8 | Self::Byte | Self::I8 => 1,
             Self::U16 | Self::I16 => 2,
             Self::U32 | Self::I32 | Self::F32 => 4,
             Self::U64 | Self::I64 | Self::F64 => 8,
@@ -54,6 +56,7 @@ impl Primitive {
         match self {
             Self::Bool => "bool",
             Self::U8 => "uint8",
+            Self::Byte => "byte",
             Self::I8 => "int8",
             Self::U16 => "uint16",
             Self::I16 => "int16",
@@ -69,7 +72,8 @@ impl Primitive {
     fn parse(text: &str) -> Option<Self> {
         Some(match text {
             "bool" => Self::Bool,
-            "uint8" | "byte" | "char" => Self::U8,
+            "uint8" | "char" => Self::U8,
+            "byte" => Self::Byte,
             "int8" => Self::I8,
             "uint16" => Self::U16,
             "int16" => Self::I16,

@@ -27,6 +27,7 @@
 //! | `library`, `message` | definitions by name; a definition with everything that it contains |
 //! | `cdr` | reading and writing aligned numbers and strings |
 //! | `decode`, `encode`, `check` | CDR to a value; what a person wrote to CDR; whether bytes can be a message |
+//! | `hash` | the hash of a type, by which ROS 2 nodes compare definitions |
 //! | `value` | a decoded message, as JSON and YAML |
 //! | `written`, `yaml` | what a person wrote; YAML text |
 //! | `fault` | what was refused, what was found, what was wanted, what to do |
@@ -37,6 +38,7 @@ mod decode;
 mod definition;
 mod encode;
 mod fault;
+mod hash;
 mod library;
 mod message;
 mod name;

@@ -83,6 +83,16 @@ impl Participant {
         writers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
     }
 
+    /// The hash that somebody in the graph announces for a type.
+    pub(super) fn hash_in_graph(&self, dds_type: &str) -> Option<String> {
+        let writers = self.dds.discovered_writers().into_iter();
+        let readers = self.dds.discovered_readers().into_iter();
+        let writers = writers.map(|writer| (writer.publication_topic_data.type_name.clone(), writer.user_data));
+        let readers = readers.map(|reader| (reader.subscription_topic_data.type_name().clone(), reader.user_data));
+        let mut announced = writers.chain(readers).filter(|(name, _)| name == dds_type);
+        announced.find_map(|(_, user_data)| type_hash(&user_data))
+    }
+
     /// The subscribers of others, now.
     fn subscribers(&self) -> impl Iterator<Item = Neighbour> {
         let own = self.guid_prefix();
@@ -123,6 +133,28 @@ impl Participant {
                 Ok(Some(_)) => while let Some(Some(_)) = news.next().now_or_never() {},
                 Err(_) => {}
             }
+        }
+    }
+}
+/// The hash in the USER_DATA of an endpoint: `typehash=RIHS01_…;` among other `key=value;`.
+fn type_hash(user_data: &[u8]) -> Option<String> {
+    let text = std::str::from_utf8(user_data).ok()?;
+    let hash = text.split(';').find_map(|part| part.trim().strip_prefix("typehash="))?;
+    let digits = hash.strip_prefix("RIHS01_")?;
+    let is_hash = digits.len() == 64 && digits.bytes().all(|byte| byte.is_ascii_hexdigit());
+    is_hash.then(|| hash.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_hash_of_a_type_stands_in_the_user_data_of_an_endpoint() {
+        let hash = format!("RIHS01_{}", "0a".repeat(32));
+        assert_eq!(type_hash(format!("enclave=/;typehash={hash};").as_bytes()), Some(hash));
+        for none in ["", "typehash=RIHS01_;", "typehash=RIHS02_00;", "hash=1", "\u{e9};;"] {
+            assert_eq!(type_hash(none.as_bytes()), None, "{none}");
         }
     }
 }

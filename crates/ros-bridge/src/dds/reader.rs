@@ -47,6 +47,7 @@ impl Reader {
         let failed = |error| dds_error(&format!("cannot read topic {topic} [{message}]"), &error);
         let dds_topic = participant.topic(topic, message, qos)?;
         let policies = qos.policies();
+        let policies = participant.with_type_hash(policies, message);
         let policies = door.as_ref().map_or_else(|| policies.clone(), |door| door.mark().put_on(&policies));
         let subscriber = participant.dds.create_subscriber(&qos.policies()).map_err(failed)?;
         let source: SimpleDataReader<Sample, AnyRaw> =

@@ -55,7 +55,7 @@ impl Writer {
         qos: &Qos,
         mark: Option<Mark>,
     ) -> Result<Self> {
-        let policies = qos.policies();
+        let policies = participant.with_type_hash(qos.policies(), message);
         let dds_topic = participant.topic(topic, message, qos)?;
         let (matches, matched) = Matches::new(participant.guid_prefix());
         let mut writer = Self {
