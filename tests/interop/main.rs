@@ -226,38 +226,3 @@ fn a_holder_who_is_killed_leaves_the_robot_stopped_and_free() {
         tokio::time::timeout(Duration::from_secs(20), acquired).await.unwrap();
     });
 }
-
-#[test]
-fn a_bridge_whose_dds_has_ended_says_so_and_ends() {
-    use ros_bridge::{
-        dds::Participant,
-        names::{TopicName, TypeName},
-        qos::Qos,
-        queue::Limits,
-    };
-    if !network::isolated(&|| ()) {
-        return;
-    }
-    world::run(async {
-        let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
-        for (name, domain, way) in [("Salma", 1, "to_ledger"), ("Rover", 3, "from_ledger")] {
-            let bridge = world.start_bridge(name, domain, way, "/cmd_vel", "geometry_msgs/msg/Twist");
-            let topic = TopicName::parse("/cmd_vel").unwrap();
-            let message = TypeName::parse("geometry_msgs/msg/Twist").unwrap();
-            let graph = Participant::open(domain, "other").await.unwrap();
-            let writer = graph.writer(&topic, &message, &Qos::default()).unwrap();
-            let reader = graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
-            let there = async {
-                tokio::select! {
-                    there = writer.matched().at_least(1) => there,
-                    there = reader.matched().at_least(1) => there,
-                }
-            };
-            assert!(tokio::time::timeout(Duration::from_secs(30), there).await.unwrap());
-            // The threads of DDS are interrupted, and end.
-            assert_eq!(bridge.pause_until_it_ends().await, Some(1), "{}", world.logs());
-            let logs = world.logs();
-            assert!(logs.contains("the local ROS 2 graph is lost"), "{logs}");
-        }
-    });
-}

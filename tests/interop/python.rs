@@ -2,7 +2,6 @@
 
 use std::{
     env,
-    ffi::OsString,
     io::{BufRead, BufReader},
     path::Path,
     process::{Child, Command, Stdio},
@@ -38,10 +37,11 @@ impl Python {
             .map(|directory| directory.join("tests/interop").join(script))
             .find(|script| script.exists())
             .expect("the script is in tests/interop");
-        let mut words: Vec<_> = by.iter().map(OsString::from).collect();
-        words.extend([python.clone(), script.into()]);
-        let mut child = Command::new(&words[0])
-            .args(&words[1..])
+        // `env` alone runs the interpreter.
+        let mut child = Command::new(by.first().unwrap_or(&"env"))
+            .args(by.get(1..).unwrap_or_default())
+            .arg(&python)
+            .arg(script)
             .args(args)
             .env("CYCLONEDDS_URI", cyclone)
             .stdout(Stdio::piped())

@@ -40,8 +40,12 @@ impl Robot {
         if line == stop_message() {
             return Heard::Stop;
         }
-        let number: [u8; 8] = hex::decode(&line).unwrap()[4..12].try_into().unwrap();
-        if f64::from_le_bytes(number) >= FARHADS { Heard::Farhad } else { Heard::Salma }
+        if number_in(&line) >= FARHADS { Heard::Farhad } else { Heard::Salma }
+    }
+
+    /// Hears whatever it is until the message with this number, or a later one.
+    pub(crate) fn hears_number(&mut self, number: f64) {
+        while number_in(&self.line()) < number {}
     }
 
     /// Hears nobody but `before` until `then`.
@@ -58,6 +62,11 @@ impl Robot {
     pub(crate) fn hears_only(&mut self, who: Heard, count: usize) {
         (0..count).for_each(|_| assert_eq!(self.hear(), who));
     }
+}
+
+/// The number of a message; 0 for a stop.
+fn number_in(line: &str) -> f64 {
+    f64::from_le_bytes(hex::decode(line).unwrap()[4..12].try_into().unwrap())
 }
 
 pub(crate) fn drives(domain: &str, first: &str) -> Python {

@@ -42,7 +42,7 @@ fn a_bridge_to_the_ledger_says_who_publishes_and_why_nothing_passes() {
         let _salma = world.start_bridge_as("Salma", &settings(1, "to_ledger", ""), &[]);
         let ready = [
             "INFO",
-            "the bridge of Org1/Salma is ready: ROS domain 1 (from domain_id), node 127.0.0.1:",
+            "the bridge of Org1/Salma is ready: ROS domain 1 (from domain_id), local processes only, node 127.0.0.1:",
             "context=\"Salma\"",
         ];
         world.line("Salma", &ready).await;

@@ -42,23 +42,6 @@ impl Process {
         let pid = rustix::process::Pid::from_raw(i32::try_from(self.0.id()).unwrap()).unwrap();
         rustix::process::kill_process(pid, signal).unwrap();
     }
-
-    /// Stops the process and lets it go on, as a debugger would, until it ends; answers with its exit code.
-    pub(crate) async fn pause_until_it_ends(mut self) -> Option<i32> {
-        let pid = rustix::process::Pid::from_raw(i32::try_from(self.0.id()).unwrap()).unwrap();
-        let deadline = Instant::now() + START_TIME_MAX;
-        loop {
-            if let Some(status) = self.0.try_wait().unwrap() {
-                return status.code();
-            }
-            assert!(Instant::now() < deadline, "it goes on without DDS");
-            // Once is enough, if the threads of DDS just wait.
-            for signal in [rustix::process::Signal::STOP, rustix::process::Signal::CONT] {
-                rustix::process::kill_process(pid, signal).unwrap();
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-        }
-    }
 }
 
 impl Process {

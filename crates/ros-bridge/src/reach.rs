@@ -1,8 +1,8 @@
 //! How far a bridge reaches: with which hosts it shares its ROS domain.
 //!
-//! A user's bridge signs what appears in its domain. On a network of many hosts that would be anybody's message, so a
-//! bridge takes part with local processes only, unless it is told otherwise: by its configuration, or by the variables
-//! by which ROS 2 nodes are told (REP 2011 calls them discovery range and static peers).
+//! A user's bridge signs what appears in its domain. On a network of many hosts that would be anybody's message. So a
+//! bridge takes part with local processes only. Its configuration may say otherwise, and so may the variables of ROS 2 for
+//! the range of discovery and for static peers.
 
 use std::{
     fmt,

@@ -285,18 +285,16 @@ async fn a_stranger_on_another_host_is_heard_only_by_those_who_reach_there() {
     }
     let host = Host::start();
     let (topic, message) = names("/cmd_vel", "geometry_msgs/msg/Twist");
-    let mut readers = Vec::new();
-    for reach in [
-        Reach { range: Range::Subnet, ..Reach::default() },
-        Reach { static_peers: vec![Host::THERE.to_owned()], ..Reach::default() },
-        Reach::default(),
-    ] {
+    let open = async |reach| {
         let bridge = Participant::join(5, "ledgerd_bridge", &reach).await.unwrap();
-        readers.push(bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap());
-    }
+        bridge.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap()
+    };
+    let mut subnet = open(Reach { range: Range::Subnet, ..Reach::default() }).await;
+    let mut peer = open(Reach { static_peers: vec![Host::THERE.to_owned()], ..Reach::default() }).await;
+    let mut local_only = open(Reach::default()).await;
     let args = ["5", &topic.dds(), "100", "50", "0"];
     let mut stranger = host.python("twist_publisher.py", &args);
-    for reader in &mut readers[..2] {
+    for reader in [&mut subnet, &mut peer] {
         tokio::time::timeout(DEADLINE, reader.next()).await.expect("it reaches the other host").unwrap();
     }
     assert_eq!(stranger.line().unwrap(), "matched");
@@ -304,10 +302,10 @@ async fn a_stranger_on_another_host_is_heard_only_by_those_who_reach_there() {
         assert!(stranger.line().is_some());
     }
     assert!(stranger.finish(), "those who reach there have acknowledged everything");
-    assert!(readers[2].try_next().is_none(), "a message of another host came in");
+    assert!(local_only.try_next().is_none(), "a message of another host came in");
 
     // The same program on this host is heard.
     let mut local = Python::start("twist_publisher.py", &args);
-    tokio::time::timeout(DEADLINE, readers[2].next()).await.expect("local processes are heard").unwrap();
+    tokio::time::timeout(DEADLINE, local_only.next()).await.expect("local processes are heard").unwrap();
     assert_eq!(local.line().unwrap(), "matched");
 }

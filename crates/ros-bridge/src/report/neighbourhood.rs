@@ -74,6 +74,7 @@ impl Neighbourhood {
             if watched.topic.dds() == neighbour.topic {
                 watched.counters.lock().live.beside = self.beside(watched);
                 let line = meaning(watched, &neighbour, came);
+                let line = if came { line.map(|line| self.second(watched, &neighbour, line)) } else { line };
                 self.tell(watched, &neighbour, line, now);
             }
         }
@@ -124,6 +125,25 @@ impl Neighbourhood {
             neighbour.topic == topic && neighbour.role == Role::Publisher && neighbour.mark != Some(watched.mark)
         });
         if delivers { others.count() } else { 0 }
+    }
+
+    /// A note becomes a warning where it is about a second publisher of commands: the bridge signs what both send.
+    fn second(&self, watched: &Watched, neighbour: &Neighbour, line: Line) -> Line {
+        let (topic, wanted) = (watched.topic.dds(), watched.route.message.dds());
+        let is_source = |other: &&Neighbour| {
+            (other.topic == topic && other.type_name == wanted && other.role == Role::Publisher)
+                && !is_bridge(other, watched.mark)
+        };
+        let sources = self.known.values().filter(is_source).count();
+        match line {
+            Line::Note(_) if watched.is_command && is_source(&neighbour) && sources > 1 => {
+                let (topic, service) = (watched.topic.as_str(), &watched.route.service);
+                Line::Warning(format!(
+                    "{sources} publishers on {topic} now: this bridge takes the commands of all of them to {service}"
+                ))
+            }
+            line => line,
+        }
     }
 
     /// Tells what somebody on a route's topic means. Warnings have a limit of their own: those who come and leave must
