@@ -3,35 +3,26 @@
 #[cfg(test)]
 mod tests;
 
-use std::{
-    collections::{BTreeMap, btree_map::Entry},
-    path::Path,
-    sync::Arc,
-    time::Duration,
-};
+use std::{path::Path, sync::Arc, time::Duration};
 
 use ledger_api::{Client, Context, home, read_checkpoint};
-use ledger_gate::service::Service;
-use ledger_rejection::{Class, Code, Rejection};
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
-    config::{Config, IdentitySource, RouteConfig, circle},
-    count::{Counters, RouteSummary, line},
+    config::{Config, IdentitySource, RouteConfig},
+    count::{RouteSummary, line},
     domain::{Domain, ROS_DOMAIN_ID},
     gateway::Gateway,
+    keeper::{Keeper, is_to_come},
     mark::Mark,
-    names::TopicName,
     reach::Reach,
     renewal::keep_renewed,
-    report::{Reporter, Watched},
-    route::{
-        kind::{Opened, Opening},
-        local::Local,
-    },
+    report::Reporter,
+    roster::{Roster, Slot},
+    route::local::Local,
     service::{ask_service, topic_for},
-    standing::Asker,
 };
 
 /// Pause before a bridge that cannot start yet tries again.
@@ -54,7 +45,7 @@ pub struct Bridge {
     ended: watch::Receiver<bool>,
     tasks: Vec<JoinHandle<()>>,
     domain: u16,
-    counters: Vec<Counters>,
+    roster: Arc<Roster>,
 }
 
 /// Runs a bridge by itself until `stop` is ready, and then prints one line of JSON on standard output: the
@@ -96,68 +87,53 @@ pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), R
 }
 
 impl Bridge {
-    /// Joins the local graph and starts all routes, or none. Must be called inside a tokio runtime.
+    /// Joins the local graph and starts the routes. One that cannot start waits, says why, and is tried again; only if
+    /// none can start, the bridge does not. Must be called inside a tokio runtime.
     ///
     /// The client decides through which nodes the bridge works. Network and organisations come from the context that
     /// the configuration names, which was stored at enrolment and needs no trust in a node.
     ///
     /// # Errors
-    /// [`Code::NoContext`]; [`Code::BadConfiguration`] if two routes close a circle, or `ROS_DOMAIN_ID` names no
-    /// domain; [`Code::UnknownRobot`] and [`Code::UnknownService`]; [`Code::WrongType`] if a route has another type
-    /// than its service; [`Code::MiddlewareFailed`]; the ledger's refusal if it does not answer.
+    /// [`Code::NoContext`]; [`Code::BadConfiguration`] if `ROS_DOMAIN_ID` names no domain; [`Code::MiddlewareFailed`].
+    /// If no route can start, the reason of one: [`Code::UnknownRobot`] and [`Code::UnknownService`];
+    /// [`Code::WrongType`] if it has another type than its service; the ledger's refusal if it does not answer.
     pub async fn start(config: Config, client: Client) -> Result<Self, Rejection> {
         let context = context_of(&config)?;
         Self::start_with(config, Arc::new(client), &context).await
     }
 
     async fn start_with(config: Config, gateway: Arc<dyn Gateway>, context: &Context) -> Result<Self, Rejection> {
-        let mut services = Vec::with_capacity(config.routes.len());
-        for route in &config.routes {
-            let (service, _) = ask_service(&*gateway, 0, &route.service).await?;
-            let topic = topic_for(&service, route)?;
-            services.push((service, topic));
-        }
-        no_circle(&config.routes, &services)?;
+        can_begin(&*gateway, &config.routes).await?;
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
         let local = Local::open(domain.id, &reach, &config.node_name, config.shared_memory).await?;
         let checkpoint =
             config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
         let known = checkpoint.map(|checkpoint| checkpoint.governance);
-        let mut askers = BTreeMap::new();
-        let mut watched = Vec::with_capacity(config.routes.len());
+        let slot = |(number, route): (usize, &RouteConfig)| {
+            Arc::new(Slot::new(number, route.clone(), Mark::new(&context.network, &route.service)))
+        };
+        let roster = Arc::new(Roster::new((1..).zip(&config.routes).map(slot).collect()));
+        let keeper = Arc::new(Keeper::new(Arc::clone(&gateway), context, local.clone(), known, Arc::clone(&roster)));
         let (stop, told) = watch::channel(false);
-        let mut routes: Vec<futures::future::BoxFuture<'static, ()>> = Vec::new();
-        let mut counters = Vec::new();
-        for (route, (service, topic)) in config.routes.iter().zip(services) {
-            let mark = Mark::new(&context.network, &route.service);
-            let is_command = service.is_command();
-            let (gateway, stop) = (Arc::clone(&gateway), told.clone());
-            let asker = match askers.entry(service.robot.clone()) {
-                Entry::Occupied(known) => Arc::clone(known.get()),
-                Entry::Vacant(place) => {
-                    let (gateway, stored) = (Arc::clone(&gateway), Arc::clone(&context.msps));
-                    let asker = Asker::new(gateway, &service.robot, stored, known.as_ref())?;
-                    Arc::clone(place.insert(Arc::new(asker)))
-                }
-            };
-            let opening = Opening { route, gateway, context, local: &local, service, topic: &topic, mark, asker, stop };
-            let Opened { counters: counted, in_memory, running } = route.plan.open(opening).await?;
-            routes.push(running);
-            counters.push(counted.clone());
-            watched.push(Watched { route: route.clone(), topic, mark, is_command, counters: counted, in_memory });
+        let mut first = Vec::with_capacity(roster.slots().len());
+        for slot in roster.slots() {
+            first.push(keeper.open(slot, &told).await);
         }
-        let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, watched);
-        routes.push(Box::pin(reporter.run(told)));
+        if let Some(refused) = all_refused(roster.slots().iter().map(|slot| slot.waits())) {
+            return Err(refused);
+        }
+        let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, Arc::clone(&roster));
         let (ending, ended) = watch::channel(false);
-        let tasks = routes.into_iter().map(|route| {
-            let ending = ending.clone();
-            tokio::spawn(async move {
-                route.await;
+        let mut tasks = vec![tokio::spawn(reporter.run(told.clone()))];
+        for (slot, first) in roster.slots().iter().zip(first) {
+            let (keeper, slot, told, ending) = (Arc::clone(&keeper), Arc::clone(slot), told.clone(), ending.clone());
+            tasks.push(tokio::spawn(async move {
+                keeper.keep(&slot, first, told).await;
                 ending.send_replace(true);
-            })
-        });
-        Ok(Self { tasks: tasks.collect(), domain: domain.id, stop, ended, counters })
+            }));
+        }
+        Ok(Self { tasks, domain: domain.id, stop, ended, roster })
     }
 
     /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then start another bridge.
@@ -172,7 +148,7 @@ impl Bridge {
 
     /// The counters of the routes so far.
     pub fn summary(&self) -> Summary {
-        Summary { domain: self.domain, routes: self.counters.iter().map(Counters::summary).collect() }
+        Summary { domain: self.domain, routes: self.roster.summaries() }
     }
 
     /// Stops what robots are moving, ends all routes, and leaves the graph.
@@ -183,31 +159,29 @@ impl Bridge {
                 tracing::error!(%error, "a route ended too early");
             }
         }
-        Summary { domain: self.domain, routes: self.counters.iter().map(Counters::summary).collect() }
+        Summary { domain: self.domain, routes: self.roster.summaries() }
     }
 }
 
-/// Refuses a pair of routes between which each message would go round.
-fn no_circle(routes: &[RouteConfig], services: &[(Service, TopicName)]) -> Result<(), Rejection> {
-    let routes = || (1..).zip(routes.iter().zip(services));
-    for (one, (up, (_, topic))) in routes().filter(|(_, (route, _))| route.kind.takes_in()) {
-        for (two, (down, (_, other))) in routes().filter(|(_, (route, _))| !route.kind.takes_in()) {
-            if up.service == down.service && topic == other {
-                return Err(circle(&up.service, topic.as_str(), [(one, up.kind), (two, down.kind)]));
-            }
-        }
+/// Refuses to begin while no route can: each service is looked up before the graph is joined.
+async fn can_begin(gateway: &dyn Gateway, routes: &[RouteConfig]) -> Result<(), Rejection> {
+    let mut refused = Vec::with_capacity(routes.len());
+    for route in routes {
+        let found = ask_service(gateway, 0, &route.service).await;
+        refused.push(found.and_then(|(service, _)| topic_for(&service, route)).err());
     }
-    Ok(())
+    all_refused(refused.into_iter()).map_or(Ok(()), Err)
+}
+
+/// Why no route at all is possible: what somebody must repair, before what may still come.
+fn all_refused(refused: impl Iterator<Item = Option<Rejection>>) -> Option<Rejection> {
+    let refused: Option<Vec<Rejection>> = refused.collect();
+    refused?.into_iter().min_by_key(is_to_come)
 }
 
 async fn start(config: &Config) -> Result<(Bridge, Client), Rejection> {
     let client = Client::connect(&context_of(config)?).await?;
     Ok((Bridge::start(config.clone(), client.clone()).await?, client))
-}
-
-/// May that which is missing still come, without anybody changing the bridge?
-fn is_to_come(refused: &Rejection) -> bool {
-    refused.code.class() == Class::Unreachable || matches!(refused.code, Code::UnknownRobot | Code::UnknownService)
 }
 
 /// The identity of a bridge towards the ledger, as its configuration names it.

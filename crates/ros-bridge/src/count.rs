@@ -22,6 +22,9 @@ pub struct RouteSummary {
     pub service: String,
     /// The kind of the route by its name in the configuration.
     pub direction: &'static str,
+    /// The reason why the route is not open: code and message.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub waiting: Option<String>,
     /// Publishers or subscribers of other ROS 2 nodes that this route is connected with now.
     pub matched: usize,
     /// Samples taken in from the local graph.
@@ -69,8 +72,6 @@ pub struct Latency {
 #[derive(Clone, Debug)]
 pub(crate) struct Counters {
     counts: Arc<Mutex<Counts>>,
-    matched: Matched,
-    door: Option<Arc<Door>>,
 }
 
 /// The counters.
@@ -79,6 +80,14 @@ pub(crate) struct Counts {
     pub(crate) summary: RouteSummary,
     pub(crate) live: Live,
     latency: Option<Histogram<u64>>,
+    ends: Option<Ends>,
+}
+
+/// What else is counted at the ends of an open route.
+#[derive(Debug)]
+struct Ends {
+    matched: Matched,
+    door: Option<Arc<Door>>,
 }
 
 /// The last events on a route, and its present state.
@@ -103,10 +112,11 @@ pub(crate) struct Live {
 }
 
 impl Counters {
-    pub(crate) fn new(route: &RouteConfig, matched: &Matched, door: Option<Arc<Door>>) -> Self {
+    pub(crate) fn new(route: &RouteConfig) -> Self {
         let summary = RouteSummary {
             service: route.service.clone(),
             direction: route.kind.name,
+            waiting: None,
             matched: 0,
             samples_in: 0,
             replaced: 0,
@@ -122,11 +132,16 @@ impl Counters {
             commit_us: Latency::default(),
         };
         let latency = Histogram::new_with_bounds(1, LATENCY_US_MAX, 3).ok();
-        Self {
-            counts: Arc::new(Mutex::new(Counts { summary, live: Live::default(), latency })),
-            matched: matched.clone(),
-            door,
-        }
+        let counts = Counts { summary, live: Live::default(), latency, ends: None };
+        Self { counts: Arc::new(Mutex::new(counts)) }
+    }
+
+    /// The route has been opened.
+    pub(crate) fn opened(&self, matched: &Matched, door: Option<Arc<Door>>) {
+        let mut counts = self.lock();
+        let before = counts.ends.replace(Ends { matched: matched.clone(), door });
+        counts.summary.returned += before.map_or(0, |ends| ends.returned());
+        counts.live = Live::default();
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, Counts> {
@@ -135,15 +150,17 @@ impl Counters {
 
     /// The endpoints of others, to wait for them.
     #[cfg(test)]
-    pub(crate) fn matched(&self) -> &Matched {
-        &self.matched
+    pub(crate) fn matched(&self) -> Option<Matched> {
+        self.lock().ends.as_ref().map(|ends| ends.matched.clone())
     }
 
     pub(crate) fn summary(&self) -> RouteSummary {
         let counts = self.lock();
         let mut summary = counts.summary.clone();
-        summary.matched = self.matched.now().matched;
-        summary.returned = self.door.as_ref().map_or(0, |door| door.returned());
+        if let Some(ends) = &counts.ends {
+            summary.matched = ends.matched.now().matched;
+            summary.returned += ends.returned();
+        }
         if let Some(latency) = &counts.latency {
             summary.commit_us = Latency {
                 count: latency.len(),
@@ -154,6 +171,12 @@ impl Counters {
             };
         }
         summary
+    }
+}
+
+impl Ends {
+    fn returned(&self) -> u64 {
+        self.door.as_ref().map_or(0, |door| door.returned())
     }
 }
 

@@ -87,6 +87,10 @@ impl Fake {
         });
     }
 
+    pub(crate) fn set_type(&self, name: &str) {
+        *self.service.lock().unwrap().get_mut("type").unwrap() = json!(name);
+    }
+
     pub(crate) fn set_holder(&self, holder: &str, epoch: u64, lease_ms: u64) {
         self.set_grant(&held_by(holder, epoch, lease_ms));
     }

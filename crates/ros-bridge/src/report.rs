@@ -8,7 +8,7 @@ mod neighbourhood;
 mod silent;
 
 use std::{
-    collections::BTreeSet,
+    collections::BTreeMap,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -21,20 +21,18 @@ use tokio::{
 
 use self::{neighbourhood::Neighbourhood, silent::Teller};
 use crate::{
-    config::{Config, RouteConfig},
-    count::{Counters, RouteSummary},
+    config::Config,
+    count::RouteSummary,
     domain::{ChosenBy, Domain},
     gateway::{Gateway, Tally},
-    mark::Mark,
-    names::TopicName,
     reach::Reach,
+    roster::{Roster, Watched},
     route::{
         Stop,
         local::Local,
         silence::{Facts, silence},
         stopped,
     },
-    shm::Peers,
 };
 
 /// Between two looks at the routes.
@@ -42,25 +40,14 @@ const LOOK_EVERY: Duration = Duration::from_secs(1);
 /// Silence of the ledger after which the node counts as lost: it gives a sign of life four times a second.
 const LOST_AFTER: Duration = Duration::from_secs(2);
 
-/// A route as the reporter sees it.
-pub(crate) struct Watched {
-    pub(crate) route: RouteConfig,
-    pub(crate) topic: TopicName,
-    pub(crate) mark: Mark,
-    /// Do users publish and the robot listens?
-    pub(crate) is_command: bool,
-    pub(crate) counters: Counters,
-    /// The other users of the topic in shared memory.
-    pub(crate) in_memory: Option<Peers>,
-}
-
 /// Reports on a running bridge until it ends.
 pub(crate) struct Reporter {
     gateway: Arc<dyn Gateway>,
     local: Local,
     every: Duration,
-    routes: Arc<[Watched]>,
-    tellers: Vec<Teller>,
+    roster: Arc<Roster>,
+    /// By the numbers of the routes.
+    tellers: BTreeMap<usize, Teller>,
     /// Address of the node that answers.
     node: String,
     heard: Instant,
@@ -77,12 +64,12 @@ impl Reporter {
         (domain, reach): (Domain, &Reach),
         gateway: Arc<dyn Gateway>,
         local: Local,
-        routes: Vec<Watched>,
+        roster: Arc<Roster>,
     ) -> Self {
         let node = gateway.node();
         let Domain { id, chosen_by } = domain;
         let identity = format!("{}/{}", context.organisation, context.name);
-        let (name, shared_memory, count) = (&config.node_name, config.shared_memory, routes.len());
+        let (name, shared_memory, count) = (&config.node_name, config.shared_memory, roster.slots().len());
         tracing::info!(
             context = context.name,
             organisation = context.organisation,
@@ -101,7 +88,8 @@ impl Reporter {
                 "no domain_id is set: every ROS 2 node without ROS_DOMAIN_ID is in this domain too"
             );
         }
-        for (number, Watched { route, topic, .. }) in (1..).zip(&routes) {
+        for watched in roster.open() {
+            let Watched { number, route, topic, .. } = &*watched;
             let (service, message, qos) = (&route.service, &route.message, &route.qos);
             let (direction, arrow) = (route.kind.name, route.kind.arrow(topic, service));
             let (reliability, durability) = (qos.reliability.name(), qos.durability.name());
@@ -110,21 +98,19 @@ impl Reporter {
                 "route {number}: {arrow}"
             );
         }
-        let counted = routes.iter().map(|watched| watched.counters.summary()).collect();
-        let tellers = routes.iter().map(|_| Teller::default()).collect();
+        let counted = roster.summaries();
         let (heard, every) = (Instant::now(), config.report_every);
-        Self { gateway, local, every, routes: routes.into(), tellers, node, heard, is_lost: false, counted }
+        Self { gateway, local, every, roster, tellers: BTreeMap::new(), node, heard, is_lost: false, counted }
     }
 
     /// Runs until it is told to end.
     pub(crate) async fn run(mut self, mut stop: Stop) {
-        let topics: BTreeSet<String> = self.routes.iter().map(|watched| watched.topic.dds()).collect();
         let (tell, mut changes) = mpsc::unbounded_channel();
         let participant = self.local.participant().clone();
         // Nobody hears it only when this task ends.
-        let follow = participant.follow(&topics, |change| drop(tell.send(change)));
+        let follow = participant.follow(self.roster.topics(), |change| drop(tell.send(change)));
         let mut follow = std::pin::pin!(follow);
-        let mut neighbourhood = Neighbourhood::new(self.local.clone(), Arc::clone(&self.routes));
+        let mut neighbourhood = Neighbourhood::new(self.local.clone(), Arc::clone(&self.roster));
         let mut look = interval(LOOK_EVERY);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut count = interval(self.every);
@@ -147,7 +133,7 @@ impl Reporter {
     }
 
     fn look_at_node(&mut self, now: Instant) {
-        let heard = self.routes.iter().filter_map(|watched| watched.counters.lock().live.heard).max();
+        let heard = self.roster.slots().iter().filter_map(|slot| slot.counters.lock().live.heard).max();
         let before = self.heard;
         self.heard = heard.unwrap_or(before).max(before);
         let (node, silent) = (self.gateway.node(), now.saturating_duration_since(self.heard));
@@ -180,8 +166,9 @@ impl Reporter {
         if self.is_lost {
             return; // It is said why.
         }
-        for (watched, teller) in self.routes.iter().zip(&mut self.tellers) {
-            let surroundings = neighbourhood.surroundings(watched);
+        for watched in self.roster.open() {
+            let teller = self.tellers.entry(watched.number).or_default();
+            let surroundings = neighbourhood.surroundings(&watched);
             let counts = watched.counters.lock();
             let facts = Facts {
                 service: &watched.route.service,
@@ -192,14 +179,13 @@ impl Reporter {
             };
             let (silence, passed) = (silence(&facts, now), counts.live.passed);
             drop(counts);
-            teller.look(watched, silence, passed, now);
+            teller.look(&watched, silence, passed, now);
         }
     }
 
     /// One line for each route that refused, lost or slowed down something since the last time.
     fn count(&mut self) {
-        for (watched, last) in self.routes.iter().zip(&mut self.counted) {
-            let now = watched.counters.summary();
+        for (now, last) in self.roster.summaries().into_iter().zip(&mut self.counted) {
             let before = std::mem::replace(last, now.clone());
             let since = |now: u64, before: u64| now.saturating_sub(before);
             let (refused, gate) = (grown(&now.refused, &before.refused), grown(&now.gate, &before.gate));

@@ -10,8 +10,9 @@
 //!   "unknown". Its mark is zero: others are set by bridges on what came from the ledger ([`Mark::nanos`]).
 //! - **Event service** of the same name: notify it after each publication, wait on it for news.
 //! - A bridge drops what carries its own origin, or the mark of its network, so nothing goes in circles.
-//! - All processes run as the same user. The first one to open a service sets its limits ([`PUBLISHERS_MAX`],
-//!   [`SUBSCRIBERS_MAX`], [`BUFFER_SAMPLES`]); ours refuses a service that was opened with less.
+//! - All processes run as the same user. The first one to open a service sets its limits; ours are [`PUBLISHERS_MAX`],
+//!   [`SUBSCRIBERS_MAX`], [`BUFFER_SAMPLES`]. A bridge takes a service as others have opened it, with any limits. It
+//!   needs room for one publisher, subscriber, notifier or listener of its own.
 //!
 //! The remains of a killed process are removed when the next node starts or opens a service. Two processes that do so
 //! at the same time can disturb each other, so opening is tried several times.
@@ -29,9 +30,14 @@ use std::{
 
 use iceoryx2::{
     node::{Node as IoxNode, NodeBuilder, NodeCreationFailure},
+    port::backpressure_strategy::BackpressureStrategy,
     port::{listener::Listener, notifier::Notifier, publisher, subscriber},
     prelude::{AllocationStrategy, LogLevel, NodeName, ServiceName, SignalHandlingMode, set_log_level_from_env_or},
     service::{
+        builder::{
+            event::{EventOpenError, EventOpenOrCreateError},
+            publish_subscribe::{PublishSubscribeOpenError, PublishSubscribeOpenOrCreateError},
+        },
         ipc_threadsafe::Service,
         port_factory::{self, PortFactory},
     },
@@ -113,6 +119,8 @@ impl Node {
                 data.publisher_builder()
                     .initial_max_slice_len(FIRST_SLICE_BYTES)
                     .allocation_strategy(AllocationStrategy::PowerOfTwo)
+                    // Where the service overwrites nothing, a subscriber that is full gets less; nobody waits for it.
+                    .backpressure_strategy(BackpressureStrategy::DiscardData)
                     .override_sample_preallocation(|worst| worst.min(PREALLOCATED_SAMPLES_MAX))
                     .create()
             })?;
@@ -147,7 +155,8 @@ impl Node {
             let what = format!("cannot subscribe {topic} in shared memory");
             let listener = retry(&what, || events.listener_builder().create())?;
             let waker = retry(&what, || events.notifier_builder().create())?;
-            let port = retry(&what, || data.subscriber_builder().buffer_size(BUFFER_SAMPLES).create())?;
+            let buffer = BUFFER_SAMPLES.min(data.static_config().subscriber_max_buffer_size());
+            let port = retry(&what, || data.subscriber_builder().buffer_size(buffer).create())?;
             let queue = Queue::new(&limits);
             let stop = Arc::new(AtomicBool::new(false));
             let pump = Pump {
@@ -174,28 +183,39 @@ impl Node {
             domain => format!("domain{domain}/{}", topic.dds()),
         };
         let name = ServiceName::new(&name).map_err(|error| failed(&what, &error))?;
-        let data = retry(&what, || {
-            self.node
-                .service_builder(&name)
-                .publish_subscribe::<[u8]>()
-                .user_header::<Header>()
+        let data = retry(&what, || self.data_service(&name))?;
+        let events = retry(&what, || self.event_service(&name))?;
+        Ok((data, events))
+    }
+
+    /// The samples: as another process has opened the service, else with our limits.
+    fn data_service(&self, name: &ServiceName) -> std::result::Result<DataService, PublishSubscribeOpenOrCreateError> {
+        let builder = || self.node.service_builder(name).publish_subscribe::<[u8]>().user_header::<Header>();
+        match builder().open() {
+            Err(PublishSubscribeOpenError::DoesNotExist) => Ok(builder()
                 .max_publishers(PUBLISHERS_MAX)
                 .max_subscribers(SUBSCRIBERS_MAX)
                 .max_nodes(NODES_MAX)
                 .subscriber_max_buffer_size(BUFFER_SAMPLES)
                 .enable_safe_overflow(true)
-                .open_or_create()
-        })?;
-        let events = retry(&what, || {
-            self.node
-                .service_builder(&name)
+                .create()?),
+            opened => Ok(opened?),
+        }
+    }
+
+    /// The wake-ups, in the same way.
+    fn event_service(&self, name: &ServiceName) -> std::result::Result<EventService, EventOpenOrCreateError> {
+        match self.node.service_builder(name).event().open() {
+            Err(EventOpenError::DoesNotExist) => Ok(self
+                .node
+                .service_builder(name)
                 .event()
                 .max_notifiers(PUBLISHERS_MAX + SUBSCRIBERS_MAX)
                 .max_listeners(SUBSCRIBERS_MAX)
                 .max_nodes(NODES_MAX)
-                .open_or_create()
-        })?;
-        Ok((data, events))
+                .create()?),
+            opened => Ok(opened?),
+        }
     }
 }
 
@@ -399,7 +419,7 @@ fn retry<T, E: std::fmt::Debug + std::fmt::Display>(
 
 fn failed(what: &str, error: &dyn std::fmt::Debug) -> Error {
     let wanted = "free, compatible shared memory of this user in /dev/shm and /tmp/iceoryx2";
-    let hint = "run all processes as one user with the same limits; stop them and delete /tmp/iceoryx2 if it stays";
+    let hint = "run all processes as one user, with the types that docs/bridge.md names; if it stays, stop them and delete /tmp/iceoryx2";
     Error::Shm(Explained::new(what, format!("{error:?}"), wanted, hint))
 }
 

@@ -5,6 +5,7 @@
 mod network;
 
 use std::{process::Command, sync::Arc, time::Duration};
+use tokio::sync::watch;
 
 use ledger_gate::sample::{CDR_BE, CDR_LE, Sample};
 use ledger_hash::Hash;
@@ -215,8 +216,8 @@ async fn who_comes_and_who_leaves_is_told_with_type_qos_and_mark() {
     let _bridge = there.marked_writer(&elsewhere, &twist(), &Qos::default(), mark()).unwrap();
     let other = there.writer(&topic(), &text, &Qos::default()).unwrap();
     let (tell, mut told) = tokio::sync::mpsc::unbounded_channel();
-    let topics = [topic().dds()].into();
-    let follow = here.follow(&topics, |change| tell.send(change).unwrap());
+    let topics = watch::Sender::new([topic().dds()].into());
+    let follow = here.follow(topics.subscribe(), |change| tell.send(change).unwrap());
     let story = async {
         let mut came = Vec::new();
         while came.len() < 3 {
@@ -227,7 +228,7 @@ async fn who_comes_and_who_leaves_is_told_with_type_qos_and_mark() {
         let (topic, elsewhere) = (topic().dds(), elsewhere.dds());
         let expected = [
             (Role::Publisher, topic.clone(), text.dds(), None),
-            (Role::Publisher, elsewhere, twist().dds(), Some(mark())),
+            (Role::Publisher, elsewhere.clone(), twist().dds(), Some(mark())),
             (Role::Subscriber, topic, twist().dds(), None),
         ];
         assert_eq!(came.len(), expected.len());
@@ -238,6 +239,10 @@ async fn who_comes_and_who_leaves_is_told_with_type_qos_and_mark() {
         drop(other);
         let Some(Change::Left(left)) = told.recv().await else { unreachable!("only the writer left") };
         assert_eq!(left.type_name, text.dds());
+        // A topic that becomes interesting: those that are there already are told of.
+        topics.send_replace([elsewhere.clone()].into());
+        let Some(Change::Came(known)) = told.recv().await else { unreachable!("the writer on /elsewhere is there") };
+        assert_eq!((known.topic, known.type_name), (elsewhere, text.dds()));
     };
     tokio::time::timeout(DEADLINE, async {
         tokio::select! {

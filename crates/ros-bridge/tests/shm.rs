@@ -8,6 +8,7 @@ use std::{
     time::Duration,
 };
 
+use iceoryx2::{node::NodeBuilder, prelude::ServiceName, service::ipc_threadsafe};
 use ledger_gate::sample::{CDR_LE, Sample};
 use ledger_hash::Hash;
 use ros_bridge::{
@@ -48,6 +49,26 @@ async fn samples_pass_between_two_nodes_and_grow() {
         assert_eq!(incoming.sample, sample(number, len));
         assert_eq!((incoming.source, incoming.sequence), ([1; 16], u64::from(number)));
     }
+}
+
+#[tokio::test]
+async fn a_service_that_an_application_opened_with_smaller_limits_is_used_as_it_is() {
+    let topic = topic("small");
+    let name = ServiceName::new(&topic.dds()).unwrap();
+    let application = NodeBuilder::new().create::<ipc_threadsafe::Service>().unwrap();
+    let data = application.service_builder(&name).publish_subscribe::<[u8]>().user_header::<[u8; 32]>();
+    let data = data.max_publishers(2).max_subscribers(2).max_nodes(2).subscriber_max_buffer_size(1);
+    let data = data.enable_safe_overflow(false).create().unwrap();
+    let events = application.service_builder(&name).event();
+    let _events = events.max_notifiers(3).max_listeners(2).max_nodes(2).create().unwrap();
+    let stalled = data.subscriber_builder().create().unwrap();
+    let here = Node::open(0, "here", [1; 16]).await.unwrap();
+    let publisher = here.publisher(&topic).await.unwrap();
+    // A subscriber that takes nothing and may not lose anything holds up nobody.
+    let reached: Vec<usize> = (0..3).map(|number| publisher.write(&sample(number, 48)).unwrap()).collect();
+    assert_eq!(reached, [1, 0, 0]);
+    assert_eq!(stalled.receive().unwrap().unwrap().payload(), sample(0, 48).wire().as_ref());
+    let _heard = here.subscriber(&topic, Limits::default()).await.unwrap();
 }
 
 #[tokio::test]

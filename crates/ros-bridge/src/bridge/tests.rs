@@ -5,6 +5,7 @@
 mod network;
 
 mod limit_tests;
+mod start_tests;
 mod stop_tests;
 
 use std::{
@@ -26,7 +27,7 @@ use super::*;
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
     fake::{Fake, Fate, held_by},
-    names::TypeName,
+    names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
     stop::stop_message,
@@ -96,7 +97,8 @@ impl Bench {
 
     /// Waits until both ends know each other.
     async fn matched(&self, beside: &Matched) {
-        for matched in [beside, self.bridge.counters[0].matched()] {
+        let own = self.bridge.roster.slots()[0].counters.matched().unwrap();
+        for matched in [beside, &own] {
             assert!(tokio::time::timeout(DEADLINE, matched.at_least(1)).await.unwrap());
         }
         assert_eq!(self.bridge.summary().routes[0].matched, 1);
@@ -474,27 +476,4 @@ async fn a_robot_whose_rule_this_version_does_not_know_is_not_driven() {
     assert_eq!(next(&mut reader).await, sent, "nothing in between");
     let summary = bench.bridge.stop().await.routes.pop().unwrap();
     assert_eq!((summary.published, summary.stops["no_service"], summary.gate["no_service"]), (2, 1, 1));
-}
-
-#[tokio::test]
-async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() {
-    let network = Network::until(2900);
-    let fake = Fake::new("limited", &network);
-    let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
-    let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
-    let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
-    assert_eq!(refused.code, Code::UnknownMode);
-    assert_eq!(refused.message, "T/cmd_vel is in mode limited, and this bridge does not know its rule");
-    assert_eq!(refused.found, "mode \"limited\" without capabilities");
-}
-
-#[tokio::test]
-async fn a_route_of_another_type_is_refused_at_the_start() {
-    let network = Network::until(2900);
-    let fake = Fake::new("exclusive", &network);
-    let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'\ndirection = 'to_ledger'";
-    let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
-    let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
-    assert_eq!(refused.code, Code::WrongType);
-    assert_eq!((&refused.found[..], &refused.wanted[..]), ("std_msgs/msg/String", "geometry_msgs/msg/Twist"));
 }

@@ -7,7 +7,10 @@ use std::{
 
 use futures::{FutureExt, StreamExt};
 use rustdds::{GUID, QosPolicies, StatusEvented};
-use tokio::time::{sleep, timeout};
+use tokio::{
+    sync::watch,
+    time::{sleep, timeout},
+};
 
 use super::{Participant, prefix};
 use crate::mark::Mark;
@@ -104,15 +107,16 @@ impl Participant {
     }
 
     /// Tells, as long as it runs, of publishers and subscribers that come and leave. Those that are there already come
-    /// first: all that are marked, and those on the DDS topics of `topics`. One caller at a time: the news of a
-    /// participant are given out once.
-    pub async fn follow(&self, topics: &BTreeSet<String>, mut tell: impl FnMut(Change)) {
+    /// first: all that are marked, and those on the DDS topics of `topics`, which may change. One caller at a time: the
+    /// news of a participant are given out once.
+    pub async fn follow(&self, mut topics: watch::Receiver<BTreeSet<String>>, mut tell: impl FnMut(Change)) {
         let listener = self.dds.status_listener();
         let mut news = listener.as_async_status_stream();
         let mut known: BTreeMap<[u8; 16], Neighbour> = BTreeMap::new();
         loop {
+            let meant = topics.borrow_and_update().clone();
             let all = self.publishers().chain(self.subscribers());
-            let all = all.filter(|neighbour| neighbour.mark.is_some() || topics.contains(&neighbour.topic));
+            let all = all.filter(|neighbour| neighbour.mark.is_some() || meant.contains(&neighbour.topic));
             let now: BTreeMap<_, _> = all.take(NEIGHBOURS_MAX).map(|neighbour| (neighbour.guid, neighbour)).collect();
             let before = std::mem::replace(&mut known, now);
             for (guid, neighbour) in &before {
@@ -126,7 +130,13 @@ impl Participant {
                 }
             }
             sleep(LOOK_PAUSE).await;
-            match timeout(LOOK_EVERY, news.next()).await {
+            let next = async {
+                tokio::select! {
+                    next = news.next() => next.map(drop),
+                    Ok(()) = topics.changed() => Some(()),
+                }
+            };
+            match timeout(LOOK_EVERY, next).await {
                 // DDS has ended: its readers and writers say so.
                 Ok(None) => return std::future::pending().await,
                 // Whatever else came meanwhile is seen at the next look as well.

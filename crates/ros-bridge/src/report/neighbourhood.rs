@@ -9,13 +9,13 @@ use std::{
 use rustdds::QosPolicies;
 use tokio::task::AbortHandle;
 
-use super::Watched;
 use crate::{
     dds::{Change, Neighbour, Role},
     mark::Mark,
     names::{TopicName, quoted},
     qos::{Qos, Reliability},
     queue::Limits,
+    roster::{Roster, Watched},
     route::{kind::Beside, local::Local, silence::Surroundings},
 };
 
@@ -29,12 +29,12 @@ const LISTENED_MAX: usize = 16;
 /// The known neighbours.
 pub(super) struct Neighbourhood {
     local: Local,
-    routes: Arc<[Watched]>,
+    roster: Arc<Roster>,
     known: BTreeMap<[u8; 16], Neighbour>,
     /// Publishers of other bridges on other topics, listened to: what they deliver must not come in by a relay.
     listened: BTreeMap<[u8; 16], AbortHandle>,
-    /// How many use each route's topic in shared memory, when last looked at.
-    in_memory: Vec<usize>,
+    /// How many use each route's topic in shared memory, when last looked at, by the numbers of the routes.
+    in_memory: BTreeMap<usize, usize>,
     lines: Lines,
     warnings: Lines,
 }
@@ -48,11 +48,11 @@ struct Lines {
 }
 
 impl Neighbourhood {
-    pub(super) fn new(local: Local, routes: Arc<[Watched]>) -> Self {
-        let in_memory = routes.iter().map(count_in_memory).collect();
+    pub(super) fn new(local: Local, roster: Arc<Roster>) -> Self {
+        let in_memory = roster.open().map(|watched| (watched.number, count_in_memory(&watched))).collect();
         let (known, listened) = (BTreeMap::new(), BTreeMap::new());
         let lines = || Lines { since: Instant::now(), count: 0, not_told: 0 };
-        Self { local, routes, known, listened, in_memory, lines: lines(), warnings: lines() }
+        Self { local, roster, known, listened, in_memory, lines: lines(), warnings: lines() }
     }
 
     /// Takes note of a change, and tells what it means.
@@ -70,20 +70,23 @@ impl Neighbourhood {
                 listener.abort();
             }
         }
-        for watched in Arc::clone(&self.routes).iter() {
-            if watched.topic.dds() == neighbour.topic {
-                watched.counters.lock().live.beside = self.beside(watched);
-                let line = meaning(watched, &neighbour, came);
-                let line = if came { line.map(|line| self.second(watched, &neighbour, line)) } else { line };
-                self.tell(watched, &neighbour, line, now);
-            }
+        let open: Vec<Arc<Watched>> = self.roster.open().collect();
+        for watched in open.iter().filter(|watched| watched.topic.dds() == neighbour.topic) {
+            watched.counters.lock().live.beside = self.beside(watched);
+            let line = meaning(watched, &neighbour, came);
+            let line = if came { line.map(|line| self.second(watched, &neighbour, line)) } else { line };
+            self.tell(watched, &neighbour, line, now);
         }
     }
 
     /// Looks at what nobody tells: shared memory; and says how much was not told.
     pub(super) fn look(&mut self, now: Instant) {
-        for (watched, before) in self.routes.iter().zip(&mut self.in_memory) {
-            let count = count_in_memory(watched);
+        for watched in self.roster.open() {
+            // A route that was opened late has neighbours of which nobody tells any more.
+            let beside = self.beside(&watched);
+            watched.counters.lock().live.beside = beside;
+            let count = count_in_memory(&watched);
+            let before = self.in_memory.entry(watched.number).or_insert(count);
             if count != *before
                 && let Some(peers) = &watched.in_memory
             {
@@ -167,10 +170,11 @@ impl Neighbourhood {
     /// Hears what another bridge delivers of a service that a route of ours takes to the ledger from another topic.
     fn listen(&mut self, neighbour: &Neighbour) {
         let Some(mark) = neighbour.mark.filter(|_| neighbour.role == Role::Publisher) else { return };
-        let meant = |watched: &&Watched| {
+        let meant = |watched: &&Arc<Watched>| {
             watched.route.kind.takes_in() && watched.mark == mark && watched.route.message.dds() == neighbour.type_name
         };
-        let Some(watched) = self.routes.iter().find(meant) else { return };
+        let open: Vec<Arc<Watched>> = self.roster.open().collect();
+        let Some(watched) = open.iter().find(meant) else { return };
         self.local.delivered().begins(mark);
         if watched.topic.dds() == neighbour.topic || self.listened.len() >= LISTENED_MAX {
             return; // The route itself hears it.

@@ -2,8 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::Watched;
-use crate::route::silence::Silence;
+use crate::{roster::Watched, route::silence::Silence};
 
 /// A reason must last so long to be told.
 const SETTLE: Duration = Duration::from_secs(2);

@@ -118,7 +118,7 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, context, local, service, topic, mark, asker, stop } = opening;
+        let Opening { route, gateway, context, local, service, topic, mark, asker, counters, stop } = opening;
         let gate = GateSettings {
             network: context.network,
             sample_bytes_max: route.sample_bytes_max,
@@ -128,12 +128,12 @@ impl Settings {
         };
         let outlet = async {
             let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
-            let counters = Counters::new(route, outlet.matched(), None);
+            counters.opened(outlet.matched(), None);
             Ok((outlet, self.points.open(local, topic, mark).await?, counters))
         };
         let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
-        let (counters, in_memory) = (opened.counters.clone(), opened.outlet.in_memory());
-        Ok(Opened { counters, in_memory, running: opened.run(stop).boxed() })
+        let in_memory = opened.outlet.in_memory();
+        Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }
 }
 

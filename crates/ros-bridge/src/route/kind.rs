@@ -60,13 +60,14 @@ pub(crate) struct Opening<'a> {
     pub(crate) mark: Mark,
     /// Asks how the robot stands.
     pub(crate) asker: Arc<Asker>,
+    /// Those of the route, from its first opening on.
+    pub(crate) counters: Counters,
     /// Tells the route to end.
     pub(crate) stop: Stop,
 }
 
 /// An open route.
 pub(crate) struct Opened {
-    pub(crate) counters: Counters,
     /// The other users of the topic in shared memory.
     pub(crate) in_memory: Option<Peers>,
     /// Runs until it is told to end, or the middleware ends.

@@ -36,8 +36,10 @@ pub(crate) struct Local {
 impl Local {
     pub(crate) async fn open(domain: u16, reach: &Reach, node_name: &str, shared_memory: bool) -> Result<Self> {
         let participant = Participant::join(domain, node_name, reach).await?;
-        let shm =
-            if shared_memory { Some(shm::Node::open(domain, node_name, participant.guid()).await?) } else { None };
+        let shm = match shared_memory {
+            true => or_dds_only("any topic", shm::Node::open(domain, node_name, participant.guid()).await),
+            false => None,
+        };
         Ok(Self { participant, shm, delivered: Arc::default() })
     }
 
@@ -60,7 +62,7 @@ impl Local {
     ) -> Result<Inlet> {
         let reader = self.participant.reader_behind(topic, message, qos, limits, Arc::clone(&door))?;
         let shm = match &self.shm {
-            Some(node) => Some(node.subscriber_behind(topic, limits, door).await?),
+            Some(node) => or_dds_only(topic.as_str(), node.subscriber_behind(topic, limits, door).await),
             None => None,
         };
         Ok(Inlet { reader, shm })
@@ -70,11 +72,19 @@ impl Local {
         self.delivered.begins(mark);
         let writer = self.participant.marked_writer(topic, message, qos, mark)?;
         let shm = match &self.shm {
-            Some(node) => Some(node.marked_publisher(topic, mark).await?),
+            Some(node) => or_dds_only(topic.as_str(), node.marked_publisher(topic, mark).await),
             None => None,
         };
         Ok(Outlet { writer, shm, mark, delivered: Arc::clone(&self.delivered) })
     }
+}
+
+/// Shared memory that cannot be used keeps nobody from DDS.
+fn or_dds_only<T>(topic: &str, opened: Result<T>) -> Option<T> {
+    let warn = |error: &Error| {
+        tracing::warn!(topic, %error, "shared memory is not used for {topic}, only DDS, until this bridge starts again");
+    };
+    opened.inspect_err(warn).ok()
 }
 
 /// Where samples of a topic come in.

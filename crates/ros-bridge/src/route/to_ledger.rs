@@ -82,16 +82,16 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, local, service, topic, mark, stop, .. } = opening;
+        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = opening;
         let max_age = Duration::from_millis(service.max_age_ms);
         let door = Arc::new(Door::new(mark, &route.service, max_age, Arc::clone(local.delivered())));
         let inlet = local.inlet(topic, &route.message, &route.qos, route.limits(), Arc::clone(&door)).await?;
         let in_memory = inlet.in_memory();
-        let counters = Counters::new(route, inlet.matched(), Some(door));
+        counters.opened(inlet.matched(), Some(door));
         counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         let inlet = (inlet, Fit::of(&route.message));
-        let opened = ToLedger::open(gateway, &route.service, inlet, self.batch_max, counters.clone()).await?;
-        Ok(Opened { counters, in_memory, running: opened.run(stop).boxed() })
+        let opened = ToLedger::open(gateway, &route.service, inlet, self.batch_max, counters).await?;
+        Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }
 }
 

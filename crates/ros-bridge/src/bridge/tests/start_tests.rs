@@ -1,0 +1,83 @@
+//! How routes start, each by itself.
+
+use super::*;
+
+const TWIST_ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'";
+const WRONG_ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'";
+
+#[tokio::test]
+async fn a_route_to_a_service_whose_rule_is_not_known_is_refused_at_the_start() {
+    let network = Network::until(2900);
+    let fake = Fake::new("limited", &network);
+    let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
+    let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
+    let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
+    assert_eq!(refused.code, Code::UnknownMode);
+    assert_eq!(refused.message, "T/cmd_vel is in mode limited, and this bridge does not know its rule");
+    assert_eq!(refused.found, "mode \"limited\" without capabilities");
+}
+
+#[tokio::test]
+async fn a_route_of_another_type_is_refused_at_the_start() {
+    let network = Network::until(2900);
+    let fake = Fake::new("exclusive", &network);
+    let text = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'std_msgs/msg/String'\ndirection = 'to_ledger'";
+    let config = Config::parse(text, Path::new(""), |_| ()).unwrap();
+    let refused = Bridge::start_with(config, fake, &context(&network)).await.unwrap_err();
+    assert_eq!(refused.code, Code::WrongType);
+    assert_eq!((&refused.found[..], &refused.wanted[..]), ("std_msgs/msg/String", "geometry_msgs/msg/Twist"));
+}
+
+#[tokio::test]
+async fn a_route_that_cannot_start_waits_while_the_others_carry_messages_and_starts_when_it_can() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let network = Network::until(2900);
+    let fake = Fake::new("exclusive", &network);
+    fake.set_own_epoch(3);
+    let text = format!(
+        "domain_id = {DOMAIN}\nshared_memory = false\n{TWIST_ROUTE}\ndirection = 'to_ledger'\n\
+         {WRONG_ROUTE}\ndirection = 'from_ledger'\ntopic = '/watched'"
+    );
+    let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
+    let bridge = Bridge::start_with(config, fake.clone(), &context(&network)).await.unwrap();
+    let graph = Participant::open(DOMAIN, "beside").await.unwrap();
+    let bench = Bench { fake, network, bridge, graph };
+    let waiting = |bench: &Bench| bench.bridge.summary().routes[1].waiting.clone();
+    let reason = waiting(&bench).unwrap();
+    assert!(reason.starts_with("LGR-3012 the route of T/cmd_vel has another type"), "{reason}");
+    let writer = bench.writer().await;
+    writer.write(&twist(1)).unwrap();
+    bench.sets(1).await;
+    bench.fake.set_type("std_msgs/msg/String");
+    let opened = async {
+        while waiting(&bench).is_some() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, opened).await.unwrap();
+    let text = TypeName::parse("std_msgs/msg/String").unwrap();
+    let watched = TopicName::parse("/watched").unwrap();
+    let reader = bench.graph.reader(&watched, &text, &Qos::default(), Limits::default()).unwrap();
+    assert!(tokio::time::timeout(DEADLINE, reader.matched().at_least(1)).await.unwrap());
+    assert_eq!(bench.bridge.stop().await.routes[0].submitted, 1);
+}
+
+#[tokio::test]
+async fn of_two_routes_that_close_a_circle_by_the_topic_of_their_service_the_second_waits() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let network = Network::until(2900);
+    let fake = Fake::new("exclusive", &network);
+    let text = format!(
+        "domain_id = {DOMAIN}\nshared_memory = false\n{TWIST_ROUTE}\ndirection = 'to_ledger'\n\
+         {TWIST_ROUTE}\ndirection = 'from_ledger'\ntopic = '/cmd_vel'"
+    );
+    let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
+    let bridge = Bridge::start_with(config, fake, &context(&network)).await.unwrap();
+    let [first, second] = bridge.stop().await.routes.try_into().unwrap();
+    assert_eq!(first.waiting, None);
+    assert!(second.waiting.unwrap().contains("routes 1 and 2 close a circle"));
+}

@@ -1,0 +1,152 @@
+//! The routes of a bridge as they stand now: which carry messages, and what the others wait for.
+
+use std::{
+    collections::BTreeSet,
+    fmt,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+};
+
+use ledger_rejection::Rejection;
+use tokio::sync::watch;
+
+use crate::{
+    config::{RouteConfig, circle},
+    count::{Counters, RouteSummary, line},
+    mark::Mark,
+    names::TopicName,
+    shm::Peers,
+};
+
+/// A configured route, whether it is open or not.
+pub(crate) struct Slot {
+    /// Its place in the configuration, from 1.
+    pub(crate) number: usize,
+    pub(crate) route: RouteConfig,
+    pub(crate) mark: Mark,
+    /// They go on when the route is opened again.
+    pub(crate) counters: Counters,
+    state: Mutex<State>,
+}
+
+/// Is a route open?
+enum State {
+    Open(Arc<Watched>),
+    /// The reason why it cannot be opened; none = nobody has tried yet.
+    Waits(Option<Rejection>),
+}
+
+/// An open route.
+pub(crate) struct Watched {
+    /// As that of its slot.
+    pub(crate) number: usize,
+    pub(crate) route: RouteConfig,
+    pub(crate) topic: TopicName,
+    pub(crate) mark: Mark,
+    /// Do users publish and the robot listens?
+    pub(crate) is_command: bool,
+    pub(crate) counters: Counters,
+    /// The other users of the topic in shared memory.
+    pub(crate) in_memory: Option<Peers>,
+}
+
+impl Slot {
+    /// A route that nobody has tried to open.
+    pub(crate) fn new(number: usize, route: RouteConfig, mark: Mark) -> Self {
+        let counters = Counters::new(&route);
+        Self { number, route, mark, counters, state: Mutex::new(State::Waits(None)) }
+    }
+
+    /// The open route.
+    pub(crate) fn open(&self) -> Option<Arc<Watched>> {
+        match &*self.lock() {
+            State::Open(watched) => Some(Arc::clone(watched)),
+            State::Waits(_) => None,
+        }
+    }
+
+    /// The reason why it waits.
+    pub(crate) fn waits(&self) -> Option<Rejection> {
+        match &*self.lock() {
+            State::Open(_) => None,
+            State::Waits(reason) => reason.clone(),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Every route of a bridge.
+pub(crate) struct Roster {
+    slots: Vec<Arc<Slot>>,
+    /// The DDS topics of the open routes.
+    topics: watch::Sender<BTreeSet<String>>,
+}
+
+impl Roster {
+    pub(crate) fn new(slots: Vec<Arc<Slot>>) -> Self {
+        Self { slots, topics: watch::Sender::new(BTreeSet::new()) }
+    }
+
+    pub(crate) fn slots(&self) -> &[Arc<Slot>] {
+        &self.slots
+    }
+
+    /// The open routes.
+    pub(crate) fn open(&self) -> impl Iterator<Item = Arc<Watched>> + '_ {
+        self.slots.iter().filter_map(|slot| slot.open())
+    }
+
+    /// The DDS topics of the open routes, from now on.
+    pub(crate) fn topics(&self) -> watch::Receiver<BTreeSet<String>> {
+        self.topics.subscribe()
+    }
+
+    pub(crate) fn opened(&self, slot: &Slot, watched: Watched) {
+        *slot.lock() = State::Open(Arc::new(watched));
+        self.changed();
+    }
+
+    /// True if the reason is another than before.
+    pub(crate) fn closed(&self, slot: &Slot, reason: &Rejection) -> bool {
+        let before = std::mem::replace(&mut *slot.lock(), State::Waits(Some(reason.clone())));
+        self.changed();
+        !matches!(before, State::Waits(Some(before)) if (before.code, &before.message) == (reason.code, &reason.message))
+    }
+
+    fn changed(&self) {
+        self.topics.send_replace(self.open().map(|watched| watched.topic.dds()).collect());
+    }
+
+    /// Refuses a route on this topic if, with an open one, each message would go round.
+    pub(crate) fn no_circle(&self, slot: &Slot, topic: &TopicName) -> Result<(), Rejection> {
+        let closes = |other: &Watched| {
+            other.number != slot.number
+                && other.route.service == slot.route.service
+                && other.topic == *topic
+                && other.route.kind.takes_in() != slot.route.kind.takes_in()
+        };
+        match self.open().find(|other| closes(other)) {
+            Some(other) => {
+                let both = [(other.number, other.route.kind), (slot.number, slot.route.kind)];
+                Err(circle(&slot.route.service, topic.as_str(), both))
+            }
+            None => Ok(()),
+        }
+    }
+
+    pub(crate) fn summaries(&self) -> Vec<RouteSummary> {
+        let summary = |slot: &Arc<Slot>| RouteSummary {
+            waiting: slot.waits().map(|reason| line(&reason)),
+            ..slot.counters.summary()
+        };
+        self.slots.iter().map(summary).collect()
+    }
+}
+
+impl fmt::Debug for Roster {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_list().entries(self.slots.iter().map(|slot| &slot.route.service)).finish()
+    }
+}
