@@ -86,9 +86,9 @@ fn a_killed_bridge_leaves_the_graph_long_before_half_a_minute() {
         let world = World::start("/cmd_vel", TYPE).await;
         let graph = Participant::open(1, "watcher").await.unwrap();
         let (tell, mut changes) = tokio::sync::mpsc::unbounded_channel();
-        let topics = BTreeSet::from(["rt/cmd_vel".to_owned()]);
+        let (_unchanged, topics) = tokio::sync::watch::channel(BTreeSet::from(["rt/cmd_vel".to_owned()]));
         let follower = graph.clone();
-        tokio::spawn(async move { follower.follow(&topics, |change| drop(tell.send(change))).await });
+        tokio::spawn(async move { follower.follow(topics, |change| drop(tell.send(change))).await });
         let bridge = world.start_bridge("Salma", 1, "to_ledger", "/cmd_vel", TYPE);
         let came = tokio::time::timeout(Duration::from_secs(20), changes.recv()).await.unwrap().unwrap();
         assert!(matches!(came, Change::Came(_)), "{came:?}");

@@ -9,6 +9,7 @@
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
 //! checkpoint = "fleet.checkpoint" # where to begin to follow who governs; by default at the genesis
+//! diagnostics = true           # the state of every route on /diagnostics, once a second
 //! report_s = 60                # between two lines with counters, while something is refused
 //!
 //! [[route]]
@@ -71,6 +72,8 @@ pub struct Config {
     pub shared_memory: bool,
     /// The file of a checkpoint, from which it follows who governs the network; none = from the genesis.
     pub checkpoint: Option<PathBuf>,
+    /// Whether `/diagnostics` shows the state of every route.
+    pub diagnostics: bool,
     /// Time between two lines with counters, while something is refused.
     pub report_every: Duration,
     /// The routes.
@@ -164,6 +167,7 @@ impl Config {
         self.reach.read(section);
         section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
         section.boolean("shared_memory", &mut self.shared_memory);
+        section.boolean("diagnostics", &mut self.diagnostics);
         section.text("checkpoint", "the file of a checkpoint", &mut self.checkpoint, |path| {
             Some(Some(directory.join(path)))
         });
@@ -191,6 +195,7 @@ impl Default for Config {
             reach: reach::Settings::default(),
             node_name: "ledgerd_bridge".to_owned(),
             shared_memory: true,
+            diagnostics: true,
             checkpoint: None,
             report_every: Duration::from_secs(REPORT_S_DEFAULT),
             routes: Vec::new(),

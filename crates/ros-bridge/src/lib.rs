@@ -69,6 +69,7 @@ mod service;
 pub mod shm;
 mod standing;
 pub mod stop;
+mod typed;
 
 pub use bridge::{Bridge, Summary, context_of, run};
 pub use config::{Config, IdentitySource};

@@ -4,13 +4,14 @@
 //! topics that come and leave, and a node that is lost or answers again. They tell why a route is silent, and that it
 //! carries messages again. As long as something is refused, they show the counters. All of it is limited in rate.
 
+mod diagnostics;
 mod neighbourhood;
 mod silent;
 
 use std::{
     collections::BTreeMap,
     sync::Arc,
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use ledger_api::Context;
@@ -19,10 +20,14 @@ use tokio::{
     time::{MissedTickBehavior, interval},
 };
 
-use self::{neighbourhood::Neighbourhood, silent::Teller};
+use self::{
+    diagnostics::{Diagnostics, Level, State, Status},
+    neighbourhood::Neighbourhood,
+    silent::Teller,
+};
 use crate::{
     config::Config,
-    count::RouteSummary,
+    count::{RouteSummary, line},
     domain::{ChosenBy, Domain},
     gateway::{Gateway, Tally},
     reach::Reach,
@@ -30,7 +35,7 @@ use crate::{
     route::{
         Stop,
         local::Local,
-        silence::{Facts, silence},
+        silence::{Facts, Silence, silence},
         stopped,
     },
 };
@@ -54,6 +59,7 @@ pub(crate) struct Reporter {
     is_lost: bool,
     /// The counters at the last look.
     counted: Vec<RouteSummary>,
+    diagnostics: Option<Diagnostics>,
 }
 
 impl Reporter {
@@ -100,7 +106,24 @@ impl Reporter {
         }
         let counted = roster.summaries();
         let (heard, every) = (Instant::now(), config.report_every);
-        Self { gateway, local, every, roster, tellers: BTreeMap::new(), node, heard, is_lost: false, counted }
+        let diagnostics = if config.diagnostics {
+            let opened = Diagnostics::open(local.participant(), &config.node_name, &identity);
+            opened.inspect_err(|refused| tracing::warn!(reason = line(refused), "there are no diagnostics")).ok()
+        } else {
+            None
+        };
+        Self {
+            gateway,
+            local,
+            every,
+            roster,
+            tellers: BTreeMap::new(),
+            node,
+            heard,
+            is_lost: false,
+            counted,
+            diagnostics,
+        }
     }
 
     /// Runs until it is told to end.
@@ -162,25 +185,52 @@ impl Reporter {
         }
     }
 
+    /// Tells what is new about each route, and how they all do.
     fn look_at_routes(&mut self, neighbourhood: &Neighbourhood, now: Instant) {
-        if self.is_lost {
-            return; // It is said why.
-        }
-        for watched in self.roster.open() {
-            let teller = self.tellers.entry(watched.number).or_default();
-            let surroundings = neighbourhood.surroundings(&watched);
-            let counts = watched.counters.lock();
-            let facts = Facts {
-                service: &watched.route.service,
-                kind: watched.route.kind,
-                topic: watched.topic.as_str(),
-                surroundings,
-                live: &counts.live,
+        let mut statuses = vec![self.status_of_node()];
+        for slot in Arc::clone(&self.roster).slots() {
+            let summary = slot.counters.summary();
+            let status = match (slot.open(), self.is_lost) {
+                (None, _) => {
+                    let reason = slot.waits().map_or_else(String::new, |reason| line(&reason));
+                    Status::of_route(&summary, State::Waits(&reason))
+                }
+                // It is said why.
+                (Some(_), true) => Status::of_route(&summary, State::Unknown),
+                (Some(watched), false) => {
+                    let silence = self.look_at_route(&watched, neighbourhood, now);
+                    Status::of_route(&summary, silence.as_ref().map_or(State::Works, State::Silent))
+                }
             };
-            let (silence, passed) = (silence(&facts, now), counts.live.passed);
-            drop(counts);
-            teller.look(&watched, silence, passed, now);
+            statuses.push(status);
         }
+        if let Some(diagnostics) = &self.diagnostics {
+            diagnostics.publish(&statuses, SystemTime::now());
+        }
+    }
+
+    fn look_at_route(&mut self, watched: &Watched, neighbourhood: &Neighbourhood, now: Instant) -> Option<Silence> {
+        let surroundings = neighbourhood.surroundings(watched);
+        let counts = watched.counters.lock();
+        let facts = Facts {
+            service: &watched.route.service,
+            kind: watched.route.kind,
+            topic: watched.topic.as_str(),
+            surroundings,
+            live: &counts.live,
+        };
+        let (silence, passed) = (silence(&facts, now), counts.live.passed);
+        drop(counts);
+        self.tellers.entry(watched.number).or_default().look(watched, silence.as_ref(), passed, now);
+        silence
+    }
+
+    fn status_of_node(&self) -> Status {
+        let (level, message) = match self.is_lost {
+            true => (Level::Error, format!("node {} lost: the ledger gives no sign of life", self.node)),
+            false => (Level::Ok, format!("connected to node {}", self.node)),
+        };
+        Status { level, name: "ledger".to_owned(), message, values: vec![("node".to_owned(), self.node.clone())] }
     }
 
     /// One line for each route that refused, lost or slowed down something since the last time.

@@ -20,14 +20,14 @@ pub(super) struct Teller {
 
 /// The line to write.
 #[derive(Debug, PartialEq, Eq)]
-enum Line {
-    Silent(Silence),
+enum Line<'a> {
+    Silent(&'a Silence),
     Carries,
 }
 
 impl Teller {
     /// Looks at a route, and tells what is worth it.
-    pub(super) fn look(&mut self, watched: &Watched, silence: Option<Silence>, passed: Option<Instant>, now: Instant) {
+    pub(super) fn look(&mut self, watched: &Watched, silence: Option<&Silence>, passed: Option<Instant>, now: Instant) {
         let (service, direction) = (&watched.route.service, watched.route.kind.name);
         match self.line(silence, passed, now) {
             Some(Line::Silent(Silence { name, reason, is_fault: true })) => {
@@ -41,7 +41,7 @@ impl Teller {
         }
     }
 
-    fn line(&mut self, silence: Option<Silence>, passed: Option<Instant>, now: Instant) -> Option<Line> {
+    fn line<'a>(&mut self, silence: Option<&'a Silence>, passed: Option<Instant>, now: Instant) -> Option<Line<'a>> {
         let Some(silence) = silence else {
             self.present = None;
             let told_at = self.last.filter(|_| self.told.is_some())?;
@@ -70,11 +70,11 @@ impl Teller {
 mod tests {
     use super::*;
 
-    fn silent(name: &'static str) -> Option<Silence> {
-        Some(Silence { name, reason: String::new(), is_fault: false })
+    fn silent(name: &'static str) -> Silence {
+        Silence { name, reason: String::new(), is_fault: false }
     }
 
-    fn told(line: Option<Line>) -> &'static str {
+    fn told(line: Option<Line<'_>>) -> &'static str {
         match line {
             Some(Line::Silent(silence)) => silence.name,
             Some(Line::Carries) => "carries",
@@ -86,10 +86,10 @@ mod tests {
     fn a_reason_that_lasts_is_told_once_and_its_end_too() {
         let (mut teller, start) = (Teller::default(), Instant::now());
         let at = |seconds| start + Duration::from_secs(seconds);
-        assert_eq!(told(teller.line(silent("no_grant"), None, at(0))), "");
-        assert_eq!(told(teller.line(silent("no_grant"), None, at(2))), "no_grant");
+        assert_eq!(told(teller.line(Some(&silent("no_grant")), None, at(0))), "");
+        assert_eq!(told(teller.line(Some(&silent("no_grant")), None, at(2))), "no_grant");
         for second in 3..100 {
-            assert_eq!(told(teller.line(silent("no_grant"), None, at(second))), "");
+            assert_eq!(told(teller.line(Some(&silent("no_grant")), None, at(second))), "");
         }
         assert_eq!(told(teller.line(None, Some(at(100)), at(100))), "carries");
         assert_eq!(told(teller.line(None, Some(at(101)), at(101))), "");
@@ -100,7 +100,7 @@ mod tests {
         let (mut teller, start) = (Teller::default(), Instant::now());
         let lines = (0..600u64).filter(|number| {
             let name = if number % 6 < 3 { "no_grant" } else { "no_publisher" };
-            teller.line(silent(name), None, start + Duration::from_secs(*number)).is_some()
+            teller.line(Some(&silent(name)), None, start + Duration::from_secs(*number)).is_some()
         });
         assert!(lines.count() <= 121, "at most one in five seconds");
     }

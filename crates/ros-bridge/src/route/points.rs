@@ -6,12 +6,10 @@
 
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use ledger_contract::{Point, RunningTask};
-use ledger_gate::sample::{SAMPLE_BYTES_MAX, Sample};
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
-use ros_message::{ByteOrder, Fault, Library, Message, Time, Written};
+use ros_message::Message;
 use serde_json::{Value, json};
 
 use super::local::{Local, Outlet};
@@ -19,6 +17,7 @@ use crate::{
     mark::Mark,
     names::{TopicName, TypeName},
     qos::{Durability, Qos, Reliability},
+    typed,
 };
 
 /// The settings of the topics.
@@ -139,28 +138,13 @@ impl Topic {
     ) -> Result<Option<Self>, Rejection> {
         let Some(topic) = topic else { return Ok(None) };
         let outlet = local.outlet(topic, &TypeName::parse(message)?, &QOS, mark).await?;
-        Ok(Some(Self { outlet, message: of(message)? }))
+        Ok(Some(Self { outlet, message: typed::of(message)? }))
     }
 
     fn write(&self, value: &Value) -> Result<(), String> {
-        let sample = sample(&self.message, value).map_err(|refused| refused.to_string())?;
+        let sample = typed::sample(&self.message, value).map_err(|refused| refused.to_string())?;
         self.outlet.write(&sample).map_err(|error| error.to_string())
     }
-}
-
-/// A built-in type.
-fn of(message: &str) -> Result<Message, Rejection> {
-    Library::builtin().message(message).map_err(|fault| internal(&fault))
-}
-
-fn sample(message: &Message, value: &Value) -> Result<Sample, Rejection> {
-    let written = Written::parse(&value.to_string()).map_err(|fault| internal(&fault))?;
-    let bytes = message.encode(&written, ByteOrder::Little, Time::default()).map_err(|fault| internal(&fault))?;
-    Sample::from_wire(Bytes::from(bytes), SAMPLE_BYTES_MAX)
-}
-
-fn internal(fault: &Fault) -> Rejection {
-    Rejection::new(Code::Internal, format!("points cannot be written: {}", fault.message)).found(fault.found.as_str())
 }
 
 /// The next point, if one is left.
@@ -198,8 +182,8 @@ mod tests {
     }
 
     fn written(name: &str, value: &Value) -> String {
-        let message = of(name).unwrap();
-        let sample = sample(&message, value).unwrap();
+        let message = typed::of(name).unwrap();
+        let sample = typed::sample(&message, value).unwrap();
         message.decode(sample.wire()).unwrap().to_yaml(None)
     }
 

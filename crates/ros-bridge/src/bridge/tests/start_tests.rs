@@ -81,3 +81,24 @@ async fn of_two_routes_that_close_a_circle_by_the_topic_of_their_service_the_sec
     assert_eq!(first.waiting, None);
     assert!(second.waiting.unwrap().contains("routes 1 and 2 close a circle"));
 }
+
+#[tokio::test]
+async fn diagnostics_show_each_route_and_why_it_is_silent() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'to_ledger'", |fake| fake.set_own_epoch(3)).await;
+    let kind = "diagnostic_msgs/msg/DiagnosticArray";
+    let (topic, message) = (TopicName::parse("/diagnostics").unwrap(), TypeName::parse(kind).unwrap());
+    let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let heard = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
+    let yaml = crate::typed::of(kind).unwrap().decode(heard.sample.wire()).unwrap().to_yaml(None);
+    for wanted in [
+        "name: 'ledgerd_bridge: ledger'",
+        "name: 'ledgerd_bridge: T/cmd_vel to_ledger'",
+        "message: 'silent: nobody publishes on /cmd_vel'",
+        "hardware_id: Org2/T",
+    ] {
+        assert!(yaml.contains(wanted), "{wanted}: {yaml}");
+    }
+}

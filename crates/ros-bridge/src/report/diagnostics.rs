@@ -1,0 +1,166 @@
+//! The state of the bridge and of each route on `/diagnostics`, as `diagnostic_msgs/msg/DiagnosticArray` once a second:
+//! where ROS 2's own tools look (REP 107).
+
+use std::time::SystemTime;
+
+use ledger_rejection::Rejection;
+use ros_message::Message;
+use serde_json::{Value, json};
+
+use crate::{
+    count::RouteSummary,
+    dds::{Participant, Writer},
+    names::{TopicName, TypeName},
+    qos::Qos,
+    route::silence::Silence,
+    typed,
+};
+
+const TOPIC: &str = "/diagnostics";
+const TYPE: &str = "diagnostic_msgs/msg/DiagnosticArray";
+/// Messages that are kept for a slow reader.
+const DEPTH: u32 = 10;
+
+/// How a part of the bridge does, with the numbers of `diagnostic_msgs/msg/DiagnosticStatus`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Level {
+    /// It works, or has nothing to do.
+    Ok = 0,
+    /// It works not as it should.
+    Warn = 1,
+    /// It does not work.
+    Error = 2,
+    /// Nobody knows: the ledger is silent.
+    Stale = 3,
+}
+
+/// A part of the bridge.
+pub(super) struct Status {
+    pub(super) level: Level,
+    /// After the name of the bridge.
+    pub(super) name: String,
+    pub(super) message: String,
+    pub(super) values: Vec<(String, String)>,
+}
+
+impl Status {
+    /// That of a route, with its counters.
+    pub(super) fn of_route(summary: &RouteSummary, state: State<'_>) -> Self {
+        let (level, message) = match state {
+            State::Waits(reason) => (Level::Error, format!("waits: {reason}")),
+            State::Unknown => (Level::Stale, "the ledger gives no sign of life".to_owned()),
+            State::Silent(Silence { reason, is_fault: true, .. }) => (Level::Warn, format!("silent: {reason}")),
+            State::Silent(Silence { reason, .. }) => (Level::Ok, format!("silent: {reason}")),
+            State::Works => (Level::Ok, "carries what comes".to_owned()),
+        };
+        let name = format!("{} {}", summary.service, summary.direction);
+        Self { level, name, message, values: values(summary) }
+    }
+}
+
+/// How a route does.
+pub(super) enum State<'a> {
+    /// It cannot be opened.
+    Waits(&'a str),
+    /// The ledger is silent.
+    Unknown,
+    Silent(&'a Silence),
+    Works,
+}
+
+/// The counters as text, by their names in the summary.
+fn values(summary: &RouteSummary) -> Vec<(String, String)> {
+    let Ok(Value::Object(fields)) = serde_json::to_value(summary) else { return Vec::new() };
+    let text = |value: Value| match value {
+        Value::Object(tally) => {
+            let parts: Vec<String> = tally.into_iter().map(|(name, count)| format!("{name} {count}")).collect();
+            parts.join(", ")
+        }
+        Value::String(text) => text,
+        other => other.to_string(),
+    };
+    fields.into_iter().map(|(name, value)| (name, text(value))).collect()
+}
+
+/// Publishes them.
+pub(super) struct Diagnostics {
+    writer: Writer,
+    message: Message,
+    node_name: String,
+    /// The identity of the bridge, `Org2/Rover`.
+    identity: String,
+}
+
+impl Diagnostics {
+    pub(super) fn open(participant: &Participant, node_name: &str, identity: &str) -> Result<Self, Rejection> {
+        let qos = Qos { depth: DEPTH, ..Qos::default() };
+        let writer = participant.writer(&TopicName::parse(TOPIC)?, &TypeName::parse(TYPE)?, &qos)?;
+        let (node_name, identity) = (node_name.to_owned(), identity.to_owned());
+        Ok(Self { writer, message: typed::of(TYPE)?, node_name, identity })
+    }
+
+    pub(super) fn publish(&self, statuses: &[Status], now: SystemTime) {
+        let array = array(&self.node_name, &self.identity, statuses, now);
+        let sample = typed::sample(&self.message, &array).map_err(|refused| refused.to_string());
+        if let Err(error) = sample.and_then(|sample| self.writer.write(&sample).map_err(|error| error.to_string())) {
+            tracing::debug!(error, "nothing was published on {TOPIC}");
+        }
+    }
+}
+
+fn array(node_name: &str, identity: &str, statuses: &[Status], now: SystemTime) -> Value {
+    let status = |Status { level, name, message, values }: &Status| {
+        let values: Vec<Value> = values.iter().map(|(key, value)| json!({ "key": key, "value": value })).collect();
+        let name = format!("{node_name}: {name}");
+        json!({ "level": *level as u8, "name": name, "message": message, "hardware_id": identity, "values": values })
+    };
+    json!({ "header": typed::stamped(now), "status": statuses.iter().map(status).collect::<Vec<_>>() })
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::{config::Config, count::Counters};
+    use std::path::Path;
+    use std::time::{Duration, UNIX_EPOCH};
+
+    fn summary() -> RouteSummary {
+        let route = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'to_ledger'";
+        let counters = Counters::new(Config::parse(route, Path::new(""), |_| ()).unwrap().routes.first().unwrap());
+        crate::count::count(&mut counters.lock().summary.refused, "NOT_HOLDER", 3);
+        counters.summary()
+    }
+
+    #[test]
+    fn each_state_of_a_route_has_its_level_and_says_why() {
+        let summary = summary();
+        let silence = |is_fault| Silence { name: "x", reason: "why".to_owned(), is_fault };
+        let (fault, pause) = (silence(true), silence(false));
+        let level = |state| Status::of_route(&summary, state).level;
+        assert_eq!(level(State::Works), Level::Ok);
+        assert_eq!(level(State::Silent(&pause)), Level::Ok);
+        assert_eq!(level(State::Silent(&fault)), Level::Warn);
+        assert_eq!(level(State::Waits("LGR-3012")), Level::Error);
+        assert_eq!(level(State::Unknown), Level::Stale);
+        assert_eq!(Status::of_route(&summary, State::Silent(&fault)).message, "silent: why");
+    }
+
+    #[test]
+    fn the_message_has_the_counters_under_the_names_of_the_summary() {
+        let status = Status::of_route(&summary(), State::Works);
+        let now = UNIX_EPOCH + Duration::new(1_700_000_000, 5);
+        let message = typed::of(TYPE).unwrap();
+        let sample = typed::sample(&message, &array("bridge", "Org1/Salma", &[status], now)).unwrap();
+        let yaml = message.decode(sample.wire()).unwrap().to_yaml(None);
+        for wanted in [
+            "sec: 1700000000",
+            "nanosec: 5",
+            "name: 'bridge: T/cmd_vel to_ledger'",
+            "hardware_id: Org1/Salma",
+            "value: NOT_HOLDER 3",
+        ] {
+            assert!(yaml.contains(wanted), "{wanted}: {yaml}");
+        }
+    }
+}
