@@ -20,6 +20,7 @@
 //! qos = { reliability = "reliable", durability = "volatile", depth = 100 }
 //! sample_bytes_max = 1048576
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
+//! max_rate_hz = 20             # to_ledger: at most so many a second, the newest; alone, without batch_max
 //! max_age_ms = 1000            # from_ledger: may only shorten the service's own limit
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
@@ -399,6 +400,16 @@ mod tests {
                 "{fault}"
             );
         }
+    }
+
+    #[test]
+    fn a_rate_and_a_batch_exclude_each_other() {
+        let text = format!("{ROUTE}direction = 'to_ledger'\nbatch_max = 4\nmax_rate_hz = 10");
+        let faults = parse(&text).unwrap_err();
+        assert!(
+            faults[0].to_string().contains("batch_max") && faults[0].to_string().contains("max_rate_hz"),
+            "{faults:?}"
+        );
     }
 
     #[test]

@@ -31,6 +31,8 @@ pub struct RouteSummary {
     pub samples_in: u64,
     /// Samples that newer ones replaced while they waited, or that were too large.
     pub replaced: u64,
+    /// Samples that newer ones replaced because of the route's `max_rate_hz`.
+    pub thinned: u64,
     /// Samples that came from the ledger, and were not taken in again.
     pub returned: u64,
     /// Samples submitted to the ledger.
@@ -120,6 +122,7 @@ impl Counters {
             matched: 0,
             samples_in: 0,
             replaced: 0,
+            thinned: 0,
             returned: 0,
             submitted: 0,
             committed: 0,

@@ -3,6 +3,7 @@
 //! Nothing waits for an earlier verdict, and no batch waits to be filled. When the ledger is slower than the topic,
 //! the newest samples replace the oldest that wait, and that is counted.
 
+mod pace;
 mod publishing;
 
 use std::{
@@ -19,8 +20,9 @@ use ledger_api::Subscription;
 use ledger_gate::ABAC;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
+use tokio::time::sleep_until;
 
-use self::publishing::Publishing;
+use self::{pace::Pace, publishing::Publishing};
 use super::{
     Clocks, Stop,
     kind::{Beside, Kind, Opened, Opening, Plan},
@@ -47,6 +49,8 @@ const IN_FLIGHT_MAX: usize = 256;
 const IN_FLIGHT_BYTES_MAX: usize = 8 * 1024 * 1024;
 /// A batch takes no more samples beyond this, in bytes.
 const BATCH_BYTES_MAX: usize = 256 * 1024;
+/// Highest `max_rate_hz`.
+const RATE_HZ_MAX: u64 = 10_000;
 /// The own grant is asked for at most this often.
 const REFRESH_EVERY: Duration = Duration::from_millis(500);
 
@@ -55,7 +59,7 @@ pub(super) static KIND: Kind = Kind {
     name: "to_ledger",
     right: "publish",
     other_end: Role::Publisher,
-    keys: &["batch_max"],
+    keys: &["batch_max", "max_rate_hz"],
     read,
     silence,
     beside,
@@ -66,12 +70,24 @@ pub(super) static KIND: Kind = Kind {
 struct Settings {
     /// Most samples of one transaction; a batch is never waited for.
     batch_max: usize,
+    /// Most samples a second; none = any number.
+    max_rate_hz: Option<u32>,
 }
 
 fn read(section: &mut Section<'_, '_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let mut batch_max = 1_u32;
+    let (mut batch_max, mut max_rate_hz) = (1_u32, None);
     section.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX), &mut batch_max);
-    Arc::new(Settings { batch_max: usize::try_from(batch_max).unwrap_or(1) })
+    section.integer("max_rate_hz", 1..=RATE_HZ_MAX, &mut max_rate_hz);
+    let max_rate_hz = max_rate_hz.and_then(|hz: u64| u32::try_from(hz).ok());
+    if let Some(hz) = max_rate_hz.filter(|_| batch_max > 1) {
+        let found = format!("{batch_max} and {hz}");
+        section.conflict(
+            ["batch_max", "max_rate_hz"],
+            found,
+            "one of them: with a rate each sample goes alone".to_owned(),
+        );
+    }
+    Arc::new(Settings { batch_max: usize::try_from(batch_max).unwrap_or(1), max_rate_hz })
 }
 
 impl Plan for Settings {
@@ -90,7 +106,7 @@ impl Settings {
         counters.opened(inlet.matched(), Some(door));
         counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         let inlet = (inlet, Fit::of(&route.message));
-        let opened = ToLedger::open(gateway, &route.service, inlet, self.batch_max, counters).await?;
+        let opened = ToLedger::open(gateway, &route.service, inlet, self, counters).await?;
         Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }
 }
@@ -125,6 +141,7 @@ struct ToLedger {
     gateway: Arc<dyn Gateway>,
     inlet: Inlet,
     batch_max: usize,
+    pace: Pace<Incoming>,
     counters: Counters,
     fit: Fit,
     clocks: Clocks,
@@ -153,7 +170,7 @@ impl ToLedger {
         gateway: Arc<dyn Gateway>,
         service: &str,
         (inlet, fit): (Inlet, Fit),
-        batch_max: usize,
+        settings: &Settings,
         counters: Counters,
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
@@ -165,7 +182,8 @@ impl ToLedger {
         Ok(Self {
             gateway,
             inlet,
-            batch_max,
+            batch_max: settings.batch_max,
+            pace: Pace::new(settings.max_rate_hz),
             counters,
             fit,
             clocks: Clocks::start(),
@@ -192,6 +210,7 @@ impl ToLedger {
         let mut refresh: OptionFuture<BoxFuture<'static, Result<(Authorization, u64), Rejection>>> = None.into();
         loop {
             let has_room = under_way.len() < IN_FLIGHT_MAX && self.under_way_bytes < IN_FLIGHT_BYTES_MAX;
+            let paced = self.pace.due();
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break,
@@ -224,8 +243,13 @@ impl ToLedger {
                         refresh = Some(authorization(gateway, self.publishing.as_of, service).boxed()).into();
                     }
                 }
+                () = sleep_until(paced.unwrap_or_else(Instant::now).into()), if has_room && paced.is_some() => {
+                    under_way.extend(self.pace.take(Instant::now()).map(|waited| self.submit(waited)));
+                }
                 incoming = self.inlet.next(), if has_room => match incoming {
-                    Some(incoming) if self.fits(&incoming) => under_way.push(self.submit(incoming)),
+                    Some(incoming) if self.fits(&incoming) => {
+                        under_way.extend(self.in_its_turn(incoming).map(|now| self.submit(now)));
+                    }
                     Some(_) => {}
                     None => {
                         tracing::error!(service = self.publishing.service, "the local topic ended");
@@ -242,6 +266,20 @@ impl ToLedger {
         let live = &mut self.counters.lock().live;
         live.held = self.publishing.epoch > 0;
         live.heard = heard.or(live.heard);
+    }
+
+    /// The sample to submit now: this one, unless the route has a highest rate and it comes too soon.
+    fn in_its_turn(&mut self, incoming: Incoming) -> Option<Incoming> {
+        let now = Instant::now();
+        let passes = self.pace.offer(incoming, now);
+        if !self.pace.is_unlimited() {
+            let mut counts = self.counters.lock();
+            let thinned = self.pace.thinned();
+            counts.summary.samples_in += thinned;
+            counts.summary.thinned += thinned;
+            counts.live.came = Some(now);
+        }
+        passes
     }
 
     /// Submits a sample, with those that wait behind it up to a batch.

@@ -62,3 +62,21 @@ async fn a_robot_that_is_handed_over_hears_no_stop_between_its_drivers() {
     assert_eq!(summary.published, 2);
     assert_eq!(stops(summary), [("shutdown", 1)]);
 }
+
+#[tokio::test]
+async fn a_route_with_a_highest_rate_submits_the_newest_samples_and_always_the_last_one() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'to_ledger'\nmax_rate_hz = 2", |fake| fake.set_own_epoch(3)).await;
+    let writer = bench.writer().await;
+    for number in 0..20 {
+        writer.write(&twist(number)).unwrap();
+    }
+    bench.until(|summary| summary.submitted + summary.thinned == 20).await;
+    let sets = bench.sets(2).await;
+    assert_eq!(sets.last().unwrap()[3], twist(19).wire(), "the robot shall end where the driver ended");
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert!(summary.thinned > 0, "{summary:?}");
+    assert_eq!(summary.samples_in, 20);
+}
