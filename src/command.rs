@@ -6,6 +6,7 @@ use crate::host::NodeBuilder;
 use crate::instance::Ended;
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
 use clap::{Parser, Subcommand};
+use futures::{Stream, stream};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
 use std::ffi::OsString;
@@ -158,11 +159,11 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             let config = load(command.config())?;
             command.run(&config).map(|text| print_line(&text))
         }
-        Command::Bridge(WithConfig { config }) => {
+        Command::Bridge(WithConfig { config: path }) => {
             let mut log = Log::default();
-            let config = parsed(ros_bridge::Config::load(&config, |root| log.read(root)))?;
+            let config = parsed(ros_bridge::Config::load(&path, |root| log.read(root)))?;
             telemetry::start(&log);
-            block_on_with(1, async move { ros_bridge::run(config, stop_signal()).await })
+            block_on_with(1, async move { ros_bridge::run(config, bridge_changes(path), stop_signal()).await })
         }
         Command::Verify(options) => verify::run(builder, &options),
     }
@@ -218,6 +219,30 @@ pub(crate) fn stop_signal() -> impl Future<Output = ()> {
             () = received(interrupt) => {}
         }
     }
+}
+
+/// The configuration of a bridge, read again after each SIGHUP. Must be called inside a tokio runtime.
+fn bridge_changes(path: PathBuf) -> impl Stream<Item = ros_bridge::Config> {
+    use tokio::signal::unix::{SignalKind, signal};
+    let hang_ups = signal(SignalKind::hangup());
+    let hang_ups = hang_ups.inspect_err(|error| tracing::warn!(%error, "SIGHUP does not change the routes")).ok();
+    stream::unfold(hang_ups, move |hang_ups| {
+        let path = path.clone();
+        async move {
+            let mut hang_ups = hang_ups?;
+            loop {
+                hang_ups.recv().await?;
+                match ros_bridge::Config::load(&path, |root| Log::default().read(root)) {
+                    Ok(config) => return Some((config, Some(hang_ups))),
+                    Err(faults) => {
+                        for fault in faults {
+                            tracing::error!(%fault, "the configuration was not taken over, and the routes go on");
+                        }
+                    }
+                }
+            }
+        }
+    })
 }
 
 /// Every fault of a configuration, one below the other.

@@ -223,13 +223,8 @@ impl World {
         Process(command.spawn().unwrap())
     }
 
-    /// The output of a bridge with these settings that cannot start, and its exit code.
-    pub(crate) fn bridge_refuses(&self, name: &str, settings: &str) -> (Option<i32>, String) {
-        let output = ledgerd().args(["bridge", "--config"]).arg(self.config_of(name, settings)).output().unwrap();
-        (output.status.code(), String::from_utf8(output.stderr).unwrap())
-    }
-
-    fn config_of(&self, name: &str, settings: &str) -> PathBuf {
+    /// Writes the configuration of a user's bridge.
+    pub(crate) fn config_of(&self, name: &str, settings: &str) -> PathBuf {
         let context = self.directory.path().join("home/contexts").join(name);
         let config = self.directory.path().join(format!("{name}.toml"));
         fs::write(&config, format!("context_dir = {context:?}\n{settings}")).unwrap();

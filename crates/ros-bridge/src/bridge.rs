@@ -3,8 +3,9 @@
 #[cfg(test)]
 mod tests;
 
-use std::{path::Path, sync::Arc, time::Duration};
+use std::{fmt, path::Path, sync::Arc, time::Duration};
 
+use futures::{Stream, StreamExt};
 use ledger_api::{Client, Context, home, read_checkpoint};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
@@ -15,12 +16,11 @@ use crate::{
     count::{RouteSummary, line},
     domain::{Domain, ROS_DOMAIN_ID},
     gateway::Gateway,
-    keeper::{Keeper, is_to_come},
-    mark::Mark,
+    keeper::{Keeper, Kept, is_to_come},
     reach::Reach,
     renewal::keep_renewed,
     report::Reporter,
-    roster::{Roster, Slot},
+    roster::Roster,
     route::local::Local,
     service::{ask_service, topic_for},
 };
@@ -38,26 +38,40 @@ pub struct Summary {
 }
 
 /// A running bridge. Dropped without [`Bridge::stop`], its routes end as well, but nobody waits for them.
-#[derive(Debug)]
 pub struct Bridge {
-    stop: watch::Sender<bool>,
-    /// Has a route ended?
-    ended: watch::Receiver<bool>,
-    tasks: Vec<JoinHandle<()>>,
+    config: Config,
     domain: u16,
+    keeper: Arc<Keeper>,
     roster: Arc<Roster>,
+    routes: Vec<Kept>,
+    reporter: JoinHandle<()>,
+    stop_reporter: watch::Sender<bool>,
+    ending: watch::Sender<bool>,
+    /// Has a route ended that nobody stopped?
+    ended: watch::Receiver<bool>,
+}
+
+impl fmt::Debug for Bridge {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Bridge").field("domain", &self.domain).field("routes", &self.roster).finish_non_exhaustive()
+    }
 }
 
 /// Runs a bridge by itself until `stop` is ready, and then prints one line of JSON on standard output: the
-/// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered.
+/// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered. `changes` brings
+/// configurations that are to count from now on, as [`Bridge::reload`] takes them.
 ///
 /// # Errors
 /// As [`Client::connect`] and [`Bridge::start`], where waiting cannot help;
 /// [`Code::MiddlewareFailed`] if the local graph is lost.
-pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
-    let mut stop = std::pin::pin!(stop);
+pub async fn run(
+    mut config: Config,
+    changes: impl Stream<Item = Config>,
+    stop: impl Future<Output = ()>,
+) -> Result<(), Rejection> {
+    let (mut stop, mut changes) = (std::pin::pin!(stop), std::pin::pin!(changes));
     let mut told = String::new();
-    let (bridge, client) = loop {
+    let (mut bridge, client) = loop {
         let refused = tokio::select! {
             () = &mut stop => return Ok(()),
             started = start(&config) => match started {
@@ -74,13 +88,19 @@ pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), R
         }
         tokio::select! {
             () = &mut stop => return Ok(()),
+            Some(changed) = changes.next() => config = changed,
             () = tokio::time::sleep(RETRY_PAUSE) => {}
         }
     };
-    let outcome = tokio::select! {
-        () = &mut stop => Ok(()),
-        () = keep_renewed(&config, &client) => Ok(()),
-        lost = bridge.ended() => Err(lost),
+    let mut renewed = std::pin::pin!(keep_renewed(&config, &client));
+    let outcome = loop {
+        let changed = tokio::select! {
+            () = &mut stop => break Ok(()),
+            () = &mut renewed => break Ok(()),
+            lost = bridge.ended() => break Err(lost),
+            Some(changed) = changes.next() => changed,
+        };
+        bridge.reload(changed).await;
     };
     print(&bridge.stop().await)?;
     outcome
@@ -110,30 +130,59 @@ impl Bridge {
         let checkpoint =
             config.checkpoint.as_deref().map(|path| read_checkpoint(&context.network, path)).transpose()?;
         let known = checkpoint.map(|checkpoint| checkpoint.governance);
-        let slot = |(number, route): (usize, &RouteConfig)| {
-            Arc::new(Slot::new(number, route.clone(), Mark::new(&context.network, &route.service)))
-        };
-        let roster = Arc::new(Roster::new((1..).zip(&config.routes).map(slot).collect()));
+        let roster = Arc::new(Roster::default());
         let keeper = Arc::new(Keeper::new(Arc::clone(&gateway), context, local.clone(), known, Arc::clone(&roster)));
-        let (stop, told) = watch::channel(false);
-        let mut first = Vec::with_capacity(roster.slots().len());
-        for slot in roster.slots() {
-            first.push(keeper.open(slot, &told).await);
+        let (ending, ended) = watch::channel(false);
+        let mut routes = Vec::with_capacity(config.routes.len());
+        for route in config.routes.clone() {
+            routes.push(keeper.start(route, &ending).await);
         }
         if let Some(refused) = all_refused(roster.slots().iter().map(|slot| slot.waits())) {
             return Err(refused);
         }
         let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, Arc::clone(&roster));
-        let (ending, ended) = watch::channel(false);
-        let mut tasks = vec![tokio::spawn(reporter.run(told.clone()))];
-        for (slot, first) in roster.slots().iter().zip(first) {
-            let (keeper, slot, told, ending) = (Arc::clone(&keeper), Arc::clone(slot), told.clone(), ending.clone());
-            tasks.push(tokio::spawn(async move {
-                keeper.keep(&slot, first, told).await;
-                ending.send_replace(true);
-            }));
+        let (stop_reporter, told) = watch::channel(false);
+        let reporter = tokio::spawn(reporter.run(told));
+        Ok(Self { config, domain: domain.id, keeper, roster, routes, reporter, stop_reporter, ending, ended })
+    }
+
+    /// Takes over the routes of another configuration: those that are gone end, new ones start, and all others go on
+    /// untouched. Other settings count from the next start on; a warning says so if they differ.
+    pub async fn reload(&mut self, config: Config) {
+        if !config.is_same_beside_routes(&self.config) {
+            tracing::warn!("only routes change while the bridge runs: start it again to use the other settings");
         }
-        Ok(Self { tasks, domain: domain.id, stop, ended, roster })
+        let (mut ended, mut started) = (0, 0);
+        let (stay, gone): (Vec<_>, Vec<_>) = std::mem::take(&mut self.routes)
+            .into_iter()
+            .partition(|kept| config.routes.iter().any(|route| route.is_same(&kept.slot.route)));
+        self.routes = stay;
+        for kept in gone {
+            let (number, service) = (kept.slot.number, kept.slot.route.service.clone());
+            kept.end().await;
+            self.roster.remove(number);
+            tracing::info!(service, "route {number} has ended: the configuration has it no longer");
+            ended += 1;
+        }
+        for route in &config.routes {
+            if self.routes.iter().any(|kept| kept.slot.route.is_same(route)) {
+                continue;
+            }
+            let kept = self.keeper.start(route.clone(), &self.ending).await;
+            if let Some(watched) = kept.slot.open() {
+                watched.tell();
+            }
+            self.routes.push(kept);
+            started += 1;
+        }
+        self.config.routes = config.routes;
+        let routes = self.routes.len();
+        tracing::info!(
+            ended,
+            started,
+            routes,
+            "the configuration was read again: {ended} routes ended, {started} started"
+        );
     }
 
     /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then start another bridge.
@@ -153,11 +202,15 @@ impl Bridge {
 
     /// Stops what robots are moving, ends all routes, and leaves the graph.
     pub async fn stop(self) -> Summary {
-        self.stop.send_replace(true);
-        for task in self.tasks {
-            if let Err(error) = task.await {
-                tracing::error!(%error, "a route ended too early");
-            }
+        self.stop_reporter.send_replace(true);
+        for kept in &self.routes {
+            kept.stop.send_replace(true);
+        }
+        for kept in self.routes {
+            kept.end().await;
+        }
+        if let Err(error) = self.reporter.await {
+            tracing::error!(%error, "the reports of the bridge ended too early");
         }
         Summary { domain: self.domain, routes: self.roster.summaries() }
     }

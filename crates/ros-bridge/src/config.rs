@@ -112,6 +112,11 @@ pub struct RouteConfig {
 }
 
 impl RouteConfig {
+    /// Have both the same settings? All of them are in the text for debugging, those of the kind too.
+    pub(crate) fn is_same(&self, other: &Self) -> bool {
+        format!("{self:?}") == format!("{other:?}")
+    }
+
     /// The limits of the local readers of this route: they keep its depth of samples, the newest.
     pub(crate) fn limits(&self) -> Limits {
         Limits {
@@ -144,6 +149,12 @@ impl Config {
             config.read(root, path.parent().unwrap_or(Path::new("")));
         });
         reader.finish().map(|()| config)
+    }
+
+    /// Are all settings the same, whatever the routes are?
+    pub(crate) fn is_same_beside_routes(&self, other: &Self) -> bool {
+        let text = |config: &Self| format!("{:?}", Self { routes: Vec::new(), ..config.clone() });
+        text(self) == text(other)
     }
 
     /// Reads a section, such as `[bridge]` of a node; `directory` is where relative paths in it start.
@@ -399,6 +410,21 @@ mod tests {
                 fault.found.contains("T/cmd_vel to_ledger") && fault.found.contains("T/cmd_vel from_ledger"),
                 "{fault}"
             );
+        }
+    }
+
+    #[test]
+    fn routes_that_differ_in_one_setting_are_not_the_same() {
+        let of = |more: &str| parse(&format!("{ROUTE}{more}")).unwrap().routes.remove(0);
+        let up = "direction = 'to_ledger'";
+        assert!(of(up).is_same(&of(up)));
+        for more in ["batch_max = 2", "max_rate_hz = 5", "topic = '/x'", "qos = { depth = 3 }", "sample_bytes_max = 64"]
+        {
+            assert!(!of(up).is_same(&of(&format!("{up}\n{more}"))), "{more}");
+        }
+        let down = "direction = 'from_ledger'";
+        for more in ["max_age_ms = 5", "stop_hex = '00010000ff'", "goal_topic = '/goal'", "side_door = 'stop'"] {
+            assert!(!of(down).is_same(&of(&format!("{down}\n{more}"))), "{more}");
         }
     }
 

@@ -11,11 +11,16 @@ use futures::future::BoxFuture;
 use ledger_api::Context;
 use ledger_light::Governance;
 use ledger_rejection::{Class, Code, Rejection};
-use tokio::sync::Mutex;
+use tokio::{
+    sync::{Mutex, watch},
+    task::JoinHandle,
+};
 
 use crate::{
+    config::RouteConfig,
     count::line,
     gateway::Gateway,
+    mark::Mark,
     roster::{Roster, Slot, Watched},
     route::{
         Stop,
@@ -32,13 +37,30 @@ const RETRY_PAUSE: Duration = Duration::from_secs(2);
 
 /// Everything that routes are opened with.
 pub(crate) struct Keeper {
-    pub(crate) gateway: Arc<dyn Gateway>,
-    pub(crate) context: Context,
-    pub(crate) local: Local,
+    gateway: Arc<dyn Gateway>,
+    context: Context,
+    local: Local,
     /// The beginning of the way to those who govern now; none = the genesis.
-    pub(crate) known: Option<Governance>,
-    pub(crate) roster: Arc<Roster>,
+    known: Option<Governance>,
+    roster: Arc<Roster>,
     askers: Mutex<BTreeMap<String, Arc<Asker>>>,
+}
+
+/// A route that is kept open.
+pub(crate) struct Kept {
+    pub(crate) slot: Arc<Slot>,
+    pub(crate) stop: watch::Sender<bool>,
+    pub(crate) task: JoinHandle<()>,
+}
+
+impl Kept {
+    /// Ends the route: what it has set in motion is stopped.
+    pub(crate) async fn end(self) {
+        self.stop.send_replace(true);
+        if let Err(error) = self.task.await {
+            tracing::error!(%error, service = self.slot.route.service, "a route ended too early");
+        }
+    }
 }
 
 /// Runs until it is told to end, or the middleware ends.
@@ -55,8 +77,24 @@ impl Keeper {
         Self { gateway, context: context.clone(), local, known, roster, askers: Mutex::default() }
     }
 
+    /// Tries to open a route, and keeps it open from then on. `ending` is told if it ends and nobody stopped it.
+    pub(crate) async fn start(self: &Arc<Self>, route: RouteConfig, ending: &watch::Sender<bool>) -> Kept {
+        let mark = Mark::new(&self.context.network, &route.service);
+        let slot = self.roster.add(route, mark);
+        let (stop, told) = watch::channel(false);
+        let first = self.open(&slot, &told).await;
+        let (keeper, kept, ending) = (Arc::clone(self), Arc::clone(&slot), ending.clone());
+        let task = tokio::spawn(async move {
+            keeper.keep(&kept, first, told.clone()).await;
+            if !*told.borrow() {
+                ending.send_replace(true);
+            }
+        });
+        Kept { slot, stop, task }
+    }
+
     /// Opens a route, or says and remembers why it waits.
-    pub(crate) async fn open(&self, slot: &Slot, stop: &Stop) -> Option<Running> {
+    async fn open(&self, slot: &Slot, stop: &Stop) -> Option<Running> {
         match self.try_open(slot, stop).await {
             Ok(running) => Some(running),
             Err(refused) => {
@@ -116,7 +154,7 @@ impl Keeper {
     }
 
     /// Runs a route until it is told to end, or the middleware ends. `first` is the outcome of the first try.
-    pub(crate) async fn keep(&self, slot: &Slot, first: Option<Running>, mut stop: Stop) {
+    async fn keep(&self, slot: &Slot, first: Option<Running>, mut stop: Stop) {
         let mut running = first;
         loop {
             if let Some(running) = running {

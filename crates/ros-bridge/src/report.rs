@@ -57,8 +57,8 @@ pub(crate) struct Reporter {
     node: String,
     heard: Instant,
     is_lost: bool,
-    /// The counters at the last look.
-    counted: Vec<RouteSummary>,
+    /// The counters at the last look, by the numbers of the routes.
+    counted: BTreeMap<usize, RouteSummary>,
     diagnostics: Option<Diagnostics>,
 }
 
@@ -94,17 +94,8 @@ impl Reporter {
                 "no domain_id is set: every ROS 2 node without ROS_DOMAIN_ID is in this domain too"
             );
         }
-        for watched in roster.open() {
-            let Watched { number, route, topic, .. } = &*watched;
-            let (service, message, qos) = (&route.service, &route.message, &route.qos);
-            let (direction, arrow) = (route.kind.name, route.kind.arrow(topic, service));
-            let (reliability, durability) = (qos.reliability.name(), qos.durability.name());
-            tracing::info!(
-                service, direction, topic = topic.as_str(), r#type = %message, reliability, durability, depth = qos.depth,
-                "route {number}: {arrow}"
-            );
-        }
-        let counted = roster.summaries();
+        roster.open().for_each(|watched| watched.tell());
+        let counted = roster.slots().iter().map(|slot| (slot.number, slot.summary())).collect();
         let (heard, every) = (Instant::now(), config.report_every);
         let diagnostics = if config.diagnostics {
             let opened = Diagnostics::open(local.participant(), &config.node_name, &identity);
@@ -188,7 +179,7 @@ impl Reporter {
     /// Tells what is new about each route, and how they all do.
     fn look_at_routes(&mut self, neighbourhood: &Neighbourhood, now: Instant) {
         let mut statuses = vec![self.status_of_node()];
-        for slot in Arc::clone(&self.roster).slots() {
+        for slot in self.roster.slots() {
             let summary = slot.counters.summary();
             let status = match (slot.open(), self.is_lost) {
                 (None, _) => {
@@ -235,8 +226,9 @@ impl Reporter {
 
     /// One line for each route that refused, lost or slowed down something since the last time.
     fn count(&mut self) {
-        for (now, last) in self.roster.summaries().into_iter().zip(&mut self.counted) {
-            let before = std::mem::replace(last, now.clone());
+        for slot in self.roster.slots() {
+            let now = slot.summary();
+            let Some(before) = self.counted.insert(slot.number, now.clone()) else { continue };
             let since = |now: u64, before: u64| now.saturating_sub(before);
             let (refused, gate) = (grown(&now.refused, &before.refused), grown(&now.gate, &before.gate));
             let replaced = since(now.replaced, before.replaced);

@@ -19,7 +19,7 @@ use crate::{
 
 /// A configured route, whether it is open or not.
 pub(crate) struct Slot {
-    /// Its place in the configuration, from 1.
+    /// Its place in the configuration of the start, from 1; routes that come later have later ones.
     pub(crate) number: usize,
     pub(crate) route: RouteConfig,
     pub(crate) mark: Mark,
@@ -64,6 +64,11 @@ impl Slot {
         }
     }
 
+    /// The counters, and why it is not open.
+    pub(crate) fn summary(&self) -> RouteSummary {
+        RouteSummary { waiting: self.waits().map(|reason| line(&reason)), ..self.counters.summary() }
+    }
+
     /// The reason why it waits.
     pub(crate) fn waits(&self) -> Option<Rejection> {
         match &*self.lock() {
@@ -77,25 +82,55 @@ impl Slot {
     }
 }
 
+impl Watched {
+    /// Says what the route carries.
+    pub(crate) fn tell(&self) {
+        let Self { number, route, topic, .. } = self;
+        let (service, message, qos) = (&route.service, &route.message, &route.qos);
+        let (direction, arrow) = (route.kind.name, route.kind.arrow(topic, service));
+        let (reliability, durability) = (qos.reliability.name(), qos.durability.name());
+        tracing::info!(
+            service, direction, topic = topic.as_str(), r#type = %message, reliability, durability, depth = qos.depth,
+            "route {number}: {arrow}"
+        );
+    }
+}
+
 /// Every route of a bridge.
+#[derive(Default)]
 pub(crate) struct Roster {
-    slots: Vec<Arc<Slot>>,
+    slots: Mutex<Vec<Arc<Slot>>>,
     /// The DDS topics of the open routes.
     topics: watch::Sender<BTreeSet<String>>,
 }
 
 impl Roster {
-    pub(crate) fn new(slots: Vec<Arc<Slot>>) -> Self {
-        Self { slots, topics: watch::Sender::new(BTreeSet::new()) }
+    /// Takes a route in, with the next number.
+    pub(crate) fn add(&self, route: RouteConfig, mark: Mark) -> Arc<Slot> {
+        let mut slots = self.lock();
+        let number = slots.last().map_or(1, |last| last.number + 1);
+        let slot = Arc::new(Slot::new(number, route, mark));
+        slots.push(Arc::clone(&slot));
+        slot
     }
 
-    pub(crate) fn slots(&self) -> &[Arc<Slot>] {
-        &self.slots
+    /// Forgets a route that has ended.
+    pub(crate) fn remove(&self, number: usize) {
+        self.lock().retain(|slot| slot.number != number);
+        self.changed();
+    }
+
+    pub(crate) fn slots(&self) -> Vec<Arc<Slot>> {
+        self.lock().clone()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Arc<Slot>>> {
+        self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// The open routes.
-    pub(crate) fn open(&self) -> impl Iterator<Item = Arc<Watched>> + '_ {
-        self.slots.iter().filter_map(|slot| slot.open())
+    pub(crate) fn open(&self) -> impl Iterator<Item = Arc<Watched>> {
+        self.slots().into_iter().filter_map(|slot| slot.open())
     }
 
     /// The DDS topics of the open routes, from now on.
@@ -137,16 +172,12 @@ impl Roster {
     }
 
     pub(crate) fn summaries(&self) -> Vec<RouteSummary> {
-        let summary = |slot: &Arc<Slot>| RouteSummary {
-            waiting: slot.waits().map(|reason| line(&reason)),
-            ..slot.counters.summary()
-        };
-        self.slots.iter().map(summary).collect()
+        self.slots().iter().map(|slot| slot.summary()).collect()
     }
 }
 
 impl fmt::Debug for Roster {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_list().entries(self.slots.iter().map(|slot| &slot.route.service)).finish()
+        f.debug_list().entries(self.slots().iter().map(|slot| &slot.route.service)).finish()
     }
 }
