@@ -85,7 +85,7 @@ pub(crate) struct Counts {
     ends: Option<Ends>,
 }
 
-/// What else is counted at the ends of an open route.
+/// The two ends of an open route, which count by themselves.
 #[derive(Debug)]
 struct Ends {
     matched: Matched,
