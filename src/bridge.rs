@@ -13,6 +13,7 @@ const RETRY_PAUSE: Duration = Duration::from_secs(2);
 /// A bridge that starts as soon as it can, and ends with its node.
 pub(crate) struct NodeBridge {
     stop: watch::Sender<bool>,
+    settings: watch::Sender<ros_bridge::Config>,
     task: JoinHandle<()>,
 }
 
@@ -20,25 +21,33 @@ impl NodeBridge {
     /// Starts the bridge. `address` is the node's gateway.
     pub(crate) fn start(settings: ros_bridge::Config, address: String) -> Self {
         let (stop, mut stopping) = watch::channel(false);
+        let (sender, mut changes) = watch::channel(settings);
         let task = tokio::spawn(async move {
             let (mut told, mut down) = (String::new(), false);
             loop {
+                let settings = changes.borrow_and_update().clone();
                 let started = tokio::select! {
                     started = start(settings.clone(), address.clone()) => started,
                     () = stopped(&mut stopping) => return,
                 };
                 match started {
-                    Ok((bridge, client)) => {
+                    Ok((mut bridge, client)) => {
                         // An outage and its end have the same level.
                         match std::mem::take(&mut down) {
                             true => tracing::warn!("the bridge runs again"),
                             false => tracing::info!("the bridge runs"),
                         }
                         told.clear();
-                        let lost = tokio::select! {
-                            () = stopped(&mut stopping) => None,
-                            () = ros_bridge::keep_renewed(&settings, &client) => None,
-                            lost = bridge.ended() => Some(lost),
+                        let mut renewed = std::pin::pin!(ros_bridge::keep_renewed(&settings, &client));
+                        let lost = loop {
+                            tokio::select! {
+                                () = stopped(&mut stopping) => break None,
+                                () = &mut renewed => break None,
+                                lost = bridge.ended() => break Some(lost),
+                                Ok(()) = changes.changed() => {}
+                            }
+                            let changed = changes.borrow_and_update().clone();
+                            bridge.reload(changed).await;
                         };
                         let summary = serde_json::to_string(&bridge.stop().await).unwrap_or_default();
                         tracing::info!(summary, "the bridge has stopped");
@@ -61,7 +70,12 @@ impl NodeBridge {
                 }
             }
         });
-        Self { stop, task }
+        Self { stop, settings: sender, task }
+    }
+
+    /// Takes over the routes of these settings, as [`Bridge::reload`] does.
+    pub(crate) fn reload(&self, settings: ros_bridge::Config) {
+        self.settings.send_replace(settings);
     }
 
     /// Ends the bridge: what it has set in motion is stopped.

@@ -6,7 +6,7 @@ use crate::host::NodeBuilder;
 use crate::instance::Ended;
 use crate::{demo, dev, join, memory, setup, telemetry, verify};
 use clap::{Parser, Subcommand};
-use futures::{Stream, stream};
+use futures::{FutureExt, Stream, StreamExt, future, stream};
 use ledger_api::report;
 use ledger_rejection::{Class, Code, Rejection};
 use std::ffi::OsString;
@@ -115,14 +115,14 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
     match command {
         Command::Demo(options) => block_on(demo::run(options)),
         Command::Dev(options) => block_on(dev::run(builder, options)),
-        Command::Run(RunOptions { config, trust_clock }) => {
-            let config = load(&config)?;
+        Command::Run(RunOptions { config: path, trust_clock }) => {
+            let config = load(&path)?;
             let builder = if trust_clock { builder.clone().trust_clock() } else { builder.clone() };
             telemetry::start(&config.log);
             block_on(async move {
-                let stop = stop_signal();
+                let (stop, changes) = (stop_signal(), read_again(|| Config::load(&path)));
                 let node = builder.start(&config).await?;
-                until_stopped(node, stop).await
+                until_stopped(node, stop, changes).await
             })
         }
         Command::Check(WithConfig { config: path }) => {
@@ -163,17 +163,27 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             let mut log = Log::default();
             let config = parsed(ros_bridge::Config::load(&path, |root| log.read(root)))?;
             telemetry::start(&log);
-            block_on_with(1, async move { ros_bridge::run(config, bridge_changes(path), stop_signal()).await })
+            block_on_with(1, async move {
+                let changes = read_again(|| ros_bridge::Config::load(&path, |root| Log::default().read(root)));
+                ros_bridge::run(config, changes, stop_signal()).await
+            })
         }
         Command::Verify(options) => verify::run(builder, &options),
     }
 }
 
-/// Waits for a signal to stop, or for the node to end; ends the node in order either way.
-pub(crate) async fn until_stopped(node: crate::Node, stop: impl Future<Output = ()>) -> Result<(), Rejection> {
+/// Waits for a signal to stop, or for the node to end; ends the node in order either way. Meanwhile it takes over changed
+/// configurations, as [`crate::Node::reload`] does.
+pub(crate) async fn until_stopped(
+    node: crate::Node,
+    stop: impl Future<Output = ()>,
+    changes: impl Stream<Item = Config>,
+) -> Result<(), Rejection> {
+    let reload = changes.for_each(async |config| node.reload(&config));
     let outcome = tokio::select! {
         () = stop => Ok(()),
         ended = node.ended() => Err(ended),
+        () = reload.then(|()| future::pending()) => Ok(()),
     };
     node.stop().await;
     match outcome {
@@ -221,23 +231,19 @@ pub(crate) fn stop_signal() -> impl Future<Output = ()> {
     }
 }
 
-/// The configuration of a bridge, read again after each SIGHUP. Must be called inside a tokio runtime.
-fn bridge_changes(path: PathBuf) -> impl Stream<Item = ros_bridge::Config> {
+/// A configuration, read again after each SIGHUP. Must be called inside a tokio runtime.
+fn read_again<T>(read: impl Fn() -> Result<T, Vec<Fault>>) -> impl Stream<Item = T> {
     use tokio::signal::unix::{SignalKind, signal};
     let hang_ups = signal(SignalKind::hangup());
     let hang_ups = hang_ups.inspect_err(|error| tracing::warn!(%error, "SIGHUP does not change the routes")).ok();
-    stream::unfold(hang_ups, move |hang_ups| {
-        let path = path.clone();
-        async move {
-            let mut hang_ups = hang_ups?;
-            loop {
-                hang_ups.recv().await?;
-                match ros_bridge::Config::load(&path, |root| Log::default().read(root)) {
-                    Ok(config) => return Some((config, Some(hang_ups))),
-                    Err(faults) => {
-                        for fault in faults {
-                            tracing::error!(%fault, "the configuration was not taken over, and the routes go on");
-                        }
+    stream::unfold((hang_ups, read), async |(mut hang_ups, read)| {
+        loop {
+            hang_ups.as_mut()?.recv().await?;
+            match read() {
+                Ok(config) => return Some((config, (hang_ups, read))),
+                Err(faults) => {
+                    for fault in faults {
+                        tracing::error!(%fault, "the configuration was not taken over, and everything goes on as before");
                     }
                 }
             }

@@ -121,7 +121,7 @@ async fn play(
         facts.robots = register_robots(home, facts.contexts.last()).await?;
     }
     print(&facts, as_json, temporary)?;
-    until_stopped(node, stop_signal()).await
+    until_stopped(node, stop_signal(), futures::stream::pending()).await
 }
 
 /// One node that orders, and carries the CAs of both organisations.

@@ -137,6 +137,16 @@ impl Node {
         Ok(Self { host, instance, serving, bridge })
     }
 
+    /// Takes over the routes of the bridge in another configuration. All other settings, and a bridge that comes or goes as a whole, count
+    /// from the next start on.
+    pub fn reload(&self, config: &Config) {
+        match (&self.bridge, &config.bridge) {
+            (Some(bridge), Some(settings)) => bridge.reload(settings.clone()),
+            (None, None) => tracing::warn!("this node has no bridge: nothing but routes changes while it runs"),
+            _ => tracing::warn!("a bridge comes or goes when the node starts again: it goes on as it is"),
+        }
+    }
+
     /// Where the node listens; the port is the real one where the configuration said 0.
     pub fn address(&self) -> SocketAddr {
         self.host.address()

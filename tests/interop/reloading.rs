@@ -1,5 +1,6 @@
 //! Routes come and go while their bridge runs: it reads its configuration again on SIGHUP.
 
+use crate::call;
 use crate::network;
 use crate::world::{self, World};
 use ros_bridge::dds::{Matched, Participant};
@@ -66,5 +67,23 @@ fn on_sighup_routes_come_and_go_and_the_others_are_not_touched() {
         let directions: Vec<_> =
             summary["routes"].as_array().unwrap().iter().map(|route| &route["direction"]).collect();
         assert_eq!(directions, ["from_ledger"]);
+    });
+}
+
+#[test]
+fn on_sighup_a_node_reads_the_routes_of_its_bridge_again_and_goes_on() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start_with_inner_bridge("/cmd_vel", TYPE).await;
+        world.line("Org2", &["the bridge of Org2/Rover is ready"]).await;
+        world.change_node(1, "Org2", |text| text.replace("topic = \"/cmd_vel\"", "topic = \"/renamed\""));
+        world.line("Org2", &["route 2: Rover/cmd_vel -> /renamed"]).await;
+        world.line("Org2", &["1 routes ended, 1 started"]).await;
+        world.change_node(0, "Org1", |text| text);
+        world.line("Org1", &["this node has no bridge"]).await;
+        // Both nodes still answer.
+        call(&world.salma, "acquire", &["Rover/cmd_vel", "60000"]).await;
     });
 }

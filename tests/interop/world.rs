@@ -183,6 +183,13 @@ impl World {
         Self { salma, farhad, nodes, directory }
     }
 
+    /// Changes the configuration of a node with a bridge inside, or beside it, and sends it SIGHUP.
+    pub(crate) fn change_node(&self, index: usize, name: &str, change: impl FnOnce(String) -> String) {
+        let config = self.directory.path().join(format!("{name}.toml"));
+        fs::write(&config, change(fs::read_to_string(&config).unwrap())).unwrap();
+        self.nodes[index].send(rustix::process::Signal::HUP);
+    }
+
     /// The bridges of Salma (domain 1), Farhad (domain 2) and the robot (domain 3).
     pub(crate) fn start_bridges(&self, topic: &str, kind: &str) -> Bridges {
         let sides = [("Salma", 1, "to_ledger"), ("Farhad", 2, "to_ledger"), ("Rover", 3, "from_ledger")];

@@ -25,6 +25,7 @@
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
 //! goal_topic = "/goal_pose"    # from_ledger: the next point of the running task, as geometry_msgs/msg/PoseStamped
+//! holder_topic = "/holder"     # from_ledger: who holds the service, as JSON in a std_msgs/msg/String
 //! path_topic = "/task/path"    # from_ledger: all points that are left of it, as nav_msgs/msg/Path
 //! ```
 //! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
@@ -334,7 +335,7 @@ mod tests {
         assert_eq!(route.kind.name, "from_ledger");
         assert_eq!(
             format!("{:?}", route.plan),
-            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None } }"
+            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None }"
         );
         assert_eq!(route.limits().queue_samples_max, 100);
     }

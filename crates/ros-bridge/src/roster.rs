@@ -3,7 +3,10 @@
 use std::{
     collections::BTreeSet,
     fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{
+        Arc, Mutex, MutexGuard, PoisonError,
+        atomic::{AtomicUsize, Ordering},
+    },
 };
 
 use ledger_rejection::Rejection;
@@ -100,6 +103,8 @@ impl Watched {
 #[derive(Default)]
 pub(crate) struct Roster {
     slots: Mutex<Vec<Arc<Slot>>>,
+    /// Routes so far: no number comes again.
+    numbered: AtomicUsize,
     /// The DDS topics of the open routes.
     topics: watch::Sender<BTreeSet<String>>,
 }
@@ -107,10 +112,9 @@ pub(crate) struct Roster {
 impl Roster {
     /// Takes a route in, with the next number.
     pub(crate) fn add(&self, route: RouteConfig, mark: Mark) -> Arc<Slot> {
-        let mut slots = self.lock();
-        let number = slots.last().map_or(1, |last| last.number + 1);
+        let number = self.numbered.fetch_add(1, Ordering::Relaxed).saturating_add(1);
         let slot = Arc::new(Slot::new(number, route, mark));
-        slots.push(Arc::clone(&slot));
+        self.lock().push(Arc::clone(&slot));
         slot
     }
 

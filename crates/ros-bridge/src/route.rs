@@ -2,7 +2,9 @@
 //! one table, [`kind::KINDS`], and each kind is a file.
 
 mod from_ledger;
+mod holder;
 pub(crate) mod kind;
+mod latched;
 pub(crate) mod local;
 mod points;
 mod side_door;

@@ -6,6 +6,8 @@
 //! How the robot stands is asked when it may have changed, and while somebody moves it. A message of which the gate knows
 //! nothing yet waits for the answer.
 
+mod settings;
+
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -20,26 +22,26 @@ use ledger_gate::{
     ABAC, MSP,
     gate::{Passed, Refused, Settings as GateSettings},
     guard::{Act, Block, Guard, SILENT, Told},
-    sample::Sample,
     service::Service,
 };
 use ledger_invariant::broken;
 use ledger_rejection::{Code, Rejection};
-use ledger_settings::Section;
 use tokio::time::sleep_until;
 
+use self::settings::Settings;
 use super::{
     Clocks, Stop,
-    kind::{Kind, Opened, Opening, Plan},
+    holder::{self, Holder},
+    kind::Kind,
     local::Outlet,
-    points::{self, Points, Topics},
-    side_door::{self, SideDoor, Treatment},
+    points::{self, Points},
+    side_door::{self, SideDoor},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
-    stopping::{Stopping, command_timeout},
+    stopping::Stopping,
 };
 use crate::{
-    config::{HEARTBEAT_MS, RouteConfig, stop_sample},
+    config::{HEARTBEAT_MS, RouteConfig},
     count::{Complaint, Counters, count, line},
     dds::Role,
     error::Error,
@@ -48,11 +50,6 @@ use crate::{
     standing::{Answered, Asker},
 };
 
-/// Shortest `stale_after_ms`: one heartbeat may be late.
-const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
-const STALE_MS_DEFAULT: u64 = 1_000;
-/// Longest `stale_after_ms`, `command_timeout_ms` and `max_age_ms`.
-const WAIT_MS_MAX: u64 = 3_600_000;
 /// How long a stop message is waited for when the bridge ends.
 const FLUSH_MAX: Duration = Duration::from_millis(500);
 /// How long the writer stays after its last message was confirmed: some middleware (RustDDS) confirms before it hands
@@ -74,68 +71,12 @@ pub(super) static KIND: Kind = Kind {
         "stop_hex",
         points::KEYS[0],
         points::KEYS[1],
+        holder::KEY,
     ],
-    read,
+    read: settings::read,
     silence,
     beside: side_door::beside,
 };
-
-/// The settings of this kind.
-#[derive(Debug, Clone)]
-struct Settings {
-    /// Age beyond which a message is dropped; none = the service's. The shorter of both counts.
-    max_age: Option<Duration>,
-    /// Silence of the ledger or of its voters after which the robot is stopped.
-    stale_after: Duration,
-    /// Silence of a driver after which the robot is stopped; that of the type if it is not set, zero for never.
-    command_timeout: Option<Duration>,
-    side_door: Treatment,
-    /// The stop message instead of the service's or the type's.
-    stop: Option<Sample>,
-    /// Where the points of the running task go.
-    points: Topics,
-}
-
-fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let (mut max_age_ms, mut stale_after_ms, mut timeout_ms, mut stop) = (None, STALE_MS_DEFAULT, None, None);
-    section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
-    section.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
-    section.integer("command_timeout_ms", 0..=WAIT_MS_MAX, &mut timeout_ms);
-    section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
-        stop_sample(text, sample_bytes_max).map(Some)
-    });
-    let (points, side_door) = (Topics::read(section), Treatment::read(section));
-    let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
-    let command_timeout = timeout_ms.map(Duration::from_millis);
-    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points })
-}
-
-impl Plan for Settings {
-    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
-        self.join(opening).boxed()
-    }
-}
-
-impl Settings {
-    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, context, local, service, topic, mark, asker, counters, stop } = opening;
-        let gate = GateSettings {
-            network: context.network,
-            sample_bytes_max: route.sample_bytes_max,
-            max_age: self.max_age,
-            stale_after: self.stale_after,
-            command_timeout: command_timeout(self.command_timeout, &route.message),
-        };
-        let outlet = async {
-            let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
-            counters.opened(outlet.matched(), None);
-            Ok((outlet, self.points.open(local, topic, mark).await?, counters))
-        };
-        let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
-        let in_memory = opened.outlet.in_memory();
-        Ok(Opened { in_memory, running: opened.run(stop).boxed() })
-    }
-}
 
 /// The words for a cause of silence.
 fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
@@ -158,6 +99,7 @@ struct FromLedger {
     settings: Settings,
     outlet: Outlet,
     points: Points,
+    holder: Holder,
     counters: Counters,
     clocks: Clocks,
     guard: Guard,
@@ -182,18 +124,19 @@ impl FromLedger {
         (route, settings): (RouteConfig, Settings),
         gate: GateSettings,
         service: Service,
-        outlet: impl Future<Output = Result<(Outlet, Points, Counters), Rejection>>,
+        outlet: impl Future<Output = Result<(Outlet, (Points, Holder), Counters), Rejection>>,
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
         let guard = Guard::new(gate, &route.service, clocks.now());
         let stop = stop_for(&service, &route, settings.stop.as_ref())?;
-        let (outlet, points, counters) = outlet.await?;
+        let (outlet, (points, holder), counters) = outlet.await?;
         let mut opened = Self {
             gateway,
             route,
             outlet,
             points,
+            holder,
             counters,
             clocks,
             guard,
@@ -373,6 +316,7 @@ impl FromLedger {
                 self.tell_holders();
                 let task = answered.standing.tasks.iter().find(|task| task.service == self.route.service);
                 self.points.show(task, answered.asked);
+                self.holder.show(&self.route.service, &answered.standing);
             }
             Err(refused) => self.not_known(&refused, Some(self.clocks.steady(answered.asked))).await,
         }

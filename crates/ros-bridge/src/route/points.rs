@@ -9,16 +9,10 @@ use std::time::{Duration, Instant};
 use ledger_contract::{Point, RunningTask};
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
-use ros_message::Message;
 use serde_json::{Value, json};
 
-use super::local::{Local, Outlet};
-use crate::{
-    mark::Mark,
-    names::{TopicName, TypeName},
-    qos::{Durability, Qos, Reliability},
-    typed,
-};
+use super::{latched::Latched, local::Local};
+use crate::{mark::Mark, names::TopicName};
 
 /// The settings of the topics.
 pub(super) const KEYS: [&str; 2] = ["goal_topic", "path_topic"];
@@ -26,8 +20,6 @@ pub(super) const KEYS: [&str; 2] = ["goal_topic", "path_topic"];
 const GOAL: &str = "geometry_msgs/msg/PoseStamped";
 /// The points that are left.
 const PATH: &str = "nav_msgs/msg/Path";
-/// A controller that starts later gets the last message.
-const QOS: Qos = Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1 };
 /// So often the voters are asked within the time after which silence empties the path.
 const ASKS: u32 = 3;
 
@@ -53,19 +45,23 @@ impl Topics {
         self.goal.is_none() && self.path.is_none()
     }
 
+    /// The topics that are set.
+    pub(super) fn names(&self) -> impl Iterator<Item = &TopicName> {
+        [&self.goal, &self.path].into_iter().flatten()
+    }
+
     /// Offers the topics. `of` is the topic of the route, which is not for points.
     pub(super) async fn open(&self, local: &Local, of: &TopicName, mark: Mark) -> Result<Points, Rejection> {
-        let topics = [&self.goal, &self.path].into_iter().flatten();
-        if topics.clone().any(|topic| topic == of) || self.goal.is_some() && self.goal == self.path {
-            let found: Vec<_> = topics.chain([of]).map(TopicName::as_str).collect();
+        if self.names().any(|topic| topic == of) || self.goal.is_some() && self.goal == self.path {
+            let found: Vec<_> = self.names().chain([of]).map(TopicName::as_str).collect();
             return Err(Rejection::new(Code::BadConfiguration, "two kinds of messages cannot share a topic")
                 .found(found.join(", "))
                 .wanted("goal_topic, path_topic and the topic of the route to be different")
                 .next("give each a topic of its own, e.g. goal_topic = \"/goal_pose\""));
         }
         Ok(Points {
-            goal: Topic::open(self.goal.as_ref(), GOAL, local, mark).await?,
-            path: Topic::open(self.path.as_ref(), PATH, local, mark).await?,
+            goal: Latched::open(self.goal.as_ref(), GOAL, local, mark).await?,
+            path: Latched::open(self.path.as_ref(), PATH, local, mark).await?,
             shown: None,
             runs: false,
             known: Instant::now(),
@@ -75,8 +71,8 @@ impl Topics {
 
 /// The topics, and the task that they show.
 pub(super) struct Points {
-    goal: Option<Topic>,
-    path: Option<Topic>,
+    goal: Option<Latched>,
+    path: Option<Latched>,
     /// The task and how many of its points were reached; none until something was shown.
     shown: Option<Option<(u64, u64)>>,
     /// Did a task run by the last answer?
@@ -123,30 +119,6 @@ impl Points {
     }
 }
 
-/// A topic for points.
-struct Topic {
-    outlet: Outlet,
-    message: Message,
-}
-
-impl Topic {
-    async fn open(
-        topic: Option<&TopicName>,
-        message: &str,
-        local: &Local,
-        mark: Mark,
-    ) -> Result<Option<Self>, Rejection> {
-        let Some(topic) = topic else { return Ok(None) };
-        let outlet = local.outlet(topic, &TypeName::parse(message)?, &QOS, mark).await?;
-        Ok(Some(Self { outlet, message: typed::of(message)? }))
-    }
-
-    fn write(&self, value: &Value) -> Result<(), String> {
-        let sample = typed::sample(&self.message, value).map_err(|refused| refused.to_string())?;
-        self.outlet.write(&sample).map_err(|error| error.to_string())
-    }
-}
-
 /// The next point, if one is left.
 fn goal(task: &RunningTask) -> Option<Value> {
     task.next.first().map(|point| pose(&task.frame, point))
@@ -175,6 +147,7 @@ fn pose(frame: &str, Point { x_um, y_um, yaw_urad }: &Point) -> Value {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::typed;
 
     fn task(next: &[(i64, i64, i64)]) -> RunningTask {
         let next = next.iter().map(|&(x_um, y_um, yaw_urad)| Point { x_um, y_um, yaw_urad }).collect();

@@ -102,3 +102,39 @@ async fn diagnostics_show_each_route_and_why_it_is_silent() {
         assert!(yaml.contains(wanted), "{wanted}: {yaml}");
     }
 }
+
+#[tokio::test]
+async fn a_program_that_comes_late_hears_who_holds_the_service_and_then_that_nobody_does() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let more = "direction = 'from_ledger'\nholder_topic = '/t/holder'";
+    let bench = bench("exclusive", more, |fake| fake.set_holder("Org1/Salma", 3, 60_000)).await;
+    let (topic, kind) = (TopicName::parse("/t/holder").unwrap(), TypeName::parse("std_msgs/msg/String").unwrap());
+    let latched = Qos { durability: crate::qos::Durability::TransientLocal, ..Qos::default() };
+    let mut reader = bench.graph.reader(&topic, &kind, &latched, Limits::default()).unwrap();
+    let text = crate::typed::of("std_msgs/msg/String").unwrap();
+    let hear = async |reader: &mut Reader| {
+        let heard = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
+        text.decode(heard.sample.wire()).unwrap().to_yaml(None)
+    };
+    let first = hear(&mut reader).await;
+    assert!(first.contains("Org1/Salma") && first.contains(r#""epoch":3"#), "{first}");
+    let released = json!({ "service": "T/cmd_vel", "holder": "Org1/Salma", "epoch": 3, "reason": "released" });
+    bench.fake.set_free();
+    bench.fake.deliver(micros(), "released", &released, None);
+    let second = hear(&mut reader).await;
+    assert!(second.contains(r#""holders":[]"#), "{second}");
+}
+
+#[tokio::test]
+async fn the_topic_of_the_holder_is_not_that_of_the_route() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let network = Network::until(2900);
+    let text = format!("shared_memory = false\n{TWIST_ROUTE}\ndirection = 'from_ledger'\nholder_topic = '/cmd_vel'");
+    let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
+    let refused = Bridge::start_with(config, Fake::new("exclusive", &network), &context(&network)).await.unwrap_err();
+    assert_eq!(refused.message, "two kinds of messages cannot share a topic");
+}

@@ -1,0 +1,91 @@
+//! The settings of a route from the ledger.
+
+use std::{sync::Arc, time::Duration};
+
+use futures::{FutureExt, future::BoxFuture};
+use ledger_gate::{gate::Settings as GateSettings, sample::Sample};
+use ledger_rejection::Rejection;
+use ledger_settings::Section;
+
+use super::{
+    super::{
+        holder::{self, Holder},
+        kind::{Opened, Opening, Plan},
+        points::Topics,
+        side_door::Treatment,
+        stopping::command_timeout,
+    },
+    FromLedger,
+};
+use crate::{
+    config::{HEARTBEAT_MS, stop_sample},
+    names::TopicName,
+};
+
+/// Shortest `stale_after_ms`: one heartbeat may be late.
+const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
+const STALE_MS_DEFAULT: u64 = 1_000;
+/// Longest `stale_after_ms`, `command_timeout_ms` and `max_age_ms`.
+const WAIT_MS_MAX: u64 = 3_600_000;
+/// The settings of this kind.
+#[derive(Debug, Clone)]
+pub(super) struct Settings {
+    /// Age beyond which a message is dropped; none = the service's. The shorter of both counts.
+    pub(super) max_age: Option<Duration>,
+    /// Silence of the ledger or of its voters after which the robot is stopped.
+    pub(super) stale_after: Duration,
+    /// Silence of a driver after which the robot is stopped; that of the type if it is not set, zero for never.
+    pub(super) command_timeout: Option<Duration>,
+    pub(super) side_door: Treatment,
+    /// The stop message instead of the service's or the type's.
+    pub(super) stop: Option<Sample>,
+    /// Where the points of the running task go.
+    pub(super) points: Topics,
+    /// Where it is shown who holds the service.
+    pub(super) holder: Option<TopicName>,
+}
+
+pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
+    let (mut max_age_ms, mut stale_after_ms, mut timeout_ms, mut stop) = (None, STALE_MS_DEFAULT, None, None);
+    section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
+    section.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    section.integer("command_timeout_ms", 0..=WAIT_MS_MAX, &mut timeout_ms);
+    section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
+        stop_sample(text, sample_bytes_max).map(Some)
+    });
+    let (points, side_door) = (Topics::read(section), Treatment::read(section));
+    let holder = holder::read(section);
+    let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
+    let command_timeout = timeout_ms.map(Duration::from_millis);
+    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points, holder })
+}
+
+impl Plan for Settings {
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
+        self.join(opening).boxed()
+    }
+}
+
+impl Settings {
+    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
+        let Opening { route, gateway, context, local, service, topic, mark, asker, counters, stop } = opening;
+        let gate = GateSettings {
+            network: context.network,
+            sample_bytes_max: route.sample_bytes_max,
+            max_age: self.max_age,
+            stale_after: self.stale_after,
+            command_timeout: command_timeout(self.command_timeout, &route.message),
+        };
+        let outlet = async {
+            let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
+            counters.opened(outlet.matched(), None);
+            let points = self.points.open(local, topic, mark).await?;
+            let taken = self.points.names().chain([topic]);
+            let holder = Holder::open(self.holder.as_ref(), taken, local, mark).await?;
+            Ok((outlet, (points, holder), counters))
+        };
+        let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
+        let in_memory = opened.outlet.in_memory();
+        Ok(Opened { in_memory, running: opened.run(stop).boxed() })
+    }
+}

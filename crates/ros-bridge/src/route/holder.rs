@@ -1,0 +1,93 @@
+//! The holders of the service on a local topic, as JSON in a `std_msgs/msg/String`, for programs without a ledger client.
+//!
+//! What is shown comes from what the voters have signed.
+
+use ledger_contract::Grant;
+use ledger_gate::standing::Standing;
+use ledger_rejection::{Code, Rejection};
+use ledger_settings::Section;
+use serde_json::{Value, json};
+
+use super::{latched::Latched, local::Local};
+use crate::{mark::Mark, names::TopicName};
+
+/// The setting of the topic.
+pub(super) const KEY: &str = "holder_topic";
+const TYPE: &str = "std_msgs/msg/String";
+
+/// Reads the setting under [`KEY`].
+pub(super) fn read(section: &mut Section<'_, '_>) -> Option<TopicName> {
+    let mut topic = None;
+    section.parsed(KEY, "a ROS 2 topic name", &mut topic, |text| TopicName::parse(text).map(Some));
+    topic
+}
+
+/// The topic, and what it shows.
+pub(super) struct Holder {
+    topic: Option<Latched>,
+    shown: Option<Value>,
+}
+
+impl Holder {
+    /// Offers the topic. `taken` are the other topics of the route.
+    pub(super) async fn open<'a>(
+        topic: Option<&TopicName>,
+        taken: impl Iterator<Item = &'a TopicName>,
+        local: &Local,
+        mark: Mark,
+    ) -> Result<Self, Rejection> {
+        for other in taken {
+            if Some(other) == topic {
+                return Err(Rejection::new(Code::BadConfiguration, "two kinds of messages cannot share a topic")
+                    .found(format!("{KEY} = \"{}\", which the route uses already", other.as_str()))
+                    .wanted("a topic of its own for the holder")
+                    .next(format!("{KEY} = \"{}/holder\"", other.as_str())));
+            }
+        }
+        Ok(Self { topic: Latched::open(topic, TYPE, local, mark).await?, shown: None })
+    }
+
+    /// Shows who holds the service by an answer of the voters, if that is new.
+    pub(super) fn show(&mut self, service: &str, standing: &Standing) {
+        let Some(topic) = &self.topic else { return };
+        let now = state(service, &standing.grants, standing.stopped);
+        if self.shown.as_ref() == Some(&now) {
+            return;
+        }
+        match topic.write(&json!({ "data": now.to_string() })) {
+            Ok(()) => self.shown = Some(now),
+            // It is tried again with the next answer.
+            Err(fault) => tracing::warn!(service, fault, "the holder of the service was not published"),
+        }
+    }
+}
+
+fn state(service: &str, grants: &[Grant], stopped: bool) -> Value {
+    let held = grants.iter().filter(|grant| grant.service == service);
+    let holders: Vec<Value> = held
+        .map(|grant| json!({ "holder": grant.holder, "epoch": grant.epoch, "acquired_at": grant.acquired_at, "task": grant.task }))
+        .collect();
+    json!({ "service": service, "stopped": stopped, "holders": holders })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ledger_gate::fixture::grant;
+
+    #[test]
+    fn the_holders_of_this_service_are_shown_and_whether_the_robot_is_stopped() {
+        let other = Grant { service: "T/arm".to_owned(), ..grant("Org1/Farhad", 9) };
+        let own = grant("Org1/Salma", 3);
+        let shown = state(&own.service, &[own.clone(), other], true);
+        let holder = json!({ "holder": "Org1/Salma", "epoch": 3, "acquired_at": own.acquired_at, "task": null });
+        assert_eq!(shown, json!({ "service": own.service, "stopped": true, "holders": [holder] }));
+    }
+
+    #[test]
+    fn a_renewal_shows_nothing_new() {
+        let before = grant("Org1/Salma", 3);
+        let renewed = Grant { expires: before.expires + 1, next_seq: 9, ..before.clone() };
+        assert_eq!(state(&before.service, &[before.clone()], false), state(&before.service, &[renewed], false));
+    }
+}
