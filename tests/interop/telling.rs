@@ -73,6 +73,10 @@ fn a_bridge_to_the_ledger_says_who_publishes_and_why_nothing_passes() {
 
         let writer = graph.writer(&topic, &kind, &Qos::default()).unwrap();
         world.line("Salma", &["INFO", "a publisher on /cmd_vel has come"]).await;
+        let second = graph.writer(&topic, &kind, &Qos::default()).unwrap();
+        let both = ["WARN", "2 publishers on /cmd_vel now", "takes the commands of all of them to Rover/cmd_vel"];
+        world.line("Salma", &both).await;
+        drop(second);
         world.line("Salma", &["the route is silent: you do not hold it: ledgerctl acquire Rover/cmd_vel"]).await;
         let mut tick = tokio::time::interval(Duration::from_millis(50));
         let mut publish = async || loop {

@@ -190,7 +190,11 @@ impl Reporter {
                 (Some(_), true) => Status::of_route(&summary, State::Unknown),
                 (Some(watched), false) => {
                     let silence = self.look_at_route(&watched, neighbourhood, now);
-                    Status::of_route(&summary, silence.as_ref().map_or(State::Works, State::Silent))
+                    let state = match slot.counters.lock().live.beside {
+                        0 => silence.as_ref().map_or(State::Works, State::Silent),
+                        others => State::Beside { others, topic: watched.topic.as_str() },
+                    };
+                    Status::of_route(&summary, state)
                 }
             };
             statuses.push(status);

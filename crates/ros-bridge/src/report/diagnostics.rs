@@ -49,6 +49,11 @@ impl Status {
         let (level, message) = match state {
             State::Waits(reason) => (Level::Error, format!("waits: {reason}")),
             State::Unknown => (Level::Stale, "the ledger gives no sign of life".to_owned()),
+            State::Beside { others, topic } => {
+                let message =
+                    format!("{others} publish on {topic} beside this bridge: their messages go around the ledger");
+                (Level::Warn, message)
+            }
             State::Silent(Silence { reason, is_fault: true, .. }) => (Level::Warn, format!("silent: {reason}")),
             State::Silent(Silence { reason, .. }) => (Level::Ok, format!("silent: {reason}")),
             State::Works => (Level::Ok, "carries what comes".to_owned()),
@@ -64,6 +69,11 @@ pub(super) enum State<'a> {
     Waits(&'a str),
     /// The ledger is silent.
     Unknown,
+    /// So many others publish on the topic to which it delivers commands.
+    Beside {
+        others: usize,
+        topic: &'a str,
+    },
     Silent(&'a Silence),
     Works,
 }
@@ -143,6 +153,7 @@ mod tests {
         assert_eq!(level(State::Silent(&fault)), Level::Warn);
         assert_eq!(level(State::Waits("LGR-3012")), Level::Error);
         assert_eq!(level(State::Unknown), Level::Stale);
+        assert_eq!(level(State::Beside { others: 1, topic: "/cmd_vel" }), Level::Warn);
         assert_eq!(Status::of_route(&summary, State::Silent(&fault)).message, "silent: why");
     }
 

@@ -82,17 +82,50 @@ async fn of_two_routes_that_close_a_circle_by_the_topic_of_their_service_the_sec
     assert!(second.waiting.unwrap().contains("routes 1 and 2 close a circle"));
 }
 
+/// The first message on `/diagnostics` with these words.
+async fn diagnosis(bench: &Bench, words: &str) -> String {
+    let kind = "diagnostic_msgs/msg/DiagnosticArray";
+    let (topic, message) = (TopicName::parse("/diagnostics").unwrap(), TypeName::parse(kind).unwrap());
+    let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
+    let array = crate::typed::of(kind).unwrap();
+    let heard = async {
+        loop {
+            let yaml = array.decode(reader.next().await.unwrap().sample.wire()).unwrap().to_yaml(None);
+            if yaml.contains(words) {
+                break yaml;
+            }
+        }
+    };
+    tokio::time::timeout(DEADLINE, heard).await.unwrap()
+}
+
+#[tokio::test]
+async fn diagnostics_warn_of_a_publisher_beside_the_bridge() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("exclusive", "direction = 'from_ledger'", |_| ()).await;
+    let (topic, message) = names();
+    let _stranger = bench.graph.writer(&topic, &message, &Qos::default()).unwrap();
+    let alive = async {
+        loop {
+            bench.fake.heartbeat(micros());
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+    };
+    tokio::select! {
+        yaml = diagnosis(&bench, "1 publish on /cmd_vel beside this bridge") => assert!(yaml.contains("level: 1"), "{yaml}"),
+        () = alive => {}
+    }
+}
+
 #[tokio::test]
 async fn diagnostics_show_each_route_and_why_it_is_silent() {
     if !network::isolated(&|| ()) {
         return;
     }
     let bench = bench("exclusive", "direction = 'to_ledger'", |fake| fake.set_own_epoch(3)).await;
-    let kind = "diagnostic_msgs/msg/DiagnosticArray";
-    let (topic, message) = (TopicName::parse("/diagnostics").unwrap(), TypeName::parse(kind).unwrap());
-    let mut reader = bench.graph.reader(&topic, &message, &Qos::default(), Limits::default()).unwrap();
-    let heard = tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap();
-    let yaml = crate::typed::of(kind).unwrap().decode(heard.sample.wire()).unwrap().to_yaml(None);
+    let yaml = diagnosis(&bench, "silent").await;
     for wanted in [
         "name: 'ledgerd_bridge: ledger'",
         "name: 'ledgerd_bridge: T/cmd_vel to_ledger'",
