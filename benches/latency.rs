@@ -37,7 +37,7 @@ use disk::Disk;
 use draw::Curve;
 use etcd::Etcd;
 use floor::Floor;
-use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS};
+use founding::{ONE_VOTER, PAPER, Shape, THREE_VOTERS, THREE_VOTERS_AND_LEARNER};
 use hdrhistogram::Histogram;
 use ledger_rejection::Code;
 use load::{Run, histogram, open_loop, paced};
@@ -61,6 +61,14 @@ const SECONDS_DEFAULT: f64 = 4.0;
 const SECONDS_SMOKE: f64 = 0.1;
 /// Turns that each side takes in `side_by_side`.
 const TURNS: u32 = 5;
+/// The networks in `side_by_side`. Etcd has one and three nodes: the first and the third are its equals, the other two also
+/// have an owner of robots that follows.
+const LEDGERD_SIDES: [(&str, Shape); 4] = [
+    ("ledgerd, one node", ONE_VOTER),
+    ("ledgerd, voter and learner", PAPER),
+    ("ledgerd, three voters", THREE_VOTERS),
+    ("ledgerd, three voters and learner", THREE_VOTERS_AND_LEARNER),
+];
 /// Frequency of a fast controller.
 const FAST_HZ: f64 = 200.0;
 /// Bytes of a value of etcd: those of its measurements elsewhere.
@@ -80,7 +88,7 @@ fn main() {
     let mut criterion = Criterion::default().configure_from_args();
     let (mut results, mut curves) = (serde_json::Map::new(), Vec::new());
     let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
-    for shape in [ONE_VOTER, PAPER, THREE_VOTERS] {
+    for shape in [ONE_VOTER, PAPER, THREE_VOTERS_AND_LEARNER] {
         let network = runtime.block_on(Network::start(shape));
         if chosen("sweep") {
             let lines = sweep(&runtime, &network, shape, duration);
@@ -159,11 +167,10 @@ fn curves(shape: Shape, lines: &[Line]) -> Vec<Curve> {
 
 /// Everything that the targets compare, in turns within one run.
 fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
-    let paper = runtime.block_on(Network::start(PAPER));
-    let three = runtime.block_on(Network::start(THREE_VOTERS));
+    let networks = LEDGERD_SIDES.map(|(_, shape)| runtime.block_on(Network::start(shape)));
     // A client is one thread, as the floor's is: it keeps time, signs, sends and receives.
     let alone = Builder::new_current_thread().enable_all().build().unwrap();
-    let operators = [&paper, &three].map(|network| alone.block_on(network.operator("Turtlebot4")));
+    let operators = networks.each_ref().map(|network| alone.block_on(network.operator("Turtlebot4")));
     let mut floor = Floor::new(operators[0].command_bytes());
     let etcd: Vec<_> = Etcd::version()
         .filter(|_| !smoke)
@@ -177,9 +184,7 @@ fn side_by_side(runtime: &Runtime, duration: Duration, smoke: bool) -> Value {
         let mut sides: Vec<Side> = Vec::new();
         for _ in 0..TURNS {
             note(&mut sides, "floor", turn, || floor.once());
-            for (name, operator) in
-                ["ledgerd, voter and learner", "ledgerd, three voters and learner"].iter().zip(&operators)
-            {
+            for ((name, _), operator) in LEDGERD_SIDES.iter().zip(&operators) {
                 note(&mut sides, name, turn, || drop(alone.block_on(operator.command()).unwrap()));
             }
             for (name, client) in ["etcd, one node", "etcd, three nodes"].iter().zip(&puts) {

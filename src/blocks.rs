@@ -100,7 +100,8 @@ impl Blocks {
         self.store.first_index()
     }
 
-    fn recent(&self, height: u64) -> Option<Arc<Outcome>> {
+    /// The block at a height, if it is in memory.
+    pub(crate) fn recent(&self, height: u64) -> Option<Arc<Outcome>> {
         let recent = self.recent.read().unwrap_or_else(PoisonError::into_inner);
         let first = recent.outcomes.front()?.header.height;
         recent.outcomes.get(usize::try_from(height.checked_sub(first)?).ok()?).map(Arc::clone)

@@ -6,6 +6,7 @@
 //!     intake     one submission: taken in, looked at, ordered or answered
 //!     looks      turns to look at submissions
 //!   records      questions about the state, blocks and transactions
+//!     questions  turns to read for somebody who asks
 //!   current      makes the state as new as what was committed
 //!   subscribe    events as they happen; audience: their listeners
 //!   status       the description of the node; links: its ways to be ordered
@@ -23,6 +24,7 @@ mod intake;
 mod links;
 mod looks;
 mod proofs;
+mod questions;
 mod records;
 mod status;
 mod submit;
@@ -49,6 +51,7 @@ use ledger_rejection::{Code, Rejection};
 pub(crate) use links::Links;
 pub(crate) use looks::Looks;
 pub(crate) use proofs::Proofs;
+pub(crate) use questions::Questions;
 pub(crate) use records::Records;
 pub(crate) use status::{Chain, Description, Usage};
 use std::pin::Pin;
@@ -165,8 +168,8 @@ impl Gateway for GatewayService {
         &self,
         request: Request<GovernanceRequest>,
     ) -> Result<Response<Self::GovernanceStream>, Status> {
-        self.caller(&request)?;
-        Ok(Response::new(Box::pin(self.proofs.governance(request.into_inner().after))))
+        let caller = self.caller(&request)?;
+        Ok(Response::new(Box::pin(self.proofs.governance(caller, request.into_inner().after))))
     }
 
     async fn prove(&self, request: Request<ProveRequest>) -> Result<Response<ProveResponse>, Status> {

@@ -26,6 +26,7 @@
 //! | `stores` | opening blocks and world state; rebuilding the latter |
 //! | `orderer` | the two threads between a transaction and its verdict |
 //! | `blocks`, `waiters`, `denials` | executed blocks for readers, clients that wait, what was refused |
+//! | `early` | emergency stops, of which robots hear before they are ordered |
 //! | `bridge` | the bridge inside a node |
 //! | `peers` | TLS connections between nodes |
 //! | `company` | what the other nodes say about the chain, and what this one stops for |
@@ -54,6 +55,7 @@ pub mod config;
 mod demo;
 mod denials;
 mod dev;
+mod early;
 mod enrolment;
 mod gateway;
 mod host;

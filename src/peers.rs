@@ -115,6 +115,15 @@ impl Peers {
         })
     }
 
+    /// Sends a message to everybody who keeps up.
+    pub(crate) fn send_to_all(&self, message: &PeerMessage) {
+        let (links, bytes) = (self.links.read().unwrap_or_else(PoisonError::into_inner), message.to_bytes());
+        for link in links.values().filter(|link| link.connected.load(Ordering::Relaxed)) {
+            // Who does not keep up hears of it in its block.
+            let _full = link.waiting.try_send(bytes.clone());
+        }
+    }
+
     /// Is there a connection to this node?
     pub(crate) fn connected(&self, id: u64) -> bool {
         let links = self.links.read().unwrap_or_else(PoisonError::into_inner);

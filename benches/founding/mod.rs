@@ -32,7 +32,9 @@ pub(crate) const ONE_VOTER: Shape = Shape { name: "one_voter", voters: 1, learne
 /// The paper's network: one organisation orders, the other follows.
 pub(crate) const PAPER: Shape = Shape { name: "voter_and_learner", voters: 1, learners: 1 };
 /// A cluster that survives the loss of a node.
-pub(crate) const THREE_VOTERS: Shape = Shape { name: "three_voters_and_learner", voters: 3, learners: 1 };
+pub(crate) const THREE_VOTERS: Shape = Shape { name: "three_voters", voters: 3, learners: 0 };
+/// Such a cluster, and the robots' owner, who follows.
+pub(crate) const THREE_VOTERS_AND_LEARNER: Shape = Shape { name: "three_voters_and_learner", voters: 3, learners: 1 };
 
 /// Members beside Salma and Farhad.
 const DRIVERS: usize = 8;

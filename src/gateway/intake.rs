@@ -4,6 +4,7 @@ use super::submit::Answers;
 use crate::awake::Awake;
 use crate::clock::Clock;
 use crate::denials::Denials;
+use crate::early::Early;
 use crate::orderer::Seat;
 use crate::space::Space;
 use crate::waiters::{Client, Waiters, refused};
@@ -32,6 +33,8 @@ pub(crate) struct Intake {
     pub awake: Arc<Awake>,
     /// Calls that were refused.
     pub denials: Arc<Denials>,
+    /// Tells robots of stops.
+    pub early: Arc<Early>,
 }
 
 /// The limits of what comes in.
@@ -99,12 +102,17 @@ impl Intake {
     /// Hands a transaction to the orderer. It is answered when it has a verdict.
     fn order(&self, arrived: Arrived<Client>) {
         self.awake.keep();
+        let foreseen = self.early.foresee(&arrived.transaction);
         let Arrived { transaction, ticket: Ticket { lane, .. }, client } = arrived;
         self.waiters.add(self.clock.elapsed(), &transaction, lane, client);
         let input = Input::Submit { lane, transaction: transaction.encoded().clone() };
         if let Err(rejection) = self.seat.input(input) {
             let who = self.waiters.refuse(&transaction.id(), &rejection);
             self.denials.record(self.clock.now(), &Refusal::of_node(who, Some(transaction), rejection));
+        }
+        // Also if nobody can order it.
+        if let Some(foreseen) = foreseen {
+            self.early.announce(foreseen);
         }
     }
 }

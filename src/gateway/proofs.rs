@@ -1,10 +1,11 @@
 //! Proofs, for readers that believe no single node.
 
-use super::{Current, status};
+use super::{Current, Questions, status};
 use crate::certificates::Certificates;
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::v1::{GovernanceChange, GovernanceStep, ProveRequest, ProveResponse};
+use ledger_identity::Identity;
 use ledger_light::Proof;
 use ledger_light::fact::Fact;
 use ledger_rejection::{Code, Rejection};
@@ -32,31 +33,39 @@ pub(crate) struct Proofs {
     pub certificates: Arc<Certificates>,
     /// Makes the state as new as what was committed when somebody asked.
     pub current: Current,
+    /// The turns to read.
+    pub questions: Questions,
 }
 
 type Steps = mpsc::Sender<Result<GovernanceStep, Status>>;
 
 impl Proofs {
     /// The way from a height to the newest proof.
-    pub(super) fn governance(self: &Arc<Self>, after: u64) -> ReceiverStream<Result<GovernanceStep, Status>> {
+    pub(super) fn governance(
+        self: &Arc<Self>,
+        reader: Arc<Identity>,
+        after: u64,
+    ) -> ReceiverStream<Result<GovernanceStep, Status>> {
         let (steps, stream) = mpsc::channel(WAITING_MAX);
         let proofs = Arc::clone(self);
         tokio::spawn(async move {
-            if let Err(fault) = proofs.walk(after, &steps).await {
+            if let Err(fault) = proofs.walk(&reader, after, &steps).await {
                 let _reader_is_gone = steps.send(Err(status(&fault))).await;
             }
         });
         ReceiverStream::new(stream)
     }
 
-    async fn walk(&self, after: u64, steps: &Steps) -> Result<(), Rejection> {
+    async fn walk(&self, reader: &Identity, after: u64, steps: &Steps) -> Result<(), Rejection> {
         let genesis = if after == 0 { self.genesis.clone() } else { Bytes::new() };
         let (mut step, mut bytes, mut reached) = (GovernanceStep { genesis, ..Default::default() }, 0, after);
         // What changes while the reader is slow comes with its next question.
         let newest = self.certificates.newest(&self.ledger)?;
         let until = newest.as_ref().map_or(0, |newest| newest.certificate.statement.height);
         loop {
+            let turn = self.questions.turn(reader).await;
             let mut changes = self.ledger.changes(reached, CHANGES_AT_ONCE)?;
+            drop(turn);
             changes.retain(|change| change.height <= until);
             if changes.is_empty() {
                 break;

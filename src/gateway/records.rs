@@ -1,6 +1,6 @@
 //! Questions about the committed state and the chain.
 
-use super::{Current, Links, status};
+use super::{Current, Links, Questions, status};
 use crate::blocks::Blocks;
 use crate::clock::Clock;
 use crate::company::Company;
@@ -30,6 +30,8 @@ pub(crate) struct Records {
     pub company: Arc<Company>,
     /// The ways to the leader.
     pub links: Links,
+    /// The turns to read.
+    pub questions: Questions,
 }
 
 impl Records {
@@ -40,7 +42,9 @@ impl Records {
             false => self.current.reach().await.map(drop),
         };
         reached.map_err(|rejection| status(&rejection))?;
+        let turn = self.questions.turn(caller).await;
         let answer = self.ledger.query(caller, self.clock.now(), &request.chaincode, &request.function, &request.args);
+        drop(turn);
         let (verdict, response, height) = match answer {
             Ok((response, height)) => (Verdict::default(), response, height),
             Err(rejection) => ((&rejection).into(), Bytes::new(), self.ledger.tip().height),
@@ -69,18 +73,24 @@ impl Records {
         if height > self.ledger.tip().height {
             self.current.reach().await?;
         }
+        let _turn = self.questions.turn(caller).await;
         self.block_here(caller, height)
     }
 
     /// A transaction. One that this node does not know may be committed.
     pub(super) async fn transaction(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
-        match self.transaction_here(caller, id) {
+        match self.in_turn(caller, id).await {
             Err(rejection) if rejection.code == Code::NotFound => {
                 self.current.reach().await?;
-                self.transaction_here(caller, id)
+                self.in_turn(caller, id).await
             }
             found => found,
         }
+    }
+
+    async fn in_turn(&self, caller: &Identity, id: &[u8]) -> Result<TransactionRecord, Rejection> {
+        let _turn = self.questions.turn(caller).await;
+        self.transaction_here(caller, id)
     }
 
     fn block_here(&self, caller: &Identity, height: u64) -> Result<Block, Rejection> {

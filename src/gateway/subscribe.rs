@@ -4,22 +4,26 @@
 //! would look as if nothing happened.
 
 use super::audience::Listener;
-use super::{Audience, Current, check, status};
+use super::{Audience, Current, Questions, check, status};
 use crate::blocks::{Blocks, Interest};
 use crate::clock::Clock;
 use crate::denials::Denials;
+use crate::early::Early;
 use bytes::Bytes;
+use futures::FutureExt;
 use ledger::transaction::Transaction;
 use ledger::{Ledger, Outcome};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_rejection::{Code, Rejection};
+use ledger_replica::Foreseen;
 use ledger_storage::result::Event;
 use std::collections::HashSet;
+use std::future::pending;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::mpsc;
+use tokio::sync::{broadcast, mpsc};
 use tokio::time::{Instant, timeout_at};
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Status;
@@ -49,6 +53,10 @@ pub(crate) struct Subscriptions {
     pub clock: Clock,
     /// Calls that were refused.
     pub denials: Arc<Denials>,
+    /// Calls of which readers hear before they are ordered.
+    pub early: Arc<Early>,
+    /// The turns to read old blocks.
+    pub questions: Questions,
 }
 
 impl Subscriptions {
@@ -65,7 +73,7 @@ impl Subscriptions {
                     .wanted(format!("at most {FILTER_MAX} of each")),
             ));
         }
-        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms } = request;
+        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early } = request;
         let wanted = Wanted::new(chaincode, subjects, names);
         if let Err(refused) = self.may_follow(&reader, &wanted).await {
             return Err(self.refuse_reader(&reader, &wanted, &refused));
@@ -83,6 +91,7 @@ impl Subscriptions {
             ms => Some(Duration::from_millis(ms.into()).max(HEARTBEAT_MIN)),
         };
         let (deliveries, stream) = mpsc::channel(WAITING_MAX);
+        let early = early.then(|| self.early.subscribe());
         let interest = self.blocks.interest(wanted.subjects.clone());
         let (sent, checked, shown) = (Instant::now(), Instant::now(), HashSet::new());
         let subscription = Subscription {
@@ -90,6 +99,7 @@ impl Subscriptions {
             reader,
             wanted,
             interest,
+            early,
             next,
             deliveries,
             sent,
@@ -153,6 +163,8 @@ struct Subscription {
     wanted: Wanted,
     /// Tells which blocks need not be looked at.
     interest: Interest,
+    /// Calls of which it wants to hear before they are ordered, if it does.
+    early: Option<broadcast::Receiver<Arc<Foreseen>>>,
     /// The next height to look at.
     next: u64,
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
@@ -191,8 +203,14 @@ impl Subscription {
             let check = self.checked + CHECK_EVERY;
             let due = heartbeat.map_or(check, |period| check.min(self.sent + period));
             tokio::select! {
-                _ = timeout_at(due, self.interest.wait()) => {}
+                biased;
                 () = self.deliveries.closed() => return,
+                foreseen = foreseen(&mut self.early) => {
+                    if !self.tell_early(&foreseen).await {
+                        return;
+                    }
+                }
+                _ = timeout_at(due, self.interest.wait()) => {}
             }
         }
     }
@@ -209,7 +227,18 @@ impl Subscription {
             };
             self.next = self.next.max(first);
             while self.next <= reached {
-                let outcome = self.node.blocks.get(self.next).map_err(|fault| status(&fault))?;
+                while let Some(foreseen) = foreseen(&mut self.early).now_or_never() {
+                    if !self.tell_early(&foreseen).await {
+                        return Ok(false);
+                    }
+                }
+                let outcome = match self.node.blocks.recent(self.next) {
+                    Some(outcome) => Some(outcome),
+                    None => {
+                        let _turn = self.node.questions.turn(&self.reader).await;
+                        self.node.blocks.get(self.next).map_err(|fault| status(&fault))?
+                    }
+                };
                 let delivery = outcome.and_then(|outcome| self.delivery(&outcome));
                 self.next += 1;
                 silent += 1;
@@ -258,6 +287,20 @@ impl Subscription {
         there
     }
 
+    /// Tells of a call that is not ordered yet. False if the subscriber is gone.
+    async fn tell_early(&mut self, foreseen: &Foreseen) -> bool {
+        let wanted = foreseen.events.iter().filter(|event| self.wanted.admits(event));
+        let readable = wanted.filter(|event| self.node.ledger.may_read(&self.reader, event).is_ok());
+        let mut transaction = foreseen.transaction.encoded().clone();
+        let events: Vec<_> =
+            readable.map(|event| record(event.clone(), (0, std::mem::take(&mut transaction)), Bytes::new())).collect();
+        if events.is_empty() {
+            return true;
+        }
+        let tip = self.node.ledger.tip();
+        self.send(Delivery { height: tip.height, time: tip.time, events, early: true, ..Delivery::default() }).await
+    }
+
     /// The events of a block that this subscriber wants and may read.
     fn delivery(&mut self, outcome: &Outcome) -> Option<Delivery> {
         let wanted = outcome.events.iter().filter(|emitted| self.wanted.admits(&emitted.event));
@@ -279,21 +322,14 @@ impl Subscription {
             };
             last = emitted.index;
             let certificate = self.certificate(&transaction);
-            EventRecord {
-                chaincode: emitted.event.chaincode,
-                name: emitted.event.name,
-                subject: emitted.event.subject,
-                payload: emitted.event.payload,
-                index: emitted.index.unwrap_or_default(),
-                transaction,
-                certificate,
-            }
+            record(emitted.event, (emitted.index.unwrap_or_default(), transaction), certificate)
         });
         Some(Delivery {
             height: outcome.header.height,
             time: outcome.header.time,
             events: events.collect(),
             block_hash: outcome.hash.0.to_vec().into(),
+            early: false,
         })
     }
 
@@ -308,5 +344,24 @@ impl Subscription {
             return Bytes::new();
         }
         self.node.ledger.certificate(&creator).ok().flatten().unwrap_or_default()
+    }
+}
+
+/// An event as it is delivered, with the transaction that caused it.
+fn record(event: Event, (index, transaction): (u32, Bytes), certificate: Bytes) -> EventRecord {
+    let Event { chaincode, name, subject, payload } = event;
+    EventRecord { chaincode, name, subject, payload, index, transaction, certificate }
+}
+
+/// The next call that is told before it is ordered; waits for ever where nobody asked for them. Cancelling it loses nothing.
+async fn foreseen(early: &mut Option<broadcast::Receiver<Arc<Foreseen>>>) -> Arc<Foreseen> {
+    let Some(calls) = early else { return pending().await };
+    loop {
+        match calls.recv().await {
+            Ok(foreseen) => return foreseen,
+            // Those that were missed come in their blocks.
+            Err(broadcast::error::RecvError::Lagged(_)) => {}
+            Err(broadcast::error::RecvError::Closed) => return pending().await,
+        }
     }
 }

@@ -8,10 +8,11 @@ use crate::certificates::{Certificates, Certifying, Keys, Told, era};
 use crate::clock::{Clock, wall};
 use crate::company::{Asking, Company};
 use crate::config::Config;
+use crate::early::Early;
 use crate::enrolment::{EnrolmentService, Surroundings, Voice};
 use crate::gateway::{
-    Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Proofs, Records, Submissions,
-    Subscriptions, Usage,
+    Audience, Bounds, Chain, Current, Description, GatewayService, Intake, Links, Looks, Proofs, Questions, Records,
+    Submissions, Subscriptions, Usage,
 };
 use crate::host::{Deliver, Host, Members, Papers};
 use crate::housekeeping::Housekeeping;
@@ -47,6 +48,8 @@ pub(super) struct Wired {
     pub stores: Stores,
     /// The parts that hear of each executed block.
     pub followers: Followers,
+    /// Tells robots of stops before they are ordered.
+    pub early: Arc<Early>,
     /// The ways to be ordered through this node.
     pub links: Links,
     /// Starts its orderer.
@@ -162,10 +165,11 @@ impl Wired {
             pace,
             outside,
         };
+        let early = Arc::new(Early::new(Arc::clone(ledger), engines.clock.clone(), Arc::clone(&peers)));
         let links = Links { me: me.id, seat, directory: Arc::clone(&standing.directory), peers, space };
         let shares = Arc::new(Shares::new(super::count(config.limits.in_flight_max)));
         let stores = stores.clone();
-        Ok((Self { me, identity, stores, followers, links, engines, dialer, shares, members }, seen, stated))
+        Ok((Self { me, identity, stores, followers, early, links, engines, dialer, shares, members }, seen, stated))
     }
 
     /// The gateway of a node that started at this moment, in the network of that genesis.
@@ -173,6 +177,8 @@ impl Wired {
         let audience = Audience::new(config.limits.subscribers_max, self.me.organisation.clone());
         let (ledger, denials) = (&self.stores.ledger, &self.engines.outside.denials);
         let Followers { clock, blocks, current, .. } = &self.followers;
+        let workers = tokio::runtime::Handle::current().metrics().num_workers();
+        let questions = Questions::new(workers, &self.shares);
         let records = Records {
             ledger: Arc::clone(ledger),
             blocks: Arc::clone(blocks),
@@ -180,6 +186,7 @@ impl Wired {
             clock: clock.clone(),
             company: Arc::clone(&self.followers.company),
             links: self.links.clone(),
+            questions: questions.clone(),
         };
         let subscriptions = Subscriptions {
             ledger: Arc::clone(ledger),
@@ -188,12 +195,15 @@ impl Wired {
             current: current.clone(),
             clock: clock.clone(),
             denials: Arc::clone(denials),
+            early: Arc::clone(&self.early),
+            questions: questions.clone(),
         };
         let proofs = Proofs {
             ledger: Arc::clone(ledger),
             genesis: document,
             certificates: Arc::clone(&self.followers.certificates),
             current: current.clone(),
+            questions,
         };
         GatewayService {
             proofs: Arc::new(proofs),
@@ -224,6 +234,7 @@ impl Wired {
             seat: Arc::clone(&self.links.seat),
             awake: Arc::clone(awake),
             denials: Arc::clone(&self.engines.outside.denials),
+            early: Arc::clone(&self.early),
         };
         let looks = Looks::new(tokio::runtime::Handle::current().metrics().num_workers());
         Submissions { intake, shares: Arc::clone(&self.shares), looks, current: current.clone(), turns: *turns }
@@ -333,11 +344,15 @@ impl Wired {
         let company = Arc::clone(&self.followers.company);
         let source =
             Source::new(&self.stores, Arc::clone(&self.followers.blocks), Arc::clone(&seat), Arc::clone(&company));
-        let certificates = Arc::clone(&self.followers.certificates);
+        let (certificates, early) = (Arc::clone(&self.followers.certificates), Arc::clone(&self.early));
         let deliver: Deliver = Box::new(move |from, message| {
             let message = match message {
                 PeerMessage::Statement(statement) => {
                     certificates.hear(from, statement);
+                    return true;
+                }
+                PeerMessage::Early(call) => {
+                    early.passed_on(from, call.transaction);
                     return true;
                 }
                 message => message,

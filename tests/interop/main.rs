@@ -25,6 +25,7 @@ mod readme;
 mod reloading;
 mod robot_stands;
 mod sharing;
+mod stop_early;
 #[path = "../support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]
 mod support;

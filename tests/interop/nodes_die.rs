@@ -23,17 +23,17 @@ const PATIENCE: Duration = Duration::from_secs(90);
 /// The nodes by organisation. Any two of them order, and certify, without the third.
 const ORGANISATIONS: [&str; 3] = ["Org1", "Org2", "Org3"];
 /// Alone in this network namespace: any port is free.
-const ADDRESSES: [&str; 3] = ["127.0.0.1:7451", "127.0.0.1:7452", "127.0.0.1:7453"];
-const TYPE: &str = "geometry_msgs/msg/Twist";
+pub(crate) const ADDRESSES: [&str; 3] = ["127.0.0.1:7451", "127.0.0.1:7452", "127.0.0.1:7453"];
+pub(crate) const TYPE: &str = "geometry_msgs/msg/Twist";
 
-struct Trio {
-    nodes: [Option<Process>; 3],
+pub(crate) struct Trio {
+    pub(crate) nodes: [Option<Process>; 3],
     directory: TempDir,
 }
 
 impl Trio {
     /// Founds the network with Salma, the robot Rover and the admins; nothing runs yet.
-    fn found() -> Self {
+    pub(crate) fn found() -> Self {
         let directory = tempfile::tempdir().unwrap();
         let nodes = (0..3).map(|i| PlannedNode {
             name: format!("node{i}"),
@@ -73,11 +73,11 @@ impl Trio {
         self.directory.path().join("home")
     }
 
-    fn context(&self, name: &str) -> Context {
+    pub(crate) fn context(&self, name: &str) -> Context {
         Context::load(&self.home(), Some(name)).unwrap()
     }
 
-    fn start(&mut self, node: usize) {
+    pub(crate) fn start(&mut self, node: usize) {
         let config = self.directory.path().join(format!("node{node}.toml"));
         let log = File::options().create(true).append(true).open(self.directory.path().join(format!("node{node}.log")));
         let mut command = Command::new(programs::ledgerd());
@@ -85,8 +85,18 @@ impl Trio {
         self.nodes[node] = Some(Process::new(command.spawn().unwrap()));
     }
 
+    /// Registers the robot; the owner's client.
+    pub(crate) async fn register(&self) -> Client {
+        let owner = self.until("the owner connects", async || Client::connect(&self.context("Owner")).await.ok()).await;
+        let service = serde_json::json!({"topic": "/cmd_vel", "type": TYPE, "mode": "exclusive", "max_age_ms": 5000});
+        let rover = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "services": [service]});
+        let registered = owner.invoke("abac", "setup", vec![Bytes::from(rover.to_string())]).await.unwrap();
+        self.has_caught_up(0, registered.height).await;
+        owner
+    }
+
     /// Waits until this node has executed everything up to a height.
-    async fn has_caught_up(&self, node: usize, height: u64) {
+    pub(crate) async fn has_caught_up(&self, node: usize, height: u64) {
         let credentials = self.context("Salma").credentials().unwrap();
         let address = vec![ADDRESSES[node].to_owned()];
         self.until("a node that came back follows", async || {
@@ -97,13 +107,16 @@ impl Trio {
         .await;
     }
 
-    /// A bridge between shared memory and the ledger.
-    fn bridge(&self, name: &str, domain: u16, direction: &str) -> Process {
+    /// A bridge between shared memory and the ledger, with more settings of its route.
+    pub(crate) fn bridge(&self, name: &str, domain: u16, direction: &str, settings: &str) -> Process {
         let config = self.directory.path().join(format!("{name}.toml"));
         let context = self.home().join("contexts").join(name);
         let route = route(direction, "/cmd_vel", TYPE);
-        fs::write(&config, format!("context_dir = {context:?}\ndomain_id = {domain}\nshared_memory = true\n{route}"))
-            .unwrap();
+        fs::write(
+            &config,
+            format!("context_dir = {context:?}\ndomain_id = {domain}\nshared_memory = true\n{route}\n{settings}\n"),
+        )
+        .unwrap();
         let log = File::create(self.directory.path().join(format!("{name}.log"))).unwrap();
         let mut command = Command::new(programs::ledgerd());
         Process::new(
@@ -119,7 +132,7 @@ impl Trio {
         if done.status.success() { Ok(()) } else { Err(String::from_utf8_lossy(&done.stderr).into_owned()) }
     }
 
-    async fn until<T>(&self, what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
+    pub(crate) async fn until<T>(&self, what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
         let deadline = Instant::now() + PATIENCE;
         loop {
             if let Some(found) = look().await {
@@ -130,7 +143,7 @@ impl Trio {
         }
     }
 
-    fn logs(&self) -> String {
+    pub(crate) fn logs(&self) -> String {
         let logs = fs::read_dir(self.directory.path()).unwrap().flatten().map(|entry| entry.path());
         let logs = logs.filter(|path| path.extension().is_some_and(|extension| extension == "log"));
         logs.map(|path| format!("--- {}\n{}", path.display(), fs::read_to_string(&path).unwrap())).collect()
@@ -170,14 +183,10 @@ fn each_node_dies_in_turn_and_ledgerctl_bridges_and_the_rust_client_go_on_throug
     run(async {
         let mut trio = Trio::found();
         (0..3).for_each(|node| trio.start(node));
-        let owner = trio.until("the owner connects", async || Client::connect(&trio.context("Owner")).await.ok()).await;
-        let service = serde_json::json!({"topic": "/cmd_vel", "type": TYPE, "mode": "exclusive", "max_age_ms": 5000});
-        let rover = serde_json::json!({"name": "Rover", "attribute_required": "Rover", "services": [service]});
-        let registered = owner.invoke("abac", "setup", vec![Bytes::from(rover.to_string())]).await.unwrap();
-        trio.has_caught_up(0, registered.height).await;
+        trio.register().await;
         let salma = Client::connect(&trio.context("Salma")).await.unwrap();
         call(&salma, "acquire", &["Rover/cmd_vel", "600000"]).await;
-        let mut bridges = [trio.bridge("Salma", 211, "to_ledger"), trio.bridge("Rover", 212, "from_ledger")];
+        let mut bridges = [trio.bridge("Salma", 211, "to_ledger", ""), trio.bridge("Rover", 212, "from_ledger", "")];
         let topic = TopicName::parse("/cmd_vel").unwrap();
         let operator = shm::Node::open(211, "operator", [7; 16]).await.unwrap();
         let robot = shm::Node::open(212, "robot", [8; 16]).await.unwrap();

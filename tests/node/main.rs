@@ -24,6 +24,7 @@ mod config;
 mod contexts;
 mod crash;
 mod disk_full;
+mod early;
 mod footprint;
 mod histories;
 mod instances;

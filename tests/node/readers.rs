@@ -3,13 +3,16 @@
 use crate::support::network::register_robots;
 use crate::support::wait::{PATIENCE, until};
 use crate::support::{Dev, Fleet, connect, eventually, wire};
+use bytes::Bytes;
 use ledger_api::v1::SubscribeRequest;
 use ledger_api::v1::gateway_client::GatewayClient;
 use ledger_api::{Client, Context, Options, Subscription, from_status};
 use ledger_identity::Role;
 use ledger_rejection::Code;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::process::{Child, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Instant;
 
 const TWIST: &str = "{linear: {x: 0.5}}";
@@ -181,4 +184,48 @@ async fn members_who_take_all_the_places_they_can_keep_neither_others_nor_robots
     drop(taken);
     until("the places come back", || async { quick(&salma).await.ok() }).await;
     node.interrupt();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn costly_questions_of_one_identity_keep_no_other_reader_waiting() {
+    const CONNECTIONS: usize = 4;
+    const QUESTIONS: usize = 100;
+    let fleet = Fleet::found(1);
+    let nadia = fleet.issue("Org1", "Nadia", Role::Member, &["Husky"]);
+    let owner = fleet.owner();
+    let _node = fleet.nodes[0].start();
+    let admin = connect(&owner).await;
+    register_robots(&admin, "exclusive").await;
+    let many: Vec<_> = (0..100)
+        .map(|number| {
+            let services = json!([{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]);
+            Bytes::from(json!({"name": format!("Fleet{number}"), "services": services}).to_string())
+        })
+        .collect();
+    for some in many.chunks(50) {
+        admin.invoke("abac", "setup", some.to_vec()).await.unwrap();
+    }
+    let reader = connect(&nadia).await;
+
+    // All robots, again and again, over several connections of one identity.
+    let answered = Arc::new(AtomicUsize::new(0));
+    let mut curious = Vec::new();
+    for _ in 0..CONNECTIONS {
+        let client = connect(&owner).await;
+        for _ in 0..QUESTIONS {
+            let (client, answered) = (client.clone(), Arc::clone(&answered));
+            curious.push(tokio::spawn(async move {
+                client.query("abac", "robots", Vec::new()).await.unwrap();
+                answered.fetch_add(1, Ordering::Relaxed);
+            }));
+        }
+    }
+    until("the first is answered", || async { (answered.load(Ordering::Relaxed) > 0).then_some(()) }).await;
+    let before = answered.load(Ordering::Relaxed);
+    reader.query("abac", "robot", vec!["Husky".into()]).await.unwrap();
+    let meanwhile = answered.load(Ordering::Relaxed) - before;
+    for one in curious {
+        one.await.unwrap();
+    }
+    assert!(meanwhile < CONNECTIONS * QUESTIONS / 4, "{meanwhile} of the others were answered before");
 }

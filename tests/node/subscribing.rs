@@ -22,6 +22,7 @@ fn of_the_quiet_one() -> Subscription {
         subjects: vec![QUIET.into()],
         names: vec!["message".into()],
         heartbeat: HEARTBEAT_MS,
+        ..Subscription::default()
     }
 }
 

@@ -247,6 +247,10 @@ impl Chaincode for AccessControl {
         matches!(function, "release" | "remove" | "stop")
     }
 
+    fn told_early(&self, function: &str) -> bool {
+        function == "stop"
+    }
+
     // A hook cannot refuse. What it cannot read, the store reports as a fault of its own, and the node stops.
     fn begin_block(&self, ctx: &mut Context<'_>) {
         let _ = end::sweep(ctx, &self.decider).and_then(|()| queue::go_on(ctx, &self.decider));

@@ -2,6 +2,7 @@
 
 mod admission;
 mod certified;
+mod early;
 mod readers;
 mod rules;
 mod storage;
@@ -29,7 +30,7 @@ use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::Msps;
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::Entry;
-use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Roots, TransactionResult};
+use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Event, Roots, TransactionResult};
 use ledger_storage::results::{Place, ResultStore, StoredResult};
 use ledger_storage::state::{Overlay, State, StateRead, Tip};
 use std::ops::Bound;
@@ -299,7 +300,7 @@ impl Ledger {
             let answer = self.call(caller, now.max(tip.time), Hash::ZERO, chaincode, function, args);
             // Blocks that were committed in between may have been seen by one half of the reads only.
             if self.tip().height == tip.height || retries == QUERY_RETRIES {
-                return answer.map(|response| (response, tip.height));
+                return answer.map(|(response, _)| (response, tip.height));
             }
             retries += 1;
         }
@@ -420,6 +421,7 @@ impl Ledger {
         Some(identity.id())
     }
 
+    /// Calls a function on the state as it is, and throws its writes away: the answer, and its events.
     fn call(
         &self,
         caller: &Identity,
@@ -428,13 +430,13 @@ impl Ledger {
         chaincode: &str,
         function: &str,
         args: &[Bytes],
-    ) -> Result<Bytes, Rejection> {
-        let mut overlay = self.overlay();
+    ) -> Result<(Bytes, Vec<Event>), Rejection> {
+        let (mut overlay, mut events) = (self.overlay(), Vec::new());
         let tip = self.tip();
         let meter = if transaction == Hash::ZERO { Meter::of_query() } else { Meter::of_block(self.rules()) };
         let environment = Environment { transaction, ..self.environment(Some(caller), &tip, time, &meter) };
-        let answer = Registry::invoke(environment, &mut overlay, &mut Vec::new(), chaincode, function, args);
-        overlay.finish().and(answer)
+        let answer = Registry::invoke(environment, &mut overlay, &mut events, chaincode, function, args);
+        overlay.finish().and(answer).map(|answer| (answer, events))
     }
 
     fn environment<'a>(

@@ -58,6 +58,13 @@ pub trait Chaincode: Send + Sync {
         false
     }
 
+    /// Does a call of this function only end control, for somebody's safety, so that robots hear of it before it is ordered?
+    /// For an emergency stop. Every node that its caller may call it at tells its readers at once what it would do
+    /// ([`Ledger::foresee`](crate::Ledger::foresee)), also where nothing can be ordered. Its verdict counts all the same.
+    fn told_early(&self, _function: &str) -> bool {
+        false
+    }
+
     /// The functions whose calls need approval, each with the quorum that it needs unless the network decides otherwise.
     /// Such a call is proposed (`msp propose`) and executed once its quorum agrees; then [`Context::approved_by`] names
     /// who did, and there is no submitter. Called directly, these functions are refused before [`Chaincode::invoke`].

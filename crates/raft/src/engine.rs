@@ -1,5 +1,6 @@
 //! The pump around the `raft` crate: inputs in, outputs out, nothing else.
 
+mod acknowledged;
 mod ahead;
 mod behind;
 mod config;
@@ -27,6 +28,7 @@ use crate::interface::{Input, Output, Role, RoleChange};
 use crate::log::Log;
 use crate::message::{PEER_MESSAGE_BYTES_MAX, PeerMessage, RaftKind};
 use crate::queue::Queues;
+use acknowledged::Acknowledged;
 use ahead::Ahead;
 use ledger::block::Payload;
 use ledger::members::Membership;
@@ -128,6 +130,8 @@ pub struct Engine {
     ended_terms: BTreeMap<u64, u64>,
     /// A node of which this one does not know that it votes has spoken as a leader.
     stranger_leads: bool,
+    /// What this follower has acknowledged last.
+    acknowledged: Acknowledged,
     /// Receipts of the followers, and the means to make own ones.
     receipts: Receipts,
     /// Signed votes, and who has shown them.
@@ -217,6 +221,7 @@ impl Engine {
             heard: BTreeMap::new(),
             ended_terms: BTreeMap::new(),
             stranger_leads: false,
+            acknowledged: Acknowledged::NONE,
             receipts: Receipts::new(config.id, &config.secret),
             mandates: Mandates::new(ballots),
             reads: 0,
@@ -337,8 +342,8 @@ impl Engine {
             }
             PeerMessage::Mandate(mandate) => self.mandate_shown(from, &mandate, out),
             PeerMessage::MandateWanted(wanted) => self.mandate_wanted(from, wanted.term, out),
-            // The node gives it to its certifier instead.
-            PeerMessage::Statement(_) => {}
+            // The node gives the one to its certifier, and tells its readers of the other.
+            PeerMessage::Statement(_) | PeerMessage::Early(_) => {}
         }
     }
 

@@ -3,7 +3,7 @@
 //! ```text
 //! message PeerMessage {
 //!   oneof kind { Raft raft = 1; Transactions forward = 2; Transactions returned = 3; Behind behind = 4; Statement statement = 6;
-//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; }
+//!                Mandate mandate = 7; MandateWanted mandate_wanted = 8; Early early = 9; }
 //! }
 //! message Raft {
 //!   uint32 kind        = 1;   // RaftKind; there is no 0
@@ -26,6 +26,7 @@
 //! message Mandate { uint64 term = 1; repeated SignedVote votes = 2; }   // in ascending order of nodes
 //! message SignedVote { uint64 node = 1; bytes signed = 2; }   // the vote of that node for the sender; see ledger-light
 //! message MandateWanted { uint64 term = 1; }                  // to a node that speaks as a leader: show your mandate
+//! message Early { bytes transaction = 1; }                    // a signed call that robots hear of before it is ordered; not for the engine
 //! message Transactions { repeated bytes control = 1; repeated bytes data = 2; uint32 code = 3; }
 //! ```
 //! Sender and receiver are not in the message: they are the two ends of an authenticated connection. Messages that the
@@ -51,6 +52,8 @@ pub const CONTEXT_BYTES_MAX: usize = 64;
 pub(crate) const RECEIPT_BYTES: usize = 32;
 /// Longest signed statement in a message: the certificate of a node (16 KiB), and what is around it.
 pub const STATEMENT_BYTES_MAX: usize = 17 * 1024;
+/// Longest call of which robots hear before it is ordered: a stop with its reason, and the certificate of its creator (16 KiB).
+pub const EARLY_BYTES_MAX: usize = 32 * 1024;
 /// Longest signature of a vote in a message: the certificate of a node (16 KiB), and what is around it.
 pub const VOTE_BYTES_MAX: usize = 17 * 1024;
 /// Largest term. Leaves room to count on without overflow after a hostile peer named one.
@@ -84,6 +87,9 @@ pub enum PeerMessage {
     /// To a node that speaks as a leader: show your mandate.
     #[prost(message, tag = "8")]
     MandateWanted(MandateWanted),
+    /// To all members: robots are to hear of this call before it is ordered. Not about ordering, so not for the engine.
+    #[prost(message, tag = "9")]
+    Early(EarlyCall),
 }
 
 impl PeerMessage {
@@ -95,7 +101,7 @@ impl PeerMessage {
 
 #[derive(Clone, PartialEq, prost::Message)]
 struct Envelope {
-    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8")]
+    #[prost(oneof = "PeerMessage", tags = "1, 2, 3, 4, 6, 7, 8, 9")]
     kind: Option<PeerMessage>,
 }
 
@@ -113,6 +119,14 @@ pub struct SignedStatement {
     /// Its bytes.
     #[prost(bytes = "bytes", tag = "1")]
     pub signed: Bytes,
+}
+
+/// A signed call that was submitted at the sender.
+#[derive(Clone, PartialEq, Eq, prost::Message)]
+pub struct EarlyCall {
+    /// Its bytes.
+    #[prost(bytes = "bytes", tag = "1")]
+    pub transaction: Bytes,
 }
 
 /// The signed votes that have made the sender the leader of a term.
@@ -301,6 +315,7 @@ impl PeerMessage {
             Self::Behind(_) | Self::MandateWanted(_) => Ok(()),
             Self::Mandate(mandate) => mandate.check(),
             Self::Statement(statement) => limit(statement.signed.len(), STATEMENT_BYTES_MAX, "bytes of a statement"),
+            Self::Early(call) => limit(call.transaction.len(), EARLY_BYTES_MAX, "bytes of a call"),
         }
     }
 }

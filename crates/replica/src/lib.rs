@@ -19,6 +19,7 @@
 //! | [`space`] | what is accepted with the space that the disk has, and who says that it is full |
 //! | `timing` | [`Timing`]: ticks, elections, and how long data waits |
 //! | `in_place` | which blocks the thread that orders executes itself |
+//! | `early` | [`Early`]: which calls readers hear of before they are ordered |
 //! | [`gateway`] | calls that want to be ordered: shares, turns, lanes, admission |
 //! | `ticks` | when the thread that orders wakes up by itself |
 //! | `retries` | how many refused repetitions of one identity are ordered |
@@ -56,6 +57,7 @@ pub mod certifier;
 mod clock;
 pub mod company;
 pub mod conductor;
+mod early;
 mod executor;
 pub mod gateway;
 mod in_place;
@@ -72,6 +74,7 @@ mod waiters;
 pub mod witness;
 
 pub use clock::Clock;
+pub use early::{Early, Foreseen};
 pub use executor::{Executor, Observer, in_turns};
 pub use in_place::Circumstances;
 pub use reads::{Asker, CONFIRM_TIME_MAX, Known, ReadEffect, Reads, WAIT_FOR_HEIGHT};

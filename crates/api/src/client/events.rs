@@ -34,6 +34,9 @@ pub struct Subscription {
     /// The node sends a delivery without events when it sent nothing else for this long, in milliseconds. A silence of
     /// three times as long makes the stream resume through another connection. 0 = never.
     pub heartbeat: u32,
+    /// Also hear of calls that end control for safety before they are ordered: deliveries with `early` set. They have not happened,
+    /// nothing proves them, and they come again in their block. A robot may stop for one.
+    pub early: bool,
 }
 
 /// A stream of deliveries, in block order, each block once. If a node told of blocks that do not exist, what it delivered may come
@@ -86,6 +89,13 @@ impl EventStream {
                 None => Ok(open.deliveries.message().await),
             };
             let leave = match received {
+                Ok(Ok(Some(delivery))) if delivery.early => {
+                    // Not asked for, it would be taken for what has happened.
+                    if self.wanted.early {
+                        return Ok(delivery);
+                    }
+                    continue;
+                }
                 Ok(Ok(Some(delivery))) => {
                     let node = Arc::clone(&open.up.connection.address);
                     let other = self.told.as_ref().filter(|(by, _)| *by != node);
@@ -193,6 +203,7 @@ impl EventStream {
                 0 => 0,
                 often => often.max(HEARTBEAT_MIN_MS),
             },
+            early: self.wanted.early,
         };
         let mut gateway = up.gateway();
         match timeout(ACCEPT_MAX, gateway.subscribe(request)).await {

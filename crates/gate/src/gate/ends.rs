@@ -75,7 +75,8 @@ impl Gate {
         // Where holders stand side by side, who moved the robot may be any of them.
         let side_by_side = self.rules.as_ref().is_none_or(|rules| rules.capabilities.fencing == Fencing::PerHolder);
         let is_newest = released.epoch >= self.epoch || side_by_side;
-        let stops = is_newest && !released.goes_on;
+        // The robot that was stopped was told so.
+        let stops = is_newest && !released.goes_on && !self.halted;
         if is_newest {
             self.told = now.steady;
         }
@@ -88,16 +89,17 @@ impl Gate {
         stops
     }
 
-    /// Takes the stop of the robot as a node says it. True if the robot must stop, which it must on every one if it takes commands
-    /// here. It proves nothing: the next standing decides.
+    /// Takes the stop of the robot as a node says it, early or in its block. True if the robot must stop, if it takes commands here
+    /// and was not told yet. It proves nothing: the next standing decides.
     pub fn halt(&mut self, now: Now) -> bool {
         let is_command = self.rules.as_ref().is_none_or(|rules| rules.publisher.is_none());
+        let was_halted = self.halted;
         if is_command {
             self.halted = true;
             self.told = now.steady;
             self.stopped(now);
         }
-        is_command
+        is_command && !was_halted
     }
 
     /// Takes the revocation of a certificate as a node says it. True if the robot must stop, because the revoked one moved it

@@ -248,7 +248,7 @@ impl Ledger {
     }
 
     /// The verified signer of a transaction, and its leaf.
-    fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
+    pub(super) fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
         let judged = |basis, rejection| Judged { who: None, rejection, basis };
         let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
         let (identity, _) = self.identities.creator(transaction, &overlay, time).map_err(|rejection| {
@@ -305,7 +305,7 @@ impl Ledger {
 }
 
 /// A refusal by [`Ledger::judge`].
-struct Judged {
+pub(super) struct Judged {
     who: Option<Arc<Identity>>,
     rejection: Rejection,
     basis: Basis,

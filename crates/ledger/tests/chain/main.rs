@@ -5,6 +5,7 @@ mod admission;
 mod archive;
 mod beside;
 mod certified;
+mod early;
 mod results;
 mod snapshot;
 mod together;

@@ -73,6 +73,15 @@ impl Chaincode for Notes {
                 ctx.emit("noted", subject, value.clone());
                 Ok(value.clone())
             }
+            // Only once, and not by everybody.
+            ("halt", [robot]) => {
+                if ctx.get(robot).is_some() || ctx.submitter()?.name == "Mallory" {
+                    return Err(Rejection::new(Code::Refused, "it stands already, or you may not"));
+                }
+                ctx.put(robot, "halted");
+                ctx.emit("halted", std::str::from_utf8(robot).unwrap(), "");
+                Ok(Bytes::new())
+            }
             ("get", [key]) => Ok(ctx.get(key).unwrap_or_default()),
             ("put-then-panic", [key]) => {
                 ctx.put(key, "never");
@@ -107,6 +116,10 @@ impl Chaincode for Notes {
         let subject = String::from_utf8(key.to_vec()).ok()?;
         let noted = Event { chaincode: "notes".into(), name: "noted".into(), subject, payload: value.clone() };
         Some(Foretold { response: value.clone(), events: vec![noted] })
+    }
+
+    fn told_early(&self, function: &str) -> bool {
+        function == "halt"
     }
 
     fn begin_block(&self, ctx: &mut Context<'_>) {

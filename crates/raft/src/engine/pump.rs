@@ -337,9 +337,12 @@ impl Engine {
     }
 
     /// Puts messages out. Appends to one peer that follow each other become one message, within the limits.
-    fn send(&self, messages: Vec<Message>, out: &mut Vec<Output>) {
+    fn send(&mut self, messages: Vec<Message>, out: &mut Vec<Output>) {
         let first = out.len();
         for message in messages {
+            if self.acknowledged.repeats(&message, self.ticks, self.config.heartbeat_tick) {
+                continue;
+            }
             let joined = message.get_msg_type() == MessageType::MsgAppend
                 && out.iter_mut().skip(first).rev().any(|output| self.join(output, &message));
             if joined {

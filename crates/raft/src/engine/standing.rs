@@ -6,7 +6,7 @@
 //!
 //! | message | taken from | with a later term |
 //! |---|---|---|
-//! | append, heartbeat | voters that show their mandate; by a learner without a leader from strangers, too, see below | yes |
+//! | append, heartbeat | voters that show their mandate | yes |
 //! | hand-over, answer to a read, *behind* | the leader of this term | no |
 //! | vote, pre-vote | voters | at most [`TERM_AHEAD_MAX`] ahead |
 //! | answers to them | voters, by a candidate | at most [`TERM_AHEAD_MAX`] ahead |
@@ -19,9 +19,7 @@
 //! **The voters.** A node knows the voters as of the last block that it handed out. A change that waits in its log
 //! counts as well, because a leader was allowed to append it. A node that lags further does not know a new voter yet. It
 //! asks its peers for the blocks that it lacks ([`Engine::look_for_leader`]). It does the same if a leader shows a mandate that
-//! its voters have not given. A learner, whose copy nobody counts, follows at once a leader of which it does not know
-//! that it votes, if it has no other. That leader need not show a mandate, because a learner that lags so far cannot check it.
-//! A learner that a change in its log makes a voter follows no such one.
+//! its voters have not given. A learner does so sooner: it costs nobody an election.
 //!
 //! **Ends of terms.** A member that is stuck in a later term cannot follow the leader (Raft §5.1); one that was a voter
 //! before may be such a one. The leader then stands for election again at once, in a term after that, and is elected by
@@ -44,8 +42,10 @@ const TERM_AHEAD_MAX: u64 = 1 << 24;
 pub(super) const REST_TIMEOUTS: u64 = 50;
 /// Stands for all learners together: no node has this number.
 const LEARNERS: u64 = INVALID_ID;
-/// A node that hears unknown leaders, and no other, asks its peers for blocks after so many election timeouts.
+/// A voter that hears unknown leaders, and no other, asks its peers for blocks after so many election timeouts.
 const LOOK_TIMEOUTS: usize = 10;
+/// So does a learner after so many.
+const LEARNER_LOOK_TIMEOUTS: usize = 2;
 /// Entries that are searched for changes of members.
 const CHANGES_SCAN_MAX: u64 = 256;
 
@@ -152,10 +152,6 @@ impl Engine {
         if is_past {
             return doubt("a node without a vote speaks as a leader of an earlier term");
         }
-        let counts = self.may_vote(self.config.id).is_ok();
-        if !counts && self.leader().is_none_or(|leader| leader == from) {
-            return Ok(());
-        }
         self.stranger_leads = true;
         doubt("a node without a vote speaks as a leader")
     }
@@ -209,7 +205,8 @@ impl Engine {
     /// With every tick: only nodes speak as leaders of which this node does not know that they vote. Blocks that it lacks
     /// may say so, and its peers may have them.
     pub(super) fn look_for_leader(&mut self, out: &mut Vec<Output>) {
-        if self.leaderless_ticks < LOOK_TIMEOUTS * self.config.election_tick {
+        let timeouts = if self.may_vote(self.config.id).is_ok() { LOOK_TIMEOUTS } else { LEARNER_LOOK_TIMEOUTS };
+        if self.leaderless_ticks < timeouts * self.config.election_tick {
             return;
         }
         // Asked again after the same time.

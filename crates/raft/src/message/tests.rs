@@ -51,8 +51,10 @@ fn message() -> impl Strategy<Value = PeerMessage> {
         (lane(), lane(), 0..9999u32).prop_map(|(control, data, code)| Transactions { control, data, code })
     };
     let statement = bytes().prop_map(|signed| PeerMessage::Statement(SignedStatement { signed }));
+    let early = bytes().prop_map(|transaction| PeerMessage::Early(EarlyCall { transaction }));
     prop_oneof![
         statement,
+        early,
         raft,
         transactions().prop_map(PeerMessage::Forward),
         transactions().prop_map(PeerMessage::Returned)
@@ -116,6 +118,9 @@ fn limits_are_exact() {
     let statement = |bytes| PeerMessage::Statement(SignedStatement { signed: vec![7; bytes].into() });
     assert!(PeerMessage::decode(statement(STATEMENT_BYTES_MAX).to_bytes()).is_ok());
     assert!(PeerMessage::decode(statement(STATEMENT_BYTES_MAX + 1).to_bytes()).is_err());
+    let early = |bytes| PeerMessage::Early(EarlyCall { transaction: vec![7; bytes].into() });
+    assert!(PeerMessage::decode(early(EARLY_BYTES_MAX).to_bytes()).is_ok());
+    assert!(PeerMessage::decode(early(EARLY_BYTES_MAX + 1).to_bytes()).is_err());
     assert!(PeerMessage::decode(vec![0; PEER_MESSAGE_BYTES_MAX + 1].into()).is_err());
 }
 

@@ -216,7 +216,8 @@ impl FromLedger {
                 }
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
-                    if let Ok(delivery) = &delivery {
+                    // What is told early has no height, and is no sign that blocks come.
+                    if let Ok(delivery) = &delivery && !delivery.early {
                         self.counters.lock().live.heard = Some(Instant::now());
                         self.next_height = self.next_height.max(delivery.height.saturating_add(1));
                         self.guard.heard(delivery.time, self.clocks.now());
@@ -268,6 +269,7 @@ impl FromLedger {
             subjects: vec![self.route.service.clone(), self.service.robot.clone()],
             names: names.map(|name| (*name).to_owned()).collect(),
             heartbeat: HEARTBEAT_MS,
+            early: true,
         })
     }
 

@@ -205,6 +205,7 @@ impl ToLedger {
             subjects: vec![self.publishing.service.clone()],
             names: ["granted", "renewed", "released"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
         });
         let mut under_way: FuturesUnordered<BoxFuture<'static, Outcome>> = FuturesUnordered::new();
         let mut refresh: OptionFuture<BoxFuture<'static, Result<(Authorization, u64), Rejection>>> = None.into();

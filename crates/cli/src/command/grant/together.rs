@@ -78,6 +78,7 @@ async fn released(session: &Session, services: &[String], height: u64) -> Result
         subjects,
         names: ["released", "left"].map(str::to_owned).to_vec(),
         heartbeat: HEARTBEAT_MS,
+        ..Subscription::default()
     });
     while stream.next().await?.events.is_empty() {}
     Ok(())

@@ -50,6 +50,7 @@ impl<'s> Waiting<'s> {
             subjects: vec![service.clone()],
             names: ["confirmed", "granted", "left", "line", "queued", "released"].map(str::to_owned).to_vec(),
             heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
         });
         Self { session, stream, service, contender, shown: 0 }
     }

@@ -171,6 +171,7 @@ impl Echo {
             subjects: vec![service.service.clone()],
             names: vec!["message".to_owned()],
             heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
         });
         // Who may not read hears it now.
         stream.open().await?;

@@ -41,6 +41,20 @@ fn a_stop_that_a_node_tells_of_counts_at_once_and_the_next_answer_decides() {
 }
 
 #[test]
+fn a_robot_that_was_stopped_early_is_not_told_again_by_the_block_unless_it_may_move_meanwhile() {
+    let network = Network::default();
+    let mut gate = network.gate(&service("exclusive"), &[grant("Org1/Salma", 3)]);
+    let moves = |gate: &mut Gate, seq| deliver(gate, &network.salma, &network.salma.set(3, seq, &TWIST));
+    assert_eq!(moves(&mut gate, 1), Ok(1));
+    assert!(gate.halt(now()), "early");
+    assert!(!gate.released(&released("Org1/Salma", 3), NOW, now()) && !gate.halt(now()), "its block");
+    // A stop that nobody ordered: the voters say that she holds the robot, and then it is stopped in earnest.
+    gate.learn(&service("exclusive"), &network.standing(2, &[grant("Org1/Salma", 3)]), now().steady, now());
+    assert_eq!(moves(&mut gate, 2), Ok(1));
+    assert!(gate.halt(now()), "it moves, so it is told");
+}
+
+#[test]
 fn a_feed_goes_on_while_its_robot_is_stopped() {
     let network = Network::default();
     let feed = Service { direction: Direction::Feed, ..service("open") };

@@ -221,12 +221,21 @@ fn a_node_that_hears_only_unknown_leaders_asks_its_peers_for_blocks() {
 }
 
 #[test]
-fn a_learner_without_a_leader_follows_one_of_which_it_does_not_know_that_it_votes() {
-    let mut learner = engine(9, &[1, 2, 3], &[9]);
+fn a_learner_follows_no_leader_of_which_it_does_not_know_that_it_votes_and_asks_its_peers_soon() {
     let lead = |from: u64, term: u64| message(from, RaftKind::Heartbeat, move |message| message.term = term);
-    step(&mut learner, lead(7, 1));
-    assert_eq!(learner.leader(), Some(7));
     let mut learner = engine(9, &[1, 2, 3], &[9]);
+    let mut asked_after = None;
+    for tick in 0..LOOK_TIMEOUTS * learner.config.election_tick {
+        assert!(is_ignored(&step(&mut learner, lead(7, 1))));
+        let out = step(&mut learner, Input::Tick);
+        if out.iter().any(|output| matches!(output, Output::Behind { .. })) {
+            asked_after = asked_after.or(Some(tick));
+        }
+    }
+    assert_eq!(learner.leader(), None);
+    assert!(asked_after.is_some_and(|ticks| ticks <= LEARNER_LOOK_TIMEOUTS * learner.config.election_tick));
+    let mut learner = engine(9, &[1, 2, 3], &[9]);
+    step(&mut learner, mandate(1, 1, &[1, 2]));
     step(&mut learner, lead(1, 1));
     assert!(is_ignored(&step(&mut learner, lead(7, 2))));
     assert_eq!(learner.leader(), Some(1));

@@ -1,0 +1,29 @@
+//! Calls that robots hear of before they are ordered: an emergency stop must not wait for a majority.
+
+use super::{Admission, Ledger};
+use crate::transaction::Transaction;
+use ledger_storage::result::Event;
+
+impl Ledger {
+    /// Is this a call of which readers are told before it is ordered ([`Chaincode::told_early`](crate::Chaincode::told_early))?
+    pub fn is_told_early(&self, transaction: &Transaction) -> bool {
+        let body = transaction.body();
+        self.registry.find(&body.chaincode).is_ok_and(|chaincode| chaincode.told_early(&body.function))
+    }
+
+    /// The events that such a call would have on the state as it is, at the node's time in microseconds. None for every other call,
+    /// for one that this node would refuse, and for one that was executed already: its own events tell of that.
+    ///
+    /// It promises nothing. The call may be refused when it is ordered, or never be ordered.
+    pub fn foresee(&self, transaction: &Transaction, now: u64) -> Option<Vec<Event>> {
+        if !self.is_told_early(transaction) {
+            return None;
+        }
+        let Ok(Admission::New(transaction)) = self.admit_decoded(transaction.clone(), now) else { return None };
+        let time = now.max(self.tip().time);
+        let (caller, _) = self.authenticate(&transaction, time).ok()?;
+        let body = transaction.body();
+        let called = self.call(&caller, time, transaction.id(), &body.chaincode, &body.function, &body.args);
+        called.ok().map(|(_, events)| events).filter(|events| !events.is_empty())
+    }
+}
