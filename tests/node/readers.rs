@@ -199,7 +199,10 @@ async fn costly_questions_of_one_identity_keep_no_other_reader_waiting() {
     let many: Vec<_> = (0..100)
         .map(|number| {
             let services = json!([{"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]);
-            Bytes::from(json!({"name": format!("Fleet{number}"), "services": services}).to_string())
+            Bytes::from(
+                json!({"name": format!("Fleet{number}"), "attribute_required": "Fleet", "services": services})
+                    .to_string(),
+            )
         })
         .collect();
     for some in many.chunks(50) {

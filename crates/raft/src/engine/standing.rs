@@ -43,9 +43,9 @@ pub(super) const REST_TIMEOUTS: u64 = 50;
 /// Stands for all learners together: no node has this number.
 const LEARNERS: u64 = INVALID_ID;
 /// A voter that hears unknown leaders, and no other, asks its peers for blocks after so many election timeouts.
-const LOOK_TIMEOUTS: usize = 10;
+pub(super) const LOOK_TIMEOUTS: usize = 10;
 /// So does a learner after so many.
-const LEARNER_LOOK_TIMEOUTS: usize = 2;
+pub(super) const LEARNER_LOOK_TIMEOUTS: usize = 2;
 /// Entries that are searched for changes of members.
 const CHANGES_SCAN_MAX: u64 = 256;
 

@@ -1,6 +1,7 @@
 //! Messages of those who may not send them change nothing.
 
 use super::*;
+use crate::engine::standing::{LEARNER_LOOK_TIMEOUTS, LOOK_TIMEOUTS};
 use crate::message::Transactions;
 use bytes::Bytes;
 use ledger::members::{Change, MembershipChange};
