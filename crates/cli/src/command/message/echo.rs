@@ -206,7 +206,8 @@ fn messages(
     let details: MessageEvent = answer::parse(&event.payload, "an event of messages")?;
     let transaction = Transaction::decode(event.transaction.clone())?;
     let sender = senders.check(&transaction, &event.certificate)?.id();
-    let payloads = payloads(transaction.body());
+    let network = senders.network();
+    let payloads = payloads(transaction.body(), &network, &event.subject, &details)?;
     Ok((details.first_seq..)
         .zip(payloads)
         .map(|(seq, payload)| (seq, payload, shown.read(payload)))

@@ -20,6 +20,11 @@ impl<'a> Senders<'a> {
         Self { session, known: HashMap::new() }
     }
 
+    /// The network whose transactions they are.
+    pub(crate) fn network(&self) -> Hash {
+        self.session.context().network
+    }
+
     /// Checks the signature and names the signer. A stream shows each certificate once, with the first transaction of its owner.
     ///
     /// # Errors

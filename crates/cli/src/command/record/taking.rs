@@ -154,7 +154,8 @@ impl<'a> Taking<'a> {
         let ttl = u64::try_from(COMMAND_TTL.as_micros()).unwrap_or(u64::MAX);
         // As robots reckon it: one that is signed for longer is as old as its block.
         let signed = transaction.body().not_after.saturating_sub(ttl).min(delivery.time);
-        for (sequence, payload) in (details.first_seq..).zip(payloads(transaction.body())) {
+        let payloads = payloads(transaction.body(), &self.senders.network(), &event.subject, &details)?;
+        for (sequence, payload) in (details.first_seq..).zip(payloads) {
             let record = Record {
                 time: delivery.time,
                 signed,
