@@ -79,6 +79,7 @@ impl<'a> Taking<'a> {
                 transaction: None,
             })?;
             self.counts.events += 1;
+            self.counts.saw(height, time);
         }
         Ok(())
     }
