@@ -22,6 +22,7 @@ mod passing;
 mod python;
 mod readers;
 mod readme;
+mod recording;
 mod reloading;
 mod robot_stands;
 mod sharing;

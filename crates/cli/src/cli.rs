@@ -1,8 +1,9 @@
 //! The table of commands.
 
+use crate::argument::destination::{self, Destination};
 use crate::command::{
     ca, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger, light, message,
-    network, policy, robot, task, whoami,
+    network, policy, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -39,12 +40,19 @@ pub(crate) struct Global {
     #[arg(long, global = true, value_name = "NAME", help_heading = "For every command")]
     pub(crate) context: Option<String>,
     /// table for people; json for programs: one object or array on one line, errors and warnings as one object each on standard error
-    #[arg(short, long, global = true, value_enum, default_value_t = Format::Table, value_name = "table|json")]
+    #[arg(short, long, global = true, value_parser = destination::Reader, default_value = "table", value_name = "table|json")]
     #[arg(hide_possible_values = true, hide_default_value = true, help_heading = "For every command")]
-    pub(crate) output: Format,
+    pub(crate) output: Destination,
     /// Upkeep of the context beside the command
     #[arg(skip)]
     pub(crate) upkeep: Upkeep,
+}
+
+impl Global {
+    /// How results are written.
+    pub(crate) fn format(&self) -> Format {
+        self.output.format()
+    }
 }
 
 #[derive(Debug, Subcommand)]
@@ -76,6 +84,8 @@ enum Command {
     Task(task::Task),
     Publish(message::Publish),
     Echo(message::Echo),
+    Record(record::Record),
+    Replay(replay::Replay),
     #[command(subcommand)]
     Policy(policy::Policy),
     Invoke(chaincode::Invoke),
@@ -106,7 +116,7 @@ impl Cli {
 
     async fn dispatch(self) -> Result<(), Failure> {
         let global = &self.global;
-        let output = &mut Output::stdout(global.output);
+        let output = &mut Output::stdout(global.format());
         let outcome = match self.command {
             Command::Enroll(command) => command.run(global, output).await,
             Command::Whoami(command) => command.run(global, output).await,
@@ -129,6 +139,8 @@ impl Cli {
             Command::Task(command) => command.run(global, output).await,
             Command::Publish(command) => command.run(global, output).await,
             Command::Echo(command) => command.run(global, output).await,
+            Command::Record(command) => command.run(global, output).await,
+            Command::Replay(command) => command.run(output).await,
             Command::Policy(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,
             Command::Query(command) => command.run(global, output).await,

@@ -15,6 +15,8 @@ pub(crate) mod light;
 pub(crate) mod message;
 pub(crate) mod network;
 pub(crate) mod policy;
+pub(crate) mod record;
+pub(crate) mod replay;
 pub(crate) mod robot;
 pub(crate) mod task;
 pub(crate) mod whoami;

@@ -12,7 +12,9 @@ mod context;
 mod failure;
 mod health;
 mod json;
+mod mcap;
 mod output;
+mod recording;
 mod session;
 mod time;
 mod upkeep;
@@ -24,7 +26,7 @@ use std::process::ExitCode;
 fn main() -> ExitCode {
     match cli::Cli::try_parse() {
         Ok(cli) => {
-            let format = cli.global.output;
+            let format = cli.global.format();
             match cli.run() {
                 Ok(()) => ExitCode::SUCCESS,
                 Err(failure) => failure.report(format),

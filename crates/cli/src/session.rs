@@ -26,7 +26,7 @@ impl Session {
     /// Connects as the context that the command line, the environment or `context use` selects.
     pub(crate) async fn open(global: &Global) -> Result<Self, Rejection> {
         let session = Self::connect(context::selected(global)?).await?;
-        global.upkeep.begin(global.output, &session.context, &session.client);
+        global.upkeep.begin(global.format(), &session.context, &session.client);
         Ok(session)
     }
 

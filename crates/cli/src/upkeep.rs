@@ -42,7 +42,7 @@ impl Upkeep {
             None => false,
         };
         if !done && let Ok(context) = context::selected(global) {
-            warn_of_end(global.output, &context, time::now(), None);
+            warn_of_end(global.format(), &context, time::now(), None);
         }
     }
 }

@@ -18,7 +18,7 @@ impl Message {
     /// The hash of the type as ROS 2 writes it, `RIHS01_` and 64 hexadecimal digits.
     pub fn type_hash(&self) -> String {
         let mut inner = BTreeMap::new();
-        collect(&self.structure, &mut inner);
+        self.structure.collect(&mut inner);
         let referenced: Vec<_> = inner.values().map(|structure| description(structure)).collect();
         let text = format!(
             "{{\"type_description\": {}, \"referenced_type_descriptions\": [{}]}}",
@@ -31,17 +31,6 @@ impl Message {
             let _written = write!(hash, "{byte:02x}");
         }
         hash
-    }
-}
-
-/// The types within one, by name.
-fn collect<'a>(structure: &'a Structure, inner: &mut BTreeMap<&'a str, &'a Structure>) {
-    for field in &structure.fields {
-        if let Element::Message(message) = &field.element
-            && inner.insert(&message.name, message).is_none()
-        {
-            collect(message, inner);
-        }
     }
 }
 

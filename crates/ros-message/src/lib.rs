@@ -27,7 +27,7 @@
 //! | `library`, `message` | definitions by name; a definition with everything that it contains |
 //! | `cdr` | reading and writing aligned numbers and strings |
 //! | `decode`, `encode`, `check` | CDR to a value; what a person wrote to CDR; whether bytes can be a message |
-//! | `hash` | the hash of a type, by which ROS 2 nodes compare definitions |
+//! | `hash`, `text` | the hash of a type, by which ROS 2 nodes compare definitions; a definition as text, for recordings |
 //! | `value` | a decoded message, as JSON and YAML |
 //! | `written`, `yaml` | what a person wrote; YAML text |
 //! | `fault` | what was refused, what was found, what was wanted, what to do |
@@ -42,6 +42,7 @@ mod hash;
 mod library;
 mod message;
 mod name;
+mod text;
 mod value;
 mod written;
 mod yaml;

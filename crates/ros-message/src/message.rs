@@ -2,6 +2,7 @@
 
 use crate::definition::{Count, Primitive};
 use crate::written::Written;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// A type of message that can be read and written: made by [`Library::message`](crate::Library::message). Cloning is
@@ -59,6 +60,19 @@ impl Message {
         }
         let names: Vec<_> = self.structure.fields.iter().map(|field| format!("{}: …", field.name)).collect();
         format!("{{{}}}", names.join(", "))
+    }
+}
+
+impl Structure {
+    /// The types within it, by name.
+    pub(crate) fn collect<'a>(&'a self, inner: &mut BTreeMap<&'a str, &'a Structure>) {
+        for field in &self.fields {
+            if let Element::Message(message) = &field.element
+                && inner.insert(&message.name, message).is_none()
+            {
+                message.collect(inner);
+            }
+        }
     }
 }
 

@@ -1,7 +1,8 @@
 //! `echo`: print the messages of a service as they are committed.
 
-mod place;
-
+use super::payloads;
+use super::place::Place;
+use super::senders::Senders;
 use crate::answer;
 use crate::argument::message::Definitions;
 use crate::argument::number;
@@ -9,27 +10,22 @@ use crate::cli::Global;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, printable};
 use crate::session::{ABAC, Session};
+use crate::time;
 use crate::words::Words;
-use crate::{context, time};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_api::{Subscription, v1};
 use ledger_contract::{MessageEvent, ServiceState};
 use ledger_hash::Hash;
-use ledger_identity::Identity;
-use ledger_rejection::{Code, Rejection};
-use place::Place;
+use ledger_rejection::Rejection;
 use ros_message::{Message as Type, Value};
 use serde::Serialize;
-use std::collections::HashMap;
 use std::io::{self, Write};
 
 /// How often the node says that it is alive while there is nothing to print, in milliseconds.
 const HEARTBEAT_MS: u32 = 2_000;
 /// Most elements of an array and characters of a text that are shown, unless all are asked for: as `ros2 topic echo`.
 const LENGTH_MAX: usize = 128;
-/// Arguments of `set` before the messages: service, epoch, sequence number.
-const ARGS_BEFORE_PAYLOADS: usize = 3;
 /// The words of the command line where the chaincode has other names.
 const WORDS: Words = Words { arguments: &[], help: "ledgerctl echo" };
 
@@ -209,11 +205,9 @@ fn messages(
 ) -> Result<Vec<Message>, Rejection> {
     let details: MessageEvent = answer::parse(&event.payload, "an event of messages")?;
     let transaction = Transaction::decode(event.transaction.clone())?;
-    let sender = senders.check(&transaction, &event.certificate)?;
-    let body = transaction.body();
-    // A chaincode of the user's own may publish on behalf of its caller; then its arguments are not ours to read.
-    let is_set = body.chaincode == ABAC && body.function == "set";
-    let payloads = body.args.iter().skip(ARGS_BEFORE_PAYLOADS).filter(|_| is_set);
+    let sender = senders.check(&transaction, &event.certificate)?.id();
+    let network = senders.network();
+    let payloads = payloads(transaction.body(), &network, &event.subject, &details)?;
     Ok((details.first_seq..)
         .zip(payloads)
         .map(|(seq, payload)| (seq, payload, shown.read(payload)))
@@ -233,33 +227,4 @@ fn messages(
             length_max: shown.length_max,
         })
         .collect())
-}
-
-/// The names of signers: names that certificates carry, checked against the organisations of our context.
-struct Senders<'a> {
-    session: &'a Session,
-    known: HashMap<Hash, Identity>,
-}
-
-impl<'a> Senders<'a> {
-    fn new(session: &'a Session) -> Self {
-        Self { session, known: HashMap::new() }
-    }
-
-    /// Checks the signature and names the signer. A stream shows each certificate once, with the first message.
-    fn check(&mut self, transaction: &Transaction, certificate: &[u8]) -> Result<String, Rejection> {
-        let creator = transaction.creator();
-        if Hash::of(&[certificate]) == creator && !self.known.contains_key(&creator) {
-            let identity = context::verified(self.session.context(), certificate)?;
-            self.known.insert(creator, identity);
-        }
-        let signer = self.known.get(&creator).ok_or_else(|| {
-            Rejection::new(Code::UnknownCreator, format!("the signer of transaction {} is not known", transaction.id()))
-                .found(format!("no certificate with fingerprint {creator}"))
-                .wanted("the certificate with the first message of a sender")
-                .next("the node left it out: ask another node")
-        })?;
-        transaction.verify(&signer.public_key)?;
-        Ok(signer.id())
-    }
 }

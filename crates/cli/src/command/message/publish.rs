@@ -24,7 +24,7 @@ use std::time::Duration;
 /// Most messages per second that `--rate` may ask for: each waits for the verdict of the one before.
 const RATE_HZ_MAX: f64 = 1000.0;
 /// How long a message may wait to be executed: a command to a robot is worth nothing later.
-const COMMAND_TTL: Duration = Duration::from_secs(2);
+pub(crate) const COMMAND_TTL: Duration = Duration::from_secs(2);
 
 /// Advice to those whose bytes are no message.
 const AS_TEXT: &str = "write the message as YAML, and its bytes are made from it: '{linear: {x: 0.5}}'";

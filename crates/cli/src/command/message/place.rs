@@ -20,14 +20,14 @@ struct Authorization {
 }
 
 /// A place that this command has taken; none if it needs none, or its user has one.
-pub(super) struct Place<'s> {
+pub(crate) struct Place<'s> {
     session: &'s Session,
     taken: Option<Grant>,
 }
 
 impl<'s> Place<'s> {
     /// Takes a place, if the service limits its subscribers. Waits for one where the service has a line.
-    pub(super) async fn take(session: &'s Session, service: &ServiceState, output: &Output) -> Result<Self, Failure> {
+    pub(crate) async fn take(session: &'s Session, service: &ServiceState, output: &Output) -> Result<Self, Failure> {
         let args = [service.service.as_str(), "subscribe"].map(|arg| Bytes::copy_from_slice(arg.as_bytes()));
         let may: Authorization = answer::parse(&session.ask(ABAC, "authorize", args.to_vec()).await?, "a right")?;
         let taken = if service.sharing.subscribers.is_some() && may.name == Code::NotHolder.name() {
@@ -39,7 +39,7 @@ impl<'s> Place<'s> {
     }
 
     /// Renews the place until it is lost; for ever if there is none.
-    pub(super) async fn keep(&self) -> Rejection {
+    pub(crate) async fn keep(&self) -> Rejection {
         let Some(Grant { service, lease_ms, .. }) = &self.taken else { return std::future::pending().await };
         loop {
             sleep(Duration::from_millis(lease_ms / 3)).await;
@@ -52,7 +52,7 @@ impl<'s> Place<'s> {
     }
 
     /// Gives the place back. If that fails, it ends with its lease.
-    pub(super) async fn give_back(&self) {
+    pub(crate) async fn give_back(&self) {
         if let Some(Grant { service, .. }) = &self.taken {
             let _ended = self.session.call(ABAC, "release", vec![Bytes::from(service.clone())]).await;
         }

@@ -1,0 +1,214 @@
+//! `record`: write the messages of services into a file, from the past, as they come, or both.
+
+mod progress;
+mod selection;
+mod summary;
+mod taking;
+mod window;
+
+use crate::answer;
+use crate::argument::message::Definitions;
+use crate::argument::moment::Moment;
+use crate::cli::Global;
+use crate::command::message::Place;
+use crate::failure::Failure;
+use crate::output::{Format, Output};
+use crate::recording::{self, Recording};
+use crate::session::{ABAC, Session};
+use bytes::Bytes;
+use ledger_api::{EventStream, Subscription};
+use ledger_contract::Grant;
+use ledger_rejection::{Code, Rejection};
+use progress::Progress;
+use selection::Selection;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use summary::Ending;
+use taking::Taking;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::time::{interval, sleep};
+use window::Window;
+
+/// How often the node says that it is alive while there is nothing to record, in milliseconds.
+const HEARTBEAT_MS: u32 = 1_000;
+/// So much of a recording is lost at most if this process is killed.
+const FLUSH_EVERY: Duration = Duration::from_secs(1);
+/// The events that tell who held what, and the messages.
+const EVENTS: [&str; 8] = ["delegated", "granted", "message", "released", "renewed", "resumed", "robot", "stopped"];
+
+/// Record the messages of services into an MCAP file, as `ros2 bag play` and Foxglove read it.
+///
+/// Without --since it records what comes from now on, until Ctrl-C. With --since it records what the node has and
+/// ends; with --follow as well it goes on with what comes. The file has one channel for each service, and beside them
+/// /ledger/records (who sent each message, under which epoch, in which block) and /ledger/events (grants, their ends, stops).
+/// Log time is block time. The sender's signature of each message is checked.
+///
+/// -o FILE.mcap names the file; with -o json it is --to FILE.mcap.
+///
+/// A MOMENT is a span ago (10m), a time of today (14:30), a time (2027-05-01T14:30:00+02:00), or the height of a block.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl record Turtlebot4 -o run.mcap
+  ledgerctl record Turtlebot4/cmd_vel OptiTrack/pose --since 10m -o run.mcap
+  ledgerctl record Turtlebot4 --since 14:30 --until 14:45:30 -o run.mcap --force
+  ledgerctl record Arm/grip --since 0 --follow --msg arm_msgs/msg/Grip=Grip.msg -o grip.mcap")]
+pub(crate) struct Record {
+    /// Services; a robot alone stands for all its services
+    #[arg(value_name = "ROBOT[/TOPIC]", required = true)]
+    services: Vec<String>,
+    /// Begin with the first block at or after this moment; 0 for the first block that the node has
+    #[arg(long, value_name = "MOMENT")]
+    since: Option<Moment>,
+    /// End with the last block before or at this moment
+    #[arg(long, value_name = "MOMENT")]
+    until: Option<Moment>,
+    /// Go on with what comes, until Ctrl-C or --until
+    #[arg(long)]
+    follow: bool,
+    /// The file; -o FILE.mcap is the same
+    #[arg(long, value_name = "FILE.mcap")]
+    to: Option<PathBuf>,
+    /// Replace the file if there is one
+    #[arg(long)]
+    force: bool,
+    /// Name the channels as the robots name their topics, /cmd_vel instead of /Turtlebot4/cmd_vel
+    #[arg(long)]
+    plain_topics: bool,
+    #[command(flatten)]
+    definitions: Definitions,
+}
+
+impl Record {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let path = self.file(global)?;
+        if path.exists() && !self.force {
+            return Err(recording::taken(&path).into());
+        }
+        self.definitions.library()?;
+        let session = Session::open(global).await?;
+        let selection = Selection::find(&session, &self.services, self.plain_topics).await?;
+        let window = Window::find(&session, &selection, self.since, self.until, self.follow).await?;
+        let mut places = Vec::new();
+        for chosen in &selection.services {
+            places.push(Place::take(&session, &chosen.service, output).await?);
+        }
+        let done = self.into_file(&path, &session, (&selection, window), &places, global.format()).await;
+        for place in &places {
+            place.give_back().await;
+        }
+        let (summary, ended) = done?;
+        output.show(&summary)?;
+        ended
+    }
+
+    /// The file to write.
+    fn file(&self, global: &Global) -> Result<PathBuf, Rejection> {
+        let file = self.to.as_deref().or_else(|| global.output.file()).map(Path::to_owned);
+        file.ok_or_else(|| {
+            Rejection::new(Code::BadArgument, "a recording needs a file")
+                .found("no file")
+                .wanted("the name of a file that ends with .mcap")
+                .next("-o FILE.mcap")
+        })
+    }
+
+    /// Opens stream and file, and records. A file that was begun is ended, whatever ends the recording.
+    async fn into_file(
+        &self,
+        path: &Path,
+        session: &Session,
+        (selection, mut window): (&Selection, Window),
+        places: &[Place<'_>],
+        format: Format,
+    ) -> Result<(summary::Recorded, Result<(), Failure>), Failure> {
+        let subjects = selection.services.iter().map(|chosen| chosen.service.service.clone());
+        let mut stream = session.client.subscribe(Subscription {
+            from_height: window.first,
+            chaincode: ABAC.to_owned(),
+            subjects: subjects.chain(selection.robots.iter().cloned()).collect(),
+            names: EVENTS.map(str::to_owned).to_vec(),
+            heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
+        });
+        // Who may not read hears it before there is a file.
+        stream.open().await?;
+        let node = session.client.status().await?;
+        let mut held = Vec::new();
+        for chosen in selection.services.iter().filter(|_| window.begins_now) {
+            let name = Bytes::from(chosen.service.service.clone());
+            let told = session.client.query(ABAC, "grants", vec![name]).await?;
+            held.push((answer::parse::<Vec<Grant>>(&told.response, "grants")?, told.height, told.time));
+        }
+        let library = self.definitions.library()?;
+        let recording = Recording::create(path, self.force, session.context().network, library)?;
+        let mut taking = Taking::begin(recording, session, selection, node)?;
+        for (grants, height, time) in &held {
+            taking.held(grants, *height, *time)?;
+        }
+        let mut progress = Progress::new(format);
+        let ended = follow(session, &mut stream, &mut taking, &mut window, places, &mut progress).await;
+        progress.clear();
+        let (ending, result) = match ended {
+            Ok(ending) => (ending, Ok(())),
+            Err(refused) => (Ending::Refused, Err(refused.into())),
+        };
+        // A disk that is full has the word before anything that came of it.
+        match (taking.end(path, ending), result) {
+            (Ok(summary), result) => Ok((summary, result)),
+            (Err(_), Err(first)) => Err(first),
+            (Err(refused), Ok(())) => Err(refused.into()),
+        }
+    }
+}
+
+/// Takes down what comes, until the window ends or somebody ends it.
+async fn follow(
+    session: &Session,
+    stream: &mut EventStream,
+    taking: &mut Taking<'_>,
+    window: &mut Window,
+    places: &[Place<'_>],
+    progress: &mut Progress,
+) -> Result<Ending, Rejection> {
+    let mut flush = interval(FLUSH_EVERY);
+    let cannot = |error: std::io::Error| Rejection::new(Code::Internal, "no signals").found(error.to_string());
+    let (mut interrupt, mut terminate) =
+        (signal(SignalKind::interrupt()).map_err(cannot)?, signal(SignalKind::terminate()).map_err(cannot)?);
+    let mut lost = places.iter().map(|place| Box::pin(place.keep())).collect::<Vec<_>>();
+    while !window.is_over(stream.next_height()) {
+        let deadline =
+            window.ends_at.map_or(Duration::MAX, |at| Duration::from_micros(at.saturating_sub(session.client.now())));
+        tokio::select! {
+            delivery = stream.next() => {
+                let delivery = delivery?;
+                if window.is_behind(delivery.height, delivery.time) && !delivery.events.is_empty() {
+                    return Ok(Ending::Reached);
+                }
+                taking.take(&delivery)?;
+            }
+            _ = flush.tick() => {
+                taking.flush()?;
+                progress.tell(taking.counts(), window.last);
+            }
+            () = sleep(deadline), if window.ends_at.is_some() => window.end_now(session).await?,
+            _ = interrupt.recv() => return Ok(Ending::Interrupted),
+            _ = terminate.recv() => return Ok(Ending::Interrupted),
+            refused = first(&mut lost) => return Err(refused),
+        }
+    }
+    Ok(Ending::Reached)
+}
+
+/// The first of these that ends; never, if there are none.
+async fn first<F: Future<Output = Rejection> + Unpin>(waiting: &mut [F]) -> Rejection {
+    std::future::poll_fn(|context| {
+        for one in waiting.iter_mut() {
+            if let std::task::Poll::Ready(refused) = std::pin::Pin::new(one).poll(context) {
+                return std::task::Poll::Ready(refused);
+            }
+        }
+        std::task::Poll::Pending
+    })
+    .await
+}
