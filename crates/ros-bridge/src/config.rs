@@ -9,6 +9,7 @@
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
 //! checkpoint = "fleet.checkpoint" # where to begin to follow who governs; by default at the genesis
+//! grant_services = false       # /<robot>/acquire, release and stop as services of the local graph
 //! diagnostics = true           # the state of every route on /diagnostics, once a second
 //! report_s = 60                # between two lines with counters, while something is refused
 //!
@@ -74,6 +75,8 @@ pub struct Config {
     pub shared_memory: bool,
     /// The file of a checkpoint, from which it follows who governs the network; none = from the genesis.
     pub checkpoint: Option<PathBuf>,
+    /// Whether a robot's grant can be had from the local graph.
+    pub grant_services: bool,
     /// Whether `/diagnostics` shows the state of every route.
     pub diagnostics: bool,
     /// Time between two lines with counters, while something is refused.
@@ -181,6 +184,7 @@ impl Config {
         section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
         section.boolean("shared_memory", &mut self.shared_memory);
         section.boolean("diagnostics", &mut self.diagnostics);
+        section.boolean("grant_services", &mut self.grant_services);
         section.text("checkpoint", "the file of a checkpoint", &mut self.checkpoint, |path| {
             Some(Some(directory.join(path)))
         });
@@ -208,6 +212,7 @@ impl Default for Config {
             reach: reach::Settings::default(),
             node_name: "ledgerd_bridge".to_owned(),
             shared_memory: true,
+            grant_services: false,
             diagnostics: true,
             checkpoint: None,
             report_every: Duration::from_secs(REPORT_S_DEFAULT),
@@ -268,7 +273,7 @@ pub(crate) fn circle(service: &str, topic: &str, mut routes: [(usize, &Kind); 2]
 
 fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     const SERVICE: &str = "ROBOT/TOPIC in full, e.g. \"Turtlebot4/cmd_vel\"";
-    const TYPE: &str = "a ROS 2 message type, e.g. \"geometry_msgs/msg/Twist\"";
+    const TYPE: &str = "a ROS 2 type, e.g. \"geometry_msgs/msg/Twist\"";
     let (mut service, mut kind, mut topic, mut message) = (None, None, None, None);
     section.required("service", SERVICE);
     section.text("service", SERVICE, &mut service, |text| {
@@ -285,6 +290,13 @@ fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     let mut sample_bytes_max = Limits::default().sample_bytes_max as u64;
     section.integer("sample_bytes_max", 64..=SAMPLE_BYTES_MAX as u64, &mut sample_bytes_max);
     let sample_bytes_max = usize::try_from(sample_bytes_max).unwrap_or(SAMPLE_BYTES_MAX);
+    if let (Some(kind), Some(message)) = (kind, &message)
+        && let (Kind { name, carries, .. }, found) = (kind, TypeName::interface(message))
+        && found != *carries
+    {
+        let wanted = format!("a type of the form PACKAGE/{}/NAME for {name:?}", carries.name());
+        section.conflict(["direction", "type"], format!("{name:?} and {:?}", message.to_string()), wanted);
+    }
     let plan = kind.map(|kind: &Kind| (kind.read)(section, sample_bytes_max));
     if kind.is_none() {
         KINDS.iter().for_each(|kind| section.ignore(kind.keys));

@@ -1,6 +1,7 @@
 //! Routes: one topic of one service. Each is a task of its own; its decisions are in parts without IO. The kinds are
 //! one table, [`kind::KINDS`], and each kind is a file.
 
+mod calls;
 mod from_ledger;
 mod holder;
 pub(crate) mod kind;

@@ -35,7 +35,10 @@ Example:
   ledgerctl robot add Turtlebot4 --attr-required Turtlebot4 --service /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive
   ledgerctl robot add OptiTrack --attr-required OptiTrack --service /pose=geometry_msgs/msg/PoseStamped,direction=feed
   ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1
-  ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue")]
+  ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue
+  ledgerctl robot add Arm --attr-required Arm --service /home=std_srvs/srv/Trigger
+
+The last one is a ROS 2 service: users call it, and the robot replies on /home/_reply, which is registered with it.")]
 pub(crate) struct Add {
     /// Name of the robot
     name: String,
@@ -122,9 +125,22 @@ impl Add {
             name: self.name,
             attribute_required: self.attr_required,
             trusted: (!self.trusted.is_empty()).then_some(self.trusted),
-            services: self.services,
+            services: with_replies(self.services),
         }
     }
+}
+
+/// The services, each that users call with the one for its replies, unless that is given.
+fn with_replies(given: Vec<ServiceSpec>) -> Vec<ServiceSpec> {
+    let topics: Vec<String> = given.iter().map(|service| service.topic.clone()).collect();
+    let replies = |service: &ServiceSpec| service.for_replies().filter(|replies| !topics.contains(&replies.topic));
+    given
+        .into_iter()
+        .flat_map(|service| {
+            let replies = replies(&service);
+            std::iter::once(service).chain(replies)
+        })
+        .collect()
 }
 
 /// Robots, and the moment by which their leases are told.
