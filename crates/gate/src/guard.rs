@@ -76,7 +76,7 @@ impl Guard {
         Some(reason)
     }
 
-    /// Whatever the last driver asked for is done: nobody moves the robot until the next command.
+    /// The last command is done: nobody moves the robot until the next one.
     pub fn rested(&mut self) {
         self.gate.paused();
     }

@@ -15,13 +15,15 @@
 //!
 //! [[route]]
 //! service = "Turtlebot4/cmd_vel"
-//! direction = "to_ledger"      # "from_ledger" on the robot's side
+//! direction = "to_ledger"      # "from_ledger" on the robot's side; for services "service_server" and "service_client"
 //! topic = "/cmd_vel"           # by default the service's topic
 //! type = "geometry_msgs/msg/Twist"
 //! qos = { reliability = "reliable", durability = "volatile", depth = 100 }
 //! sample_bytes_max = 1048576
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
 //! max_rate_hz = 20             # to_ledger: at most so many a second, the newest; alone, without batch_max
+//! reply_timeout_ms = 10000     # service_server: a call without a reply is forgotten after so long
+//! server_timeout_ms = 10000    # service_client: the robot's server is waited for so long
 //! max_age_ms = 1000            # from_ledger: may only shorten the service's own limit
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
@@ -449,6 +451,19 @@ mod tests {
             faults[0].to_string().contains("batch_max") && faults[0].to_string().contains("max_rate_hz"),
             "{faults:?}"
         );
+    }
+
+    #[test]
+    fn a_kind_of_route_carries_types_of_its_own_kind() {
+        let light = ROUTE.replace("geometry_msgs/msg/Twist", "std_srvs/srv/SetBool");
+        for (route, direction) in [(ROUTE, "to_ledger"), (&light, "service_server"), (&light, "service_client")] {
+            assert!(parse(&format!("{route}direction = '{direction}'")).is_ok(), "{direction}");
+        }
+        for (route, direction) in [(&*light, "to_ledger"), (&light, "from_ledger"), (ROUTE, "service_server")] {
+            let faults = parse(&format!("{route}direction = '{direction}'")).unwrap_err();
+            assert_eq!(faults.len(), 1, "{faults:?}");
+            assert!(faults[0].to_string().contains("direction does not fit"), "{}", faults[0]);
+        }
     }
 
     #[test]

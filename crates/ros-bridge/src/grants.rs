@@ -37,7 +37,7 @@ pub(crate) struct Grants {
     pub(crate) network: Hash,
 }
 
-/// What a request asks for.
+/// The action that a request asks for.
 type Act = fn(Arc<Desk>) -> BoxFuture<'static, Answer>;
 
 const ACTS: [(&str, Act); 3] = [
@@ -62,7 +62,9 @@ impl Grants {
                 };
                 match served.get(name.as_str()) {
                     Some((same, _)) if *same == robot => {}
-                    Some((other, _)) => tracing::warn!(robot, other, "two robots would be {name} in ROS: one is served"),
+                    Some((other, _)) => {
+                        tracing::warn!(robot, other, "two robots would be {name} in ROS: one is served")
+                    }
                     None => match self.serve(&robot, &name) {
                         Ok(tasks) => {
                             tracing::info!(robot, "{name}/acquire, {name}/release and {name}/stop are served");

@@ -8,6 +8,8 @@ pub(crate) mod kind;
 mod latched;
 pub(crate) mod local;
 mod points;
+mod service_client;
+mod service_server;
 mod side_door;
 pub(crate) mod silence;
 mod stopping;

@@ -140,7 +140,8 @@ async fn a_client_with_the_numbers_beside_the_message_gets_its_replies() {
     tokio::spawn(serve(bridge.server(&exchange(), mark(1), BYTES_MAX).unwrap()));
     let mut node = node();
     let (name, of) = (Name::new("/", "light").unwrap(), ServiceTypeName::new("std_srvs", "SetBool"));
-    let client = node.create_client::<SetBool, Done>(ServiceMapping::Enhanced, &name, &of, (&qos()).into(), (&qos()).into());
+    let client =
+        node.create_client::<SetBool, Done>(ServiceMapping::Enhanced, &name, &of, (&qos()).into(), (&qos()).into());
     let client = client.unwrap();
     tokio::time::timeout(DEADLINE, client.wait_for_service(&node)).await.unwrap();
     for data in [true, false] {
@@ -159,7 +160,8 @@ async fn a_server_with_the_numbers_beside_the_message_replies() {
     let mut client = bridge.client(&exchange(), mark(1), BYTES_MAX).unwrap();
     let mut node = node();
     let (name, of) = (Name::new("/", "light").unwrap(), ServiceTypeName::new("std_srvs", "SetBool"));
-    let server = node.create_server::<SetBool, Done>(ServiceMapping::Enhanced, &name, &of, (&qos()).into(), (&qos()).into());
+    let server =
+        node.create_server::<SetBool, Done>(ServiceMapping::Enhanced, &name, &of, (&qos()).into(), (&qos()).into());
     let server = server.unwrap();
     tokio::spawn(async move {
         loop {

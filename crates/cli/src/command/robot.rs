@@ -239,6 +239,22 @@ mod tests {
     }
 
     #[test]
+    fn a_service_of_ros_2_comes_with_one_for_its_replies() {
+        let topics = |given: &[&str]| {
+            let given = given.iter().map(|text| service::parse(text).unwrap()).collect();
+            let services = with_replies(given).into_iter();
+            services.map(|service| (service.topic, service.direction, service.max_age_ms)).collect::<Vec<_>>()
+        };
+        let light = || ("/light".to_owned(), Direction::Command, Some(500));
+        let replies = |age| ("/light/_reply".to_owned(), Direction::Feed, age);
+        let given = "/light=std_srvs/srv/SetBool,mode=exclusive,max-age=500ms";
+        assert_eq!(topics(&[given]), [light(), replies(Some(500))]);
+        let own = "/light/_reply=std_srvs/srv/SetBool,direction=feed";
+        assert_eq!(topics(&[given, own]), [light(), replies(None)], "as the owner wants them");
+        assert_eq!(topics(&["/cmd_vel=geometry_msgs/msg/Twist"]).len(), 1);
+    }
+
+    #[test]
     fn the_list_says_who_holds_what_until_when() {
         let robots = Robots(vec![serde_json::from_str(ASSET).unwrap()], 1_000_000);
         let wanted = "\

@@ -54,8 +54,33 @@ pub(super) fn queued(place: &Place, name: &str) -> Rejection {
 /// Others must confirm the caller.
 pub(super) fn pending(pending: &Pending) -> Rejection {
     let Pending { service, contender, confirmed, wanted, .. } = pending;
-    Rejection::new(Code::Held, format!("{service} is not yours yet: others must confirm {contender}"))
-        .found(format!("{} of {wanted} confirmations", confirmed.len()))
+    let have = format!("{} of {wanted} have", confirmed.len());
+    Rejection::new(Code::Held, format!("{service} is not yours yet: others must confirm {contender}, {have}"))
         .wanted(format!("{wanted} confirmations"))
         .next(format!("ask for them: ledgerctl confirm {service} {contender}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_answer_is_a_boolean_and_a_string_of_cdr() {
+        let bytes = Answer::yes("ab".to_owned()).encode();
+        assert_eq!(bytes, [1, 0, 0, 0, 3, 0, 0, 0, b'a', b'b', 0]);
+        let refused = Rejection::new(Code::Held, "it is held").found("a\0b").wanted("nobody").next("wait");
+        let bytes = Answer::no(&refused).encode();
+        let text = "it is held [LGR-3005]\n  found   a b\n  wanted  nobody\n  try     wait\0";
+        assert_eq!(bytes.get(8..), Some(text.as_bytes()), "a string ends with its first zero");
+    }
+
+    #[test]
+    fn who_holds_a_service_is_told_with_the_time_since_then() {
+        let grant = |holder: &str, at: u64| Grant { acquired_at: at, ..ledger_gate::fixture::grant(holder, 1) };
+        let line = |holders| LineState { service: "T/a".into(), holders, line: Vec::new(), pending: Vec::new() };
+        assert_eq!(holders(&line(Vec::new()), 9), "nobody holds T/a now");
+        let both = line(vec![grant("Org1/Salma", 1_000_000), grant("Org1/Farhad", 99_000_000)]);
+        let wanted = "Org1/Salma has held T/a for 12 s, Org1/Farhad has held T/a for 0 s";
+        assert_eq!(holders(&both, 13_500_000), wanted);
+    }
 }

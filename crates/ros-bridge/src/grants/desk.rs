@@ -89,7 +89,7 @@ impl Desk {
         Ok(grants)
     }
 
-    /// Tells who holds them, and since when. What cannot be learnt is left out.
+    /// Tells who holds them, and since when, as far as that can be learnt.
     async fn with_holders(&self, refused: Rejection, services: &[String]) -> Rejection {
         let mut found = Vec::new();
         for service in services {

@@ -54,7 +54,7 @@ impl Keeping {
         self.0.clear();
     }
 
-    /// What is to be renewed now; `held` are the services that the bridge's identity holds.
+    /// The services that are to be renewed now; `held` are those that the bridge's identity holds.
     pub(super) fn due(&mut self, held: &BTreeSet<String>, now: Instant) -> Vec<Due> {
         let mut due = Vec::new();
         for (service, state) in &mut self.0 {

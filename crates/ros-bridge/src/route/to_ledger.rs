@@ -18,7 +18,6 @@ use futures::{
 };
 use ledger_api::Subscription;
 use ledger_gate::ABAC;
-use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
@@ -26,6 +25,7 @@ use tokio::{sync::mpsc, time::sleep_until};
 use self::{pace::Pace, publishing::Publishing};
 use super::{
     Clocks, Stop,
+    calls::Told,
     kind::{Beside, Kind, Opened, Opening, Plan},
     local::Inlet,
     silence::{Cause, Facts, Silence, fault, pause},
@@ -174,15 +174,6 @@ struct ToLedger {
     under_way_bytes: usize,
     /// The other half of a route of calls.
     told: Option<mpsc::UnboundedSender<Told>>,
-}
-
-/// News about a sample of a route of calls, by its number.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) enum Told {
-    /// It goes to the ledger in this transaction.
-    Submitted(u64, Hash),
-    /// The ledger has refused it.
-    Refused(u64),
 }
 
 /// The outcome of samples that were submitted together.

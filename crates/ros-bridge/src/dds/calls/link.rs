@@ -42,11 +42,8 @@ const UNACKNOWLEDGED_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Most writers whose mark is remembered; beyond it all are looked up again.
 const MARKS_MAX: usize = 256;
 /// As the middlewares of ROS 2 have it for services, but deeper for bursts.
-const QOS: Qos = Qos {
-    reliability: crate::qos::Reliability::Reliable,
-    durability: crate::qos::Durability::Volatile,
-    depth: 100,
-};
+const QOS: Qos =
+    Qos { reliability: crate::qos::Reliability::Reliable, durability: crate::qos::Durability::Volatile, depth: 100 };
 
 /// The two topics of a link, and how it is announced.
 pub(super) struct Ends {
@@ -156,7 +153,8 @@ impl Link {
         if waiting > 0 && waiting.saturating_add(bytes) > UNACKNOWLEDGED_BYTES_MAX {
             return Err(slow());
         }
-        let options = WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).related_sample_identity_opt(related);
+        let options =
+            WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).related_sample_identity_opt(related);
         match self.writer.write_with_options(message, options.build()) {
             Ok(written) => {
                 self.unacknowledged.fetch_add(bytes, Ordering::Relaxed);

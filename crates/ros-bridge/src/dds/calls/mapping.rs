@@ -80,7 +80,9 @@ mod tests {
     #[test]
     fn the_vendor_tells_the_mapping() {
         let mut guid = [0; 16];
-        for (vendor, mapping) in [(CYCLONE, Mapping::InFront), ([1, 0x0f], Mapping::Beside), ([1, 0x12], Mapping::Beside)] {
+        for (vendor, mapping) in
+            [(CYCLONE, Mapping::InFront), ([1, 0x0f], Mapping::Beside), ([1, 0x12], Mapping::Beside)]
+        {
             guid[..2].copy_from_slice(&vendor);
             assert_eq!(Mapping::of(guid), mapping);
         }

@@ -22,7 +22,7 @@ pub(in crate::route) const REPLY_BYTES: usize = 32;
 ///
 /// # Errors
 /// As [`Sample::new`].
-pub(super) fn reply(request: Hash, message: &[u8]) -> Result<Sample, Rejection> {
+pub(in crate::route) fn reply_to(request: Hash, message: &[u8]) -> Result<Sample, Rejection> {
     let mut body = BytesMut::with_capacity(REPLY_BYTES.saturating_add(message.len()));
     body.put_slice(&request.0);
     body.put_slice(message);
@@ -30,14 +30,14 @@ pub(super) fn reply(request: Hash, message: &[u8]) -> Result<Sample, Rejection> 
 }
 
 /// The request that a reply is for, and its message; none if it is no reply.
-pub(super) fn split(reply: &Sample) -> Option<(Hash, Bytes)> {
-    let body = message(reply)?;
+pub(in crate::route) fn split(reply: &Sample) -> Option<(Hash, Bytes)> {
+    let body = message_of(reply)?;
     let id = *body.first_chunk::<REPLY_BYTES>()?;
     Some((Hash(id), body.slice(REPLY_BYTES..)))
 }
 
 /// The CDR of a message without its header, if it is little endian.
-pub(super) fn message(sample: &Sample) -> Option<Bytes> {
+pub(in crate::route) fn message_of(sample: &Sample) -> Option<Bytes> {
     (sample.representation_id() == CDR_LE).then(|| sample.body())
 }
 
@@ -49,7 +49,7 @@ mod tests {
 
     #[test]
     fn the_format_of_a_reply_does_not_change() {
-        let sample = reply(Hash([7; 32]), b"yes").unwrap();
+        let sample = reply_to(Hash([7; 32]), b"yes").unwrap();
         assert_eq!(sample.wire()[..], [&[0, 1, 0, 0][..], &[7; 32], b"yes"].concat());
         assert_eq!(split(&sample).unwrap(), (Hash([7; 32]), Bytes::from_static(b"yes")));
     }

@@ -9,46 +9,45 @@ use super::CALLS_MAX;
 
 /// The calls by what their replies are known by.
 #[derive(Debug)]
-pub(super) struct Waiting<K, V> {
+pub(in crate::route) struct Waiting<K, V> {
     patience: Duration,
     /// With the end of their time.
     calls: BTreeMap<K, (Instant, V)>,
 }
 
 impl<K: Ord + Clone, V> Waiting<K, V> {
-    pub(super) fn new(patience: Duration) -> Self {
+    pub(in crate::route) fn new(patience: Duration) -> Self {
         Self { patience, calls: BTreeMap::new() }
     }
 
     /// Is there no room for another one?
-    pub(super) fn is_full(&self) -> bool {
+    pub(in crate::route) fn is_full(&self) -> bool {
         self.calls.len() >= CALLS_MAX
     }
 
     /// Lets a call wait from now on.
-    pub(super) fn insert(&mut self, key: K, call: V, now: Instant) {
+    pub(in crate::route) fn insert(&mut self, key: K, call: V, now: Instant) {
         self.calls.insert(key, (now + self.patience, call));
     }
 
     /// A call, which waits on.
-    pub(super) fn get_mut(&mut self, key: &K) -> Option<&mut V> {
+    pub(in crate::route) fn get_mut(&mut self, key: &K) -> Option<&mut V> {
         self.calls.get_mut(key).map(|(_, call)| call)
     }
 
     /// A call, which waits no longer.
-    pub(super) fn take(&mut self, key: &K) -> Option<V> {
+    pub(in crate::route) fn take(&mut self, key: &K) -> Option<V> {
         self.calls.remove(key).map(|(_, call)| call)
     }
 
     /// When the first of them has waited long enough.
-    pub(super) fn due(&self) -> Option<Instant> {
+    pub(in crate::route) fn due(&self) -> Option<Instant> {
         self.calls.values().map(|(due, _)| *due).min()
     }
 
     /// Those that have waited long enough, and wait no longer.
-    pub(super) fn expire(&mut self, now: Instant) -> Vec<V> {
-        let over: Vec<K> =
-            self.calls.iter().filter(|(_, (due, _))| *due <= now).map(|(key, _)| key.clone()).collect();
+    pub(in crate::route) fn expire(&mut self, now: Instant) -> Vec<V> {
+        let over: Vec<K> = self.calls.iter().filter(|(_, (due, _))| *due <= now).map(|(key, _)| key.clone()).collect();
         over.iter().filter_map(|key| self.take(key)).collect()
     }
 }

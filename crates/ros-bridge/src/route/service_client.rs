@@ -14,14 +14,11 @@ use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
 
 use super::{
-    super::{
-        Stop, from_ledger,
-        kind::{Beside, Kind, Opened, Opening, Plan},
-        silence::{Cause, Facts, Silence, fault, pause},
-        stopped, to_ledger,
-    },
-    CALLS_MAX, TOO_MANY, frame, patience,
-    waiting::Waiting,
+    Stop,
+    calls::{CALLS_MAX, TOO_MANY, Waiting, message_of, patience, reply_to},
+    kind::{self, Beside, Kind, Opened, Opening, Plan},
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
 };
 use crate::{
     count::{Complaint, Counters, count},
@@ -35,8 +32,8 @@ use crate::{
 const KEY: &str = "server_timeout_ms";
 
 /// A client of the robot's own service.
-pub(in crate::route) static KIND: Kind = Kind {
-    name: "calls_from_ledger",
+pub(super) static KIND: Kind = Kind {
+    name: "service_client",
     carries: Interface::Service,
     right: "subscribe",
     other_end: Role::Subscriber,
@@ -67,11 +64,10 @@ impl Settings {
         counters.opened(client.matched(), None);
         let answers = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
         let (gateway, of_replies, answered) = (Arc::clone(gateway), Counters::new(route), replies(&route.service));
-        let to = to_ledger::half(gateway, &answered, Arc::clone(&answers), None, of_replies);
+        let to = kind::submitted(gateway, &answered, Arc::clone(&answers), None, of_replies);
         let to = to.await?;
         let (calls, passed) = mpsc::channel(CALLS_MAX);
-        let from =
-            from_ledger::half(&opening, service.clone(), (calls, client.matched().clone()), counters.clone());
+        let from = kind::gated(&opening, service.clone(), (calls, client.matched().clone()), counters.clone());
         let from = from.await?;
         let desk = Desk {
             service: route.service.clone(),
@@ -153,7 +149,7 @@ impl Desk {
         if self.waiting.is_full() {
             return self.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for the server"));
         }
-        let Some(message) = frame::message(sample) else {
+        let Some(message) = message_of(sample) else {
             return self.refuse("bad_payload", "it is no little endian CDR");
         };
         match self.client.call(&message) {
@@ -174,7 +170,7 @@ impl Desk {
 
     fn reply(&mut self, Reply { number, message }: &Reply) {
         let Some(request) = self.waiting.take(number) else { return };
-        let Ok(sample) = frame::reply(request, message) else { return };
+        let Ok(sample) = reply_to(request, message) else { return };
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
         self.answers.push(Incoming { sample, source: [0; 16], sequence, received });

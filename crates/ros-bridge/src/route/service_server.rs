@@ -26,15 +26,11 @@ use tokio::{
 };
 
 use super::{
-    super::{
-        Stop, from_ledger,
-        kind::{Beside, Kind, Opened, Opening, Plan},
-        silence::{Cause, Facts, Silence, fault, pause},
-        stopped,
-        to_ledger::{self, Told},
-    },
-    CALLS_MAX, TOO_MANY, frame, patience,
-    waiting::Waiting,
+    Stop,
+    calls::{CALLS_MAX, TOO_MANY, Told, Waiting, patience, split},
+    kind::{self, Beside, Kind, Opened, Opening, Plan},
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
 };
 use crate::{
     count::{Complaint, Counters, count},
@@ -48,8 +44,8 @@ use crate::{
 const KEY: &str = "reply_timeout_ms";
 
 /// The local server of a robot's service.
-pub(in crate::route) static KIND: Kind = Kind {
-    name: "calls_to_ledger",
+pub(super) static KIND: Kind = Kind {
+    name: "service_server",
     carries: Interface::Service,
     right: "publish",
     other_end: Role::Publisher,
@@ -82,18 +78,12 @@ impl Settings {
         counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         let requests = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
         let (tell, told) = mpsc::unbounded_channel();
-        let to = to_ledger::half(
-            Arc::clone(gateway),
-            &route.service,
-            Arc::clone(&requests),
-            Some(tell),
-            counters.clone(),
-        );
+        let to =
+            kind::submitted(Arc::clone(gateway), &route.service, Arc::clone(&requests), Some(tell), counters.clone());
         let to = to.await?;
         let (calls, passed) = mpsc::channel(CALLS_MAX);
         let of_replies = Counters::new(route);
-        let from =
-            from_ledger::half(&opening, answers, (calls, server.matched().clone()), of_replies).await?;
+        let from = kind::gated(&opening, answers, (calls, server.matched().clone()), of_replies).await?;
         let desk = Desk {
             service: route.service.clone(),
             robot: service.robot.clone(),
@@ -218,7 +208,7 @@ impl Desk {
             let meaning = format!("{}, role {}, has signed a reply of {}", creator.id(), creator.role, self.robot);
             return self.refuse("not_the_robot", &meaning);
         }
-        for (id, message) in samples.iter().filter_map(frame::split) {
+        for (id, message) in samples.iter().filter_map(split) {
             let call = self.ids.remove(&id).and_then(|number| self.waiting.take(&number));
             let Some(Call { caller, came, .. }) = call else { continue };
             match self.server.reply(&caller, &message) {
