@@ -73,12 +73,17 @@ def wait_for(condition, what):
         time.sleep(0.005)
 
 
+def valid(samples, kind):
+    """Without the notices of writers that have left."""
+    return [sample for sample in samples if isinstance(sample, kind)]
+
+
 if role == "serve":
     reader = DataReader(Subscriber(participant), requests, qos=qos)
     writer = DataWriter(Publisher(participant), replies, qos=qos)
     print("ready", flush=True)
     while True:
-        for request in reader.take(N=10):
+        for request in valid(reader.take(N=10), request_type):
             print(f"request {bool(request.data)}", flush=True)
             if "silent" not in words:
                 answer = f"from {name}"
@@ -95,7 +100,7 @@ for number, value in enumerate(words[1:], 1):
     writer.write(request_type(own, number, data))
     deadline, got = time.monotonic() + patience, None
     while got is None and time.monotonic() < deadline:
-        mine = [reply for reply in reader.take(N=10) if (reply.client, reply.number) == (own, number)]
+        mine = [reply for reply in valid(reader.take(N=10), reply_type) if (reply.client, reply.number) == (own, number)]
         got = mine[0] if mine else None
         time.sleep(0.002)
     line = "none" if got is None else f"{got.success} {got.message}".replace("\n", " | ")

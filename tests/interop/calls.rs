@@ -7,8 +7,8 @@ use crate::world::{self, Process, World};
 use crate::{call, network};
 use bytes::Bytes;
 use ledger::transaction::Transaction;
+use ledger_abac::Grant;
 use ledger_api::{Client, Subscription};
-use ledger_contract::Grant;
 use ledger_rejection::Code;
 use std::time::{Duration, Instant};
 

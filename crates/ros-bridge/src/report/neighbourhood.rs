@@ -12,7 +12,7 @@ use tokio::task::AbortHandle;
 use crate::{
     dds::{Change, Neighbour, Role},
     mark::Mark,
-    names::{TopicName, quoted},
+    names::{Interface, TopicName, quoted},
     qos::{Qos, Reliability},
     queue::Limits,
     roster::{Roster, Watched},
@@ -137,9 +137,11 @@ impl Neighbourhood {
             (other.topic == topic && other.type_name == wanted && other.role == Role::Publisher)
                 && !is_bridge(other, watched.mark)
         };
+        let carries_messages = watched.route.kind.carries == Interface::Message;
         let sources = self.known.values().filter(is_source).count();
         match line {
-            Line::Note(_) if watched.is_command && is_source(&neighbour) && sources > 1 => {
+            // Services have many callers.
+            Line::Note(_) if watched.is_command && carries_messages && is_source(&neighbour) && sources > 1 => {
                 let (topic, service) = (watched.topic.as_str(), &watched.route.service);
                 Line::Warning(format!(
                     "{sources} publishers on {topic} now: this bridge takes the commands of all of them to {service}"

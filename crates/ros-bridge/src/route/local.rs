@@ -68,7 +68,7 @@ impl Local {
             None => None,
         };
         let (matched, in_memory) = (reader.matched().clone(), shm.as_ref().map(shm::Subscriber::peers));
-        Ok((Inlet::Topic { reader, shm }, matched, in_memory))
+        Ok((Inlet::Topic { reader: Box::new(reader), shm: shm.map(Box::new) }, matched, in_memory))
     }
 
     pub(crate) async fn outlet(&self, topic: &TopicName, message: &TypeName, qos: &Qos, mark: Mark) -> Result<Outlet> {
@@ -78,7 +78,8 @@ impl Local {
             Some(node) => or_dds_only(topic.as_str(), node.marked_publisher(topic, mark).await),
             None => None,
         };
-        Ok(Outlet { to: To::Topic { writer, shm }, mark, delivered: Arc::clone(&self.delivered) })
+        let to = To::Topic { writer: Box::new(writer), shm: shm.map(Box::new) };
+        Ok(Outlet { to, mark, delivered: Arc::clone(&self.delivered) })
     }
 
     /// Where messages go to the other half of a route of calls, with those at its end of the graph.
@@ -98,7 +99,7 @@ fn or_dds_only<T>(topic: &str, opened: Result<T>) -> Option<T> {
 /// Where samples come in.
 pub(crate) enum Inlet {
     /// From a topic.
-    Topic { reader: Reader, shm: Option<shm::Subscriber> },
+    Topic { reader: Box<Reader>, shm: Option<Box<shm::Subscriber>> },
     /// From the other half of a route of calls.
     Calls(Arc<Queue>),
 }
@@ -127,9 +128,7 @@ impl Inlet {
     /// Samples lost here: replaced by newer ones, too large, or not readable.
     pub(crate) fn dropped(&self) -> u64 {
         match self {
-            Self::Topic { reader, shm } => {
-                reader.dropped().saturating_add(shm.as_ref().map_or(0, shm::Subscriber::dropped))
-            }
+            Self::Topic { reader, shm } => reader.dropped().saturating_add(shm.as_ref().map_or(0, |shm| shm.dropped())),
             Self::Calls(queue) => queue.dropped(),
         }
     }
@@ -145,7 +144,7 @@ pub(crate) struct Outlet {
 /// The ways out.
 enum To {
     /// To a topic.
-    Topic { writer: Writer, shm: Option<shm::Publisher> },
+    Topic { writer: Box<Writer>, shm: Option<Box<shm::Publisher>> },
     /// To the other half of a route of calls.
     Calls { calls: mpsc::Sender<Passed>, matched: Matched },
 }
@@ -187,7 +186,7 @@ impl Outlet {
     /// Subscribers in shared memory.
     pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
         match &self.to {
-            To::Topic { shm, .. } => shm.as_ref().map(shm::Publisher::peers),
+            To::Topic { shm, .. } => shm.as_ref().map(|shm| shm.peers()),
             To::Calls { .. } => None,
         }
     }
