@@ -11,6 +11,7 @@
     reason = "tests"
 )]
 
+mod calls;
 mod codec;
 mod demo;
 mod liar;

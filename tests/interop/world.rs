@@ -251,6 +251,11 @@ impl World {
         }
     }
 
+    /// Is this not in the log of a process?
+    pub(crate) fn has_not_said(&self, name: &str, words: &str) -> bool {
+        !fs::read_to_string(self.directory.path().join(format!("{name}.log"))).unwrap().contains(words)
+    }
+
     /// The output of a bridge that cannot start.
     pub(crate) fn bridge_fails(&self, name: &str, topic: &str, kind: &str) -> String {
         let config = self.bridge_config(name, 1, "to_ledger", topic, kind);

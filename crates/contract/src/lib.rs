@@ -39,7 +39,7 @@ pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, 
 pub use message::{MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};
 pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
-pub use service::{Direction, ServiceSpec, ServiceState};
+pub use service::{Direction, ServiceSpec, ServiceState, is_called, replies};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
 pub use sharing::{Mode, OnConflict, Sharing, read_from, readers};
 pub use task::{

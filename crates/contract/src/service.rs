@@ -50,6 +50,44 @@ pub struct ServiceSpec {
     pub sharing: Sharing,
 }
 
+/// The last part of the topic on which a robot replies to calls.
+const REPLY: &str = "/_reply";
+
+/// The id, or the topic, of the service on which the replies to the calls of another one are published:
+/// `Turtlebot4/reset/_reply` for `Turtlebot4/reset`.
+pub fn replies(service: &str) -> String {
+    format!("{service}{REPLY}")
+}
+
+/// Is that a type of calls, to which the robot replies: a ROS 2 service?
+///
+/// ```
+/// assert!(ledger_contract::is_called("std_srvs/srv/Trigger"));
+/// assert!(!ledger_contract::is_called("geometry_msgs/msg/Twist"));
+/// ```
+pub fn is_called(type_name: &str) -> bool {
+    type_name.split('/').nth(1) == Some("srv")
+}
+
+impl ServiceSpec {
+    /// The service for the replies, if users call this one. Everybody reads it whom policies permit.
+    #[must_use]
+    pub fn for_replies(&self) -> Option<Self> {
+        let is_called = self.direction == Direction::Command && is_called(&self.type_name);
+        is_called.then(|| Self {
+            topic: replies(&self.topic),
+            type_name: self.type_name.clone(),
+            mode: None,
+            direction: Direction::Feed,
+            max_age_ms: self.max_age_ms,
+            lease_ms: None,
+            lease_ms_max: None,
+            stop_hex: None,
+            sharing: Sharing::default(),
+        })
+    }
+}
+
 /// A service and who holds it: the answer of `service`, and part of [`crate::RobotAsset`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct ServiceState {

@@ -33,12 +33,13 @@ mod sequences;
 #[cfg(test)]
 mod tests;
 
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use bytes::Bytes;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger_contract::{Capabilities, Fencing, Grant, Publishing};
 use ledger_hash::Hash;
+use ledger_identity::Identity;
 use ledger_mutation::{Mutation, active};
 
 use self::{
@@ -87,6 +88,10 @@ pub struct Delivered<'a> {
 /// The samples of a message that passed.
 #[derive(Debug, PartialEq, Eq)]
 pub struct Passed {
+    /// The id of its transaction.
+    pub transaction: Hash,
+    /// Its signer.
+    pub creator: Arc<Identity>,
     /// To be published in this order.
     pub samples: Vec<Sample>,
     /// How many of them asked for more speed than the grant allows, and ask for less now.
@@ -333,9 +338,9 @@ impl Gate {
         }
         if is_command {
             let until = now.steady.saturating_add(lease_us);
-            self.driver = Some(Driver::new(creator, call.epoch, (now.steady, until)));
+            self.driver = Some(Driver::new(Arc::clone(&creator), call.epoch, (now.steady, until)));
         }
-        Ok(Passed { samples, clamped })
+        Ok(Passed { transaction: transaction.id(), creator, samples, clamped })
     }
 
     /// Keeps the samples of a publisher to the limits of its grant, if it has one: also where it publishes without naming it. Answers
@@ -388,7 +393,7 @@ impl Gate {
         Some(self.driver.as_ref()?.sent.saturating_add(timeout))
     }
 
-    /// The robot is being stopped because its driver is silent. The next command moves it again.
+    /// The robot rests, or is being stopped because its driver is silent. The next command moves it again.
     pub fn paused(&mut self) {
         self.driver = None;
     }

@@ -76,6 +76,11 @@ impl Guard {
         Some(reason)
     }
 
+    /// The last command is done: nobody moves the robot until the next one.
+    pub fn rested(&mut self) {
+        self.gate.paused();
+    }
+
     /// The robot is being stopped for a reason of the driver's: nothing from before this moment passes any more.
     pub fn stopped(&mut self, now: Now) {
         self.gate.stopped(now);

@@ -5,7 +5,7 @@ mod tests;
 
 use std::{fmt, path::Path, sync::Arc, time::Duration};
 
-use futures::{Stream, StreamExt};
+use futures::{Stream, StreamExt, future::OptionFuture};
 use ledger_api::{Client, Context, home, read_checkpoint};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
@@ -16,6 +16,7 @@ use crate::{
     count::{RouteSummary, line},
     domain::{Domain, ROS_DOMAIN_ID},
     gateway::Gateway,
+    grants::Grants,
     keeper::{Keeper, Kept, is_to_come},
     reach::Reach,
     renewal::keep_renewed,
@@ -44,6 +45,7 @@ pub struct Bridge {
     keeper: Arc<Keeper>,
     roster: Arc<Roster>,
     routes: Vec<Kept>,
+    grants: Option<JoinHandle<()>>,
     reporter: JoinHandle<()>,
     stop_reporter: watch::Sender<bool>,
     ending: watch::Sender<bool>,
@@ -140,10 +142,14 @@ impl Bridge {
         if let Some(refused) = all_refused(roster.slots().iter().map(|slot| slot.waits())) {
             return Err(refused);
         }
-        let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, Arc::clone(&roster));
         let (stop_reporter, told) = watch::channel(false);
+        let grants = config.grant_services.then(|| {
+            let (gateway, local, roster) = (Arc::clone(&gateway), local.clone(), Arc::clone(&roster));
+            tokio::spawn(Grants { gateway, local, roster, network: context.network }.run(told.clone()))
+        });
+        let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, Arc::clone(&roster));
         let reporter = tokio::spawn(reporter.run(told));
-        Ok(Self { config, domain: domain.id, keeper, roster, routes, reporter, stop_reporter, ending, ended })
+        Ok(Self { config, domain: domain.id, keeper, roster, routes, grants, reporter, stop_reporter, ending, ended })
     }
 
     /// Takes over the routes of another configuration: those that are gone end, new ones start, and all others go on
@@ -208,6 +214,9 @@ impl Bridge {
         }
         for kept in self.routes {
             kept.end().await;
+        }
+        if let Some(Err(error)) = OptionFuture::from(self.grants).await {
+            tracing::error!(%error, "the services for grants ended too early");
         }
         if let Err(error) = self.reporter.await {
             tracing::error!(%error, "the reports of the bridge ended too early");

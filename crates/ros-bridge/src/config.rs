@@ -9,18 +9,21 @@
 //! node_name = "ledgerd_bridge" # as `ros2 node list` shows it
 //! shared_memory = true         # iceoryx2 for local processes, beside DDS
 //! checkpoint = "fleet.checkpoint" # where to begin to follow who governs; by default at the genesis
+//! grant_services = false       # /<robot>/acquire, release and stop as services of the local graph
 //! diagnostics = true           # the state of every route on /diagnostics, once a second
 //! report_s = 60                # between two lines with counters, while something is refused
 //!
 //! [[route]]
 //! service = "Turtlebot4/cmd_vel"
-//! direction = "to_ledger"      # "from_ledger" on the robot's side
+//! direction = "to_ledger"      # "from_ledger" on the robot's side; for services "service_server" and "service_client"
 //! topic = "/cmd_vel"           # by default the service's topic
 //! type = "geometry_msgs/msg/Twist"
 //! qos = { reliability = "reliable", durability = "volatile", depth = 100 }
 //! sample_bytes_max = 1048576
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
 //! max_rate_hz = 20             # to_ledger: at most so many a second, the newest; alone, without batch_max
+//! reply_timeout_ms = 10000     # service_server: a call without a reply is forgotten after so long
+//! server_timeout_ms = 10000    # service_client: the robot's server is waited for so long
 //! max_age_ms = 1000            # from_ledger: may only shorten the service's own limit
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
@@ -74,6 +77,8 @@ pub struct Config {
     pub shared_memory: bool,
     /// The file of a checkpoint, from which it follows who governs the network; none = from the genesis.
     pub checkpoint: Option<PathBuf>,
+    /// Whether a robot's grant can be had from the local graph.
+    pub grant_services: bool,
     /// Whether `/diagnostics` shows the state of every route.
     pub diagnostics: bool,
     /// Time between two lines with counters, while something is refused.
@@ -181,6 +186,7 @@ impl Config {
         section.text("node_name", "a ROS 2 node name", &mut self.node_name, |name| Some(name.to_owned()));
         section.boolean("shared_memory", &mut self.shared_memory);
         section.boolean("diagnostics", &mut self.diagnostics);
+        section.boolean("grant_services", &mut self.grant_services);
         section.text("checkpoint", "the file of a checkpoint", &mut self.checkpoint, |path| {
             Some(Some(directory.join(path)))
         });
@@ -208,6 +214,7 @@ impl Default for Config {
             reach: reach::Settings::default(),
             node_name: "ledgerd_bridge".to_owned(),
             shared_memory: true,
+            grant_services: false,
             diagnostics: true,
             checkpoint: None,
             report_every: Duration::from_secs(REPORT_S_DEFAULT),
@@ -268,7 +275,7 @@ pub(crate) fn circle(service: &str, topic: &str, mut routes: [(usize, &Kind); 2]
 
 fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     const SERVICE: &str = "ROBOT/TOPIC in full, e.g. \"Turtlebot4/cmd_vel\"";
-    const TYPE: &str = "a ROS 2 message type, e.g. \"geometry_msgs/msg/Twist\"";
+    const TYPE: &str = "a ROS 2 type, e.g. \"geometry_msgs/msg/Twist\"";
     let (mut service, mut kind, mut topic, mut message) = (None, None, None, None);
     section.required("service", SERVICE);
     section.text("service", SERVICE, &mut service, |text| {
@@ -285,6 +292,13 @@ fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     let mut sample_bytes_max = Limits::default().sample_bytes_max as u64;
     section.integer("sample_bytes_max", 64..=SAMPLE_BYTES_MAX as u64, &mut sample_bytes_max);
     let sample_bytes_max = usize::try_from(sample_bytes_max).unwrap_or(SAMPLE_BYTES_MAX);
+    if let (Some(kind), Some(message)) = (kind, &message)
+        && let (Kind { name, carries, .. }, found) = (kind, TypeName::interface(message))
+        && found != *carries
+    {
+        let wanted = format!("a type of the form PACKAGE/{}/NAME for {name:?}", carries.name());
+        section.conflict(["direction", "type"], format!("{name:?} and {:?}", message.to_string()), wanted);
+    }
     let plan = kind.map(|kind: &Kind| (kind.read)(section, sample_bytes_max));
     if kind.is_none() {
         KINDS.iter().for_each(|kind| section.ignore(kind.keys));
@@ -437,6 +451,19 @@ mod tests {
             faults[0].to_string().contains("batch_max") && faults[0].to_string().contains("max_rate_hz"),
             "{faults:?}"
         );
+    }
+
+    #[test]
+    fn a_kind_of_route_carries_types_of_its_own_kind() {
+        let light = ROUTE.replace("geometry_msgs/msg/Twist", "std_srvs/srv/SetBool");
+        for (route, direction) in [(ROUTE, "to_ledger"), (&light, "service_server"), (&light, "service_client")] {
+            assert!(parse(&format!("{route}direction = '{direction}'")).is_ok(), "{direction}");
+        }
+        for (route, direction) in [(&*light, "to_ledger"), (&light, "from_ledger"), (ROUTE, "service_server")] {
+            let faults = parse(&format!("{route}direction = '{direction}'")).unwrap_err();
+            assert_eq!(faults.len(), 1, "{faults:?}");
+            assert!(faults[0].to_string().contains("direction does not fit"), "{}", faults[0]);
+        }
     }
 
     #[test]

@@ -26,6 +26,7 @@
 //! Creating a participant takes tens of milliseconds and two threads; reading and writing never
 //! block. Everything here must be called inside a tokio runtime.
 
+mod calls;
 mod encoding;
 mod graph;
 mod intake;
@@ -41,6 +42,7 @@ use rustdds::{DomainParticipant, DomainParticipantBuilder, GUID, QosPolicies, RT
 
 use self::graph::Graph;
 pub use self::{
+    calls::{Caller, Client, Exchange, Number, Reply, Request, Server},
     matched::{Matched, Matching},
     neighbours::{Change, Neighbour, Role},
     reader::Reader,

@@ -28,6 +28,9 @@ pub enum Error {
     /// A reader on the graph does not keep up; the sample was not written. Try the next one.
     #[error("{0}")]
     Slow(Explained),
+    /// Nobody serves what is called. Start the server, or wait for it.
+    #[error("{0}")]
+    Unserved(Explained),
     /// The DDS side refused or broke. Often a port or interface of this machine.
     #[error("{0}")]
     Dds(Explained),
@@ -49,7 +52,7 @@ impl Error {
             Self::Name(_) | Self::Type(_) => Code::BadName,
             Self::Setting(_) => Code::BadConfiguration,
             Self::Sample(_) => Code::BadArgument,
-            Self::Slow(_) | Self::Dds(_) | Self::Shm(_) => Code::MiddlewareFailed,
+            Self::Slow(_) | Self::Unserved(_) | Self::Dds(_) | Self::Shm(_) => Code::MiddlewareFailed,
         }
     }
 }
@@ -62,6 +65,7 @@ impl From<Error> for Rejection {
         | Error::Setting(explained)
         | Error::Sample(explained)
         | Error::Slow(explained)
+        | Error::Unserved(explained)
         | Error::Dds(explained)
         | Error::Shm(explained)) = error;
         let Explained { what, found, wanted, hint } = explained;

@@ -264,12 +264,19 @@ impl Gateway for Fake {
         .boxed()
     }
 
-    fn set(&self, args: Vec<Bytes>) -> Verdict {
+    fn set(&self, args: Vec<Bytes>) -> (Option<Hash>, Verdict) {
+        let id = Hash::of(&args.iter().map(|arg| &arg[..]).collect::<Vec<_>>());
         self.sets.send_modify(|sets| sets.push(args));
-        match self.fate.lock().unwrap().clone() {
+        let verdict = match self.fate.lock().unwrap().clone() {
             Fate::Committed => std::future::ready(Ok(())).boxed(),
             Fate::Refused(code) => std::future::ready(Err(Rejection::new(code, "no"))).boxed(),
             Fate::Lost => std::future::pending().boxed(),
-        }
+        };
+        (Some(id), verdict)
+    }
+
+    fn invoke(&self, function: &str, _args: Vec<Bytes>) -> BoxFuture<'static, Result<Bytes, Rejection>> {
+        let refused = Rejection::new(Code::UnknownFunction, format!("no {function} in tests"));
+        std::future::ready(Err(refused)).boxed()
     }
 }

@@ -15,6 +15,11 @@ impl Fit {
         Self(Library::builtin().message(&message.to_string()).ok())
     }
 
+    /// Every sample fits.
+    pub(crate) fn none() -> Self {
+        Self(None)
+    }
+
     /// Checks lengths only: what the numbers mean is for the robot.
     ///
     /// # Errors

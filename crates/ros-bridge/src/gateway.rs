@@ -10,6 +10,7 @@ use futures::{
 };
 use ledger_api::{Answer, Call, Certified, Client, Subscription, v1::Delivery};
 use ledger_gate::{ABAC, gate::COMMAND_TTL};
+use ledger_hash::Hash;
 use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::de::DeserializeOwned;
@@ -50,8 +51,12 @@ pub(crate) trait Gateway: Send + Sync + 'static {
     /// Events from a height on; resumes by itself.
     fn subscribe(&self, wanted: Subscription) -> Deliveries;
 
-    /// Signs and submits `abac set` at once, in the order of the calls; the verdict need not be awaited.
-    fn set(&self, args: Vec<Bytes>) -> Verdict;
+    /// Signs and submits `abac set` at once, in the order of the calls; the verdict need not be awaited. The id is that of
+    /// the transaction, if it could be signed.
+    fn set(&self, args: Vec<Bytes>) -> (Option<Hash>, Verdict);
+
+    /// Calls a function of `abac` in a transaction, and answers with its response.
+    fn invoke(&self, function: &str, args: Vec<Bytes>) -> BoxFuture<'static, Result<Bytes, Rejection>>;
 }
 
 impl Gateway for Client {
@@ -103,12 +108,20 @@ impl Gateway for Client {
         .boxed()
     }
 
-    fn set(&self, args: Vec<Bytes>) -> Verdict {
+    fn set(&self, args: Vec<Bytes>) -> (Option<Hash>, Verdict) {
         let call = Call { chaincode: ABAC.to_owned(), function: "set".to_owned(), args, ttl: COMMAND_TTL };
         match self.prepare(call) {
-            Ok(transaction) => self.submit_nowait(&transaction).map(|verdict| verdict.map(drop)).boxed(),
-            Err(refused) => std::future::ready(Err(refused)).boxed(),
+            Ok(transaction) => {
+                let verdict = self.submit_nowait(&transaction).map(|verdict| verdict.map(drop)).boxed();
+                (Some(transaction.id()), verdict)
+            }
+            Err(refused) => (None, std::future::ready(Err(refused)).boxed()),
         }
+    }
+
+    fn invoke(&self, function: &str, args: Vec<Bytes>) -> BoxFuture<'static, Result<Bytes, Rejection>> {
+        let (client, function) = (self.clone(), function.to_owned());
+        async move { Ok(Self::invoke(&client, ABAC, &function, args).await?.response) }.boxed()
     }
 }
 

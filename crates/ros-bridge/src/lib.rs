@@ -13,6 +13,7 @@
 //! | `bridge` | [`run`], [`Bridge`]: a running bridge and its summary |
 //! | [`config`] | what it is told to do |
 //! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
+//! | `grants` | a robot's grant from ROS: `/<robot>/acquire`, `release`, `stop` |
 //! | `gateway`, `service` | what is asked of the ledger, and what it answers |
 //! | `standing` | asks how a robot stands |
 //! | `count`, `report` | what a route has done; what the bridge says about itself |
@@ -54,6 +55,7 @@ pub mod error;
 mod fake;
 mod fit;
 mod gateway;
+mod grants;
 mod keeper;
 pub mod mark;
 pub mod names;

@@ -6,8 +6,6 @@
 
 use std::fmt;
 
-use ros2_client::MessageTypeName;
-
 use crate::error::{Error, Explained, Result};
 
 /// Longest topic name in bytes: DDS allows 255, ROS 2 keeps 8 of them for its prefixes.
@@ -37,11 +35,33 @@ const WELL_KNOWN: [&str; 14] = [
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TopicName(String);
 
-/// The name of a ROS 2 message type such as `geometry_msgs/msg/Twist`.
+/// The name of a ROS 2 type: of a message such as `geometry_msgs/msg/Twist`, or of a service.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TypeName {
     package: String,
+    interface: Interface,
     name: String,
+}
+
+/// The way in which nodes use a type.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum Interface {
+    /// They publish messages and subscribe to them.
+    Message,
+    /// One calls, another replies.
+    Service,
+}
+
+impl Interface {
+    const ALL: [Self; 2] = [Self::Message, Self::Service];
+
+    /// The part of a type's name that says it.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Message => "msg",
+            Self::Service => "srv",
+        }
+    }
 }
 
 impl TopicName {
@@ -60,6 +80,11 @@ impl TopicName {
         }
     }
 
+    /// The name itself, or the nearest one that ROS 2 allows.
+    pub(crate) fn near(text: &str) -> Option<Self> {
+        if topic_fault(text).is_none() { Some(Self(text.to_owned())) } else { repaired_topic(text).map(Self) }
+    }
+
     /// The name as ROS 2 writes it, `/cmd_vel`.
     pub fn as_str(&self) -> &str {
         &self.0
@@ -72,10 +97,12 @@ impl TopicName {
 }
 
 impl TypeName {
-    /// Checks the name of a message type by the rules of ROS 2.
+    /// Checks the name of a type by the rules of ROS 2.
     pub fn parse(text: &str) -> Result<Self> {
         match split_type(text) {
-            Ok((package, name)) => Ok(Self { package: package.to_owned(), name: name.to_owned() }),
+            Ok((package, interface, name)) => {
+                Ok(Self { package: package.to_owned(), interface, name: name.to_owned() })
+            }
             Err(fault) => {
                 let hint = repaired_type(text).map_or(String::new(), |name| format!("{name:?}"));
                 let what = format!("message type is not valid: {fault}");
@@ -87,7 +114,17 @@ impl TypeName {
 
     /// The name of the DDS type, `geometry_msgs::msg::dds_::Twist_`.
     pub fn dds(&self) -> String {
-        MessageTypeName::new(&self.package, &self.name).dds_msg_type()
+        format!("{}::{}::dds_::{}_", self.package, self.interface.name(), self.name)
+    }
+
+    /// The way in which nodes use it.
+    pub fn interface(&self) -> Interface {
+        self.interface
+    }
+
+    /// The type of a part of a service, such as `_Request`.
+    pub(crate) fn part(&self, suffix: &str) -> Self {
+        Self { name: format!("{}{suffix}", self.name), ..self.clone() }
     }
 }
 
@@ -99,7 +136,7 @@ impl fmt::Display for TopicName {
 
 impl fmt::Display for TypeName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}/msg/{}", self.package, self.name)
+        write!(f, "{}/{}/{}", self.package, self.interface.name(), self.name)
     }
 }
 
@@ -148,17 +185,17 @@ fn repaired_topic(text: &str) -> Option<String> {
     topic_fault(&name).is_none().then_some(name)
 }
 
-/// Package and name of a message type, or what is wrong with it.
-fn split_type(text: &str) -> std::result::Result<(&str, &str), String> {
+/// The parts of the name of a type, or what is wrong with it.
+fn split_type(text: &str) -> std::result::Result<(&str, Interface, &str), String> {
     if text.len() > TYPE_NAME_BYTES_MAX {
         return Err(format!("it has {} bytes, at most {TYPE_NAME_BYTES_MAX} are allowed", text.len()));
     }
     let parts: Vec<&str> = text.split('/').collect();
-    let (package, name) = match parts.as_slice() {
-        [package, "msg", name] => (*package, *name),
-        [_, "srv" | "action", _] => return Err("it is a service or an action, not a message".to_owned()),
-        [_, middle, _] => return Err(format!("the middle part is {middle:?}, not \"msg\"")),
-        _ => return Err(format!("it has {} parts between slashes, not three", parts.len())),
+    let &[package, middle, name] = parts.as_slice() else {
+        return Err(format!("it has {} parts between slashes, not three", parts.len()));
+    };
+    let Some(interface) = Interface::ALL.into_iter().find(|interface| interface.name() == middle) else {
+        return Err(format!("the middle part is {middle:?}, not \"msg\" or \"srv\""));
     };
     let lower = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !package.starts_with(|c: char| c.is_ascii_lowercase()) || !package.chars().all(lower) {
@@ -168,7 +205,7 @@ fn split_type(text: &str) -> std::result::Result<(&str, &str), String> {
     if !name.starts_with(upper) || !name.chars().all(|c| c.is_ascii_alphanumeric()) {
         return Err(format!("{name:?} is no message name: letters and digits, the first a capital"));
     }
-    Ok((package, name))
+    Ok((package, interface, name))
 }
 
 /// The type name that was probably meant.
@@ -266,9 +303,16 @@ mod tests {
     }
 
     #[test]
-    fn services_and_nonsense_are_no_message_types() {
-        for bad in ["", "/", "a/b/c/d", "turtlesim/srv/Spawn", "geometry_msgs/msg/Tw ist", "\0"] {
+    fn nonsense_is_no_type() {
+        for bad in ["", "/", "a/b/c/d", "turtlesim/serv/Spawn", "geometry_msgs/msg/Tw ist", "\0"] {
             assert!(TypeName::parse(bad).is_err(), "for {bad:?}");
         }
+    }
+
+    #[test]
+    fn the_type_of_a_service_has_parts() {
+        let spawn = TypeName::parse("turtlesim/srv/Spawn").unwrap();
+        assert_eq!((spawn.interface(), spawn.to_string().as_str()), (Interface::Service, "turtlesim/srv/Spawn"));
+        assert_eq!(spawn.part("_Request").dds(), "turtlesim::srv::dds_::Spawn_Request_");
     }
 }

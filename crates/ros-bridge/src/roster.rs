@@ -15,8 +15,9 @@ use tokio::sync::watch;
 use crate::{
     config::{RouteConfig, circle},
     count::{Counters, RouteSummary, line},
+    dds::Exchange,
     mark::Mark,
-    names::TopicName,
+    names::{Interface, TopicName},
     shm::Peers,
 };
 
@@ -59,6 +60,11 @@ impl Slot {
         Self { number, route, mark, counters, state: Mutex::new(State::Waits(None)) }
     }
 
+    /// The robot of its service.
+    pub(crate) fn robot(&self) -> &str {
+        self.route.service.split_once('/').map_or(&self.route.service, |(robot, _)| robot)
+    }
+
     /// The open route.
     pub(crate) fn open(&self) -> Option<Arc<Watched>> {
         match &*self.lock() {
@@ -86,6 +92,22 @@ impl Slot {
 }
 
 impl Watched {
+    /// The DDS topic on which others meet this route: that of the requests if it carries calls.
+    pub(crate) fn dds_topic(&self) -> String {
+        match self.route.message.interface() {
+            Interface::Service => Exchange::new(&self.topic, &self.route.message).requests(),
+            Interface::Message => self.topic.dds(),
+        }
+    }
+
+    /// The DDS type there.
+    pub(crate) fn dds_type(&self) -> String {
+        match self.route.message.interface() {
+            Interface::Service => Exchange::new(&self.topic, &self.route.message).request_type().dds(),
+            Interface::Message => self.route.message.dds(),
+        }
+    }
+
     /// Says what the route carries.
     pub(crate) fn tell(&self) {
         let Self { number, route, topic, .. } = self;
@@ -132,6 +154,30 @@ impl Roster {
         self.slots.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    /// The robots to which something is taken.
+    pub(crate) fn robots(&self) -> BTreeSet<String> {
+        self.slots().iter().filter(|slot| slot.route.kind.takes_in()).map(|slot| slot.robot().to_owned()).collect()
+    }
+
+    /// The services of a robot to which something is taken, and that ask for a grant, in order.
+    pub(crate) fn held_services(&self, robot: &str) -> Vec<String> {
+        let (is_own, needs_grant) = (self.taken(robot), |slot: &Slot| slot.counters.lock().live.needs_grant);
+        let services: BTreeSet<String> =
+            is_own.iter().filter(|slot| needs_grant(slot)).map(|slot| slot.route.service.clone()).collect();
+        services.into_iter().collect()
+    }
+
+    /// Those of them that the bridge's identity holds now.
+    pub(crate) fn held_now(&self, robot: &str) -> BTreeSet<String> {
+        let held = |slot: &Slot| slot.counters.lock().live.held;
+        self.taken(robot).iter().filter(|slot| held(slot)).map(|slot| slot.route.service.clone()).collect()
+    }
+
+    /// The routes that take something to a robot.
+    fn taken(&self, robot: &str) -> Vec<Arc<Slot>> {
+        self.slots().into_iter().filter(|slot| slot.route.kind.takes_in() && slot.robot() == robot).collect()
+    }
+
     /// The open routes.
     pub(crate) fn open(&self) -> impl Iterator<Item = Arc<Watched>> {
         self.slots().into_iter().filter_map(|slot| slot.open())
@@ -155,7 +201,7 @@ impl Roster {
     }
 
     fn changed(&self) {
-        self.topics.send_replace(self.open().map(|watched| watched.topic.dds()).collect());
+        self.topics.send_replace(self.open().map(|watched| watched.dds_topic()).collect());
     }
 
     /// Refuses a route on this topic if, with an open one, each message would go round.

@@ -1,12 +1,15 @@
 //! Routes: one topic of one service. Each is a task of its own; its decisions are in parts without IO. The kinds are
 //! one table, [`kind::KINDS`], and each kind is a file.
 
+mod calls;
 mod from_ledger;
 mod holder;
 pub(crate) mod kind;
 mod latched;
 pub(crate) mod local;
 mod points;
+mod service_client;
+mod service_server;
 mod side_door;
 pub(crate) mod silence;
 mod stopping;

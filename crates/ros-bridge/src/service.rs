@@ -1,6 +1,6 @@
 //! The ledger's answers as the bridge reads them, and what a route makes of its service.
 
-use ledger_contract::ServiceState;
+use ledger_contract::{ServiceState, is_called};
 use ledger_gate::{ABAC, sample::Sample, service::Service};
 use ledger_rejection::{Code, Rejection};
 use serde::Deserialize;
@@ -43,7 +43,7 @@ pub(crate) fn topic_for(service: &Service, route: &RouteConfig) -> Result<TopicN
     }
 }
 
-/// The message that stops the robot: of the route, else the owner's, else the type's. None for feeds.
+/// The message that stops the robot: of the route, else the owner's, else the type's. None for feeds, and for calls.
 ///
 /// # Errors
 /// [`Code::BadArgument`] if the owner's is no sample.
@@ -52,7 +52,7 @@ pub(crate) fn stop_for(
     route: &RouteConfig,
     own: Option<&Sample>,
 ) -> Result<Option<Sample>, Rejection> {
-    if !service.is_command() {
+    if !service.is_command() || is_called(&service.type_name) {
         return Ok(None);
     }
     if let Some(stop) = own {

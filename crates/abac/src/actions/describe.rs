@@ -7,7 +7,7 @@ use crate::records::service::Service;
 use crate::records::{sharing, store};
 use crate::rules::{self, terms};
 use ledger::Context;
-use ledger_contract::{Capabilities, Mode, RobotSpec, ServiceSpec, Sharing};
+use ledger_contract::{Capabilities, Mode, RobotSpec, ServiceSpec, Sharing, is_called};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
@@ -74,7 +74,7 @@ pub(crate) fn describe(
 /// Checks everything that an owner describes and fills in the defaults.
 pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceSpec) -> Result<Service, Rejection> {
     check_topic(&spec.topic)?;
-    check_type(&spec.type_name)?;
+    check_type(ctx, &spec.type_name)?;
     let topic = &spec.topic;
     let within = |field: &str, value: u64, min: u64, max: u64| {
         if (min..=max).contains(&value) {
@@ -213,10 +213,14 @@ fn check_topic(topic: &str) -> Result<(), Rejection> {
         .wanted("a leading slash and names of letters, digits and \"_\" between slashes, e.g. /cmd_vel"))
 }
 
-fn check_type(type_name: &str) -> Result<(), Rejection> {
+/// Types of messages; since rules 3 also those of calls.
+fn check_type(ctx: &Context<'_>, type_name: &str) -> Result<(), Rejection> {
     let parts: Vec<&str> = type_name.split('/').collect();
     if type_name.len() <= TOPIC_BYTES_MAX
-        && matches!(parts.as_slice(), [package, "msg", name] if is_ros_name(package) && is_ros_name(name))
+        && let [package, kind, name] = parts.as_slice()
+        && (*kind == "msg" || is_called(type_name) && sharing::known(ctx))
+        && is_ros_name(package)
+        && is_ros_name(name)
     {
         return Ok(());
     }

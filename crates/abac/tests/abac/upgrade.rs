@@ -113,3 +113,16 @@ fn policies_that_rules_3_would_refuse_deny_until_their_owner_puts_smaller_ones_a
     let spot: Grant = fleet.get(&farhad(), "acquire", &[SPOT]);
     fleet.set(&farhad(), SPOT, spot.epoch, 1, 1).unwrap();
 }
+
+#[test]
+fn types_of_ros_2_services_are_registered_since_rules_3() {
+    let lamp = robot("Lamp", "exclusive").replace("geometry_msgs/msg/Twist", "std_srvs/srv/SetBool");
+    let (mut fleet, _) = before();
+    fleet.refused(&owner(), Code::BadName, "setup", &[&lamp]);
+    fleet.rules = rules(3);
+    fleet.ok(&owner(), "setup", &[&lamp]);
+    for bad in ["std_srvs/srv/", "std_srvs/service/SetBool", "std_srvs/srv/Set Bool", "srv/SetBool"] {
+        let bad = robot("Lamp2", "exclusive").replace("geometry_msgs/msg/Twist", bad);
+        fleet.refused(&owner(), Code::BadName, "setup", &[&bad]);
+    }
+}

@@ -35,7 +35,10 @@ Example:
   ledgerctl robot add Turtlebot4 --attr-required Turtlebot4 --service /cmd_vel=geometry_msgs/msg/Twist,mode=exclusive
   ledgerctl robot add OptiTrack --attr-required OptiTrack --service /pose=geometry_msgs/msg/PoseStamped,direction=feed
   ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1
-  ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue")]
+  ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue
+  ledgerctl robot add Arm --attr-required Arm --service /home=std_srvs/srv/Trigger
+
+The last one is a ROS 2 service: users call it, and the robot replies on /home/_reply, which is registered with it.")]
 pub(crate) struct Add {
     /// Name of the robot
     name: String,
@@ -122,9 +125,22 @@ impl Add {
             name: self.name,
             attribute_required: self.attr_required,
             trusted: (!self.trusted.is_empty()).then_some(self.trusted),
-            services: self.services,
+            services: with_replies(self.services),
         }
     }
+}
+
+/// The services, each that users call with the one for its replies, unless that is given.
+fn with_replies(given: Vec<ServiceSpec>) -> Vec<ServiceSpec> {
+    let topics: Vec<String> = given.iter().map(|service| service.topic.clone()).collect();
+    let replies = |service: &ServiceSpec| service.for_replies().filter(|replies| !topics.contains(&replies.topic));
+    given
+        .into_iter()
+        .flat_map(|service| {
+            let replies = replies(&service);
+            std::iter::once(service).chain(replies)
+        })
+        .collect()
 }
 
 /// Robots, and the moment by which their leases are told.
@@ -220,6 +236,22 @@ mod tests {
         let mut out = Vec::new();
         facts.text(&mut out).unwrap();
         String::from_utf8(out).unwrap()
+    }
+
+    #[test]
+    fn a_service_of_ros_2_comes_with_one_for_its_replies() {
+        let topics = |given: &[&str]| {
+            let given = given.iter().map(|text| service::parse(text).unwrap()).collect();
+            let services = with_replies(given).into_iter();
+            services.map(|service| (service.topic, service.direction, service.max_age_ms)).collect::<Vec<_>>()
+        };
+        let light = || ("/light".to_owned(), Direction::Command, Some(500));
+        let replies = |age| ("/light/_reply".to_owned(), Direction::Feed, age);
+        let given = "/light=std_srvs/srv/SetBool,mode=exclusive,max-age=500ms";
+        assert_eq!(topics(&[given]), [light(), replies(Some(500))]);
+        let own = "/light/_reply=std_srvs/srv/SetBool,direction=feed";
+        assert_eq!(topics(&[given, own]), [light(), replies(None)], "as the owner wants them");
+        assert_eq!(topics(&["/cmd_vel=geometry_msgs/msg/Twist"]).len(), 1);
     }
 
     #[test]

@@ -97,7 +97,7 @@ impl Participant {
     }
 
     /// The subscribers of others, now.
-    fn subscribers(&self) -> impl Iterator<Item = Neighbour> {
+    pub(super) fn subscribers(&self) -> impl Iterator<Item = Neighbour> {
         let own = self.guid_prefix();
         let readers = self.dds.discovered_readers().into_iter().map(|reader| {
             let (guid, data) = (reader.reader_proxy.remote_reader_guid, reader.subscription_topic_data);

@@ -12,7 +12,7 @@ use tokio::task::AbortHandle;
 use crate::{
     dds::{Change, Neighbour, Role},
     mark::Mark,
-    names::{TopicName, quoted},
+    names::{Interface, TopicName, quoted},
     qos::{Qos, Reliability},
     queue::Limits,
     roster::{Roster, Watched},
@@ -71,7 +71,7 @@ impl Neighbourhood {
             }
         }
         let open: Vec<Arc<Watched>> = self.roster.open().collect();
-        for watched in open.iter().filter(|watched| watched.topic.dds() == neighbour.topic) {
+        for watched in open.iter().filter(|watched| watched.dds_topic() == neighbour.topic) {
             watched.counters.lock().live.beside = self.beside(watched);
             let line = meaning(watched, &neighbour, came);
             let line = if came { line.map(|line| self.second(watched, &neighbour, line)) } else { line };
@@ -110,7 +110,7 @@ impl Neighbourhood {
     /// The endpoints at the other end of a route.
     pub(super) fn surroundings(&self, watched: &Watched) -> Surroundings {
         let mut surroundings = Surroundings::default();
-        let (topic, wanted) = (watched.topic.dds(), watched.route.message.dds());
+        let (topic, wanted) = (watched.dds_topic(), watched.dds_type());
         for neighbour in self.known.values().filter(|neighbour| neighbour.topic == topic) {
             if neighbour.role == watched.route.kind.other_end {
                 surroundings.add(neighbour, &wanted, misfit(watched, neighbour), is_bridge(neighbour, watched.mark));
@@ -123,7 +123,7 @@ impl Neighbourhood {
 
     /// How many publish on the topic of a route that delivers commands there, other than bridges of the same service.
     fn beside(&self, watched: &Watched) -> usize {
-        let (topic, delivers) = (watched.topic.dds(), watched.is_command && !watched.route.kind.takes_in());
+        let (topic, delivers) = (watched.dds_topic(), watched.is_command && !watched.route.kind.takes_in());
         let others = self.known.values().filter(|neighbour| {
             neighbour.topic == topic && neighbour.role == Role::Publisher && neighbour.mark != Some(watched.mark)
         });
@@ -132,14 +132,16 @@ impl Neighbourhood {
 
     /// A note becomes a warning where it is about a second publisher of commands: the bridge signs what both send.
     fn second(&self, watched: &Watched, neighbour: &Neighbour, line: Line) -> Line {
-        let (topic, wanted) = (watched.topic.dds(), watched.route.message.dds());
+        let (topic, wanted) = (watched.dds_topic(), watched.dds_type());
         let is_source = |other: &&Neighbour| {
             (other.topic == topic && other.type_name == wanted && other.role == Role::Publisher)
                 && !is_bridge(other, watched.mark)
         };
+        let carries_messages = watched.route.kind.carries == Interface::Message;
         let sources = self.known.values().filter(is_source).count();
         match line {
-            Line::Note(_) if watched.is_command && is_source(&neighbour) && sources > 1 => {
+            // Services have many callers.
+            Line::Note(_) if watched.is_command && carries_messages && is_source(&neighbour) && sources > 1 => {
                 let (topic, service) = (watched.topic.as_str(), &watched.route.service);
                 Line::Warning(format!(
                     "{sources} publishers on {topic} now: this bridge takes the commands of all of them to {service}"
@@ -160,7 +162,7 @@ impl Neighbourhood {
                 tracing::info!(service, topic, role, guid, reliability, "{text}");
             }
             Some(Line::Warning(text)) if self.warnings.may_tell(now) => {
-                let wanted = watched.route.message.dds();
+                let wanted = watched.dds_type();
                 tracing::warn!(service, topic, role, guid, found = %found, wanted, "{text}");
             }
             Some(_) | None => {}
@@ -171,12 +173,12 @@ impl Neighbourhood {
     fn listen(&mut self, neighbour: &Neighbour) {
         let Some(mark) = neighbour.mark.filter(|_| neighbour.role == Role::Publisher) else { return };
         let meant = |watched: &&Arc<Watched>| {
-            watched.route.kind.takes_in() && watched.mark == mark && watched.route.message.dds() == neighbour.type_name
+            watched.route.kind.takes_in() && watched.mark == mark && watched.dds_type() == neighbour.type_name
         };
         let open: Vec<Arc<Watched>> = self.roster.open().collect();
         let Some(watched) = open.iter().find(meant) else { return };
         self.local.delivered().begins(mark);
-        if watched.topic.dds() == neighbour.topic || self.listened.len() >= LISTENED_MAX {
+        if watched.dds_topic() == neighbour.topic || self.listened.len() >= LISTENED_MAX {
             return; // The route itself hears it.
         }
         let topic = neighbour.topic.strip_prefix("rt").and_then(|topic| TopicName::parse(topic).ok());
@@ -267,7 +269,7 @@ fn meaning(watched: &Watched, neighbour: &Neighbour, came: bool) -> Option<Line>
     if !came {
         return Some(Line::Note(format!("a {role} on {topic} has left")));
     }
-    Some(if neighbour.type_name != watched.route.message.dds() {
+    Some(if neighbour.type_name != watched.dds_type() {
         Line::Warning(format!("a {role} on {topic} has another type: nothing passes"))
     } else if neighbour.role == Role::Publisher && is_bridge(neighbour, watched.mark) {
         Line::Warning(format!(

@@ -8,6 +8,8 @@
 
 mod settings;
 
+pub(super) use self::settings::half;
+
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -31,6 +33,7 @@ use tokio::time::sleep_until;
 use self::settings::Settings;
 use super::{
     Clocks, Stop,
+    calls::TOO_MANY,
     holder::{self, Holder},
     kind::Kind,
     local::Outlet,
@@ -46,6 +49,7 @@ use crate::{
     dds::Role,
     error::Error,
     gateway::{Deliveries, Gateway},
+    names::Interface,
     service::{stop_for, topic_for},
     standing::{Answered, Asker},
 };
@@ -61,6 +65,7 @@ const RENEW_EVERY: Duration = Duration::from_secs(1);
 /// Commands on the robot's side, or a feed on the user's: through the gate to the local graph.
 pub(super) static KIND: Kind = Kind {
     name: "from_ledger",
+    carries: Interface::Message,
     right: "subscribe",
     other_end: Role::Subscriber,
     keys: &[
@@ -298,7 +303,7 @@ impl FromLedger {
 
     async fn carry_out(&mut self, act: Act) {
         match act {
-            Act::Publish(passed) => self.publish(&passed),
+            Act::Publish(passed) => self.publish(passed),
             Act::Stop(reason) => self.publish_stop(reason).await,
             Act::Refused { refused, height } => self.refuse(refused, height),
         }
@@ -371,21 +376,32 @@ impl FromLedger {
         }
     }
 
-    fn publish(&mut self, Passed { samples, clamped }: &Passed) {
+    fn publish(&mut self, passed: Passed) {
         if self.side_door.drops(&self.counters) {
             return;
         }
+        if let Some(calls) = self.outlet.calls() {
+            // It is done when it is handed over: nobody moves the robot by it.
+            self.guard.rested();
+            let mut counts = self.counters.lock();
+            counts.live.came = Some(Instant::now());
+            if calls.try_send(passed).is_err() {
+                count(&mut counts.summary.gate, TOO_MANY, 1);
+            }
+            return;
+        }
+        let Passed { samples, clamped, .. } = passed;
         self.stopping.driven();
         let mut counts = self.counters.lock();
         counts.live.came = Some(Instant::now());
-        counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(*clamped).unwrap_or(u64::MAX));
-        if *clamped > 0
+        counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(clamped).unwrap_or(u64::MAX));
+        if clamped > 0
             && let Some(not_logged) = self.clamps.worth("clamped", Instant::now())
         {
             let service = &self.route.service;
             tracing::warn!(service, not_logged, "the gate slowed a message down to the limit of its creator's grant");
         }
-        for sample in samples {
+        for sample in &samples {
             match self.outlet.write(sample) {
                 Ok(()) => {
                     counts.summary.published += 1;

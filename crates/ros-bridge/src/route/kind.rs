@@ -13,21 +13,34 @@ use ledger_settings::Section;
 use super::{
     Stop, from_ledger,
     local::Local,
+    service_client, service_server,
     silence::{Cause, Facts, Silence},
     to_ledger,
 };
 use crate::{
-    config::RouteConfig, count::Counters, dds::Role, gateway::Gateway, mark::Mark, names::TopicName, shm::Peers,
+    config::RouteConfig,
+    count::Counters,
+    dds::Role,
+    gateway::Gateway,
+    mark::Mark,
+    names::{Interface, TopicName},
+    shm::Peers,
     standing::Asker,
 };
 
 /// Every kind.
-pub(crate) static KINDS: [&Kind; 2] = [&to_ledger::KIND, &from_ledger::KIND];
+pub(crate) static KINDS: [&Kind; 4] =
+    [&to_ledger::KIND, &from_ledger::KIND, &service_server::KIND, &service_client::KIND];
+
+// The halves of a route of calls: one submits, and what passes the gate goes to the other.
+pub(super) use super::{from_ledger::half as gated, to_ledger::half as submitted};
 
 /// A kind of route.
 pub(crate) struct Kind {
     /// Its name in the configuration, in the log and in the summary.
     pub(crate) name: &'static str,
+    /// The types that it carries.
+    pub(crate) carries: Interface,
     /// The right on the service that the bridge's identity needs.
     pub(crate) right: &'static str,
     /// The endpoints of the local graph with which the route is connected.
@@ -124,6 +137,7 @@ mod tests {
             assert!(names.insert(kind.name), "{kind:?} twice");
             assert!(kind.keys.iter().all(|key| names.insert(key)), "{kind:?} shares a key");
         }
-        assert_eq!(Kind::names(), "\"to_ledger\" or \"from_ledger\"");
+        let names = r#""to_ledger" or "from_ledger" or "service_server" or "service_client""#;
+        assert_eq!(Kind::names(), names);
     }
 }

@@ -5,7 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use ledger_gate::sample::Sample;
+use ledger_gate::{gate::Passed, sample::Sample};
+use tokio::sync::mpsc;
 
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
@@ -14,7 +15,7 @@ use crate::{
     mark::Mark,
     names::{TopicName, TypeName},
     qos::Qos,
-    queue::{Incoming, Limits},
+    queue::{Incoming, Limits, Queue},
     reach::Reach,
     shm,
 };
@@ -52,6 +53,7 @@ impl Local {
         &self.delivered
     }
 
+    /// Where samples of a topic come in; with its publishers over DDS, and in shared memory.
     pub(crate) async fn inlet(
         &self,
         topic: &TopicName,
@@ -59,13 +61,14 @@ impl Local {
         qos: &Qos,
         limits: Limits,
         door: Arc<Door>,
-    ) -> Result<Inlet> {
+    ) -> Result<(Inlet, Matched, Option<shm::Peers>)> {
         let reader = self.participant.reader_behind(topic, message, qos, limits, Arc::clone(&door))?;
         let shm = match &self.shm {
             Some(node) => or_dds_only(topic.as_str(), node.subscriber_behind(topic, limits, door).await),
             None => None,
         };
-        Ok(Inlet { reader, shm })
+        let (matched, in_memory) = (reader.matched().clone(), shm.as_ref().map(shm::Subscriber::peers));
+        Ok((Inlet::Topic { reader: Box::new(reader), shm: shm.map(Box::new) }, matched, in_memory))
     }
 
     pub(crate) async fn outlet(&self, topic: &TopicName, message: &TypeName, qos: &Qos, mark: Mark) -> Result<Outlet> {
@@ -75,7 +78,13 @@ impl Local {
             Some(node) => or_dds_only(topic.as_str(), node.marked_publisher(topic, mark).await),
             None => None,
         };
-        Ok(Outlet { writer, shm, mark, delivered: Arc::clone(&self.delivered) })
+        let to = To::Topic { writer: Box::new(writer), shm: shm.map(Box::new) };
+        Ok(Outlet { to, mark, delivered: Arc::clone(&self.delivered) })
+    }
+
+    /// Where messages go to the other half of a route of calls, with those at its end of the graph.
+    pub(crate) fn outlet_for_calls(&self, calls: mpsc::Sender<Passed>, matched: Matched, mark: Mark) -> Outlet {
+        Outlet { to: To::Calls { calls, matched }, mark, delivered: Arc::clone(&self.delivered) }
     }
 }
 
@@ -87,80 +96,99 @@ fn or_dds_only<T>(topic: &str, opened: Result<T>) -> Option<T> {
     opened.inspect_err(warn).ok()
 }
 
-/// Where samples of a topic come in.
-pub(crate) struct Inlet {
-    reader: Reader,
-    shm: Option<shm::Subscriber>,
+/// Where samples come in.
+pub(crate) enum Inlet {
+    /// From a topic.
+    Topic { reader: Box<Reader>, shm: Option<Box<shm::Subscriber>> },
+    /// From the other half of a route of calls.
+    Calls(Arc<Queue>),
 }
 
 impl Inlet {
     /// The next sample; none when the middleware ended. Cancelling it loses nothing.
     pub(crate) async fn next(&mut self) -> Option<Incoming> {
-        match &mut self.shm {
-            None => self.reader.next().await,
-            Some(shm) => tokio::select! {
-                incoming = self.reader.next() => incoming,
+        match self {
+            Self::Topic { reader, shm: None } => reader.next().await,
+            Self::Topic { reader, shm: Some(shm) } => tokio::select! {
+                incoming = reader.next() => incoming,
                 incoming = shm.next() => incoming,
             },
+            Self::Calls(queue) => queue.next().await,
         }
     }
 
     /// The next sample if one waits.
     pub(crate) fn try_next(&mut self) -> Option<Incoming> {
-        self.reader.try_next().or_else(|| self.shm.as_mut()?.try_next())
-    }
-
-    /// The publishers of others.
-    pub(crate) fn matched(&self) -> &Matched {
-        self.reader.matched()
-    }
-
-    /// Publishers in shared memory.
-    pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
-        self.shm.as_ref().map(shm::Subscriber::peers)
+        match self {
+            Self::Topic { reader, shm } => reader.try_next().or_else(|| shm.as_mut()?.try_next()),
+            Self::Calls(queue) => queue.try_next(),
+        }
     }
 
     /// Samples lost here: replaced by newer ones, too large, or not readable.
     pub(crate) fn dropped(&self) -> u64 {
-        self.reader.dropped().saturating_add(self.shm.as_ref().map_or(0, shm::Subscriber::dropped))
+        match self {
+            Self::Topic { reader, shm } => reader.dropped().saturating_add(shm.as_ref().map_or(0, |shm| shm.dropped())),
+            Self::Calls(queue) => queue.dropped(),
+        }
     }
 }
 
-/// Where samples of a topic go out.
+/// Where samples go out.
 pub(crate) struct Outlet {
-    writer: Writer,
-    shm: Option<shm::Publisher>,
+    to: To,
     mark: Mark,
     delivered: Arc<Delivered>,
+}
+
+/// The ways out.
+enum To {
+    /// To a topic.
+    Topic { writer: Box<Writer>, shm: Option<Box<shm::Publisher>> },
+    /// To the other half of a route of calls.
+    Calls { calls: mpsc::Sender<Passed>, matched: Matched },
 }
 
 impl Outlet {
     /// Publishes a sample, to local processes first: that is quicker. An error concerns one of both only.
     pub(crate) fn write(&self, sample: &Sample) -> Result<()> {
+        let To::Topic { writer, shm } = &self.to else { return Ok(()) };
         self.note(sample);
-        let shm = self.shm.as_ref().map_or(Ok(0), |shm| shm.write(sample));
-        self.writer.write(sample)?;
+        let shm = shm.as_ref().map_or(Ok(0), |shm| shm.write(sample));
+        writer.write(sample)?;
         shm.map(drop)
+    }
+
+    /// The other half of a route of calls: it takes whole messages.
+    pub(crate) fn calls(&self) -> Option<&mpsc::Sender<Passed>> {
+        match &self.to {
+            To::Calls { calls, .. } => Some(calls),
+            To::Topic { .. } => None,
+        }
     }
 
     /// Publishes a stop message; insists while a slow reader keeps it from being written.
     pub(crate) async fn write_stop(&self, stop: &Sample) -> Result<()> {
+        let To::Topic { writer, shm } = &self.to else { return Ok(()) };
         self.note(stop);
-        if let Some(Err(error)) = self.shm.as_ref().map(|shm| shm.write(stop)) {
+        if let Some(Err(error)) = shm.as_ref().map(|shm| shm.write(stop)) {
             tracing::error!(%error, "the stop message did not reach shared memory");
         }
         for _ in 1..STOP_TRIES_MAX {
-            match self.writer.write(stop) {
-                Err(Error::Slow(_)) => self.writer.flush(STOP_TRY).await,
+            match writer.write(stop) {
+                Err(Error::Slow(_)) => writer.flush(STOP_TRY).await,
                 done => return done,
             };
         }
-        self.writer.write(stop)
+        writer.write(stop)
     }
 
     /// Subscribers in shared memory.
     pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
-        self.shm.as_ref().map(shm::Publisher::peers)
+        match &self.to {
+            To::Topic { shm, .. } => shm.as_ref().map(|shm| shm.peers()),
+            To::Calls { .. } => None,
+        }
     }
 
     /// Before it is written: an echo must not be quicker.
@@ -170,11 +198,17 @@ impl Outlet {
 
     /// The subscribers of others.
     pub(crate) fn matched(&self) -> &Matched {
-        self.writer.matched()
+        match &self.to {
+            To::Topic { writer, .. } => writer.matched(),
+            To::Calls { matched, .. } => matched,
+        }
     }
 
     /// Waits until reliable readers have everything; false after `at_most`.
     pub(crate) async fn flush(&self, at_most: Duration) -> bool {
-        self.writer.flush(at_most).await
+        match &self.to {
+            To::Topic { writer, .. } => writer.flush(at_most).await,
+            To::Calls { .. } => true,
+        }
     }
 }

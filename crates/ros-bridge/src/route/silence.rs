@@ -133,7 +133,7 @@ mod tests {
     #[test]
     fn each_state_of_a_route_has_its_reason() {
         let now = Instant::now();
-        let [up, down] = KINDS;
+        let [up, down, ..] = KINDS;
         let some = || Surroundings { usable: 1, ..Surroundings::default() };
         let none = Surroundings::default;
         let held = || Live { needs_grant: true, held: true, ..Live::default() };
@@ -159,7 +159,7 @@ mod tests {
     #[test]
     fn who_carries_messages_or_has_carried_some_and_has_none_now_is_not_silent() {
         let now = Instant::now();
-        let [up, down] = KINDS;
+        let [up, down, ..] = KINDS;
         let some = || Surroundings { usable: 1, ..Surroundings::default() };
         let passed = Live { passed: Some(now), refused: Some(("X", "why".to_owned(), now)), ..Live::default() };
         assert_eq!(name(up, Surroundings::default(), &passed, now), "");

@@ -4,6 +4,7 @@
 
 use std::time::{Duration, Instant};
 
+use ledger_contract::is_called;
 use ledger_gate::{sample::Sample, service::Service};
 use tokio::time::sleep_until;
 
@@ -38,7 +39,7 @@ pub(super) struct Stopping {
 
 impl Stopping {
     pub(super) fn new(message: Option<Sample>, service: &Service) -> Self {
-        if message.is_none() && service.is_command() {
+        if message.is_none() && service.is_command() && !is_called(&service.type_name) {
             let Service { service, type_name: message, .. } = service;
             tracing::warn!(service, message, "no stop message is known for this type: set stop_hex");
         }

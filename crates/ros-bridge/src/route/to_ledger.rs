@@ -20,11 +20,12 @@ use ledger_api::Subscription;
 use ledger_gate::ABAC;
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
-use tokio::time::sleep_until;
+use tokio::{sync::mpsc, time::sleep_until};
 
 use self::{pace::Pace, publishing::Publishing};
 use super::{
     Clocks, Stop,
+    calls::Told,
     kind::{Beside, Kind, Opened, Opening, Plan},
     local::Inlet,
     silence::{Cause, Facts, Silence, fault, pause},
@@ -37,7 +38,8 @@ use crate::{
     door::Door,
     fit::Fit,
     gateway::{Gateway, ask},
-    queue::Incoming,
+    names::Interface,
+    queue::{Incoming, Queue},
     service::{Authorization, Caller},
 };
 
@@ -57,6 +59,7 @@ const REFRESH_EVERY: Duration = Duration::from_millis(500);
 /// A user's commands, or a robot's feed.
 pub(super) static KIND: Kind = Kind {
     name: "to_ledger",
+    carries: Interface::Message,
     right: "publish",
     other_end: Role::Publisher,
     keys: &["batch_max", "max_rate_hz"],
@@ -101,14 +104,29 @@ impl Settings {
         let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = opening;
         let max_age = Duration::from_millis(service.max_age_ms);
         let door = Arc::new(Door::new(mark, &route.service, max_age, Arc::clone(local.delivered())));
-        let inlet = local.inlet(topic, &route.message, &route.qos, route.limits(), Arc::clone(&door)).await?;
-        let in_memory = inlet.in_memory();
-        counters.opened(inlet.matched(), Some(door));
+        let limits = route.limits();
+        let (inlet, matched, in_memory) =
+            local.inlet(topic, &route.message, &route.qos, limits, Arc::clone(&door)).await?;
+        counters.opened(&matched, Some(door));
         counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         let inlet = (inlet, Fit::of(&route.message));
         let opened = ToLedger::open(gateway, &route.service, inlet, self, counters).await?;
         Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }
+}
+
+/// Opens the half of a route of calls that goes to the ledger: each sample is a transaction of its own. `told` hears which one, by
+/// the sample's number.
+pub(super) async fn half(
+    gateway: Arc<dyn Gateway>,
+    service: &str,
+    calls: Arc<Queue>,
+    told: Option<mpsc::UnboundedSender<Told>>,
+    counters: Counters,
+) -> Result<impl FnOnce(Stop) -> BoxFuture<'static, ()> + use<>, Rejection> {
+    let settings = Settings { batch_max: 1, max_rate_hz: None };
+    let opened = ToLedger::open(gateway, service, (Inlet::Calls(calls), Fit::none()), &settings, counters).await?;
+    Ok(move |stop| ToLedger { told, ..opened }.run(stop).boxed())
 }
 
 /// The words for a cause of silence.
@@ -154,10 +172,14 @@ struct ToLedger {
     refreshed: Option<Instant>,
     /// Bytes without a verdict.
     under_way_bytes: usize,
+    /// The other half of a route of calls.
+    told: Option<mpsc::UnboundedSender<Told>>,
 }
 
 /// The outcome of samples that were submitted together.
 struct Outcome {
+    /// The number of the first one.
+    first: u64,
     /// When each was taken in.
     received: Vec<Instant>,
     bytes: usize,
@@ -194,6 +216,7 @@ impl ToLedger {
             no_news: Complaint::default(),
             refreshed: None,
             under_way_bytes: 0,
+            told: None,
         })
     }
 
@@ -285,6 +308,7 @@ impl ToLedger {
 
     /// Submits a sample, with those that wait behind it up to a batch.
     fn submit(&mut self, first: Incoming) -> BoxFuture<'static, Outcome> {
+        let number = first.sequence;
         let mut bytes = first.sample.wire().len();
         let mut samples = vec![first];
         while samples.len() < self.batch_max && bytes < BATCH_BYTES_MAX {
@@ -295,7 +319,10 @@ impl ToLedger {
             bytes = bytes.saturating_add(next.sample.wire().len());
             samples.push(next);
         }
-        let verdict = self.gateway.set(self.publishing.call(self.clocks.now().wall, &samples));
+        let (id, verdict) = self.gateway.set(self.publishing.call(self.clocks.now().wall, &samples));
+        if let Some(id) = id {
+            self.tell(Told::Submitted(number, id));
+        }
         let received: Vec<Instant> = samples.iter().map(|incoming| incoming.received).collect();
         let mut counts = self.counters.lock();
         counts.summary.samples_in += received.len() as u64;
@@ -309,7 +336,15 @@ impl ToLedger {
             tracing::warn!(service, replaced, "the ledger is slower than the topic; newer samples replace older ones");
         }
         self.under_way_bytes = self.under_way_bytes.saturating_add(bytes);
-        verdict.map(move |verdict| Outcome { received, bytes, verdict }).boxed()
+        verdict.map(move |verdict| Outcome { first: number, received, bytes, verdict }).boxed()
+    }
+
+    /// Tells the other half of a route of calls, if this is one.
+    fn tell(&self, news: Told) {
+        if let Some(told) = &self.told {
+            // An error means that the other half has ended, and this one will.
+            drop(told.send(news));
+        }
     }
 
     /// Can the sample be a message of the route's type? One that cannot is counted as refused here and never submitted.
@@ -330,8 +365,11 @@ impl ToLedger {
     }
 
     /// Counts an outcome. True if the own grant seems to be another than is known.
-    fn note(&mut self, Outcome { received, bytes, verdict }: Outcome) -> bool {
+    fn note(&mut self, Outcome { first, received, bytes, verdict }: Outcome) -> bool {
         self.under_way_bytes = self.under_way_bytes.saturating_sub(bytes);
+        if verdict.is_err() {
+            self.tell(Told::Refused(first));
+        }
         let mut counts = self.counters.lock();
         let now = Instant::now();
         let refused = match verdict {

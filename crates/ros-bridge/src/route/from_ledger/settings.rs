@@ -3,12 +3,19 @@
 use std::{sync::Arc, time::Duration};
 
 use futures::{FutureExt, future::BoxFuture};
-use ledger_gate::{gate::Settings as GateSettings, sample::Sample};
+use ledger_gate::{
+    gate::{Passed, Settings as GateSettings},
+    sample::Sample,
+    service::Service,
+};
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
+use tokio::sync::mpsc;
 
 use super::{
     super::{
+        Stop,
+        calls::REPLY_BYTES,
         holder::{self, Holder},
         kind::{Opened, Opening, Plan},
         points::Topics,
@@ -18,7 +25,9 @@ use super::{
     FromLedger,
 };
 use crate::{
-    config::{HEARTBEAT_MS, stop_sample},
+    config::{HEARTBEAT_MS, RouteConfig, stop_sample},
+    count::Counters,
+    dds::Matched,
     names::TopicName,
 };
 
@@ -64,6 +73,43 @@ impl Plan for Settings {
     fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
         self.join(opening).boxed()
     }
+}
+
+/// Opens the half of a route of calls that comes from the ledger: what passes the gate goes to `calls`. `matched` are those at its
+/// end of the graph.
+pub(in crate::route) async fn half(
+    opening: &Opening<'_>,
+    service: Service,
+    (calls, matched): (mpsc::Sender<Passed>, Matched),
+    counters: Counters,
+) -> Result<impl FnOnce(Stop) -> BoxFuture<'static, ()> + use<>, Rejection> {
+    let Opening { route, gateway, context, local, mark, asker, .. } = opening;
+    let settings = Settings {
+        max_age: None,
+        stale_after: Duration::from_millis(STALE_MS_DEFAULT),
+        command_timeout: None,
+        side_door: Treatment::default(),
+        stop: None,
+        points: Topics::default(),
+        holder: None,
+    };
+    let gate = GateSettings {
+        network: context.network,
+        sample_bytes_max: route.sample_bytes_max.saturating_add(REPLY_BYTES),
+        max_age: settings.max_age,
+        stale_after: settings.stale_after,
+        command_timeout: None,
+    };
+    let route = RouteConfig { service: service.service.clone(), ..(*route).clone() };
+    let outlet = async {
+        let outlet = local.outlet_for_calls(calls, matched, *mark);
+        let points = settings.points.open(local, opening.topic, *mark).await?;
+        let holder = Holder::open(None, std::iter::empty(), local, *mark).await?;
+        Ok((outlet, (points, holder), counters))
+    };
+    let both = (Arc::clone(gateway), Arc::clone(asker));
+    let opened = FromLedger::open(both, (route, settings.clone()), gate, service, outlet).await?;
+    Ok(move |stop| opened.run(stop).boxed())
 }
 
 impl Settings {

@@ -1,0 +1,120 @@
+//! A client of a ROS 2 service.
+
+use bytes::Bytes;
+use ledger_hash::Hash;
+use rustdds::{GUID, SequenceNumber, rpc::SampleIdentity};
+
+use super::{
+    super::{Matched, Participant},
+    Exchange,
+    link::{Arrival, Ends, Link},
+    mapping::{Header, Mapping, named},
+};
+use crate::{
+    error::{Error, Explained, Result},
+    mark::Mark,
+};
+
+/// Calls a service; leaves the graph when dropped.
+pub struct Client {
+    link: Link,
+    exchange: Exchange,
+    mark: Mark,
+    /// The number of this client in front of messages.
+    own: u64,
+    /// The number of the last request that went out with one in front.
+    last: i64,
+}
+
+/// The number of a request of this client.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Number(Mapping, i64);
+
+/// A reply.
+#[derive(Debug, Clone)]
+pub struct Reply {
+    /// The request.
+    pub number: Number,
+    /// The message, little endian CDR without its encapsulation header.
+    pub message: Bytes,
+}
+
+impl Participant {
+    /// Becomes a client of a service. Bridges of the mark's network are not called.
+    pub fn client(&self, exchange: &Exchange, mark: Mark, bytes_max: usize) -> Result<Client> {
+        let reads = (exchange.replies(), exchange.reply_type());
+        let writes = (exchange.requests(), exchange.request_type());
+        let link = Link::open(self, Ends { reads, writes, key: "clientid" }, mark, bytes_max)?;
+        let [_, writer] = link.guids();
+        let own = Hash::of(&[&writer.to_bytes()]).0.first_chunk().copied().map_or(0, u64::from_le_bytes);
+        Ok(Client { link, exchange: exchange.clone(), mark, own, last: 0 })
+    }
+}
+
+impl Client {
+    /// Calls the server.
+    ///
+    /// # Errors
+    /// [`Error::Unserved`] if there is none, [`Error::Slow`], [`Error::Dds`].
+    pub fn call(&mut self, message: &[u8]) -> Result<Number> {
+        match self.server().ok_or_else(|| self.unserved())? {
+            Mapping::InFront => {
+                self.last = self.last.saturating_add(1);
+                let header = Header { client: self.own, number: self.last };
+                self.link.write(header.before(message), None)?;
+                Ok(Number(Mapping::InFront, self.last))
+            }
+            Mapping::Beside => {
+                let [reader, _] = self.link.guids();
+                let related = SampleIdentity { writer_guid: reader, sequence_number: SequenceNumber::UNKNOWN };
+                let sent = self.link.write(Bytes::copy_from_slice(message), Some(related))?;
+                Ok(Number(Mapping::Beside, sent.sequence_number.into()))
+            }
+        }
+    }
+
+    /// The next reply to a request of this client; none if DDS ended. Cancelling it loses nothing.
+    pub async fn next(&mut self) -> Option<Reply> {
+        loop {
+            let arrival = self.link.next().await?;
+            if let Some(reply) = self.reply(arrival) {
+                return Some(reply);
+            }
+        }
+    }
+
+    /// The servers of others, as far as their replies go.
+    pub fn matched(&self) -> &Matched {
+        self.link.matched()
+    }
+
+    /// The mapping of the server, if there is one.
+    fn server(&self) -> Option<Mapping> {
+        let (topic, of) = (self.exchange.requests(), self.exchange.request_type().dds());
+        let is_bridge = |mark: Option<Mark>| mark.is_some_and(|mark| mark.is_of_network_of(self.mark));
+        let mut found = self.link.participant().subscribers();
+        let found = found.find(|other| other.topic == topic && other.type_name == of && !is_bridge(other.mark))?;
+        Some(Mapping::of(found.guid))
+    }
+
+    fn unserved(&self) -> Error {
+        let what = format!("nobody serves {}", self.exchange);
+        Error::Unserved(Explained::new(what, "no server", "a node that serves it in this domain", "start the node"))
+    }
+
+    /// The reply in a message, if it is for this client.
+    fn reply(&self, Arrival { message, writer, related, .. }: Arrival) -> Option<Reply> {
+        match Mapping::of(writer.to_bytes()) {
+            Mapping::InFront => {
+                let (header, message) = Header::split(&message)?;
+                let number = Number(Mapping::InFront, header.number);
+                (header.client == self.own).then_some(Reply { number, message })
+            }
+            Mapping::Beside => {
+                let is_own = |named: GUID| self.link.guids().contains(&named);
+                named(related).filter(|named| is_own(*named))?;
+                Some(Reply { number: Number(Mapping::Beside, related?.sequence_number.into()), message })
+            }
+        }
+    }
+}

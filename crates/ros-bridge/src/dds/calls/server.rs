@@ -1,0 +1,76 @@
+//! The server of a ROS 2 service.
+
+use bytes::Bytes;
+use rustdds::rpc::SampleIdentity;
+
+use super::{
+    super::{Matched, Participant},
+    Exchange,
+    link::{Arrival, Ends, Link},
+    mapping::{Caller, Header, Mapping, named},
+};
+use crate::{error::Result, mark::Mark};
+
+/// Takes requests, and replies to them; leaves the graph when dropped.
+pub struct Server(Link);
+
+/// A request.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// The message, little endian CDR without its encapsulation header.
+    pub message: Bytes,
+    /// To be named in the reply.
+    pub caller: Caller,
+}
+
+impl Participant {
+    /// Starts to offer a service. Requests of bridges of the mark's network are not taken in.
+    pub fn server(&self, exchange: &Exchange, mark: Mark, bytes_max: usize) -> Result<Server> {
+        let reads = (exchange.requests(), exchange.request_type());
+        let writes = (exchange.replies(), exchange.reply_type());
+        Ok(Server(Link::open(self, Ends { reads, writes, key: "serviceid" }, mark, bytes_max)?))
+    }
+}
+
+impl Server {
+    /// The next request; none if DDS ended. Cancelling it loses nothing.
+    pub async fn next(&mut self) -> Option<Request> {
+        loop {
+            if let Some(request) = request(self.0.next().await?) {
+                return Some(request);
+            }
+        }
+    }
+
+    /// Replies to a request.
+    ///
+    /// # Errors
+    /// [`crate::error::Error::Slow`], [`crate::error::Error::Dds`].
+    pub fn reply(&self, caller: &Caller, message: &[u8]) -> Result<()> {
+        match caller {
+            Caller::InFront(header) => self.0.write(header.before(message), None),
+            Caller::Beside(request) => self.0.write(Bytes::copy_from_slice(message), Some(*request)),
+        }
+        .map(drop)
+    }
+
+    /// The clients of others.
+    pub fn matched(&self) -> &Matched {
+        self.0.matched()
+    }
+}
+
+/// The request in a message; none if it is too short to be one.
+fn request(Arrival { message, writer, sequence, related }: Arrival) -> Option<Request> {
+    match Mapping::of(writer.to_bytes()) {
+        Mapping::InFront => {
+            let (header, message) = Header::split(&message)?;
+            Some(Request { message, caller: Caller::InFront(header) })
+        }
+        Mapping::Beside => {
+            let writer_guid = named(related).unwrap_or(writer);
+            let caller = Caller::Beside(SampleIdentity { writer_guid, sequence_number: sequence.into() });
+            Some(Request { message, caller })
+        }
+    }
+}

@@ -1,0 +1,189 @@
+//! The robot's side of calls: what passes the gate is called here, and the replies go to the ledger.
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use futures::{FutureExt, future::BoxFuture};
+use ledger_contract::replies;
+use ledger_gate::gate::Passed;
+use ledger_hash::Hash;
+use ledger_rejection::Rejection;
+use ledger_settings::Section;
+use tokio::{sync::mpsc, time::sleep_until};
+
+use super::{
+    Stop,
+    calls::{CALLS_MAX, TOO_MANY, Waiting, message_of, patience, reply_to},
+    kind::{self, Beside, Kind, Opened, Opening, Plan},
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
+};
+use crate::{
+    count::{Complaint, Counters, count},
+    dds::{Client, Exchange, Number, Reply, Role},
+    error::Error,
+    names::Interface,
+    queue::{Incoming, Limits, Queue},
+};
+
+/// The setting of how long the server is waited for.
+const KEY: &str = "server_timeout_ms";
+
+/// A client of the robot's own service.
+pub(super) static KIND: Kind = Kind {
+    name: "service_client",
+    carries: Interface::Service,
+    right: "subscribe",
+    other_end: Role::Subscriber,
+    keys: &[KEY],
+    read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
+    silence,
+    beside,
+};
+
+/// The settings of this kind.
+#[derive(Debug)]
+struct Settings {
+    /// How long the server is waited for.
+    patience: Duration,
+}
+
+impl Plan for Settings {
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
+        self.join(opening).boxed()
+    }
+}
+
+impl Settings {
+    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
+        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = &opening;
+        let exchange = Exchange::new(topic, &route.message);
+        let client = local.participant().client(&exchange, *mark, route.sample_bytes_max)?;
+        counters.opened(client.matched(), None);
+        let answers = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
+        let (gateway, of_replies, answered) = (Arc::clone(gateway), Counters::new(route), replies(&route.service));
+        let to = kind::submitted(gateway, &answered, Arc::clone(&answers), None, of_replies);
+        let to = to.await?;
+        let (calls, passed) = mpsc::channel(CALLS_MAX);
+        let from = kind::gated(&opening, service.clone(), (calls, client.matched().clone()), counters.clone());
+        let from = from.await?;
+        let desk = Desk {
+            service: route.service.clone(),
+            client,
+            passed,
+            answers,
+            waiting: Waiting::new(self.patience),
+            last: 0,
+            counters: counters.clone(),
+            complaint: Complaint::default(),
+        };
+        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
+        Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
+    }
+}
+
+/// The words for a cause of silence.
+fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
+    let Facts { service, topic, .. } = facts;
+    match cause {
+        Cause::Alone => pause("no_subscriber", format!("nobody serves {topic}")),
+        Cause::Refused { line, .. } => fault("gate", format!("the last call has failed: {line}")),
+        Cause::NotHeld => pause("no_holder", format!("nobody holds {service}")),
+        Cause::NothingCame => pause("no_message", "nobody has called yet".to_owned()),
+    }
+}
+
+/// The warning about another client.
+fn beside(Beside { topic, is_same_service, .. }: &Beside<'_>) -> Option<String> {
+    Some(if *is_same_service {
+        format!("another bridge calls {topic} too: each call is made twice; stop one of both")
+    } else {
+        format!("a client beside this bridge of {topic}: its calls go around the ledger")
+    })
+}
+
+/// Knows which request each call of the server is for.
+struct Desk {
+    service: String,
+    client: Client,
+    passed: mpsc::Receiver<Passed>,
+    answers: Arc<Queue>,
+    /// The ids of the requests' transactions.
+    waiting: Waiting<Number, Hash>,
+    /// The number of the last reply.
+    last: u64,
+    counters: Counters,
+    complaint: Complaint,
+}
+
+impl Desk {
+    /// Runs until it is told to end, or the middleware ends.
+    async fn run(mut self, mut stop: Stop) {
+        loop {
+            let due = self.waiting.due();
+            tokio::select! {
+                biased;
+                () = stopped(&mut stop) => break,
+                reply = self.client.next() => match reply {
+                    Some(reply) => self.reply(&reply),
+                    None => break,
+                },
+                () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => {
+                    for _request in self.waiting.expire(Instant::now()) {
+                        self.refuse("no_reply", "the server has not replied in time");
+                    }
+                }
+                Some(passed) = self.passed.recv() => self.call(&passed),
+            }
+        }
+        self.answers.close();
+    }
+
+    fn call(&mut self, Passed { transaction, samples, .. }: &Passed) {
+        // A reply names a transaction, so there is one call in each.
+        let [sample] = samples.as_slice() else {
+            return self.refuse("several_calls", "a transaction has more than one call");
+        };
+        if self.waiting.is_full() {
+            return self.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for the server"));
+        }
+        let Some(message) = message_of(sample) else {
+            return self.refuse("bad_payload", "it is no little endian CDR");
+        };
+        match self.client.call(&message) {
+            Ok(number) => {
+                let now = Instant::now();
+                self.waiting.insert(number, *transaction, now);
+                let mut counts = self.counters.lock();
+                counts.summary.published += 1;
+                counts.live.passed = Some(now);
+            }
+            Err(Error::Unserved(explained)) => self.refuse("no_server", &explained.what),
+            Err(error) => {
+                self.counters.lock().summary.unpublished += 1;
+                tracing::warn!(service = self.service, %error, "a call was not handed over");
+            }
+        }
+    }
+
+    fn reply(&mut self, Reply { number, message }: &Reply) {
+        let Some(request) = self.waiting.take(number) else { return };
+        let Ok(sample) = reply_to(request, message) else { return };
+        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        self.last = sequence;
+        self.answers.push(Incoming { sample, source: [0; 16], sequence, received });
+    }
+
+    fn refuse(&mut self, name: &'static str, meaning: &str) {
+        let now = Instant::now();
+        let mut counts = self.counters.lock();
+        count(&mut counts.summary.gate, name, 1);
+        counts.live.refused = Some((name, meaning.to_owned(), now));
+        drop(counts);
+        if let Some(not_logged) = self.complaint.worth(name, now) {
+            tracing::warn!(service = self.service, reason = name, meaning, not_logged, "a call has no reply");
+        }
+    }
+}

@@ -1,0 +1,254 @@
+//! The user's side of calls: the bridge is the server of the local graph. Requests go to the ledger, and a reply of the robot goes
+//! to who has called.
+//!
+//! A reply counts only if the gate lets it pass, the robot's own identity has signed it, and it names a request of this bridge.
+//! ROS 2 has no word for a refusal by somebody between: then the caller gets no reply, and the log says why.
+
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use futures::{FutureExt, future::BoxFuture};
+use ledger_contract::replies;
+use ledger_gate::{
+    gate::Passed,
+    sample::{CDR_LE, Sample},
+};
+use ledger_hash::Hash;
+use ledger_identity::{Identity, Role as Signer};
+use ledger_rejection::{Code, Rejection};
+use ledger_settings::Section;
+use tokio::{
+    sync::mpsc::{self, UnboundedReceiver},
+    time::sleep_until,
+};
+
+use super::{
+    Stop,
+    calls::{CALLS_MAX, TOO_MANY, Told, Waiting, patience, split},
+    kind::{self, Beside, Kind, Opened, Opening, Plan},
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
+};
+use crate::{
+    count::{Complaint, Counters, count},
+    dds::{Caller, Exchange, Request, Role, Server},
+    names::Interface,
+    queue::{Incoming, Limits, Queue},
+    service::ask_service,
+};
+
+/// The setting of how long a reply is waited for.
+const KEY: &str = "reply_timeout_ms";
+
+/// The local server of a robot's service.
+pub(super) static KIND: Kind = Kind {
+    name: "service_server",
+    carries: Interface::Service,
+    right: "publish",
+    other_end: Role::Publisher,
+    keys: &[KEY],
+    read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
+    silence,
+    beside,
+};
+
+/// The settings of this kind.
+#[derive(Debug)]
+struct Settings {
+    /// How long a reply is waited for.
+    patience: Duration,
+}
+
+impl Plan for Settings {
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
+        self.join(opening).boxed()
+    }
+}
+
+impl Settings {
+    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
+        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = &opening;
+        let (answers, _) = ask_service(&**gateway, 0, &replies(&route.service)).await.map_err(unanswered)?;
+        let exchange = Exchange::new(topic, &route.message);
+        let server = local.participant().server(&exchange, *mark, route.sample_bytes_max)?;
+        counters.opened(server.matched(), None);
+        counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
+        let requests = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
+        let (tell, told) = mpsc::unbounded_channel();
+        let to =
+            kind::submitted(Arc::clone(gateway), &route.service, Arc::clone(&requests), Some(tell), counters.clone());
+        let to = to.await?;
+        let (calls, passed) = mpsc::channel(CALLS_MAX);
+        let of_replies = Counters::new(route);
+        let from = kind::gated(&opening, answers, (calls, server.matched().clone()), of_replies).await?;
+        let desk = Desk {
+            service: route.service.clone(),
+            robot: service.robot.clone(),
+            server,
+            requests,
+            told,
+            passed,
+            waiting: Waiting::new(self.patience),
+            ids: BTreeMap::new(),
+            last: 0,
+            counters: counters.clone(),
+            complaint: Complaint::default(),
+        };
+        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
+        Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
+    }
+}
+
+/// A service without one for its replies cannot be called.
+fn unanswered(refused: Rejection) -> Rejection {
+    if refused.code != Code::UnknownService {
+        return refused;
+    }
+    refused.next("the owner registers it with the service: ledgerctl robot add does so for types of services")
+}
+
+/// The words for a cause of silence.
+fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
+    let Facts { service, topic, .. } = facts;
+    match cause {
+        Cause::Alone => pause("no_publisher", format!("nobody is there who calls {topic}")),
+        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
+            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
+        }
+        Cause::Refused { line, .. } => fault("refused", format!("the last call has failed: {line}")),
+        Cause::NotHeld => pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}")),
+        Cause::NothingCame => pause("no_message", format!("nobody has called {topic} yet")),
+    }
+}
+
+/// The warning about another server.
+fn beside(Beside { topic, .. }: &Beside<'_>) -> Option<String> {
+    Some(format!("another node serves {topic} beside this bridge: a caller gets the reply of the quicker one"))
+}
+
+/// A call of somebody in the local graph.
+struct Call {
+    caller: Caller,
+    /// The transaction in which it goes to the ledger.
+    id: Option<Hash>,
+    came: Instant,
+}
+
+/// Knows who has called.
+struct Desk {
+    service: String,
+    robot: String,
+    server: Server,
+    requests: Arc<Queue>,
+    told: UnboundedReceiver<Told>,
+    passed: mpsc::Receiver<Passed>,
+    waiting: Waiting<u64, Call>,
+    /// The numbers of the calls by the ids of their transactions.
+    ids: BTreeMap<Hash, u64>,
+    /// The number of the last call.
+    last: u64,
+    counters: Counters,
+    complaint: Complaint,
+}
+
+impl Desk {
+    /// Runs until it is told to end, or the middleware ends.
+    async fn run(mut self, mut stop: Stop) {
+        loop {
+            let due = self.waiting.due();
+            tokio::select! {
+                biased;
+                () = stopped(&mut stop) => break,
+                // Before replies: the id of a request is known before its reply can come.
+                Some(told) = self.told.recv() => self.hear(told),
+                Some(passed) = self.passed.recv() => self.reply(&passed),
+                () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => self.expire(),
+                request = self.server.next() => match request {
+                    Some(request) => self.request(request),
+                    None => break,
+                },
+            }
+        }
+        self.requests.close();
+    }
+
+    fn request(&mut self, Request { message, caller }: Request) {
+        if self.waiting.is_full() {
+            return self.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for their replies"));
+        }
+        let Ok(sample) = Sample::new(CDR_LE, &message) else { return };
+        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        self.last = sequence;
+        self.waiting.insert(sequence, Call { caller, id: None, came: received }, received);
+        self.requests.push(Incoming { sample, source: [0; 16], sequence, received });
+    }
+
+    fn hear(&mut self, told: Told) {
+        match told {
+            Told::Submitted(number, id) => {
+                if let Some(call) = self.waiting.get_mut(&number) {
+                    call.id = Some(id);
+                    self.ids.insert(id, number);
+                }
+            }
+            Told::Refused(number) => {
+                if let Some(Call { id: Some(id), .. }) = self.waiting.take(&number) {
+                    self.ids.remove(&id);
+                }
+            }
+        }
+    }
+
+    /// Hands replies over to those who have called here; others are for other bridges.
+    fn reply(&mut self, Passed { creator, samples, .. }: &Passed) {
+        if !is_robot(creator, &self.robot) {
+            let meaning = format!("{}, role {}, has signed a reply of {}", creator.id(), creator.role, self.robot);
+            return self.refuse("not_the_robot", &meaning);
+        }
+        for (id, message) in samples.iter().filter_map(split) {
+            let call = self.ids.remove(&id).and_then(|number| self.waiting.take(&number));
+            let Some(Call { caller, came, .. }) = call else { continue };
+            match self.server.reply(&caller, &message) {
+                Ok(()) => {
+                    let mut counts = self.counters.lock();
+                    counts.summary.published += 1;
+                    counts.live.passed = Some(Instant::now());
+                    tracing::debug!(service = self.service, elapsed = ?came.elapsed(), "a call is answered");
+                }
+                Err(error) => {
+                    self.counters.lock().summary.unpublished += 1;
+                    tracing::warn!(service = self.service, %error, "a reply was not handed over");
+                }
+            }
+        }
+    }
+
+    /// Forgets the calls that nobody has answered.
+    fn expire(&mut self) {
+        for Call { id, .. } in self.waiting.expire(Instant::now()) {
+            if let Some(id) = id {
+                self.ids.remove(&id);
+            }
+            self.refuse("no_reply", "the robot has not replied in time");
+        }
+    }
+
+    fn refuse(&mut self, name: &'static str, meaning: &str) {
+        let now = Instant::now();
+        let mut counts = self.counters.lock();
+        count(&mut counts.summary.gate, name, 1);
+        counts.live.refused = Some((name, meaning.to_owned(), now));
+        drop(counts);
+        if let Some(not_logged) = self.complaint.worth(name, now) {
+            tracing::warn!(service = self.service, reason = name, meaning, not_logged, "a call has no reply");
+        }
+    }
+}
+
+/// Is that the identity of the robot? The gate has checked that the organisation owns it.
+fn is_robot(creator: &Identity, robot: &str) -> bool {
+    creator.role == Signer::Robot && creator.name == robot
+}
