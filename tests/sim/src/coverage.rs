@@ -304,7 +304,7 @@ struct Told {
     task: Option<u64>,
 }
 
-/// What an event tells of a task.
+/// The name for what an event tells of a task.
 fn of_a_task(event: &Event) -> Option<&'static str> {
     if event.chaincode != "abac" || event.name != "task" {
         return None;
@@ -324,7 +324,7 @@ fn of_a_task(event: &Event) -> Option<&'static str> {
     })
 }
 
-/// What an event tells of a place of a reader, or of the grant of a task.
+/// The name for what an event tells of a place of a reader, or of the grant of a task.
 fn of_a_place(event: &Event, is_turn: bool) -> Option<&'static str> {
     let told = || serde_json::from_slice::<Told>(&event.payload).ok();
     if event.chaincode != "abac" {

@@ -1,11 +1,11 @@
-//! Random interleavings of everything that decides who has a service, in blocks of one call and of several, judged by the
-//! [`Model`] and by what must hold whatever the model says.
+//! Random interleavings of everything that decides who has a service, in blocks of one call and of several. The [`Model`] judges
+//! them, and so does what must hold whatever the model says.
 
 mod play;
 mod steps;
 
 use crate::fleet::{Fleet, bytes, owner, robot};
-use crate::model::{DRIVEN, Model, PLACES, Settings};
+use crate::model::{DRIVEN, Model, OWNER, PLACES, Settings};
 use ledger_abac::{Grant, LineState, Task, TaskTold};
 use ledger_storage::result::Event;
 use play::{ROBOTS, SERVICES, name, person, play, policy};
@@ -28,7 +28,7 @@ struct Run {
 impl Run {
     fn new(first: [Settings; 2]) -> Self {
         let mut fleet = Fleet::empty();
-        fleet.members.1.lock().unwrap().extend((0..5).map(person));
+        fleet.members.1.lock().unwrap().extend((0..OWNER).map(|who| person(who).clone()));
         let robots = ROBOTS.map(|name| robot(name, "exclusive"));
         fleet.ok(&owner(), "setup", &[&robots[0], &robots[1]]);
         fleet.ok(&owner(), "policy", &["put", "p", &policy(&[])]);
@@ -67,7 +67,7 @@ impl Run {
     }
 
     fn line(&self, at: usize) -> LineState {
-        serde_json::from_slice(&self.fleet.simulate(&owner(), "line", &bytes(&[SERVICES[at]])).unwrap()).unwrap()
+        serde_json::from_slice(&self.fleet.simulate(person(OWNER), "line", &bytes(&[SERVICES[at]])).unwrap()).unwrap()
     }
 
     fn epochs_only_grow(&mut self, since: usize) {
@@ -104,11 +104,9 @@ impl Run {
             assert_eq!(pending, wanted, "who waits to be confirmed for {} after {step:?}", SERVICES[at]);
         }
         let tasks: Vec<Task> =
-            serde_json::from_slice(&self.fleet.simulate(&owner(), "tasks", &[]).unwrap()).unwrap();
-        let found: Vec<_> = tasks
-            .iter()
-            .map(|task| (task.id, task.submitter.clone(), task.state.known(), task.reached))
-            .collect();
+            serde_json::from_slice(&self.fleet.simulate(person(OWNER), "tasks", &[]).unwrap()).unwrap();
+        let found: Vec<_> =
+            tasks.iter().map(|task| (task.id, task.submitter.clone(), task.state.known(), task.reached)).collect();
         let kept = (1..=self.model.tasks.len() as u64).filter_map(|id| Some((id, self.model.kept(id).ok()?)));
         let wanted: Vec<_> = kept.map(|(id, task)| (id, name(task.who), Some(task.state), task.reached)).collect();
         assert_eq!(found, wanted, "tasks after {step:?}");
@@ -120,7 +118,7 @@ impl Run {
         let granted = self.fleet.events.iter().filter(|event| event.name == "granted").rev().take(8);
         for grant in granted.map(|event| serde_json::from_slice::<Grant>(&event.payload).unwrap()) {
             let at = SERVICES.iter().position(|service| **service == grant.service).unwrap();
-            let who = (0..=crate::model::OWNER).find(|who| name(*who) == grant.holder).unwrap();
+            let who = (0..=OWNER).find(|who| name(*who) == grant.holder).unwrap();
             if !held.contains(&(at, who, grant.epoch)) {
                 self.ended.insert((at, who, grant.epoch));
             }
@@ -130,7 +128,7 @@ impl Run {
         }
     }
 
-    /// Whoever waited waits, has the service, or was told why not.
+    /// A contender that waited waits, has the service, or was told why not.
     fn nobody_is_forgotten(&self, since: usize, before: &[LineState], joins: bool, step: &Step) {
         let told = |name: &str, who: &str, task: Option<u64>, service: &str| {
             let about = |event: &&Event| event.name == name && event.subject == service;
@@ -142,7 +140,8 @@ impl Run {
         for (at, before) in before.iter().enumerate() {
             let after = self.line(at);
             for place in &before.line {
-                let waits = after.line.iter().any(|other| other.contender == place.contender && other.task == place.task);
+                let waits =
+                    after.line.iter().any(|other| other.contender == place.contender && other.task == place.task);
                 let heard = ["granted", "left", "task"]
                     .iter()
                     .any(|name| told(name, &place.contender, place.task, SERVICES[at]));
@@ -157,7 +156,7 @@ impl Run {
             let (epoch, seq) = (epoch.to_string(), (self.seq + 1).to_string());
             let mut args = bytes(&[SERVICES[*at], &epoch, &seq]);
             args.push(bytes::Bytes::from_static(&crate::fleet::TWIST));
-            let passed = self.fleet.simulate(&person(*who), "set", &args);
+            let passed = self.fleet.simulate(person(*who), "set", &args);
             assert!(passed.is_err(), "{} publishes on {} with epoch {epoch}", name(*who), SERVICES[*at]);
         }
     }

@@ -9,6 +9,7 @@
 
 mod agreements;
 mod arguments;
+mod bad_input;
 mod budgets;
 mod bytes;
 mod confirmation;
@@ -30,6 +31,7 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod starving;
 mod task_ends;
 mod tasks;
 mod together;

@@ -57,7 +57,7 @@ pub(crate) struct Holder {
     /// Since when the service is held without a break.
     since: u64,
     expires: u64,
-    /// Whatever its rule says.
+    /// It was taken whatever its rule says.
     taken: bool,
     /// The number of the task that it serves.
     pub(crate) task: Option<u64>,
@@ -136,7 +136,7 @@ impl Model {
         if self.exists(at) { Ok(()) } else { Err(Code::UnknownService) }
     }
 
-    /// Who only reads is not stopped.
+    /// A reader is not stopped.
     fn goes(&self, at: usize) -> Result<(), Code> {
         if at != PLACES && self.stopped[at] { Err(Code::Stopped) } else { Ok(()) }
     }
@@ -240,8 +240,7 @@ impl Model {
 
     pub(crate) fn revoke(&mut self, who: usize, now: u64) {
         for at in 0..self.services.len() {
-            let is_theirs =
-                |holder: &Holder| holder.who == who || holder.givers.iter().any(|giver| giver.who == who);
+            let is_theirs = |holder: &Holder| holder.who == who || holder.givers.iter().any(|giver| giver.who == who);
             self.end(at, tasks::Why::Failed, now, is_theirs);
             let service = &mut self.services[at];
             service.line.retain(|waiter| waiter.who != who);

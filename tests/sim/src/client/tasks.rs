@@ -74,7 +74,8 @@ impl World {
             (63, _) => Call::Cancel { id: random.below(200) },
             _ => {
                 let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]).to_owned();
-                let points: Vec<_> = (0..=random.below(4)).map(|at| json!({"x_um": at * 1_000_000, "y_um": 0})).collect();
+                let points: Vec<_> =
+                    (0..=random.below(4)).map(|at| json!({"x_um": at * 1_000_000, "y_um": 0})).collect();
                 let not_before = random.percent(25).then(|| block_time + random.below(5 * SECOND));
                 let deadline = random.percent(25).then(|| block_time + random.below(12 * SECOND));
                 let lease_ms = random.percent(20).then(|| random.between(50, 25_000));
@@ -110,16 +111,15 @@ impl World {
         })
     }
 
-    /// What a client hears about tasks is known to all of them.
+    /// A client hears about tasks, and all of them know it.
     pub(super) fn hear_of_tasks(&mut self, code: Code, call: &Call, response: &Bytes) {
         let told: Option<Heard> = match (code, call) {
-            (Code::Ok, Call::Submit { .. }) => {
-                serde_json::from_slice(response).ok().map(|Submitted { task }| task)
-            }
+            (Code::Ok, Call::Submit { .. }) => serde_json::from_slice(response).ok().map(|Submitted { task }| task),
             (Code::Ok, _) => serde_json::from_slice(response).ok(),
             _ => None,
         };
-        let is_over = |told: &Heard| told.reached == told.total || matches!(call, Call::Fail { .. } | Call::Cancel { .. });
+        let is_over =
+            |told: &Heard| told.reached == told.total || matches!(call, Call::Fail { .. } | Call::Cancel { .. });
         match (told, call) {
             (Some(told), _) if is_over(&told) => drop(self.tasks.remove(&told.id)),
             (Some(told), _) => drop(self.tasks.insert(told.id, told)),

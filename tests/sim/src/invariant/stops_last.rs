@@ -1,7 +1,7 @@
 //! A stop lasts (docs/conflict.md, "Emergency"). From the block that stops a robot to the one that resumes it, nobody holds one
 //! of its command services. Nobody is granted one or publishes on one. Every node knows that, also when it has just started.
 //!
-//! All services of the simulated robots are command services. Who only reads goes on.
+//! All services of the simulated robots are command services. A reader goes on.
 
 use super::{Check, Executed, Violation};
 use crate::client::READERS;

@@ -25,8 +25,8 @@ use network::Nodes;
 use services::{Robot, Service};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use tasks::Task;
 pub(super) use tasks::State;
+use tasks::Task;
 
 /// The world as far as the simulated people can change it.
 #[derive(Clone)]

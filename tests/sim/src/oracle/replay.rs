@@ -9,7 +9,6 @@ use crate::world::World;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_rejection::Code;
-use ledger_storage::entry::EntryKind;
 use ledger_storage::result::TransactionResult;
 use serde::Deserialize;
 use told::Standing;
@@ -83,9 +82,8 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
     for height in 0..=world.blocks.len() as u64 {
         if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {
             time = block.outcome.header.time.max(time);
-            if block.entry.kind == EntryKind::Normal {
-                model.begin(told::first_turn(&block.outcome), time);
-            }
+            // Also a block that changes the members begins, and turns come in it.
+            model.begin(told::first_turn(&block.outcome), time);
             for (at, (encoded, result)) in block.outcome.transactions.iter().zip(&block.outcome.results).enumerate() {
                 let transaction = Transaction::decode(encoded.clone()).ok();
                 let judged = model.execute(transaction.as_ref(), time);
@@ -140,7 +138,9 @@ fn answered(result: &TransactionResult) -> Judged {
         code: result.code(),
         grant: own.or(grant).map(|Granted { epoch, expires }| (epoch, expires)),
         place: queued.map(|Place { position, priority, until }| (position, priority, until)),
-        task: task_itself.or(task.and_then(|task| serde_json::from_value(task).ok())).map(|OfTask { id, state, reached }| (id, state, reached)),
+        task: task_itself
+            .or(task.and_then(|task| serde_json::from_value(task).ok()))
+            .map(|OfTask { id, state, reached }| (id, state, reached)),
     }
 }
 

@@ -9,19 +9,28 @@ use ledger_abac::{Acquired, Submitted, Task};
 use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use serde_json::json;
+use std::sync::LazyLock;
 
 pub(super) const ROBOTS: [&str; 2] = ["Turtlebot4", "Husky"];
 pub(super) const SERVICES: [&str; 3] = ["Turtlebot4/cmd_vel", "Husky/cmd_vel", "Turtlebot4/cmd_vel:subscribe"];
 
-/// Five people with priorities of their own, and an admin of the owner.
-pub(super) fn person(who: usize) -> Identity {
-    if who == OWNER {
-        return owner();
-    }
-    let attributes = ["Turtlebot4", "Husky"];
-    let mut person = identity("Org1", &format!("P{who}"), Role::Member, &attributes, 60 + who as u8);
-    person.attributes.insert("rank".to_owned(), PRIORITIES[who].to_string());
-    person
+/// Five people with priorities of their own, and an admin of the owner. Made once: a key takes time.
+static PEOPLE: LazyLock<Vec<Identity>> = LazyLock::new(|| {
+    let ranked = |who: usize| {
+        let attributes = ["Turtlebot4", "Husky"];
+        let mut person = identity("Org1", &format!("P{who}"), Role::Member, &attributes, 60 + who as u8);
+        person.attributes.insert("rank".to_owned(), PRIORITIES[who].to_string());
+        person
+    };
+    (0..OWNER).map(ranked).chain([owner()]).collect()
+});
+
+/// The robots themselves.
+static MACHINES: LazyLock<[Identity; 2]> =
+    LazyLock::new(|| ROBOTS.map(|name| identity("Org2", name, Role::Robot, &[], 90 + name.len() as u8)));
+
+pub(super) fn person(who: usize) -> &'static Identity {
+    &PEOPLE[who]
 }
 
 pub(super) fn name(who: usize) -> String {
@@ -46,7 +55,7 @@ fn task(wanted: &Wanted, priority: i64, now: u64) -> String {
     task.to_string()
 }
 
-/// What an answer says, as far as the model knows it.
+/// An answer as far as the model knows it.
 fn got(function: &str, outcome: Result<Bytes, Rejection>) -> Answer {
     let answer = outcome.map_err(|refused| {
         assert!(!refused.message.is_empty() && !refused.found.is_empty(), "{refused}");
@@ -83,10 +92,11 @@ pub(super) fn play(run: &mut Run, joins: bool, step: &Step) {
     let newest = run.model.tasks.len() as u64;
     let id = |back: u64| newest.saturating_sub(back);
     let model = &mut run.model;
-    let (who, function, args, wanted): (Identity, &str, Vec<String>, Answer) = match step {
+    let (who, function, args, wanted): (&Identity, &str, Vec<String>, Answer) = match step {
         Step::Acquire { at, who, less, wait } => {
             let wait_ms = wait.map(|wait| wait / 1000);
-            let options = json!({"lease_ms": 10_000, "priority": priority(model, *at, *who, *less), "wait_ms": wait_ms});
+            let options =
+                json!({"lease_ms": 10_000, "priority": priority(model, *at, *who, *less), "wait_ms": wait_ms});
             let answer = model.acquire(*at, *who, *less, *wait, now);
             (person(*who), "acquire", vec![SERVICES[*at].into(), options.to_string()], answer)
         }
@@ -106,9 +116,7 @@ pub(super) fn play(run: &mut Run, joins: bool, step: &Step) {
             let answer = model.confirm(*at, *by, *who, now);
             (person(*by), "confirm", vec![SERVICES[*at].into(), name(*who)], answer)
         }
-        Step::Renew { at, who } => {
-            (person(*who), "renew", vec![SERVICES[*at].into()], model.renew(*at, *who, now))
-        }
+        Step::Renew { at, who } => (person(*who), "renew", vec![SERVICES[*at].into()], model.renew(*at, *who, now)),
         Step::Release { at, who } => {
             (person(*who), "release", vec![SERVICES[*at].into()], model.release(*at, *who, now))
         }
@@ -128,9 +136,7 @@ pub(super) fn play(run: &mut Run, joins: bool, step: &Step) {
             let args = vec![SERVICES[*at].into(), name(*to)];
             (person(*who), "handover", args, model.pass_on(*at, (*who, *to), None, now))
         }
-        Step::Recall { at, who } => {
-            (person(*who), "recall", vec![SERVICES[*at].into()], model.recall(*at, *who, now))
-        }
+        Step::Recall { at, who } => (person(*who), "recall", vec![SERVICES[*at].into()], model.recall(*at, *who, now)),
         Step::Submit { at, who, wanted } => {
             let json = task(wanted, priority(model, *at, *who, wanted.less), now);
             (person(*who), "submit", vec![SERVICES[*at].into(), json], model.submit(*at, *who, wanted, now))
@@ -157,42 +163,42 @@ pub(super) fn play(run: &mut Run, joins: bool, step: &Step) {
         }
         Step::Take(at) => {
             let args = vec![SERVICES[*at].into(), "person in the cell".into(), "10000".into()];
-            (owner(), "take", args, model.take(*at, now))
+            (person(OWNER), "take", args, model.take(*at, now))
         }
         Step::Stop(robot) => {
             model.stop(*robot, now);
-            (owner(), "stop", vec![ROBOTS[*robot].into(), "smoke".into()], Ok(Got::Done))
+            (person(OWNER), "stop", vec![ROBOTS[*robot].into(), "smoke".into()], Ok(Got::Done))
         }
         Step::Resume(robot) => {
             model.stopped[*robot] = false;
-            (owner(), "resume", vec![ROBOTS[*robot].into()], Ok(Got::Done))
+            (person(OWNER), "resume", vec![ROBOTS[*robot].into()], Ok(Got::Done))
         }
         Step::Set(at, settings) => {
             model.set(*at, *settings, now);
-            (owner(), "configure", vec![SERVICES[*at].into(), json(settings)], Ok(Got::Done))
+            (person(OWNER), "configure", vec![SERVICES[*at].into(), json(settings)], Ok(Got::Done))
         }
         Step::Forbid(who) => {
             model.forbid(who.clone(), now);
-            (owner(), "policy", vec!["put".into(), "p".into(), policy(who)], Ok(Got::Done))
+            (person(OWNER), "policy", vec!["put".into(), "p".into(), policy(who)], Ok(Got::Done))
         }
         Step::Publish { .. } | Step::Wait(_) | Step::Revoke(_) | Step::Restart => return otherwise(run, step, now),
     };
     let args: Vec<&str> = args.iter().map(String::as_str).collect();
-    let found = got(function, run.fleet.call(&who, function, &bytes(&args)));
+    let found = got(function, run.fleet.call(who, function, &bytes(&args)));
     assert_eq!(found, wanted, "{step:?}");
 }
 
-/// What is no call with an answer that the model tells.
+/// Plays a step that has no answer of which the model tells.
 fn otherwise(run: &mut Run, step: &Step, now: u64) {
     match step {
         Step::Publish { at, who } => {
             let own = run.model.holder(*at, *who).map(|holder| holder.epoch);
             run.seq += 1;
-            let published = run.fleet.set(&person(*who), SERVICES[*at], own.unwrap_or(1), run.seq, 1);
+            let published = run.fleet.set(person(*who), SERVICES[*at], own.unwrap_or(1), run.seq, 1);
             assert_eq!(published.is_ok(), run.model.publish(*at, *who, now), "{published:?}");
         }
         Step::Revoke(who) => {
-            run.fleet.revoke(&person(*who));
+            run.fleet.revoke(person(*who));
             run.model.revoke(*who, now);
         }
         Step::Restart => {
@@ -207,18 +213,15 @@ fn priority(model: &crate::model::Model, at: usize, who: usize, less: i64) -> i6
     model.services[at].settings.priority(who, less)
 }
 
-/// Whoever reports about a task, and its number among the people; the robot has none.
-fn reporter(model: &crate::model::Model, by: By, id: u64) -> (Identity, Option<usize>) {
+/// The one who reports about a task, and its number among the people; the robot has none.
+fn reporter(model: &crate::model::Model, by: By, id: u64) -> (&'static Identity, Option<usize>) {
     let task = model.kept(id).ok();
     match by {
         By::Submitter => {
             let who = task.map_or(0, |task| task.who);
             (person(who), Some(who))
         }
-        By::Robot => {
-            let at = task.map_or(0, |task| task.at);
-            (identity("Org2", ROBOTS[at], Role::Robot, &[], 90 + at as u8), None)
-        }
+        By::Robot => (&MACHINES[task.map_or(0, |task| task.at)], None),
         By::Person(who) => (person(who), Some(who)),
     }
 }

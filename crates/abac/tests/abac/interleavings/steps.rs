@@ -7,22 +7,75 @@ use proptest::prelude::*;
 /// One call, or what happens otherwise.
 #[derive(Clone, Debug)]
 pub(super) enum Step {
-    Acquire { at: usize, who: usize, less: i64, wait: Option<u64> },
-    AcquireAll { who: usize, services: Vec<usize>, less: i64 },
-    Confirm { at: usize, by: usize, who: usize },
-    Renew { at: usize, who: usize },
-    Release { at: usize, who: usize },
-    Publish { at: usize, who: usize },
-    Delegate { at: usize, who: usize, to: usize, lasts: Option<u64>, may_delegate: bool },
-    HandOver { at: usize, who: usize, to: usize },
-    Recall { at: usize, who: usize },
+    Acquire {
+        at: usize,
+        who: usize,
+        less: i64,
+        wait: Option<u64>,
+    },
+    AcquireAll {
+        who: usize,
+        services: Vec<usize>,
+        less: i64,
+    },
+    Confirm {
+        at: usize,
+        by: usize,
+        who: usize,
+    },
+    Renew {
+        at: usize,
+        who: usize,
+    },
+    Release {
+        at: usize,
+        who: usize,
+    },
+    Publish {
+        at: usize,
+        who: usize,
+    },
+    Delegate {
+        at: usize,
+        who: usize,
+        to: usize,
+        lasts: Option<u64>,
+        may_delegate: bool,
+    },
+    HandOver {
+        at: usize,
+        who: usize,
+        to: usize,
+    },
+    Recall {
+        at: usize,
+        who: usize,
+    },
     /// The holder of a service passes it on, whoever that is.
-    Lend { at: usize, to: usize, may_delegate: bool },
-    Submit { at: usize, who: usize, wanted: Wanted },
+    Lend {
+        at: usize,
+        to: usize,
+        may_delegate: bool,
+    },
+    Submit {
+        at: usize,
+        who: usize,
+        wanted: Wanted,
+    },
     /// By somebody about the n-th newest task.
-    Progress { by: By, back: u64, more: u64 },
-    Fail { by: By, back: u64 },
-    Cancel { by: By, back: u64 },
+    Progress {
+        by: By,
+        back: u64,
+        more: u64,
+    },
+    Fail {
+        by: By,
+        back: u64,
+    },
+    Cancel {
+        by: By,
+        back: u64,
+    },
     Wait(u64),
     Revoke(usize),
     Take(usize),
@@ -33,7 +86,7 @@ pub(super) enum Step {
     Restart,
 }
 
-/// Whoever reports about a task.
+/// The one who reports about a task.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum By {
     Submitter,
@@ -44,7 +97,7 @@ pub(super) enum By {
 pub(super) fn settings(has_readers: bool) -> impl Strategy<Value = Settings> {
     let conflict = prop_oneof![1 => Just(Conflict::Deny), 2 => Just(Conflict::Queue), 2 => Just(Conflict::Preempt)];
     let spans = (1_u64..8, prop::option::of(1_u64..4), prop::option::of(1_u64..6), 1_u64..20);
-    let readers = prop::option::weighted(if has_readers { 0.5 } else { 0.0 }, 1_usize..3);
+    let readers = prop::option::of(1_usize..3).prop_map(move |readers| readers.filter(|_| has_readers));
     let gives = (prop::option::weighted(0.2, 1_usize..3), any::<bool>());
     let places = prop_oneof![3 => Just(1), 3 => Just(2), 1 => Just(usize::MAX)];
     (places, readers, conflict, 1_usize..5, any::<bool>(), spans, gives).prop_map(
@@ -104,11 +157,10 @@ pub(super) fn step() -> impl Strategy<Value = Step> {
     let at = || prop_oneof![5 => Just(0_usize), 2 => Just(1), 3 => Just(PLACES)];
     let driven = || prop_oneof![3 => Just(0_usize), 2 => Just(1)];
     let wait = prop_oneof![3 => Just(None), 1 => Just(Some(0)), 3 => (1_u64..20).prop_map(|s| Some(s * SECOND))];
-    let by = || {
-        prop_oneof![5 => Just(By::Submitter), 3 => Just(By::Robot), 1 => (0..=OWNER).prop_map(By::Person)]
-    };
+    let by = || prop_oneof![5 => Just(By::Submitter), 3 => Just(By::Robot), 1 => (0..=OWNER).prop_map(By::Person)];
     let lasts = || prop::option::weighted(0.4, (1_u64..60).prop_map(|tenths| tenths * SECOND / 10));
-    let wanted = (1_u64..4, 0_i64..2, prop::option::weighted(0.3, 0..8 * SECOND), prop::option::weighted(0.3, 0..20 * SECOND));
+    let wanted =
+        (1_u64..4, 0_i64..2, prop::option::weighted(0.3, 0..8 * SECOND), prop::option::weighted(0.3, 0..20 * SECOND));
     let wanted = (wanted, any::<bool>()).prop_map(|((points, less, not_before, deadline), requeue)| Wanted {
         points,
         less,

@@ -21,7 +21,7 @@ impl Model {
         }
     }
 
-    /// Who waited too long leaves, and whoever the line has no room for.
+    /// Those who waited too long leave, and those for whom the line has no room.
     fn send_away(&mut self, at: usize, now: u64) {
         let most = self.services[at].settings.line;
         let mut stay = vec![];

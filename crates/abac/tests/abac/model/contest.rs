@@ -1,4 +1,4 @@
-//! Who comes first where several want a service.
+//! The order of those who want a service.
 
 use super::tasks::Why;
 use super::{Answer, Conflict, Got, Model, Service, Waiter};
@@ -17,7 +17,7 @@ impl Service {
         }
     }
 
-    /// The next in line: the highest worth, then the earliest. Who holds the service is passed over.
+    /// The next in line: the highest worth, then the earliest. A holder of the service is passed over.
     pub(super) fn best(&self, now: u64) -> Option<usize> {
         let mut best: Option<usize> = None;
         for index in 0..self.line.len() {

@@ -32,7 +32,7 @@ pub(in crate::oracle) struct Waiter {
     pub(in crate::oracle) task: Option<u64>,
 }
 
-/// What a turn came to.
+/// The outcome of a turn.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Turn {
     /// It is nobody's.
@@ -115,7 +115,7 @@ impl Service {
         (waiter.priority + (waited / aging) as i64, exact)
     }
 
-    /// The first of a line. Who holds the service is passed over until that ends.
+    /// The first of a line. A holder of the service is passed over until that ends.
     pub(super) fn first(&self, line: &[Waiter], live: &[Grant], time: u64) -> Option<usize> {
         let holds = |waiter: &Waiter| live.iter().any(|grant| grant.holder == waiter.who);
         let worth = |at: usize| self.worth(&line[at], time).1;
@@ -193,7 +193,7 @@ impl Model {
         self.lines.retain(|_, line| !line.is_empty());
     }
 
-    /// Who waited too long leaves the line, and whoever it has no room for any more.
+    /// Those who waited too long leave the line, and those for whom it has no room any more.
     fn send_away(&mut self, id: &str, service: &Service, time: u64) {
         let most = service.line_max();
         let (mut stay, mut late, mut beyond) = (Vec::new(), Vec::new(), Vec::new());
@@ -390,13 +390,7 @@ impl Model {
     }
 
     /// May the holder keep what it has?
-    pub(super) fn keeps(
-        &self,
-        who: &Person,
-        grant: &Grant,
-        (robot, service): (&Robot, &Service),
-        time: u64,
-    ) -> bool {
+    pub(super) fn keeps(&self, who: &Person, grant: &Grant, (robot, service): (&Robot, &Service), time: u64) -> bool {
         let may = if grant.is_taken() {
             self.governs(who, robot, time)
         } else {

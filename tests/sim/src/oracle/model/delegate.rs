@@ -169,7 +169,11 @@ impl Model {
 fn may_be_passed(service: &Service, own: &Grant, for_good: bool) -> Result<(), Code> {
     let givers = own.chain.givers.len();
     let allowed = own.chain.may_delegate && (givers < GIVERS_MAX || for_good);
-    if service.is_delegable() && !own.is_taken() && own.task.is_none() && (givers == 0 || allowed) { Ok(()) } else { Err(Code::NotDelegable) }
+    if service.is_delegable() && !own.is_taken() && own.task.is_none() && (givers == 0 || allowed) {
+        Ok(())
+    } else {
+        Err(Code::NotDelegable)
+    }
 }
 
 fn options(args: &[Bytes], at: usize) -> Result<Options, Code> {

@@ -74,7 +74,8 @@ impl Standing {
         for event in events {
             let subject = || event.subject.clone();
             if event.name == "task" {
-                let OfTask { id, submitter, state, reached, total, .. } = serde_json::from_slice(&event.payload).unwrap();
+                let OfTask { id, submitter, state, reached, total, .. } =
+                    serde_json::from_slice(&event.payload).unwrap();
                 self.tasks.insert(id, (subject(), submitter, state, reached, total));
             }
             if !known(&event.name) {
