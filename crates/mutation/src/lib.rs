@@ -24,6 +24,14 @@ pub enum Mutation {
     ForgetAStop,
     /// A contender that confirms itself counts.
     CountTheRequester,
+    /// A task begins although somebody else holds the service.
+    RunBesideAHolder,
+    /// A task that was interrupted waits again although its submitter did not want that.
+    AlwaysWaitAgain,
+    /// One more reads a service than its owner allows.
+    OnePlaceTooMany,
+    /// Somebody whom policies permit to read needs no place.
+    ReadWithoutAPlace,
     /// A revoked certificate is accepted.
     SkipTheRevocationCheck,
     /// A `forbid` that cannot be evaluated is skipped.

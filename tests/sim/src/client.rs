@@ -4,9 +4,13 @@ mod contest;
 mod enrol;
 mod intent;
 mod pass_on;
+mod subscribe;
+mod tasks;
 
-pub use contest::{PUBLISHERS, Terms};
+pub use contest::Terms;
 pub use intent::{Call, SERVICES, robots};
+pub(crate) use subscribe::READERS;
+pub use tasks::Heard;
 
 use crate::clock::{EPOCH, MILLISECOND, SECOND};
 use crate::history::{Kind, Outcome, Verdict};
@@ -133,6 +137,7 @@ impl World {
             self.schedule(delay, Event::Client { client: nth, attempt: 0 });
         }
         self.enrol();
+        self.employ_a_robot();
     }
 
     /// Adds a client that does only what it is told, and tells it.
@@ -174,10 +179,10 @@ impl World {
         let Some(person) = self.people.index(&client.person, client.nth) else { return };
         let (session, seen) = (client.session, client.seen);
         let (kind, what) = match &call {
-            Call::Read { service, linearizable } => {
-                let (service, linearizable) = (service.clone(), *linearizable);
-                let kind = Kind::Read { person, service: service.clone(), linearizable, min_height: seen };
-                (kind, What::Read { person, service, may_be_stale: !linearizable })
+            Call::Read { asks, service, linearizable } => {
+                let (asks, service, linearizable) = (*asks, service.clone(), *linearizable);
+                let kind = Kind::Read { asks, person, service: service.clone(), linearizable, min_height: seen };
+                (kind, What::Read { asks, person, service, may_be_stale: !linearizable })
             }
             call => {
                 let (chaincode, function, args) = call.transaction();
@@ -316,8 +321,16 @@ impl World {
 
     /// The client's reading of a verdict.
     fn learn(&mut self, number: usize, code: Code, response: &Bytes) {
+        let Some(call) = self.clients[number].call.clone() else { return };
+        if call.is_about_tasks() {
+            self.hear_of_tasks(code, &call, response);
+        }
+        if let (Code::Held, Call::Acquire { service, .. } | Call::Contend { service, .. }) = (code, &call)
+            && service.ends_with(READERS)
+        {
+            self.coverage.contest("place full");
+        }
         let client = &mut self.clients[number];
-        let Some(call) = client.call.clone() else { return };
         if let Some(order) = client.orders.first() {
             // What is not settled is tried again.
             let passing = matches!(code, Code::Expired | Code::NotAfterTooFar | Code::UnknownCreator);

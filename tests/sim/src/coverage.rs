@@ -1,9 +1,12 @@
 //! The damage that was really done to the cluster, counted where it is done: a fault that was only planned tests
 //! nothing.
 
+use crate::client::READERS;
 use crate::world::Untruth;
 use ledger::Outcome;
 use ledger_rejection::Code;
+use ledger_storage::result::Event;
+use serde::Deserialize;
 use std::collections::BTreeMap;
 use std::fmt;
 
@@ -95,7 +98,7 @@ faults! {
 }
 
 /// The events that must happen where several want a service, and to robots in an emergency.
-const CONTESTS: [&str; 10] = [
+const CONTESTS: [&str; 26] = [
     "queued",
     "turn came",
     "limited turn came",
@@ -106,6 +109,22 @@ const CONTESTS: [&str; 10] = [
     "taken",
     "stopped",
     "resumed",
+    "task scheduled",
+    "task waits",
+    "task runs",
+    "task's turn came",
+    "task goes on",
+    "task done",
+    "task failed",
+    "task cancelled",
+    "task preempted",
+    "task waits again",
+    "task expired",
+    "place taken",
+    "place queued",
+    "place's turn came",
+    "place preempted",
+    "place full",
 ];
 
 /// Seeds from which on every kind of fault must have happened. A rare one happens in about one of twenty.
@@ -176,12 +195,21 @@ impl Coverage {
         *self.faults.entry(fault).or_default() += 1;
     }
 
+    /// Counts something that happened where several want a service.
+    pub fn contest(&mut self, what: &'static str) {
+        *self.contests.entry(what).or_default() += 1;
+    }
+
     /// Counts what the events of a block tell of contests and emergencies.
     pub fn follow(&mut self, outcome: &Outcome) {
         for emitted in &outcome.events {
             let event = &emitted.event;
             let says = |text: &str| std::str::from_utf8(&event.payload).is_ok_and(|payload| payload.contains(text));
             let limited = || says(r#""mode":"limited""#);
+            if let Some(what) = of_a_task(event).or_else(|| of_a_place(event, emitted.index.is_none())) {
+                self.contest(what);
+                continue;
+            }
             let what = match (&*event.chaincode, &*event.name) {
                 ("abac", "queued") => "queued",
                 ("abac", "granted") if emitted.index.is_none() && limited() => "limited turn came",
@@ -195,7 +223,7 @@ impl Coverage {
                 ("abac", "resumed") => "resumed",
                 _ => continue,
             };
-            *self.contests.entry(what).or_default() += 1;
+            self.contest(what);
         }
     }
 
@@ -263,6 +291,53 @@ impl Coverage {
     /// Was so much done that every kind of fault should have happened?
     pub fn is_enough(&self) -> bool {
         self.seeds >= SEEDS_ENOUGH
+    }
+}
+
+/// The fields that are read of what is told of tasks and grants.
+#[derive(Deserialize)]
+struct Told {
+    state: Option<String>,
+    #[serde(default)]
+    reason: String,
+    reached: Option<u64>,
+    task: Option<u64>,
+}
+
+/// The name for what an event tells of a task.
+fn of_a_task(event: &Event) -> Option<&'static str> {
+    if event.chaincode != "abac" || event.name != "task" {
+        return None;
+    }
+    let Told { state, reason, reached, .. } = serde_json::from_slice(&event.payload).ok()?;
+    Some(match &*state? {
+        "scheduled" => "task scheduled",
+        "waiting" if !reason.is_empty() => "task waits again",
+        "waiting" => "task waits",
+        "running" if reached? > 0 => "task goes on",
+        "running" => "task runs",
+        "done" => "task done",
+        "failed" => "task failed",
+        "cancelled" => "task cancelled",
+        "preempted" => "task preempted",
+        _ => "task expired",
+    })
+}
+
+/// The name for what an event tells of a place of a reader, or of the grant of a task.
+fn of_a_place(event: &Event, is_turn: bool) -> Option<&'static str> {
+    let told = || serde_json::from_slice::<Told>(&event.payload).ok();
+    if event.chaincode != "abac" {
+        return None;
+    }
+    match &*event.name {
+        "granted" if is_turn && told()?.task.is_some() => Some("task's turn came"),
+        _ if !event.subject.ends_with(READERS) => None,
+        "granted" if is_turn => Some("place's turn came"),
+        "granted" => Some("place taken"),
+        "queued" => Some("place queued"),
+        "released" if told()?.reason == "preempted" => Some("place preempted"),
+        _ => None,
     }
 }
 

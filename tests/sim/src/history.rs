@@ -42,6 +42,8 @@ pub enum Kind {
     },
     /// A read.
     Read {
+        /// The question.
+        asks: Asks,
         /// Index of the certificate with which it was asked.
         person: usize,
         /// The service that it is about.
@@ -51,6 +53,15 @@ pub enum Kind {
         /// The height that the client had seen.
         min_height: u64,
     },
+}
+
+/// A question about a service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asks {
+    /// Who holds it?
+    Holders,
+    /// May the caller read its messages?
+    MayRead,
 }
 
 /// The outcome of an operation, as far as its client knows.

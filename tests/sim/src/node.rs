@@ -12,6 +12,7 @@ pub use shelf::Shelf;
 
 use crate::clock::Clock;
 use crate::coverage::Fault;
+use crate::history::Asks;
 use crate::world::{Fetching, Keys};
 use bytes::Bytes;
 use ledger::{Ledger, Rules};
@@ -280,8 +281,10 @@ pub enum What {
         /// The client gave it to no node before.
         first_attempt: bool,
     },
-    /// Who holds a service? Asked with a certificate of [`crate::people::People`].
+    /// A question about a service, asked with a certificate of [`crate::people::People`].
     Read {
+        /// The question.
+        asks: Asks,
         /// Index of the certificate.
         person: usize,
         /// The service.

@@ -39,8 +39,8 @@ const PEOPLE: [(&str, &str, &str, &[&str]); 9] = [
     ("Org2", "Mallory", "member", &[]),
 ];
 
-/// The certificate of the robot.
-const ROBOT: (&str, &str, &str) = ("Org2", "Rover", "robot");
+/// The certificates of robots: one of a bridge, and one of a robot that reports how far its tasks are.
+const ROBOTS: [(&str, &str, &str); 2] = [("Org2", "Rover", "robot"), ("Org2", "Turtlebot4", "robot")];
 
 /// One certificate of a person, with its key.
 pub struct Person {
@@ -122,15 +122,16 @@ impl People {
                 all.push(Person { identity, certificate, key, nth: 0 });
             }
         }
-        let (organisation, name, role) = ROBOT;
-        let key = key(&format!("{organisation}/{name}"));
-        let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
-        let mut params = params(name, role);
-        params.serial_number = Some(SerialNumber::from(all.len() as u64 + 1000));
-        let certificate = params.signed_by(&public, &authorities[organisation]).unwrap();
-        let certificate = Bytes::copy_from_slice(certificate.der());
-        let identity = msps.verify(&certificate, &[], EPOCH).unwrap();
-        all.push(Person { identity, certificate, key, nth: 0 });
+        for (organisation, name, role) in ROBOTS {
+            let key = key(&format!("{organisation}/{name}"));
+            let public = rcgen::SubjectPublicKeyInfo::from_der(&key.public_key().to_spki()).unwrap();
+            let mut params = params(name, role);
+            params.serial_number = Some(SerialNumber::from(all.len() as u64 + 1000));
+            let certificate = params.signed_by(&public, &authorities[organisation]).unwrap();
+            let certificate = Bytes::copy_from_slice(certificate.der());
+            let identity = msps.verify(&certificate, &[], EPOCH).unwrap();
+            all.push(Person { identity, certificate, key, nth: 0 });
+        }
         Self { organisations, all, persons }
     }
 
@@ -153,7 +154,7 @@ impl People {
 
     /// How many identities there are.
     pub fn identities(&self) -> usize {
-        PEOPLE.len() + 1
+        PEOPLE.len() + ROBOTS.len()
     }
 
     /// Index of a person's `nth` certificate.

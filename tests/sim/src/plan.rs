@@ -46,6 +46,8 @@ pub struct Plan {
     pub activates: bool,
     /// Owners choose who wins, users wait in line, robots are stopped; in the other seeds there are only the older calls.
     pub contests: bool,
+    /// Users also submit tasks, and the readers of services are limited.
+    pub tasks: bool,
 }
 
 /// The network's treatment of messages.
@@ -114,6 +116,7 @@ impl Plan {
             activates: random.percent(40),
             // Drawn from nothing: the other seeds go on as they did, and with them the bugs that they notice.
             contests: seed.is_multiple_of(3),
+            tasks: seed.is_multiple_of(6),
             network,
             faults,
         }

@@ -14,6 +14,21 @@ pub enum Policy {
     ErringForbid,
     /// Permits only until some block time (milliseconds since the UNIX epoch).
     Until(u64),
+    /// Any identity of a trusted organisation may read, and do nothing else.
+    Viewers,
+    /// This person reads nothing.
+    Blind,
+}
+
+/// The use that somebody wants to make of a robot, as far as a policy of the collection tells one from another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Act {
+    /// To hold a service, or to publish on it.
+    Use,
+    /// To read its messages.
+    Subscribe,
+    /// To end what others do, or to let them go on.
+    Govern,
 }
 
 /// The content of a single policy.
@@ -39,6 +54,8 @@ pub struct Asked<'a> {
     pub attribute: bool,
     /// Block time, milliseconds.
     pub time_ms: u64,
+    /// The use.
+    pub act: Act,
 }
 
 impl Policy {
@@ -50,6 +67,8 @@ impl Policy {
             Self::ForbidFarhad => "no-farhad",
             Self::ErringForbid => "erring",
             Self::Until(_) => "until",
+            Self::Viewers => "viewers",
+            Self::Blind => "blind",
         }
     }
 
@@ -70,6 +89,12 @@ impl Policy {
             Self::Until(time) => {
                 format!("permit (principal, action, resource) when {{ {trusted} && context.time < {time} }};")
             }
+            Self::Viewers => {
+                format!("permit (principal, action == Action::\"subscribe\", resource) when {{ {trusted} }};")
+            }
+            Self::Blind => {
+                "forbid (principal == User::\"Org1/Nina\", action == Action::\"subscribe\", resource);".to_owned()
+            }
         }
     }
 
@@ -77,7 +102,7 @@ impl Policy {
     pub fn read(id: &str, text: &str) -> Option<Self> {
         let until = text.rsplit_once("context.time < ").and_then(|(_, rest)| rest.split_once(' '));
         let until = until.and_then(|(time, _)| time.parse().ok()).map(Self::Until);
-        [Self::Attribute, Self::Trusted, Self::ForbidFarhad, Self::ErringForbid]
+        [Self::Attribute, Self::Trusted, Self::ForbidFarhad, Self::ErringForbid, Self::Viewers, Self::Blind]
             .into_iter()
             .chain(until)
             .find(|policy| policy.id() == id && policy.text() == text)
@@ -93,6 +118,9 @@ impl Policy {
             Self::ForbidFarhad => Says::Nothing,
             Self::ErringForbid => Says::Error,
             Self::Until(time) => permit(asked.trusted && asked.time_ms < time),
+            Self::Viewers => permit(asked.trusted && asked.act == Act::Subscribe),
+            Self::Blind if asked.who == "Org1/Nina" && asked.act == Act::Subscribe => Says::Forbid,
+            Self::Blind => Says::Nothing,
         }
     }
 }

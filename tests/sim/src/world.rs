@@ -25,7 +25,7 @@ pub use operator::Replacement;
 pub use robot::Untruth;
 pub use statements::Keys;
 
-use crate::client::Client;
+use crate::client::{Client, Heard};
 use crate::clock::{Clock, EPOCH, MILLISECOND, SECOND};
 use crate::coverage::{Coverage, Fault};
 use crate::history::History;
@@ -165,6 +165,8 @@ pub struct World {
     /// The robot that is looked at, if there is one.
     pub(crate) robot: Option<Box<Robot>>,
     pub(crate) clients: Vec<Client>,
+    /// The newest tasks that clients have heard of and that may not have ended.
+    pub(crate) tasks: BTreeMap<u64, Heard>,
     pub(crate) links: Links,
     pub(crate) random: Randoms,
     /// Faults still happen.
@@ -252,6 +254,7 @@ impl World {
             network,
             genesis,
             clients: Vec::new(),
+            tasks: BTreeMap::new(),
             links: Links::new(plan.network.clone()),
             random,
             chaos: true,

@@ -13,7 +13,7 @@ use ledger_storage::block_store::{BlockStore, Options};
 use ledger_storage::disk::SimDisk;
 use ledger_storage::entry::{Entry, EntryKind, HardState};
 use ledger_storage::result::{BlockKind, EmittedEvent, Event, TransactionResult};
-use ledgerd_sim::client::{Call, sign};
+use ledgerd_sim::client::{Call, Terms, sign};
 use ledgerd_sim::invariant::{
     AcknowledgedIsDurable, BlockTimeKeepsToTheClocks, ChainAgreement, CommittedIsImmutable, DeniedByDefault,
     ElectionSafety, EpochsGrow, ExactlyOnce, Executed, GateKeepsTheRules, GrantExclusivity, LeaderCompleteness,
@@ -213,6 +213,54 @@ fn a_grant_past_a_line_is_noticed() {
     granted("A").unwrap_err();
     granted("C").unwrap_err();
     granted("D").unwrap_err();
+}
+
+#[test]
+fn a_task_past_a_line_is_noticed_and_whoever_holds_the_service_is_passed_over() {
+    let people = Arc::new(People::new());
+    let turn = |holder: &str, who: &str, task: Option<u64>| {
+        let mut overtaken = NobodyIsOvertaken::new(Arc::clone(&people));
+        let told = event(block(1, Hash::ZERO), "granted", &grant(holder, 1));
+        overtaken.executed(&at(1, &told)).unwrap();
+        // Two that wait, each with a task; the first one was interrupted, and joins the line with the next block.
+        for (height, (id, who, reason)) in (2..).zip([(1, "A", "preempted"), (2, "B", "")]) {
+            let submit = Call::Submit { service: "R/cmd_vel".into(), task: "{}".into() };
+            let (outcome, transactions) = with(&submit, 0, &people, height);
+            let told = format!(r#"{{"id":{id},"submitter":"{who}","state":"waiting","reason":"{reason}"}}"#);
+            let outcome = event(outcome, "task", &told);
+            overtaken.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
+        }
+        let task = task.map(|id| format!(r#","task":{id}"#)).unwrap_or_default();
+        let granted = format!(r#"{{"holder":"{who}","epoch":2,"mode":"limited"{task}}}"#);
+        let mut outcome = event(block(4, Hash::ZERO), "granted", &granted);
+        outcome.events[0].index = None;
+        overtaken.executed(&at(1, &outcome))
+    };
+    turn("C", "A", Some(1)).unwrap();
+    turn("C", "B", Some(2)).unwrap_err();
+    turn("C", "A", None).unwrap_err();
+    turn("A", "B", Some(2)).unwrap();
+}
+
+#[test]
+fn one_reader_more_than_the_owner_allows_is_noticed() {
+    let people = People::new();
+    let terms = Terms { mode: "limited", sharing: r#"{"subscribers":1}"# };
+    let configured = Call::Configure { service: "R/cmd_vel".into(), terms };
+    let (outcome, transactions) = with(&configured, 0, &people, 1);
+    let place = |holder: &str, epoch: u64, id: &str| {
+        format!(r#"{{"service":"R/cmd_vel{id}","holder":"{holder}","epoch":{epoch},"mode":"limited"}}"#)
+    };
+    let (mut exclusivity, mut epoch) = (GrantExclusivity::default(), 0);
+    exclusivity.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
+    let mut granted = |holder: &str, id: &str| {
+        epoch += 1;
+        exclusivity.executed(&at(1, &event(block(1 + epoch, Hash::ZERO), "granted", &place(holder, epoch, id))))
+    };
+    granted("Org1/Salma", ":subscribe").unwrap();
+    granted("Org1/Salma", "").unwrap();
+    granted("Org1/Farhad", "").unwrap();
+    granted("Org1/Farhad", ":subscribe").unwrap_err();
 }
 
 #[test]

@@ -92,6 +92,26 @@ fn a_free_place_that_goes_to_somebody_before_the_line_is_noticed() {
 }
 
 #[test]
+fn a_task_that_begins_although_somebody_else_holds_the_service_is_noticed() {
+    caught(Mutation::RunBesideAHolder, &["grant exclusivity", "the oracle agrees", "nobody is overtaken"]);
+}
+
+#[test]
+fn a_task_that_waits_again_although_its_submitter_did_not_want_that_is_noticed() {
+    caught(Mutation::AlwaysWaitAgain, &["the oracle agrees"]);
+}
+
+#[test]
+fn one_reader_more_than_the_owner_allows_is_noticed() {
+    caught(Mutation::OnePlaceTooMany, &["grant exclusivity", "the oracle agrees"]);
+}
+
+#[test]
+fn a_reader_without_a_place_is_noticed() {
+    caught(Mutation::ReadWithoutAPlace, &["the oracle agrees"]);
+}
+
+#[test]
 fn a_stop_that_a_node_forgets_when_it_starts_is_noticed() {
     caught(Mutation::ForgetAStop, &["a stop lasts", "state agreement", "the oracle agrees"]);
 }

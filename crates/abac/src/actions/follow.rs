@@ -9,6 +9,7 @@ use crate::records::service::{self, Target};
 use ledger::Context;
 use ledger_contract::readers;
 use ledger_identity::{Identity, Role};
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::result::Event;
 
@@ -40,6 +41,7 @@ pub(crate) fn may_subscribe(
     let carries = matches!(submitter.role, Role::Robot | Role::Node) && submitter.organisation == robot.organisation;
     if carries
         || target.service.sharing.subscribers.is_none()
+        || active(Mutation::ReadWithoutAPlace)
         || decider.records.held(ctx, &readers(target.service_id()), submitter)?.is_some()
     {
         return Ok(());

@@ -9,6 +9,7 @@ use crate::records::task::{self, Kept};
 use crate::rules::terms::Terms;
 use ledger::Context;
 use ledger_contract::{LeftReason, Reason, TaskState, TaskTold};
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::Rejection;
 
 /// Most tasks of a service that join the line, expire or end with the service in one block.
@@ -87,7 +88,8 @@ pub(crate) fn grant_ended(ctx: &mut Context<'_>, id: u64, reason: Reason) -> Res
     let running = |kept: &Kept| kept.task.state == TaskState::Running;
     let Some(before) = task::find(ctx, id)?.filter(running) else { return Ok(()) };
     let (state, why) = outcome(reason);
-    if state != TaskState::Preempted || !before.task.requeue {
+    let requeue = before.task.requeue || active(Mutation::AlwaysWaitAgain);
+    if state != TaskState::Preempted || !requeue {
         return finish(ctx, &before, state, why).map(drop);
     }
     let mut after = before.clone();

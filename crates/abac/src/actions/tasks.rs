@@ -20,6 +20,7 @@ use ledger_contract::{
     COORDINATE_UM_MAX, Direction, POINTS_MAX, Place, Reason, Submitted, Task, TaskSpec, TaskState, YAW_URAD_MAX,
 };
 use ledger_identity::Role;
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
 /// Longest JSON of a task, in bytes: enough to count the points of one that has far too many.
@@ -172,6 +173,7 @@ fn room(
     let room = match contest.holds(&principal.id()) {
         true if lined == 0 => Err(acquire::held(target, &contest.holders)),
         true => Ok(Room::InLine { again: None, priority }),
+        false if active(Mutation::RunBesideAHolder) => Ok(Room::After { ended: Vec::new(), priority }),
         false => {
             let contender = contest::newcomer(ctx, principal.id(), priority);
             acquire::room(target, &contest, contest.decide(rule, &contender), priority)

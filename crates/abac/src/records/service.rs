@@ -8,6 +8,7 @@ use super::{sharing, store};
 use crate::arguments::shown;
 use ledger::Context;
 use ledger_contract::{Direction, Mode, Sharing, read_from, readers};
+use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
@@ -42,7 +43,7 @@ pub(crate) struct Target {
 impl Service {
     /// The terms of the places of its subscribers, if it limits them. A subscriber sends nothing, so it is never idle.
     fn for_readers(&self) -> Option<Self> {
-        let publishers = Some(self.sharing.subscribers?);
+        let publishers = Some(self.sharing.subscribers? + u64::from(active(Mutation::OnePlaceTooMany)));
         let sharing = Sharing { publishers, subscribers: None, idle_release_ms: None, ..self.sharing.clone() };
         Some(Self { sharing, ..self.clone() })
     }

@@ -9,15 +9,16 @@
 
 mod agreements;
 mod arguments;
+mod bad_input;
 mod budgets;
 mod bytes;
 mod confirmation;
-mod contests;
 mod delegation;
 mod emergency;
 mod fleet;
 mod following;
 mod grants;
+mod interleavings;
 mod limits;
 mod model;
 mod open;
@@ -30,6 +31,7 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod starving;
 mod task_ends;
 mod tasks;
 mod together;

@@ -1,19 +1,45 @@
-//! A model of the rules, written apart from them: lists, and one look at everything at the start of every block.
+//! A model of who has what, written apart from the product: lists, and one look at everything at the start of every block.
 //!
 //! It knows nothing of keys, indexes or times at which to look again. So it notices every turn that the product misses.
 
+mod begin;
+mod confirm;
+mod contest;
+mod pass_on;
+mod tasks;
+
 use crate::fleet::SECOND;
+use confirm::Asking;
+use ledger_rejection::Code;
+use tasks::Task;
+pub(crate) use tasks::{State, Wanted};
+
+/// The services, by number: two that are driven, and the places of those who read the first one.
+pub(crate) const DRIVEN: [usize; 2] = [0, 1];
+pub(crate) const PLACES: usize = 2;
+/// An admin of the owner, after five people.
+pub(crate) const OWNER: usize = 5;
+/// The priorities of the five.
+pub(crate) const PRIORITIES: [i64; OWNER] = [0, 1, 1, 2, 3];
+/// The lease of every grant.
+const LEASE: u64 = 10 * SECOND;
 
 /// The settings that the model knows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Settings {
+    /// How many hold it at once; [`usize::MAX`] if everybody may.
     pub(crate) places: usize,
+    /// How many read it at once, if its owner says so.
+    pub(crate) readers: Option<usize>,
     pub(crate) conflict: Conflict,
     /// 0: no line.
     pub(crate) line: usize,
     pub(crate) patience: u64,
     pub(crate) aging: Option<u64>,
     pub(crate) min_hold: u64,
+    pub(crate) confirm: Option<usize>,
+    pub(crate) confirm_within: u64,
+    pub(crate) delegable: bool,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,216 +54,261 @@ pub(crate) struct Holder {
     pub(crate) who: usize,
     pub(crate) epoch: u64,
     priority: i64,
+    /// Since when the service is held without a break.
     since: u64,
     expires: u64,
+    /// It was taken whatever its rule says.
+    taken: bool,
+    /// The number of the task that it serves.
+    pub(crate) task: Option<u64>,
+    /// Those who passed it on, the first one first.
+    givers: Vec<pass_on::Giver>,
+    may_delegate: bool,
+    ends_by: Option<u64>,
 }
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Waiter {
     pub(crate) who: usize,
+    /// The number of the task that waits there.
+    pub(crate) task: Option<u64>,
     priority: i64,
     since: u64,
     until: u64,
 }
 
-/// The answer to `acquire`.
+/// The answer to a call that was not refused.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Answer {
+pub(crate) enum Got {
+    /// A grant with this epoch.
     Granted(u64),
+    /// A place in line.
     Queued,
-    Held,
-    LineFull,
-    Stopped,
-    Denied,
+    /// Others must agree first.
+    Pending,
+    /// A task with this number.
+    Task(u64, State),
+    /// Something that needs no words.
+    Done,
 }
 
-/// One service.
+pub(crate) type Answer = Result<Got, Code>;
+
+/// Something that can be had.
 #[derive(Clone, Debug)]
-pub(crate) struct Model {
+pub(crate) struct Service {
     pub(crate) settings: Settings,
     /// Oldest grant first.
     pub(crate) holders: Vec<Holder>,
     /// In order of arrival.
     pub(crate) line: Vec<Waiter>,
-    pub(crate) stopped: bool,
-    /// Those whom a policy forbids.
-    pub(crate) forbidden: Vec<usize>,
+    pub(crate) asking: Vec<Asking>,
     epoch: u64,
 }
 
-const LEASE: u64 = 10 * SECOND;
+/// Everything.
+#[derive(Clone, Debug)]
+pub(crate) struct Model {
+    pub(crate) services: Vec<Service>,
+    /// Of each robot; a service that is driven has its robot's number.
+    pub(crate) stopped: [bool; 2],
+    /// Those whom a policy forbids everything.
+    pub(crate) forbidden: Vec<usize>,
+    pub(crate) tasks: Vec<Task>,
+}
 
 impl Model {
-    pub(crate) fn new(settings: Settings) -> Self {
-        Self { settings, holders: vec![], line: vec![], stopped: false, forbidden: vec![], epoch: 0 }
+    pub(crate) fn new(settings: [Settings; 2]) -> Self {
+        let service = |settings| Service { settings, holders: vec![], line: vec![], asking: vec![], epoch: 0 };
+        let places = service(settings[0]);
+        let services = settings.map(service).into_iter().chain([places]).collect();
+        let mut model = Self { services, stopped: [false; 2], forbidden: vec![], tasks: vec![] };
+        model.services[PLACES].settings = settings[0].for_readers();
+        model
     }
 
-    /// The start of a block.
-    pub(crate) fn begin(&mut self, now: u64) {
-        self.holders.retain(|holder| holder.expires > now);
-        self.line.retain(|waiter| waiter.until > now);
-        self.line.truncate(self.settings.line);
-        while !self.stopped && self.turn(now) {}
+    /// Is there such a thing now?
+    pub(crate) fn exists(&self, at: usize) -> bool {
+        at != PLACES || self.services[0].settings.readers.is_some()
     }
 
-    /// How much a waiter is worth: whole steps, and the exact order in line.
-    fn worth(&self, waiter: &Waiter, now: u64) -> (i64, i128) {
-        let waited = now - waiter.since;
-        match self.settings.aging {
-            None => (waiter.priority, i128::from(waiter.priority)),
-            Some(aging) => (
-                waiter.priority + (waited / aging) as i64,
-                i128::from(waiter.priority) * i128::from(aging) + i128::from(waited),
-            ),
-        }
+    fn find(&self, at: usize) -> Result<(), Code> {
+        if self.exists(at) { Ok(()) } else { Err(Code::UnknownService) }
     }
 
-    /// The next in line: the highest worth, then the earliest.
-    fn best(&self, now: u64) -> Option<usize> {
-        let mut best: Option<usize> = None;
-        for index in 0..self.line.len() {
-            let beats = |other: usize| self.worth(&self.line[index], now).1 > self.worth(&self.line[other], now).1;
-            if best.is_none_or(beats) {
-                best = Some(index);
-            }
-        }
-        best
+    /// A reader is not stopped.
+    fn goes(&self, at: usize) -> Result<(), Code> {
+        if at != PLACES && self.stopped[at] { Err(Code::Stopped) } else { Ok(()) }
     }
 
-    /// The holder that one of this worth may push out.
-    fn weakest(&self, worth: i64, now: u64) -> Option<usize> {
-        if self.settings.conflict != Conflict::Preempt {
-            return None;
-        }
-        let mut weakest: Option<usize> = None;
-        for (index, holder) in self.holders.iter().enumerate() {
-            let safe = now < holder.since + self.settings.min_hold;
-            if !safe
-                && holder.priority < worth
-                && weakest.is_none_or(|other| holder.priority <= self.holders[other].priority)
-            {
-                weakest = Some(index);
-            }
-        }
-        weakest
+    fn permits(&self, who: usize) -> Result<(), Code> {
+        if self.forbidden.contains(&who) { Err(Code::DeniedByPolicy) } else { Ok(()) }
     }
 
-    /// One turn, if there is one.
-    fn turn(&mut self, now: u64) -> bool {
-        let Some(best) = self.best(now) else { return false };
-        let worth = self.worth(&self.line[best], now).0;
-        let victim = self.weakest(worth, now);
-        if self.holders.len() >= self.settings.places && victim.is_none() {
-            return false;
-        }
-        let waiter = self.line.remove(best);
-        if !self.forbidden.contains(&waiter.who) {
-            if self.holders.len() >= self.settings.places {
-                self.holders.remove(victim.unwrap());
-            }
-            self.give(waiter.who, waiter.priority, now);
-        }
-        true
+    pub(crate) fn holder(&self, at: usize, who: usize) -> Option<&Holder> {
+        self.services[at].holders.iter().find(|holder| holder.who == who)
     }
 
-    fn give(&mut self, who: usize, priority: i64, now: u64) -> u64 {
-        self.epoch += 1;
-        self.holders.push(Holder { who, epoch: self.epoch, priority, since: now, expires: now + LEASE });
-        self.epoch
+    fn give(&mut self, at: usize, who: usize, priority: i64, now: u64) -> u64 {
+        let service = &mut self.services[at];
+        service.epoch += 1;
+        service.holders.push(Holder {
+            who,
+            epoch: service.epoch,
+            priority,
+            since: now,
+            expires: now + LEASE,
+            taken: false,
+            task: None,
+            givers: vec![],
+            may_delegate: false,
+            ends_by: None,
+        });
+        service.epoch
     }
 
-    pub(crate) fn acquire(&mut self, who: usize, priority: i64, wait: Option<u64>, now: u64) -> Answer {
-        if self.forbidden.contains(&who) {
-            return Answer::Denied;
-        }
-        if self.stopped {
-            return Answer::Stopped;
-        }
-        if let Some(own) = self.holders.iter_mut().find(|holder| holder.who == who) {
-            own.expires = now + LEASE;
-            return Answer::Granted(own.epoch);
-        }
-        let waits = self.line.iter().position(|waiter| waiter.who == who);
-        let was = waits.map(|index| self.line[index].clone());
-        let patience = wait.map_or(self.settings.patience, |wait| wait.min(self.settings.patience));
-        let mut asks = was.clone().unwrap_or(Waiter { who, priority, since: now, until: 0 });
-        asks.until = now + patience;
-        // It stands in line for a moment: at the end, or in the place that it has.
-        let before = self.line.clone();
-        match waits {
-            Some(index) => self.line[index] = asks.clone(),
-            None => self.line.push(asks.clone()),
-        }
-        let is_first = self.best(now).is_some_and(|best| self.line[best].who == who);
-        let worth = self.worth(&asks, now).0;
-        let victim = self.weakest(worth, now);
-        let free = self.holders.len() < self.settings.places;
-        if is_first && (free || victim.is_some()) {
-            self.line.retain(|waiter| waiter.who != who);
-            if !free {
-                self.holders.remove(victim.unwrap());
-            }
-            // One that comes anew counts with the priority it asks with now.
-            return Answer::Granted(self.give(who, priority, now));
-        }
-        if self.settings.line == 0 || wait == Some(0) {
-            self.line = before;
-            return Answer::Held;
-        }
-        if was.is_none() && before.len() >= self.settings.line {
-            self.line = before;
-            return Answer::LineFull;
-        }
-        Answer::Queued
-    }
-
-    /// Gives back what is held, or leaves the line. Answers if there was anything.
-    pub(crate) fn release(&mut self, who: usize) -> bool {
-        let (holders, line) = (self.holders.len(), self.line.len());
-        if self.holders.iter().any(|holder| holder.who == who) {
-            self.holders.retain(|holder| holder.who != who);
-        } else {
-            self.line.retain(|waiter| waiter.who != who);
-        }
-        (holders, line) != (self.holders.len(), self.line.len())
-    }
-
-    pub(crate) fn publish(&mut self, who: usize, now: u64) {
-        if let Some(own) = self.holders.iter_mut().find(|holder| holder.who == who)
-            && now + LEASE - own.expires > LEASE / 4
-        {
-            own.expires = now + LEASE;
+    /// Ends grants, and the tasks that they serve.
+    fn end(&mut self, at: usize, why: tasks::Why, now: u64, ends: impl Fn(&Holder) -> bool) {
+        let holders = std::mem::take(&mut self.services[at].holders);
+        let (ended, stay): (Vec<_>, Vec<_>) = holders.into_iter().partition(ends);
+        self.services[at].holders = stay;
+        for task in ended.into_iter().filter_map(|holder| holder.task) {
+            self.interrupt(task, why, now);
         }
     }
 
-    pub(crate) fn revoke(&mut self, who: usize) {
-        self.holders.retain(|holder| holder.who != who);
-        self.line.retain(|waiter| waiter.who != who);
+    /// Somebody wants nothing of a service any more, for itself.
+    fn leave(&mut self, at: usize, who: usize) -> bool {
+        let service = &mut self.services[at];
+        let before = service.line.len() + service.asking.len();
+        service.line.retain(|waiter| waiter.who != who || waiter.task.is_some());
+        service.asking.retain(|asking| asking.who != who);
+        service.line.len() + service.asking.len() < before
     }
 
-    pub(crate) fn take(&mut self, who: usize, now: u64) -> Answer {
-        if self.stopped {
-            return Answer::Stopped;
+    pub(crate) fn renew(&mut self, at: usize, who: usize, now: u64) -> Answer {
+        self.find(at)?;
+        let own = self.holder(at, who).cloned().ok_or(Code::NotHolder)?;
+        self.may_keep(&own)?;
+        Ok(self.extend(at, who, now))
+    }
+
+    fn may_keep(&self, holder: &Holder) -> Result<(), Code> {
+        if holder.taken {
+            return Ok(());
         }
-        self.holders.clear();
-        self.line.retain(|waiter| waiter.who != who);
-        Answer::Granted(self.give(who, i64::MAX, now))
+        self.permits(holder.who)?;
+        holder.givers.iter().try_for_each(|giver| self.permits(giver.who))
     }
 
-    pub(crate) fn stop(&mut self) {
-        if !self.stopped {
-            self.holders.clear();
+    fn extend(&mut self, at: usize, who: usize, now: u64) -> Got {
+        let own = self.services[at].holders.iter_mut().find(|holder| holder.who == who).unwrap();
+        own.expires = own.until(now);
+        Got::Granted(own.epoch)
+    }
+
+    /// Use extends a lease of which more than a quarter is used up.
+    fn used(&mut self, at: usize, who: usize, now: u64) {
+        let Some(own) = self.services[at].holders.iter_mut().find(|holder| holder.who == who) else { return };
+        if own.until(now).saturating_sub(own.expires) > LEASE / 4 {
+            own.expires = own.until(now);
         }
-        self.stopped = true;
     }
 
-    pub(crate) fn set(&mut self, settings: Settings) {
-        self.settings = settings;
-        self.holders.truncate(settings.places);
+    pub(crate) fn publish(&mut self, at: usize, who: usize, now: u64) -> bool {
+        let holds = self.holder(at, who).is_some();
+        self.used(at, who, now);
+        holds
     }
 
-    pub(crate) fn forbid(&mut self, forbidden: Vec<usize>) {
-        self.holders.retain(|holder| holder.priority == i64::MAX || !forbidden.contains(&holder.who));
+    /// Gives back what is held, or leaves the line.
+    pub(crate) fn release(&mut self, at: usize, who: usize, now: u64) -> Answer {
+        self.find(at)?;
+        if self.holder(at, who).is_some() {
+            self.end(at, tasks::Why::GivenBack, now, |holder| holder.who == who);
+            return Ok(Got::Done);
+        }
+        if self.leave(at, who) {
+            return Ok(Got::Done);
+        }
+        if who != OWNER {
+            return Err(Code::NotHolder);
+        }
+        self.end(at, tasks::Why::Failed, now, |_| true);
+        Ok(Got::Done)
+    }
+
+    pub(crate) fn revoke(&mut self, who: usize, now: u64) {
+        for at in 0..self.services.len() {
+            let is_theirs = |holder: &Holder| holder.who == who || holder.givers.iter().any(|giver| giver.who == who);
+            self.end(at, tasks::Why::Failed, now, is_theirs);
+            let service = &mut self.services[at];
+            service.line.retain(|waiter| waiter.who != who);
+            service.asking.retain(|asking| asking.who != who);
+            service.asking.iter_mut().for_each(|asking| asking.confirmed.retain(|confirmed| *confirmed != who));
+        }
+        self.tasks_of(who, now);
+    }
+
+    /// The owner has a service, whatever its rule says.
+    pub(crate) fn take(&mut self, at: usize, now: u64) -> Answer {
+        self.find(at)?;
+        self.goes(at)?;
+        self.end(at, tasks::Why::Interrupted, now, |_| true);
+        self.leave(at, OWNER);
+        let epoch = self.give(at, OWNER, i64::MAX, now);
+        self.services[at].holders[0].taken = true;
+        Ok(Got::Granted(epoch))
+    }
+
+    pub(crate) fn stop(&mut self, robot: usize, now: u64) {
+        if !std::mem::replace(&mut self.stopped[robot], true) {
+            self.end(robot, tasks::Why::Interrupted, now, |_| true);
+        }
+    }
+
+    pub(crate) fn set(&mut self, at: usize, settings: Settings, now: u64) {
+        self.services[at].settings = settings;
+        let mut changed = vec![at];
+        if at == 0 {
+            self.services[PLACES].settings = settings.for_readers();
+            changed.push(PLACES);
+        }
+        for at in changed {
+            // The oldest stay.
+            let most = if self.exists(at) { self.services[at].settings.places } else { 0 };
+            let stay: Vec<u64> = self.services[at].holders.iter().take(most).map(|holder| holder.epoch).collect();
+            self.end(at, tasks::Why::Failed, now, |holder| !stay.contains(&holder.epoch));
+        }
+    }
+
+    pub(crate) fn forbid(&mut self, forbidden: Vec<usize>, now: u64) {
         self.forbidden = forbidden;
+        for at in 0..self.services.len() {
+            let denied = |holder: &&Holder| self.may_keep(holder).is_err();
+            let denied: Vec<u64> = self.services[at].holders.iter().filter(denied).map(|holder| holder.epoch).collect();
+            self.end(at, tasks::Why::Failed, now, |holder| denied.contains(&holder.epoch));
+        }
+    }
+}
+
+impl Settings {
+    /// The same, for the places of readers.
+    fn for_readers(self) -> Self {
+        Self { places: self.readers.unwrap_or(0), readers: None, ..self }
+    }
+
+    /// The priority of somebody who asks for a lower one, or does not.
+    pub(crate) fn priority(&self, who: usize, less: i64) -> i64 {
+        let own = if self.conflict == Conflict::Deny { 0 } else { PRIORITIES.get(who).copied().unwrap_or(0) };
+        own - less
+    }
+}
+
+impl Holder {
+    /// When a lease that begins now ends.
+    fn until(&self, now: u64) -> u64 {
+        let bounds = self.givers.iter().filter_map(|giver| giver.ends_by).chain(self.ends_by);
+        bounds.fold(now + LEASE, u64::min)
     }
 }

@@ -5,12 +5,10 @@ use super::intent::SERVICES;
 use crate::world::World;
 use testkit::Random;
 
-/// How many hold a `limited` service at once, in all settings of the collection.
-pub const PUBLISHERS: usize = 2;
 /// The rules that brought lines, limits and stops.
 const SINCE: u32 = 3;
 /// Every setting of a service's rule.
-const KEYS: &str = r#"["publishers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","delegable","confirm","confirm_within_ms"]"#;
+const KEYS: &str = r#"["publishers","subscribers","on_conflict","queue_max","queue_wait_max_ms","priority","aging_ms","min_hold_ms","idle_release_ms","delegable","confirm","confirm_within_ms"]"#;
 
 /// A choice of an owner for a service: the mode, and the settings of its rule as JSON.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -25,7 +23,7 @@ const fn exclusive(sharing: &'static str) -> Terms {
     Terms { mode: "exclusive", sharing }
 }
 
-const fn limited(sharing: &'static str) -> Terms {
+pub(super) const fn limited(sharing: &'static str) -> Terms {
     Terms { mode: "limited", sharing }
 }
 
@@ -72,7 +70,7 @@ impl Terms {
 
 impl World {
     /// Does a client want something of this kind now? The network must know it.
-    fn contends(&mut self, percent: u64) -> bool {
+    pub(super) fn contends(&mut self, percent: u64) -> bool {
         let next = self.blocks.len() as u64 + 1;
         self.plan.contests
             && self.invariants.rules_by_height.number_at(next) >= SINCE
@@ -83,6 +81,9 @@ impl World {
     pub(super) fn rule_contests(&mut self) -> Option<Call> {
         if !self.contends(30) {
             return None;
+        }
+        if let Some(call) = self.rule_readers() {
+            return Some(call);
         }
         let random = &mut self.random.contests;
         let robot = random.pick(&STOPPED).copied().unwrap_or("*");
@@ -108,6 +109,9 @@ impl World {
     pub(super) fn contend(&mut self, number: usize) -> Option<Call> {
         if !self.contends(35) {
             return None;
+        }
+        if let Some(call) = self.toil(number).or_else(|| self.subscribe(number)) {
+            return Some(call);
         }
         if self.random.contests.percent(30) {
             return Some(self.pass_on(number));
@@ -143,7 +147,7 @@ fn several(random: &mut Random) -> Call {
 }
 
 /// A contender that says how long it waits, and perhaps that it is less urgent.
-fn contender(random: &mut Random, service: String) -> Call {
+pub(super) fn contender(random: &mut Random, service: String) -> Call {
     let lease_ms = random.percent(20).then(|| random.between(50, 25_000));
     let wait_ms = random.percent(40).then(|| random.below(6) * 1_000);
     let priority = random.percent(20).then(|| random.below(4) as i64 - 1);

@@ -2,7 +2,9 @@
 
 use super::READER;
 use super::contest::Terms;
+use super::tasks::ROBOT;
 use crate::clock::EPOCH;
+use crate::history::Asks;
 use crate::policy::Policy;
 use crate::world::World;
 use bytes::Bytes;
@@ -97,6 +99,30 @@ pub enum Call {
         /// Does the robot stop between?
         stop: bool,
     },
+    /// That a robot goes to some points.
+    Submit {
+        /// The service.
+        service: String,
+        /// The task as JSON.
+        task: String,
+    },
+    /// To say how many points of a task were reached.
+    Progress {
+        /// The task.
+        id: u64,
+        /// So many.
+        reached: u64,
+    },
+    /// To say that a task cannot go on.
+    Fail {
+        /// The task.
+        id: u64,
+    },
+    /// That a task ends.
+    Cancel {
+        /// The task.
+        id: u64,
+    },
     /// To carry the CA of an organisation, as a node.
     Carry {
         /// The organisation.
@@ -130,8 +156,10 @@ pub enum Call {
         /// Sequence number.
         seq: u64,
     },
-    /// To know who holds it.
+    /// To know something about a service.
     Read {
+        /// The question.
+        asks: Asks,
         /// The service.
         service: String,
         /// With everything that was acknowledged before.
@@ -210,6 +238,12 @@ impl Call {
             Self::Recall { service, stop } => {
                 ("abac", "recall", vec![text(service), text(&json!({"stop": stop}).to_string())])
             }
+            Self::Submit { service, task } => ("abac", "submit", vec![text(service), text(task)]),
+            Self::Progress { id, reached } => {
+                ("abac", "progress", vec![text(&id.to_string()), text(&reached.to_string())])
+            }
+            Self::Fail { id } => ("abac", "fail", vec![text(&id.to_string()), text("the door is locked")]),
+            Self::Cancel { id } => ("abac", "cancel", vec![text(&id.to_string())]),
             Self::Carry { organisation, proof } => {
                 ("msp", "carry_ca", vec![text(&json!({"organisation": organisation, "proof": proof}).to_string())])
             }
@@ -297,9 +331,10 @@ impl World {
             "Org2/admin" if !client.ready => Some(Call::Setup { open: true }),
             "Org2/admin" => Some(self.rule(service)),
             READER if self.random.clients.percent(90) => {
-                Some(Call::Read { service, linearizable: self.random.clients.percent(80) })
+                Some(Call::Read { asks: Asks::Holders, service, linearizable: self.random.clients.percent(80) })
             }
             "Org1/admin" if self.random.clients.percent(4) => self.revocation(),
+            ROBOT => self.report(),
             _ => Some(self.use_service(number, service)),
         }
     }
@@ -322,7 +357,7 @@ impl World {
             9 => Call::Setup { open: random.percent(50) },
             10..=12 => Call::Release { service },
             13..=14 => Call::Acquire { service, lease_ms: None },
-            _ => Call::Read { service, linearizable: random.percent(50) },
+            _ => Call::Read { asks: Asks::Holders, service, linearizable: random.percent(50) },
         }
     }
 
@@ -348,7 +383,7 @@ impl World {
         let grant = self.clients[number].grants.get(&service).copied();
         let random = &mut self.random.clients;
         match (random.below(100), grant) {
-            (0..=14, _) => Call::Read { service, linearizable: random.percent(50) },
+            (0..=14, _) => Call::Read { asks: Asks::Holders, service, linearizable: random.percent(50) },
             (15..=30, _) | (_, None) if service != "Husky/arm" || random.percent(50) => {
                 let lease_ms = random.percent(30).then(|| random.between(50, 25_000));
                 Call::Acquire { service, lease_ms }

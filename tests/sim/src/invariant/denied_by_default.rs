@@ -42,6 +42,9 @@ impl DeniedByDefault {
                     &*body.function,
                     "acquire"
                         | "acquire_all"
+                        | "submit"
+                        | "progress"
+                        | "fail"
                         | "delegate"
                         | "handover"
                         | "recall"

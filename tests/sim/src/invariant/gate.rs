@@ -7,11 +7,13 @@
 
 use super::{Check, Executed, Violation};
 use crate::people::{People, Person};
+use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_gate::gate::COMMAND_TTL;
 use ledger_hash::Hash;
 use ledger_rejection::Code;
 use serde::Deserialize;
+use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -81,6 +83,12 @@ struct Service {
     mode: String,
 }
 
+#[derive(Deserialize)]
+struct Configured {
+    mode: String,
+    sharing: Map<String, Value>,
+}
+
 impl GateKeepsTheRules {
     /// For these people, and robots for which an answer counts so long.
     pub fn new(people: Arc<People>, stale_after: u64) -> Self {
@@ -121,6 +129,7 @@ impl GateKeepsTheRules {
                     let key = (text(0).unwrap_or_default(), text(1).unwrap_or_default());
                     self.revoked.entry(key).or_insert(now);
                 }
+                ("abac", "configure") => self.configured(&body.args, now),
                 ("abac", "replace") => body.args.iter().for_each(|robot| self.described(robot, now)),
                 _ => {}
             }
@@ -130,13 +139,25 @@ impl GateKeepsTheRules {
     fn described(&mut self, robot: &[u8], now: u64) {
         let Robot { name, services } = serde_json::from_slice(robot).unwrap();
         for Service { topic, mode } in services {
-            let spans = self.open.entry(format!("{name}{topic}")).or_default();
-            let is_open = spans.last().is_some_and(|(_, until)| until.is_none());
-            match (mode == "open", spans.last_mut()) {
-                (true, _) if !is_open => spans.push((now, None)),
-                (false, Some((_, until))) if is_open => *until = Some(now),
-                _ => {}
-            }
+            self.opens(format!("{name}{topic}"), mode == "open", now);
+        }
+    }
+
+    /// The owner has chosen who wins. Where only readers are limited, everybody may publish.
+    fn configured(&mut self, args: &[Bytes], now: u64) {
+        let [service, settings] = args else { return };
+        let Configured { mode, sharing } = serde_json::from_slice(settings).unwrap();
+        let opens = mode == "open" || mode == "limited" && !sharing.contains_key("publishers");
+        self.opens(String::from_utf8_lossy(service).into_owned(), opens, now);
+    }
+
+    fn opens(&mut self, service: String, opens: bool, now: u64) {
+        let spans = self.open.entry(service).or_default();
+        let is_open = spans.last().is_some_and(|(_, until)| until.is_none());
+        match (opens, spans.last_mut()) {
+            (true, _) if !is_open => spans.push((now, None)),
+            (false, Some((_, until))) if is_open => *until = Some(now),
+            _ => {}
         }
     }
 

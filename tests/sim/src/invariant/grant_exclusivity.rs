@@ -1,10 +1,13 @@
-//! Grant exclusivity (design.md §7.4): at every height at most as many holders as the service's mode allows.
+//! Grant exclusivity (design.md §7.4): at every height at most as many holders as the service's mode allows, and at most as many
+//! readers as its owner says.
 //!
-//! Told by the events, which is how the robots' bridges know.
+//! Told by the events, which is how the robots' bridges know, and by the numbers that owners chose.
 
 use super::{Check, Executed, Violation};
-use crate::client::PUBLISHERS;
+use crate::client::READERS;
 use ledger::Outcome;
+use ledger::transaction::Transaction;
+use ledger_rejection::Code;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,6 +17,20 @@ const NAME: &str = "grant exclusivity";
 #[derive(Default)]
 pub struct GrantExclusivity {
     holders: BTreeMap<String, BTreeSet<(String, u64)>>,
+    /// How many hold a service, or read it, where its owner says so.
+    places: BTreeMap<String, usize>,
+}
+
+/// The settings that are read of a service.
+#[derive(Deserialize)]
+struct Configured {
+    sharing: Limits,
+}
+
+#[derive(Deserialize)]
+struct Limits {
+    publishers: Option<usize>,
+    subscribers: Option<usize>,
 }
 
 #[derive(Deserialize)]
@@ -32,14 +49,22 @@ impl GrantExclusivity {
     /// A service for one has two holders, or a grant ended that nobody had.
     pub fn executed(&mut self, executed: &Executed<'_>) -> Check {
         let height = executed.outcome.header.height;
-        for (name, Granted { service, holder, epoch, mode }) in grants(executed.outcome) {
+        let mut next = 0;
+        for (at, name, Granted { service, holder, epoch, mode }) in grants(executed.outcome) {
+            // A change of settings comes before what it ends.
+            while at.is_some_and(|at| next <= at as usize) {
+                let succeeded = executed.outcome.results.get(next).is_some_and(|result| result.code() == Code::Ok);
+                let transaction = executed.transactions.get(next).and_then(Option::as_ref);
+                transaction.filter(|_| succeeded).into_iter().for_each(|transaction| self.configured(transaction));
+                next += 1;
+            }
             let holders = self.holders.entry(service.clone()).or_default();
             match name {
                 "granted" => {
                     holders.insert((holder, epoch));
                     let most = match &*mode {
                         "exclusive" => 1,
-                        "limited" => PUBLISHERS,
+                        "limited" => self.places.get(&service).copied().unwrap_or(usize::MAX),
                         _ => usize::MAX,
                     };
                     if holders.len() > most {
@@ -55,7 +80,28 @@ impl GrantExclusivity {
                 }
             }
         }
+        for (at, transaction) in executed.transactions.iter().enumerate().skip(next) {
+            let succeeded = executed.outcome.results.get(at).is_some_and(|result| result.code() == Code::Ok);
+            transaction.iter().filter(|_| succeeded).for_each(|transaction| self.configured(transaction));
+        }
         Ok(())
+    }
+
+    fn configured(&mut self, transaction: &Transaction) {
+        let body = transaction.body();
+        match (&*body.chaincode, &*body.function, body.args.as_slice()) {
+            ("abac", "replace", _) => self.places.clear(),
+            ("abac", "configure", [service, settings]) => {
+                let Configured { sharing } = serde_json::from_slice(settings).unwrap();
+                let service = String::from_utf8_lossy(service).into_owned();
+                let both = [(service.clone(), sharing.publishers), (service + READERS, sharing.subscribers)];
+                for (id, most) in both {
+                    self.places.remove(&id);
+                    self.places.extend(most.map(|most| (id, most)));
+                }
+            }
+            _ => {}
+        }
     }
 
     /// The holder of a service, with the epoch.
@@ -65,11 +111,11 @@ impl GrantExclusivity {
 }
 
 /// The events about grants.
-fn grants(outcome: &Outcome) -> impl Iterator<Item = (&str, Granted)> {
+fn grants(outcome: &Outcome) -> impl Iterator<Item = (Option<u32>, &str, Granted)> {
     outcome.events.iter().filter_map(|emitted| {
         let event = &emitted.event;
         let about_grants = event.chaincode == "abac" && matches!(&*event.name, "granted" | "renewed" | "released");
         let grant = about_grants.then(|| serde_json::from_slice(&event.payload).unwrap())?;
-        Some((&*event.name, grant))
+        Some((emitted.index, &*event.name, grant))
     })
 }

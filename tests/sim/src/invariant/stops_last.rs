@@ -1,9 +1,10 @@
 //! A stop lasts (docs/conflict.md, "Emergency"). From the block that stops a robot to the one that resumes it, nobody holds one
 //! of its command services. Nobody is granted one or publishes on one. Every node knows that, also when it has just started.
 //!
-//! All services of the simulated robots are command services.
+//! All services of the simulated robots are command services. A reader goes on.
 
 use super::{Check, Executed, Violation};
+use crate::client::READERS;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -33,7 +34,7 @@ impl StopsLast {
         let before = self.stopped_at(height);
         let mut stopped = before.clone();
         let events = executed.outcome.events.iter().map(|emitted| &emitted.event);
-        for event in events.filter(|event| event.chaincode == "abac") {
+        for event in events.filter(|event| event.chaincode == "abac" && !event.subject.ends_with(READERS)) {
             let (service, robot) = (&event.subject, event.subject.split('/').next().unwrap_or_default());
             match &*event.name {
                 "stopped" => drop(stopped.insert(robot.to_owned())),

@@ -3,23 +3,30 @@
 mod confirm;
 mod contest;
 mod delegate;
+mod ends;
 mod enrol;
 mod grants;
 mod network;
+mod policies;
+mod services;
+mod tasks;
 
 use crate::people::{People, Person};
 use crate::plan::Plan;
-use crate::policy::{Asked, Policy, Says};
+use crate::policy::Policy;
 use bytes::Bytes;
+use ends::Why;
 use ledger::members::Membership;
 use ledger::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::Code;
 use network::Nodes;
-use serde::Deserialize;
+use services::{Robot, Service};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
+pub(super) use tasks::State;
+use tasks::Task;
 
 /// The world as far as the simulated people can change it.
 #[derive(Clone)]
@@ -42,6 +49,8 @@ pub(super) struct Model {
     grants: BTreeMap<String, Vec<Grant>>,
     /// Of each service, in order of arrival.
     lines: BTreeMap<String, Vec<contest::Waiter>>,
+    /// All that ever were, the one with number 1 first.
+    tasks: Vec<Task>,
     /// Of each service, by name.
     asking: confirm::Askings,
     /// Robots.
@@ -52,27 +61,6 @@ pub(super) struct Model {
     last: BTreeMap<(String, String), (u64, u64)>,
     /// Nodes, and what they attest.
     network_of_nodes: Nodes,
-}
-
-/// A robot as it was registered.
-#[derive(Clone, Deserialize)]
-pub(super) struct Robot {
-    #[serde(skip)]
-    owner: String,
-    name: String,
-    attribute_required: String,
-    trusted: Vec<String>,
-    services: Vec<Service>,
-}
-
-#[derive(Clone, Deserialize)]
-pub(super) struct Service {
-    topic: String,
-    mode: String,
-    lease_ms: u64,
-    lease_ms_max: u64,
-    #[serde(default)]
-    sharing: serde_json::Map<String, serde_json::Value>,
 }
 
 /// A grant that has not ended.
@@ -88,6 +76,8 @@ pub(super) struct Grant {
     /// Since when the service is held without a break.
     since: u64,
     chain: delegate::Chain,
+    /// The task that it serves.
+    task: Option<u64>,
 }
 
 /// A verdict, and what of the response can be told.
@@ -98,11 +88,13 @@ pub(super) struct Judged {
     pub(super) grant: Option<(u64, u64)>,
     /// Of a place in line: position, priority, and until when.
     pub(super) place: Option<(u64, i64, u64)>,
+    /// Of a task: number, state, and how many points were reached.
+    pub(super) task: Option<(u64, State, u64)>,
 }
 
 impl From<Code> for Judged {
     fn from(code: Code) -> Self {
-        Self { code, grant: None, place: None }
+        Self { code, grant: None, place: None, task: None }
     }
 }
 
@@ -122,12 +114,18 @@ impl Model {
             epochs: BTreeMap::new(),
             grants: BTreeMap::new(),
             lines: BTreeMap::new(),
+            tasks: Vec::new(),
             asking: confirm::Askings::new(),
             stopped: BTreeSet::new(),
             uncounted: BTreeSet::new(),
             last: BTreeMap::new(),
             network_of_nodes: Nodes::founded(plan.rules(), plan.voters, plan.learners, plan.organisations),
         }
+    }
+
+    /// Everybody.
+    pub(super) fn people(&self) -> &People {
+        &self.people
     }
 
     /// Later calls are executed in the block of this height, or judged by its rules.
@@ -137,9 +135,7 @@ impl Model {
 
     /// A block begins: what is due ends, and turns come. `first` is the service of the first turn.
     pub(super) fn begin(&mut self, first: Option<&str>, time: u64) {
-        for grants in self.grants.values_mut() {
-            grants.retain(|grant| grant.expires > time);
-        }
+        self.end_everywhere(Why::Failed, time, |grant| grant.expires <= time);
         self.turns(first, time);
     }
 
@@ -236,6 +232,10 @@ impl Model {
                 let (epoch, seq) = (number(text(1))?.unwrap_or(0), number(text(2))?.unwrap_or(0));
                 self.set(who, &first, epoch, seq, time)
             }
+            ("abac", "submit") => self.submit((who, person), &first, &text(1).unwrap_or_default(), time),
+            ("abac", "progress") => self.progress(who, number(text(0))?, number(text(1))?, time),
+            ("abac", "fail") => self.fail(who, number(text(0))?, time),
+            ("abac", "cancel") => self.cancel(who, number(text(0))?, time),
             ("abac", "declare") if self.robots.contains_key(&first) => Ok(Code::Ok.into()),
             ("abac", "declare") => Err(Code::UnknownRobot),
             ("abac", "replace") => self.replace(who, &body.args, time),
@@ -247,7 +247,7 @@ impl Model {
             ("msp", "speak") => self.network_of_nodes.speak(who, &first),
             ("msp", "activate_rules") => self.network_of_nodes.activate(who, &first),
             ("msp", "attest") => self.network_of_nodes.attest(who, &first),
-            ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default()),
+            ("msp", "revoke") => self.revoke(who, &first, &text(1).unwrap_or_default(), time),
             (chaincode, function) => panic!("the model does not know {chaincode} {function}"),
         }
     }
@@ -256,8 +256,7 @@ impl Model {
         only_admins(who)?;
         let mut replaced = Vec::new();
         for robot in robots {
-            let mut robot: Robot = serde_json::from_slice(robot).map_err(|_| Code::BadArgument)?;
-            robot.owner.clone_from(&who.identity.organisation);
+            let robot = Robot::read(robot, &who.identity.organisation)?;
             replaced.push(robot.name.clone());
             self.robots.insert(robot.name.clone(), robot);
         }
@@ -286,7 +285,7 @@ impl Model {
         Ok(Code::Ok.into())
     }
 
-    fn revoke(&mut self, who: &Person, issuer: &str, serial: &str) -> Verdict {
+    fn revoke(&mut self, who: &Person, issuer: &str, serial: &str, time: u64) -> Verdict {
         let issued = |person: &&Person| hex::encode(person.identity.issuer) == issuer;
         let organisation = self.people.all.iter().find(issued).map(|person| person.identity.organisation.clone());
         if who.identity.role != Role::Admin || Some(&who.identity.organisation) != organisation.as_ref() {
@@ -296,46 +295,11 @@ impl Model {
         let people = Arc::clone(&self.people);
         let revoked = people.all.iter().filter(|person| self.is_revoked(person)).map(Person::fingerprint);
         let revoked: BTreeSet<Hash> = revoked.collect();
-        for grants in self.grants.values_mut() {
-            grants.retain(|grant| !grant.certificates().any(|certificate| revoked.contains(certificate)));
-        }
-        self.leave_all(|certificate| revoked.contains(certificate));
+        let is_theirs = |grant: &Grant| grant.certificates().any(|certificate| revoked.contains(certificate));
+        self.end_everywhere(Why::Failed, time, is_theirs);
+        self.leave_all(|certificate| revoked.contains(certificate), time);
         Ok(Code::Ok.into())
     }
-
-    /// Do the policies let them hold (or publish on) a robot's service?
-    fn permits(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
-        let mut said = self.said(who, robot, time);
-        let asked = Asked { who: &who.id(), ..asked(who, robot, time) };
-        if said.is_empty() {
-            said.push(Policy::Attribute.says(&asked));
-        }
-        if said.contains(&Says::Error) {
-            Err(Code::PolicyError)
-        } else if said.contains(&Says::Forbid) {
-            Err(Code::DeniedByPolicy)
-        } else if said.contains(&Says::Permit) {
-            Ok(())
-        } else if asked.trusted && !asked.attribute {
-            Err(Code::MissingAttribute)
-        } else {
-            Err(Code::DeniedByPolicy)
-        }
-    }
-
-    /// The word of the owner's own policies to anything that they want to do with a robot.
-    fn said(&self, who: &Person, robot: &Robot, time: u64) -> Vec<Says> {
-        let asked = Asked { who: &who.id(), ..asked(who, robot, time) };
-        let own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner);
-        own.map(|(_, policy)| policy.says(&asked)).collect()
-    }
-}
-
-/// A question about a robot, without the name of who asks.
-fn asked(who: &Person, robot: &Robot, time: u64) -> Asked<'static> {
-    let attribute = who.identity.attributes.get(&robot.attribute_required).is_some_and(|value| value == "true");
-    let trusted = robot.trusted.contains(&who.identity.organisation);
-    Asked { who: "", trusted, attribute, time_ms: time / 1000 }
 }
 
 fn only_admins(who: &Person) -> Result<(), Code> {

@@ -2,14 +2,13 @@
 
 mod told;
 
-use super::model::Model;
-use crate::history::{Kind, Outcome};
+use super::model::{Judged, Model, State};
+use crate::history::{Asks, Kind, Outcome};
 use crate::invariant::Violation;
 use crate::world::World;
 use bytes::Bytes;
 use ledger::transaction::Transaction;
 use ledger_rejection::Code;
-use ledger_storage::entry::EntryKind;
 use ledger_storage::result::TransactionResult;
 use serde::Deserialize;
 use told::Standing;
@@ -17,19 +16,33 @@ use told::Standing;
 const NAME: &str = "the oracle agrees";
 
 /// The fields that are read of a grant.
-#[derive(Deserialize)]
+#[derive(Clone, Copy, Deserialize)]
 struct Granted {
     epoch: u64,
     expires: u64,
 }
 
-/// The fields that are read of a place in line.
-#[derive(Deserialize)]
-struct Queued {
-    queued: Place,
+/// The fields that are read of an answer: of a grant, of a place in line, of a task by itself, or of one that was submitted.
+#[derive(Default, Deserialize)]
+struct Answer {
+    #[serde(flatten)]
+    own: Option<Granted>,
+    grant: Option<Granted>,
+    queued: Option<Place>,
+    #[serde(flatten)]
+    task_itself: Option<OfTask>,
+    /// In a grant only its number.
+    task: Option<serde_json::Value>,
 }
 
-#[derive(Deserialize)]
+#[derive(Clone, Copy, Deserialize)]
+struct OfTask {
+    id: u64,
+    state: State,
+    reached: u64,
+}
+
+#[derive(Clone, Copy, Deserialize)]
 struct Place {
     position: u64,
     priority: i64,
@@ -44,12 +57,18 @@ struct Served {
     expires: u64,
 }
 
+/// The field that is read of what somebody may do.
+#[derive(Deserialize)]
+struct Authorized {
+    name: String,
+}
+
 /// Something that a node said on the state of some height.
 enum Claim<'a> {
     /// That a transaction is to be refused.
     Refusal { encoded: &'a Bytes, code: Code },
-    /// That this is who holds a service.
-    Read { service: &'a str, code: Code, response: &'a Bytes, person: usize },
+    /// That this is who holds a service, or whether one may read it.
+    Read { asks: Asks, service: &'a str, code: Code, response: &'a Bytes, person: usize },
 }
 
 /// Replays everything; answers with how many facts were checked.
@@ -63,9 +82,8 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
     for height in 0..=world.blocks.len() as u64 {
         if let Some(block) = height.checked_sub(1).and_then(|at| world.blocks.get(at as usize)) {
             time = block.outcome.header.time.max(time);
-            if block.entry.kind == EntryKind::Normal {
-                model.begin(told::first_turn(&block.outcome), time);
-            }
+            // Also a block that changes the members begins, and turns come in it.
+            model.begin(told::first_turn(&block.outcome), time);
             for (at, (encoded, result)) in block.outcome.transactions.iter().zip(&block.outcome.results).enumerate() {
                 let transaction = Transaction::decode(encoded.clone()).ok();
                 let judged = model.execute(transaction.as_ref(), time);
@@ -78,20 +96,26 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
                     let (found, wanted) = (result.code().name(), judged.code.name());
                     return Err(wrong(format!("verdict {found}, the model says {wanted}")));
                 }
+                let found = answered(result);
                 if let Some(grant) = judged.grant
-                    && grant != granted(result)
+                    && Some(grant) != found.grant
                 {
-                    return Err(wrong(format!("grant {:?}, the model says {grant:?}", granted(result))));
+                    return Err(wrong(format!("grant {:?}, the model says {grant:?}", found.grant)));
                 }
                 if let Some(place) = judged.place
-                    && Some(place) != queued(result)
+                    && Some(place) != found.place
                 {
-                    return Err(wrong(format!("place {:?}, the model says {place:?}", queued(result))));
+                    return Err(wrong(format!("place {:?}, the model says {place:?}", found.place)));
+                }
+                if let Some(task) = judged.task
+                    && Some(task) != found.task
+                {
+                    return Err(wrong(format!("task {:?}, the model says {task:?}", found.task)));
                 }
                 checks += 1;
             }
             standing.follow(&block.outcome);
-            standing.check(&model, height)?;
+            standing.check(&model, &block.outcome)?;
             checks += 1;
         }
         let members = world.members.get(height as usize).unwrap_or(world.newest_members());
@@ -107,13 +131,17 @@ pub(super) fn replay(world: &World) -> Result<u64, Violation> {
     }
 }
 
-fn granted(result: &TransactionResult) -> (u64, u64) {
-    serde_json::from_slice(&result.response).map_or((0, 0), |Granted { epoch, expires }| (epoch, expires))
-}
-
-fn queued(result: &TransactionResult) -> Option<(u64, i64, u64)> {
-    let Queued { queued } = serde_json::from_slice(&result.response).ok()?;
-    Some((queued.position, queued.priority, queued.until))
+/// The answer of a transaction as far as the model tells it.
+fn answered(result: &TransactionResult) -> Judged {
+    let Answer { own, grant, queued, task_itself, task } = serde_json::from_slice(&result.response).unwrap_or_default();
+    Judged {
+        code: result.code(),
+        grant: own.or(grant).map(|Granted { epoch, expires }| (epoch, expires)),
+        place: queued.map(|Place { position, priority, until }| (position, priority, until)),
+        task: task_itself
+            .or(task.and_then(|task| serde_json::from_value(task).ok()))
+            .map(|OfTask { id, state, reached }| (id, state, reached)),
+    }
 }
 
 /// Everything that nodes claimed, with the height and the time by which they judged.
@@ -124,8 +152,9 @@ fn claims(world: &World) -> Vec<(u64, u64, Claim<'_>)> {
             (Kind::Submit { encoded, .. }, Outcome::Refused { code, judged: Some((height, time)), .. }) => {
                 claims.push((*height, *time, Claim::Refusal { encoded, code: *code }));
             }
-            (Kind::Read { service, person, .. }, Outcome::Read { height, judged_at, code, response }) => {
-                claims.push((*height, *judged_at, Claim::Read { service, code: *code, response, person: *person }));
+            (Kind::Read { asks, service, person, .. }, Outcome::Read { height, judged_at, code, response }) => {
+                let claim = Claim::Read { asks: *asks, service, code: *code, response, person: *person };
+                claims.push((*height, *judged_at, claim));
             }
             _ => {}
         }
@@ -145,7 +174,24 @@ fn check(model: &Model, height: u64, time: u64, claim: &Claim<'_>) -> Result<(),
                 return Err(Violation::new(NAME, what));
             }
         }
-        Claim::Read { service, code, response, person } => {
+        Claim::Read { asks: Asks::MayRead, service, code, response, person } => {
+            let who = &model.people().all[*person];
+            let wanted = match model.find(service) {
+                _ if model.is_revoked_now(*person) => Err(Code::Revoked),
+                Err(code) => Err(code),
+                Ok(_) => Ok(model.may_read(who, service, time).err().unwrap_or(Code::Ok).name().to_owned()),
+            };
+            let found = match code {
+                Code::Ok => Ok(serde_json::from_slice::<Authorized>(response).unwrap().name),
+                code => Err(*code),
+            };
+            if found != wanted {
+                let who = who.id();
+                let what = format!("may {who} read {service} at height {height}: {found:?}, the model says {wanted:?}");
+                return Err(Violation::new(NAME, what));
+            }
+        }
+        Claim::Read { service, code, response, person, .. } => {
             let wanted = match model.find(service) {
                 _ if model.is_revoked_now(*person) => Err(Code::Revoked),
                 Err(code) => Err(code),

@@ -1,6 +1,7 @@
 //! The gateway of a node: queries, waiting for heights (`src/gateway/`). The replica makes the decisions.
 
 use super::{Event, Timer, World};
+use crate::history::Asks;
 use crate::invariant::Check;
 use crate::node::{Answer, Asking, Refused, Reply, Request, What};
 use bytes::Bytes;
@@ -79,13 +80,17 @@ impl World {
     }
 
     fn answer_read(&mut self, id: u64, request: &Request) -> Check {
-        let What::Read { person, service, may_be_stale } = &request.what else { return Ok(()) };
+        let What::Read { asks, person, service, may_be_stale } = &request.what else { return Ok(()) };
         let Some(node) = self.nodes.get(&id) else { return Ok(()) };
         let Some(running) = &node.up else { return Ok(()) };
         let clock = node.clock.now(self.now);
         let tip = running.ledger.tip();
         let caller = &self.people.all[*person].identity;
-        let answer = running.ledger.query(caller, clock, "abac", "service", &[Bytes::from(service.clone())]);
+        let service = Bytes::from(service.clone());
+        let answer = match asks {
+            Asks::Holders => running.ledger.query(caller, clock, "abac", "service", &[service]),
+            Asks::MayRead => running.ledger.query(caller, clock, "abac", "authorize", &[service, "subscribe".into()]),
+        };
         let (code, response) = match answer {
             Ok((response, _)) => (Code::Ok, response),
             Err(fault) => (fault.code, Bytes::new()),

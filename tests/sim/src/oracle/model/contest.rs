@@ -1,11 +1,11 @@
 //! The contest where several want a service: places, lines, priorities; robots that are stopped. Lists, and one look at
 //! everything at the start of every block.
 
+use super::ends::Why;
+use super::tasks::State;
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
-use crate::policy::Says;
 use ledger_hash::Hash;
-use ledger_identity::Role;
 use ledger_rejection::Code;
 use serde::Deserialize;
 use serde_json::{Map, Value};
@@ -23,11 +23,24 @@ const PATIENCE_MS: u64 = 600_000;
 pub(in crate::oracle) struct Waiter {
     pub(in crate::oracle) who: String,
     /// Index among the people: the certificate with which it asked last.
-    person: usize,
-    pub(in crate::oracle) priority: i64,
-    since: u64,
-    pub(in crate::oracle) until: u64,
-    lease_ms: Option<u64>,
+    pub(super) person: usize,
+    pub(super) priority: i64,
+    pub(super) since: u64,
+    pub(super) until: u64,
+    pub(super) lease_ms: Option<u64>,
+    /// The task that waits there, if it is one.
+    pub(in crate::oracle) task: Option<u64>,
+}
+
+/// The outcome of a turn.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Turn {
+    /// It is nobody's.
+    Nobodys,
+    /// The rule has no place for the first in line.
+    Refused,
+    /// It came, and policies decided.
+    Came,
 }
 
 /// Does a contender come by itself, or because the last one has confirmed it?
@@ -60,10 +73,6 @@ struct Settings {
 }
 
 impl Service {
-    pub(super) fn setting(&self, key: &str) -> Option<u64> {
-        self.sharing.get(key).and_then(Value::as_u64)
-    }
-
     /// May a holder pass its grant on?
     pub(super) fn is_delegable(&self) -> bool {
         self.sharing.get("delegable").and_then(Value::as_bool).unwrap_or(false)
@@ -73,18 +82,14 @@ impl Service {
         self.sharing.get("on_conflict").and_then(Value::as_str).unwrap_or("deny")
     }
 
-    /// How many hold it at once.
-    pub(super) fn places(&self) -> usize {
-        match &*self.mode {
-            "open" => usize::MAX,
-            "limited" => self.setting("publishers").unwrap_or(0) as usize,
-            _ => 1,
-        }
-    }
-
     pub(super) fn line_max(&self) -> usize {
         let unless = if self.conflict() == "queue" { LINE_MAX } else { 0 };
         self.setting("queue_max").unwrap_or(unless) as usize
+    }
+
+    /// How long one waits at most, milliseconds.
+    pub(super) fn patience_ms(&self) -> u64 {
+        self.setting("queue_wait_max_ms").unwrap_or(PATIENCE_MS)
     }
 
     /// The priority of a person, who may want a lower one.
@@ -110,14 +115,30 @@ impl Service {
         (waiter.priority + (waited / aging) as i64, exact)
     }
 
-    /// The first of a line.
-    fn first(&self, line: &[Waiter], time: u64) -> Option<usize> {
+    /// The first of a line. A holder of the service is passed over until that ends.
+    pub(super) fn first(&self, line: &[Waiter], live: &[Grant], time: u64) -> Option<usize> {
+        let holds = |waiter: &Waiter| live.iter().any(|grant| grant.holder == waiter.who);
         let worth = |at: usize| self.worth(&line[at], time).1;
-        (0..line.len()).reduce(|best, other| if worth(other) > worth(best) { other } else { best })
+        let waits = (0..line.len()).filter(|at| !holds(&line[*at]));
+        waits.reduce(|best, other| if worth(other) > worth(best) { other } else { best })
+    }
+
+    /// A place in line as its contender hears of it: position, priority, and until when.
+    pub(super) fn told(&self, line: &[Waiter], at: usize, time: u64) -> (u64, i64, u64) {
+        let order = self.order(line, time);
+        let position = order.iter().position(|other| *other == at).unwrap_or(0) as u64 + 1;
+        (position, line[at].priority, line[at].until)
+    }
+
+    /// The line in the order of its turns.
+    pub(in crate::oracle) fn order(&self, line: &[Waiter], time: u64) -> Vec<usize> {
+        let mut order: Vec<usize> = (0..line.len()).collect();
+        order.sort_by_key(|at| std::cmp::Reverse(self.worth(&line[*at], time).1));
+        order
     }
 
     /// The place for one that is the first, and who loses it: nobody if one is free.
-    fn place(&self, holders: &[Grant], waiter: &Waiter, time: u64) -> Option<Option<u64>> {
+    pub(super) fn place(&self, holders: &[Grant], waiter: &Waiter, time: u64) -> Option<Option<u64>> {
         if holders.len() < self.places() {
             return Some(None);
         }
@@ -148,46 +169,77 @@ impl Model {
     /// which matters where policies are so old that only one turn comes with each block.
     pub(super) fn turns(&mut self, first: Option<&str>, time: u64) {
         self.asks_until(time);
-        let services: Vec<String> = self.lines.keys().cloned().collect();
-        for id in &services {
-            let Ok((_, service)) = self.find(id) else { continue };
-            let line = self.lines.entry(id.clone()).or_default();
-            line.retain(|waiter| waiter.until > time);
-            line.truncate(service.line_max());
+        let ids: Vec<String> = self.robots.values().flat_map(Robot::ids).collect();
+        for id in &ids {
+            let Ok((_, service)) = self.find(id) else {
+                // Nobody needs a place there any more.
+                self.lines.remove(id);
+                continue;
+            };
+            self.tasks_join(id, &service, time);
+            self.send_away(id, &service, time);
         }
         let mut one_is_enough = false;
-        for id in first.into_iter().chain(services.iter().map(String::as_str)) {
+        for id in first.into_iter().chain(ids.iter().map(String::as_str)) {
             let Ok((robot, _)) = self.find(id) else { continue };
-            while !one_is_enough && self.turn(id, time) {
-                one_is_enough = self.uncounted.contains(&robot.owner);
+            while !one_is_enough {
+                match self.turn(id, time) {
+                    Turn::Nobodys => break,
+                    Turn::Refused => {}
+                    Turn::Came => one_is_enough = self.uncounted.contains(&robot.owner),
+                }
             }
         }
         self.lines.retain(|_, line| !line.is_empty());
     }
 
+    /// Those who waited too long leave the line, and those for whom it has no room any more.
+    fn send_away(&mut self, id: &str, service: &Service, time: u64) {
+        let most = service.line_max();
+        let (mut stay, mut late, mut beyond) = (Vec::new(), Vec::new(), Vec::new());
+        for waiter in self.lines.remove(id).unwrap_or_default() {
+            // Where nobody waits, a task whose time has come still has its one turn.
+            let has_room = stay.len() < most || most == 0 && waiter.task.is_some();
+            match waiter.task {
+                task if waiter.until <= time => late.extend(task),
+                task if !has_room => beyond.extend(task),
+                _ => stay.push(waiter),
+            }
+        }
+        self.lines.insert(id.to_owned(), stay);
+        late.into_iter().for_each(|task| self.lost_its_place(task, State::Expired, time));
+        beyond.into_iter().for_each(|task| self.lost_to_the_rule(task, time));
+    }
+
     /// One turn, if there is one.
-    fn turn(&mut self, id: &str, time: u64) -> bool {
-        let Ok((robot, service)) = self.find(id) else { return false };
-        let line = self.line(id);
-        let Some(first) = service.first(line, time).filter(|_| !self.stopped.contains(&robot.name)) else {
-            return false;
-        };
-        let Some(loser) = service.place(&self.live(id, time), &line[first], time) else { return false };
+    fn turn(&mut self, id: &str, time: u64) -> Turn {
+        let Ok((robot, service)) = self.find(id) else { return Turn::Nobodys };
+        let (line, live) = (self.line(id), self.live(id, time));
+        let first = service.first(line, &live, time).filter(|_| self.goes(&robot, &service).is_ok());
+        let Some(first) = first else { return Turn::Nobodys };
+        let place = service.place(&live, &line[first], time);
+        if place.is_none() && service.line_max() > 0 {
+            return Turn::Nobodys;
+        }
         let waiter = self.lines.entry(id.to_owned()).or_default().remove(first);
+        let Some(loser) = place else {
+            waiter.task.into_iter().for_each(|task| self.lost_to_the_rule(task, time));
+            return Turn::Refused;
+        };
         let people = std::sync::Arc::clone(&self.people);
         let who = &people.all[waiter.person];
-        if self.permits(who, &robot, time).is_ok() && who.identity.not_after > time {
-            self.end_epoch(id, loser);
+        if self.permits(who, &robot, &service, time).is_err() || who.identity.not_after <= time {
+            waiter.task.into_iter().for_each(|task| self.lost_its_place(task, State::Failed, time));
+            return Turn::Came;
+        }
+        self.end_epoch(id, loser, Why::Interrupted, time);
+        if let Some(task) = waiter.task {
+            self.run(who, task, time);
+        } else {
             let lease_ms = waiter.lease_ms.unwrap_or(service.lease_ms).min(service.lease_ms_max);
             self.give(who, id, lease_ms, waiter.priority, time);
         }
-        true
-    }
-
-    pub(super) fn end_epoch(&mut self, id: &str, epoch: Option<u64>) {
-        if let (Some(epoch), Some(grants)) = (epoch, self.grants.get_mut(id)) {
-            grants.retain(|grant| grant.epoch != epoch);
-        }
+        Turn::Came
     }
 
     /// The wishes of a caller: a lease, or JSON where the rules know it.
@@ -200,9 +252,9 @@ impl Model {
         }
     }
 
-    /// Is the robot not stopped?
-    pub(super) fn goes(&self, robot: &Robot) -> Result<(), Code> {
-        if self.stopped.contains(&robot.name) { Err(Code::Stopped) } else { Ok(()) }
+    /// Is the robot not stopped, or is it for reading?
+    pub(super) fn goes(&self, robot: &Robot, service: &Service) -> Result<(), Code> {
+        if self.stopped.contains(&robot.name) && !service.reads { Err(Code::Stopped) } else { Ok(()) }
     }
 
     /// Somebody who holds nothing wants a service: a grant, a place in line, or a refusal.
@@ -216,26 +268,27 @@ impl Model {
     ) -> Verdict {
         let (robot, service) = self.find(id)?;
         let priority = service.priority(who, &robot, wishes.priority);
-        let patience = service.setting("queue_wait_max_ms").unwrap_or(PATIENCE_MS);
+        let patience = service.patience_ms();
         let patience = wishes.wait_ms.map_or(patience, |wait| wait.min(patience));
         let mut line = self.line(id).to_vec();
-        let known = line.iter().position(|waiter| waiter.who == who.id());
+        let known = line.iter().position(|waiter| waiter.who == who.id() && waiter.task.is_none());
         let at = known.unwrap_or(line.len());
         if known.is_none() {
-            line.push(Waiter { who: who.id(), person, priority, since: time, until: 0, lease_ms: None });
+            line.push(Waiter { who: who.id(), person, priority, since: time, until: 0, lease_ms: None, task: None });
         }
         line[at].person = person;
         line[at].until = (time + patience * 1000).min(who.identity.not_after);
         line[at].lease_ms = wishes.lease_ms.or(line[at].lease_ms);
-        let is_first = service.mode == "open" || service.first(&line, time) == Some(at);
-        let place = service.place(&self.live(id, time), &line[at], time).filter(|_| is_first);
+        let live = self.live(id, time);
+        let is_first = service.is_open() || service.first(&line, &live, time) == Some(at);
+        let place = service.place(&live, &line[at], time).filter(|_| is_first);
         let may_wait = service.line_max() > 0 && wishes.wait_ms != Some(0);
         let is_new = known.is_none() && stage == Stage::Asks;
         if is_new && (place.is_some() || may_wait) && self.must_wait((who, person), id, &service, wishes, time) {
             return Ok(Code::Ok.into());
         }
         if let Some(loser) = place {
-            self.end_epoch(id, loser);
+            self.end_epoch(id, loser, Why::Interrupted, time);
             self.leave(id, &who.id());
             self.asks_no_more(id, &who.id());
             return Ok(self.give(who, id, wishes.lease_ms.unwrap_or(service.lease_ms), priority, time));
@@ -246,39 +299,36 @@ impl Model {
         if known.is_none() && at >= service.line_max() {
             return Err(Code::LineFull);
         }
-        let before = |other: &Waiter| service.worth(other, time).1;
-        let ahead = line.iter().enumerate().filter(|(other, waiter)| {
-            before(waiter) > before(&line[at]) || before(waiter) == before(&line[at]) && *other < at
-        });
-        let place = Some((ahead.count() as u64 + 1, line[at].priority, line[at].until));
+        let place = Some(service.told(&line, at, time));
         self.lines.insert(id.to_owned(), line);
         self.asks_no_more(id, &who.id());
         Ok(Judged { place, ..Code::Ok.into() })
     }
 
-    /// Takes somebody out of a line; answers if there was anybody.
+    /// Takes somebody out of a line, but not its tasks; answers if there was anybody.
     pub(super) fn leave(&mut self, id: &str, who: &str) -> bool {
         let Some(line) = self.lines.get_mut(id) else { return false };
         let before = line.len();
-        line.retain(|waiter| waiter.who != who);
+        line.retain(|waiter| waiter.who != who || waiter.task.is_some());
         line.len() < before
     }
 
     /// These certificates wait nowhere any more.
-    pub(super) fn leave_all(&mut self, is_revoked: impl Fn(&Hash) -> bool) {
+    pub(super) fn leave_all(&mut self, is_revoked: impl Fn(&Hash) -> bool, time: u64) {
         let people = std::sync::Arc::clone(&self.people);
         for line in self.lines.values_mut() {
             line.retain(|waiter| !is_revoked(&people.all[waiter.person].fingerprint()));
         }
         self.asks_without(|person| is_revoked(&people.all[person].fingerprint()));
+        self.tasks_without(|person| is_revoked(&people.all[person].fingerprint()), time);
     }
 
     pub(super) fn take(&mut self, who: &Person, id: &str, time: u64) -> Verdict {
         self.known()?;
         let (robot, service) = self.find(id)?;
         self.governs(who, &robot, time)?;
-        self.goes(&robot)?;
-        self.grants.remove(id);
+        self.goes(&robot, &service)?;
+        self.end_of(id, Why::Interrupted, time, |_| true);
         self.leave(id, &who.id());
         self.asks_no_more(id, &who.id());
         Ok(self.give(who, id, service.lease_ms, TAKEN, time))
@@ -291,8 +341,11 @@ impl Model {
         if all.is_empty() && name != "*" {
             return Err(Code::UnknownRobot);
         }
+        let may = |robot: &Robot| {
+            if stops { self.may_stop(who, robot, time) } else { self.governs(who, robot, time) }
+        };
         let (may, refused): (Vec<_>, Vec<_>) =
-            all.iter().map(|robot| self.governs(who, robot, time).map(|()| robot)).partition(Result::is_ok);
+            all.iter().map(|robot| may(robot).map(|()| robot)).partition(Result::is_ok);
         if let (true, Some(Err(refused))) = (may.is_empty(), refused.first()) {
             return Err(*refused);
         }
@@ -301,7 +354,7 @@ impl Model {
                 self.stopped.remove(&robot.name);
             } else if self.stopped.insert(robot.name.clone()) {
                 for service in &robot.services {
-                    self.grants.remove(&format!("{}{}", robot.name, service.topic));
+                    self.end_of(&format!("{}{}", robot.name, service.topic), Why::Interrupted, time, |_| true);
                 }
             }
         }
@@ -314,6 +367,9 @@ impl Model {
         let (mut robot, mut service) = self.find(id)?;
         if robot.owner != who.identity.organisation {
             return Err(Code::NotOwner);
+        }
+        if service.reads {
+            return Err(Code::BadArgument);
         }
         service.sharing.retain(|key, _| !settings.clear.contains(key));
         service.sharing.extend(settings.sharing);
@@ -333,28 +389,12 @@ impl Model {
         if self.has_contests() { Ok(()) } else { Err(Code::UnknownFunction) }
     }
 
-    /// May they do to a robot what its owner's admins always may, and others only by a policy?
-    pub(super) fn governs(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
-        if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
-            return Ok(());
-        }
-        // The default policy permits none of it to anybody who is simulated.
-        let said = self.said(who, robot, time);
-        if said.contains(&Says::Error) {
-            Err(Code::PolicyError)
-        } else if said.contains(&Says::Permit) && !said.contains(&Says::Forbid) {
-            Ok(())
-        } else {
-            Err(Code::DeniedByPolicy)
-        }
-    }
-
     /// May the holder keep what it has?
-    pub(super) fn keeps(&self, who: &Person, grant: &Grant, robot: &Robot, time: u64) -> bool {
+    pub(super) fn keeps(&self, who: &Person, grant: &Grant, (robot, service): (&Robot, &Service), time: u64) -> bool {
         let may = if grant.is_taken() {
             self.governs(who, robot, time)
         } else {
-            self.permits_all(who, &grant.chain, robot, time)
+            self.permits_all(who, &grant.chain, (robot, service), time)
         };
         may.is_ok()
     }

@@ -1,5 +1,6 @@
 //! Grants that are passed on, for a while or for good, and taken back.
 
+use super::ends::Why;
 use super::{Grant, Judged, Model, Person, Robot, Service, Verdict};
 use bytes::Bytes;
 use ledger_hash::Hash;
@@ -92,7 +93,7 @@ impl Model {
             let Chain { may_delegate, ends_by, .. } = own.chain;
             chain.givers.push(Giver { certificate, lease_ms, priority, may_delegate, ends_by });
         }
-        self.permits_all(receiver, &chain, &robot, time)?;
+        self.permits_all(receiver, &chain, (&robot, &service), time)?;
         let priority = service.priority(receiver, &robot, None);
         let award = Award { lease_ms: own.lease_ms, priority, since: own.since, chain };
         Ok(self.follow(receiver, &id, own.epoch, award, time))
@@ -101,7 +102,7 @@ impl Model {
     pub(super) fn recall(&mut self, who: &Person, args: &[Bytes], time: u64) -> Verdict {
         self.known()?;
         let id = text(args, 0);
-        let (robot, _) = self.find(&id)?;
+        let (robot, service) = self.find(&id)?;
         let live = self.live(&id, time);
         let place =
             |grant: &Grant| grant.chain.givers.iter().position(|giver| self.name(&giver.certificate) == who.id());
@@ -113,24 +114,30 @@ impl Model {
         let giver = grant.chain.givers.get(place).cloned().ok_or(Code::NotHolder)?;
         let givers = grant.chain.givers.iter().take(place).cloned().collect();
         let chain = Chain { givers, may_delegate: giver.may_delegate, ends_by: giver.ends_by, goes_on: true };
-        self.permits_all(who, &chain, &robot, time)?;
+        self.permits_all(who, &chain, (&robot, &service), time)?;
         let award = Award { lease_ms: giver.lease_ms, priority: giver.priority, since: grant.since, chain };
         Ok(self.follow(who, &id, grant.epoch, award, time))
     }
 
     /// A grant follows another one, and its holder waits no longer.
     fn follow(&mut self, who: &Person, id: &str, epoch: u64, award: Award, time: u64) -> Judged {
-        self.end_epoch(id, Some(epoch));
+        self.end_epoch(id, Some(epoch), Why::GivenBack, time);
         self.leave(id, &who.id());
         self.asks_no_more(id, &who.id());
         self.give_on(who, id, award, time)
     }
 
     /// Do the policies let one hold a service, and those who passed it on as well?
-    pub(super) fn permits_all(&self, who: &Person, chain: &Chain, robot: &Robot, time: u64) -> Result<(), Code> {
-        self.permits(who, robot, time)?;
+    pub(super) fn permits_all(
+        &self,
+        who: &Person,
+        chain: &Chain,
+        (robot, service): (&Robot, &Service),
+        time: u64,
+    ) -> Result<(), Code> {
+        self.permits(who, robot, service, time)?;
         let givers = chain.givers.iter().filter_map(|giver| self.people.by_fingerprint(&giver.certificate));
-        givers.into_iter().try_for_each(|giver| self.permits(giver, robot, time))
+        givers.into_iter().try_for_each(|giver| self.permits(giver, robot, service, time))
     }
 
     /// Several services at once, or none of them.
@@ -162,7 +169,11 @@ impl Model {
 fn may_be_passed(service: &Service, own: &Grant, for_good: bool) -> Result<(), Code> {
     let givers = own.chain.givers.len();
     let allowed = own.chain.may_delegate && (givers < GIVERS_MAX || for_good);
-    if service.is_delegable() && !own.is_taken() && (givers == 0 || allowed) { Ok(()) } else { Err(Code::NotDelegable) }
+    if service.is_delegable() && !own.is_taken() && own.task.is_none() && (givers == 0 || allowed) {
+        Ok(())
+    } else {
+        Err(Code::NotDelegable)
+    }
 }
 
 fn options(args: &[Bytes], at: usize) -> Result<Options, Code> {

@@ -3,6 +3,8 @@
 use super::confirm::Askings;
 use super::contest::{Stage, Waiter, Wishes};
 use super::delegate::{Award, Chain};
+use super::ends::Why;
+use super::tasks::Task;
 use super::{Grant, Judged, Model, Robot, Service, Verdict};
 use crate::people::Person;
 use ledger_hash::Hash;
@@ -21,12 +23,14 @@ pub(super) struct Before {
     robots: BTreeMap<String, Robot>,
     lines: BTreeMap<String, Vec<Waiter>>,
     asking: Askings,
+    tasks: Vec<Task>,
 }
 
 impl Model {
     pub(super) fn clone_small(&self) -> Before {
         let (grants, epochs, robots) = (self.grants.clone(), self.epochs.clone(), self.robots.clone());
-        Before { grants, epochs, robots, lines: self.lines.clone(), asking: self.asking.clone() }
+        let (lines, asking, tasks) = (self.lines.clone(), self.asking.clone(), self.tasks.clone());
+        Before { grants, epochs, robots, lines, asking, tasks }
     }
 
     pub(super) fn restore(&mut self, before: Before) {
@@ -35,6 +39,7 @@ impl Model {
         self.robots = before.robots;
         self.lines = before.lines;
         self.asking = before.asking;
+        self.tasks = before.tasks;
     }
 
     /// The grants of a service that count at a time, oldest first.
@@ -46,14 +51,6 @@ impl Model {
     /// The newest epoch of a service.
     pub(in crate::oracle) fn epoch(&self, service: &str) -> u64 {
         self.epochs.get(service).copied().unwrap_or(0)
-    }
-
-    /// Is there such a service?
-    pub(in crate::oracle) fn find(&self, id: &str) -> Result<(Robot, Service), Code> {
-        let (name, topic) = id.split_at(id.find('/').unwrap_or(id.len()));
-        let robot = self.robots.get(name).ok_or(Code::UnknownRobot)?;
-        let service = robot.services.iter().find(|service| service.topic == topic).ok_or(Code::UnknownService)?;
-        Ok((robot.clone(), service.clone()))
     }
 
     /// The grants of a service that lie in the state, and the newest epoch.
@@ -86,14 +83,14 @@ impl Model {
         let (robot, service) = self.find(id)?;
         let own = self.live(id, time).into_iter().find(|grant| grant.holder == who.id());
         let chain = own.as_ref().map(|own| own.chain.clone()).unwrap_or_default();
-        self.permits_all(who, &chain, &robot, time)?;
-        self.goes(&robot)?;
+        self.permits_all(who, &chain, (&robot, &service), time)?;
+        self.goes(&robot, &service)?;
         match own {
             Some(own) if own.certificate == who.fingerprint() => {
                 Ok(self.extend(who, id, &service, wishes.lease_ms, time))
             }
             Some(own) => {
-                self.end(id, &who.id());
+                self.end_of(id, Why::GivenBack, time, |grant| grant.epoch == own.epoch);
                 self.asks_no_more(id, &who.id());
                 self.leave(id, &who.id());
                 let since = if own.chain.goes_on { own.since } else { time };
@@ -115,11 +112,10 @@ impl Model {
         let epoch = self.epoch(id) + 1;
         self.epochs.insert(id.to_owned(), epoch);
         let (holder, certificate) = (who.id(), who.fingerprint());
-        let mut grant = Grant { holder, certificate, epoch, expires: 0, lease_ms, priority, since, chain };
+        let mut grant = Grant { holder, certificate, epoch, expires: 0, lease_ms, priority, since, chain, task: None };
         grant.expires = grant.until(&self.people, time);
         let expires = grant.expires;
         let grants = self.grants.entry(id.to_owned()).or_default();
-        grants.retain(|grant| grant.expires > time);
         grants.push(grant);
         Judged { grant: Some((epoch, expires)), ..Code::Ok.into() }
     }
@@ -127,8 +123,8 @@ impl Model {
     pub(super) fn renew(&mut self, who: &Person, id: &str, lease_ms: Option<u64>, time: u64) -> Verdict {
         let (robot, service) = self.find(id)?;
         let own = self.own(who, id, time).ok_or(Code::NotHolder)?;
-        if !self.keeps(who, &own, &robot, time) {
-            self.permits_all(who, &own.chain, &robot, time)?;
+        if !self.keeps(who, &own, (&robot, &service), time) {
+            self.permits_all(who, &own.chain, (&robot, &service), time)?;
         }
         check_lease(&service, lease_ms)?;
         Ok(self.extend(who, id, &service, lease_ms, time))
@@ -136,12 +132,12 @@ impl Model {
 
     pub(super) fn release(&mut self, who: &Person, id: &str, time: u64) -> Verdict {
         let (robot, _) = self.find(id)?;
-        if self.own(who, id, time).is_some() {
-            self.end(id, &who.id());
+        if let Some(own) = self.own(who, id, time) {
+            self.end_of(id, Why::GivenBack, time, |grant| grant.epoch == own.epoch);
         } else if self.leave(id, &who.id()) || self.asks_no_more(id, &who.id()) {
             return Ok(Code::Ok.into());
         } else if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
-            self.grants.remove(id);
+            self.end_of(id, Why::Failed, time, |_| true);
         } else {
             return Err(Code::NotHolder);
         }
@@ -150,18 +146,20 @@ impl Model {
 
     pub(super) fn set(&mut self, who: &Person, id: &str, epoch: u64, seq: u64, time: u64) -> Verdict {
         let (robot, service) = self.find(id)?;
-        let open = service.mode == "open";
+        if service.reads {
+            return Err(Code::UnknownService);
+        }
         let mut used = None;
-        if open && epoch == 0 {
-            self.permits(who, &robot, time)?;
-            self.goes(&robot)?;
+        if service.is_open() && epoch == 0 {
+            self.permits(who, &robot, &service, time)?;
+            self.goes(&robot, &service)?;
         } else {
             match self.own(who, id, time) {
                 Some(own) if own.epoch == epoch => used = Some(own),
                 _ if self.stopped.contains(&robot.name) => return Err(Code::Stopped),
                 Some(_) => return Err(Code::StaleEpoch),
                 None if epoch > 0 && epoch < self.epoch(id) => return Err(Code::StaleEpoch),
-                None => return Err(self.permits(who, &robot, time).err().unwrap_or(Code::NotHolder)),
+                None => return Err(self.permits(who, &robot, &service, time).err().unwrap_or(Code::NotHolder)),
             }
         }
         // Publishers that stand side by side number their messages apart.
@@ -173,16 +171,20 @@ impl Model {
         {
             return Err(Code::StaleSequence);
         }
-        if let Some(own) = used {
-            // Use keeps a grant alive, but is written down only when it is worth it, and only while policies permit.
-            let expires = own.until(&self.people, time);
-            let worth = expires.saturating_sub(own.expires) > own.lease_ms * 250;
-            if worth && self.keeps(who, &own, &robot, time) {
-                self.change(id, &own.holder, |grant| grant.expires = expires);
-            }
-        }
+        used.into_iter().for_each(|own| self.used(id, &own, time));
         self.last.insert(place, (epoch, seq));
         Ok(Code::Ok.into())
+    }
+
+    /// Use keeps a grant alive, but is written down only when it is worth it, and only while policies permit.
+    pub(super) fn used(&mut self, id: &str, own: &Grant, time: u64) {
+        let (Ok((robot, service)), people) = (self.find(id), Arc::clone(&self.people)) else { return };
+        let Some(who) = people.by_fingerprint(&own.certificate) else { return };
+        let expires = own.until(&people, time);
+        let worth = expires.saturating_sub(own.expires) > own.lease_ms * 250;
+        if worth && self.keeps(who, own, (&robot, &service), time) {
+            self.change(id, &own.holder, |grant| grant.expires = expires);
+        }
     }
 
     /// Ends what policies, or the rules of these robots, do not allow any more.
@@ -190,17 +192,19 @@ impl Model {
         let people = Arc::clone(&self.people);
         let robots: Vec<Robot> = self.robots.values().filter(|robot| concerned(robot)).cloned().collect();
         for robot in &robots {
-            for service in &robot.services {
-                let id = format!("{}{}", robot.name, service.topic);
-                let mut stay: Vec<Grant> = Vec::new();
+            for id in robot.ids() {
+                let places = self.find(&id).ok();
+                let mut stay = 0;
+                let mut ends = Vec::new();
                 for grant in self.live(&id, time) {
-                    let who = people.by_fingerprint(&grant.certificate);
-                    let fits = stay.len() < service.places();
-                    if fits && who.is_some_and(|who| self.keeps(who, &grant, robot, time)) {
-                        stay.push(grant);
-                    }
+                    let fits = places.as_ref().is_some_and(|(robot, service)| {
+                        let who = people.by_fingerprint(&grant.certificate);
+                        stay < service.places()
+                            && who.is_some_and(|who| self.keeps(who, &grant, (robot, service), time))
+                    });
+                    if fits { stay += 1 } else { ends.push(grant.epoch) }
                 }
-                self.grants.insert(id, stay);
+                self.end_of(&id, Why::Failed, time, |grant| ends.contains(&grant.epoch));
             }
         }
     }
@@ -219,12 +223,6 @@ impl Model {
     pub(super) fn own(&self, who: &Person, id: &str, time: u64) -> Option<Grant> {
         let certificate: Hash = who.fingerprint();
         self.live(id, time).into_iter().find(|grant| grant.holder == who.id() && grant.certificate == certificate)
-    }
-
-    fn end(&mut self, id: &str, holder: &str) {
-        if let Some(grants) = self.grants.get_mut(id) {
-            grants.retain(|grant| grant.holder != holder);
-        }
     }
 
     fn change(&mut self, id: &str, holder: &str, change: impl FnOnce(&mut Grant)) {

@@ -1,0 +1,87 @@
+//! The word of an owner's policies, and where it has none of its own.
+
+use super::services::{Robot, Service};
+use super::{Model, Person};
+use crate::policy::{Act, Asked, Policy, Says};
+use ledger_identity::Role;
+use ledger_rejection::Code;
+
+impl Model {
+    /// Do the policies let them hold a service, or publish on it? From a place of a subscriber one reads.
+    pub(super) fn permits(&self, who: &Person, robot: &Robot, service: &Service, time: u64) -> Result<(), Code> {
+        let act = if service.reads { Act::Subscribe } else { Act::Use };
+        let mut said = self.said(who, robot, act, time);
+        let name = who.id();
+        let asked = asked(who, &name, robot, act, time);
+        if said.is_empty() {
+            said.push(Policy::Attribute.says(&asked));
+            // The people and machines that carry the owner's robots read what they send.
+            let carries = matches!(who.identity.role, Role::Admin | Role::Node | Role::Robot);
+            if act == Act::Subscribe && carries && who.identity.organisation == robot.owner {
+                said.push(Says::Permit);
+            }
+        }
+        if said.contains(&Says::Error) {
+            Err(Code::PolicyError)
+        } else if said.contains(&Says::Forbid) {
+            Err(Code::DeniedByPolicy)
+        } else if said.contains(&Says::Permit) {
+            Ok(())
+        } else if asked.trusted && !asked.attribute {
+            Err(Code::MissingAttribute)
+        } else {
+            Err(Code::DeniedByPolicy)
+        }
+    }
+
+    /// May they do to a robot what its owner's admins always may, and others only by a policy?
+    pub(super) fn governs(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
+        if who.identity.role == Role::Admin && who.identity.organisation == robot.owner {
+            return Ok(());
+        }
+        // The default policy permits none of it to anybody who is simulated, but that a robot stops itself.
+        let said = self.said(who, robot, Act::Govern, time);
+        if said.contains(&Says::Error) {
+            Err(Code::PolicyError)
+        } else if said.contains(&Says::Permit) && !said.contains(&Says::Forbid) {
+            Ok(())
+        } else {
+            Err(Code::DeniedByPolicy)
+        }
+    }
+
+    /// May they stop a robot?
+    pub(super) fn may_stop(&self, who: &Person, robot: &Robot, time: u64) -> Result<(), Code> {
+        let by_default = !self.policies.keys().any(|(organisation, _)| *organisation == robot.owner);
+        let itself = who.is_robot(&robot.owner, &robot.name);
+        if by_default && itself { Ok(()) } else { self.governs(who, robot, time) }
+    }
+
+    /// May they read the messages of a service now?
+    pub(in crate::oracle) fn may_read(&self, who: &Person, id: &str, time: u64) -> Result<(), Code> {
+        let (robot, service) = self.find(id)?;
+        let Some(places) = service.places_to_read() else {
+            let reading = Service { reads: true, ..service };
+            return self.permits(who, &robot, &reading, time);
+        };
+        self.permits(who, &robot, &places, time)?;
+        let carries = matches!(who.identity.role, Role::Robot | Role::Node) && who.identity.organisation == robot.owner;
+        let has_place = self.own(who, &format!("{id}:subscribe"), time).is_some();
+        if carries || has_place { Ok(()) } else { Err(Code::NotHolder) }
+    }
+
+    /// The word of the owner's own policies to anything that they want to do with a robot.
+    fn said(&self, who: &Person, robot: &Robot, act: Act, time: u64) -> Vec<Says> {
+        let name = who.id();
+        let asked = asked(who, &name, robot, act, time);
+        let own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner);
+        own.map(|(_, policy)| policy.says(&asked)).collect()
+    }
+}
+
+/// A question about a robot.
+fn asked<'a>(who: &Person, name: &'a str, robot: &Robot, act: Act, time: u64) -> Asked<'a> {
+    let attribute = who.identity.attributes.get(&robot.attribute_required).is_some_and(|value| value == "true");
+    let trusted = robot.trusted.contains(&who.identity.organisation);
+    Asked { who: name, trusted, attribute, time_ms: time / 1000, act }
+}
