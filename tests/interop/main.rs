@@ -11,6 +11,7 @@
     reason = "tests"
 )]
 
+mod arena;
 mod codec;
 mod demo;
 mod liar;
