@@ -1,7 +1,10 @@
 //! The paper's experiment, for real: two organisations with a node each, two users, one robot, ROS 2 messages over DDS.
 
+mod arena;
+mod bridges;
 mod graph;
 mod measure;
+mod messages;
 mod network;
 mod picture;
 mod process;
@@ -9,8 +12,10 @@ mod summary;
 
 use crate::command::{eprint_line, print_line, stop_signal};
 use crate::dev::paper_robots;
+use ::arena::course::User;
+use bridges::{Plan, Route};
 use bytes::Bytes;
-use graph::{DISCOVERY_TIME_MAX, Operator, Publisher, Received, Robot, nobody_there};
+use graph::{DISCOVERY_TIME_MAX, Publisher, Received, Robot, nobody_there};
 use ledger_api::Client;
 use ledger_rejection::{Code, Rejection};
 use measure::{Phase, RosToRos};
@@ -28,6 +33,11 @@ const SETTLE: Duration = Duration::from_millis(500);
 const FIRST_TRY: Duration = Duration::from_millis(100);
 /// The service in question.
 const SERVICE: &str = "Turtlebot4/cmd_vel";
+/// The commands of a user.
+const TO_LEDGER: Route =
+    Route { service: SERVICE, direction: "to_ledger", topic: "/cmd_vel", kind: "geometry_msgs/msg/Twist" };
+/// The commands that reach the robot.
+const FROM_LEDGER: Route = Route { direction: "from_ledger", ..TO_LEDGER };
 
 /// `ledgerd demo`
 #[derive(clap::Args)]
@@ -38,10 +48,15 @@ pub(crate) struct Options {
     /// Print the result as one line of JSON, and nothing else on standard output.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    arena: arena::Options,
 }
 
 /// Plays the experiment; Ctrl-C ends everything that was started.
 pub(crate) async fn run(options: Options) -> Result<(), Rejection> {
+    if options.arena.arena {
+        return arena::run(options.arena, options.json).await;
+    }
     let seconds = Duration::from_secs(options.seconds);
     // Dropping the experiment ends its processes and removes its directory.
     let played = tokio::select! {
@@ -89,11 +104,17 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     summary.refused(&refused);
 
     say("three ROS 2 graphs come up, each with a bridge to its organisation's node: Salma's, Farhad's, the robot's");
-    let domains = network.start_bridges().await?;
-    let mut robot = Robot::open(domains.robot).await?;
-    let mut salma_node = Publisher::open(domains.salma, Operator::Salma).await?;
-    let mut farhad_node = Publisher::open(domains.farhad, Operator::Farhad).await?;
-    tokio::try_join!(salma_node.matched(), farhad_node.matched(), robot.matched(), network.bridges_found())?;
+    let [of_salma, of_farhad, of_robot] = bridges::domains()?;
+    let plan = |name, domain, direction| Plan { name, domain, routes: direction, via: None };
+    network.start_bridges(&[
+        plan("Salma", of_salma, &[TO_LEDGER]),
+        plan("Farhad", of_farhad, &[TO_LEDGER]),
+        plan("Turtlebot4", of_robot, &[FROM_LEDGER]),
+    ])?;
+    let mut robot = Robot::open(of_robot).await?;
+    let mut salma_node = Publisher::open(of_salma, User::Salma).await?;
+    let mut farhad_node = Publisher::open(of_farhad, User::Farhad).await?;
+    tokio::try_join!(salma_node.matched(), farhad_node.matched(), robot.matched(), network.bridges.found())?;
     first_heard(&robot, &mut salma_node).await?;
 
     say(&format!(
@@ -104,8 +125,8 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     robot.take();
     let (first, times, _) = publish_both(&robot, &mut salma_node, &mut farhad_node, seconds).await?;
     let received = robot.take();
-    ros_to_ros.add(Operator::Salma, first, &times, &received);
-    summary.controlled = Phase::count(&received, seconds, Some(Operator::Farhad));
+    ros_to_ros.add(User::Salma, first, &times, &received);
+    summary.controlled = Phase::count(&received, seconds, Some(User::Farhad));
     network.check()?;
 
     say(&format!("open: the owner lets both publish, for {} s (the paper's comparison)", seconds.as_secs()));
@@ -114,8 +135,8 @@ async fn play(seconds: Duration) -> Result<Summary, Rejection> {
     let first_farhad = farhad_node.next_number();
     let (first, times, times_farhad) = publish_both(&robot, &mut salma_node, &mut farhad_node, seconds).await?;
     let received = robot.take();
-    ros_to_ros.add(Operator::Salma, first, &times, &received);
-    ros_to_ros.add(Operator::Farhad, first_farhad, &times_farhad, &received);
+    ros_to_ros.add(User::Salma, first, &times, &received);
+    ros_to_ros.add(User::Farhad, first_farhad, &times_farhad, &received);
     summary.open = Phase::count(&received, seconds, None);
     network.check()?;
 
@@ -188,7 +209,7 @@ async fn publish_both(
 /// Salma publishes until the robot hears her: rates are counted from then on, not from somewhere in DDS discovery.
 async fn first_heard(robot: &Robot, salma: &mut Publisher) -> Result<(), Rejection> {
     let deadline = Instant::now() + DISCOVERY_TIME_MAX;
-    while robot.received_from(Operator::Salma) == 0 {
+    while robot.received_from(User::Salma) == 0 {
         if Instant::now() > deadline {
             return Err(nobody_there("the robot"));
         }
@@ -202,7 +223,7 @@ async fn first_heard(robot: &Robot, salma: &mut Publisher) -> Result<(), Rejecti
 async fn hand_over(robot: &Robot, farhad: &mut Publisher) -> Result<bool, Rejection> {
     robot.take();
     farhad.publish(HZ, Duration::from_secs(1)).await?;
-    Ok(wait_for(robot, |message| message.operator == Some(Operator::Farhad)).await)
+    Ok(wait_for(robot, |message| message.operator == Some(User::Farhad)).await)
 }
 
 /// Waits a moment for a message of some kind.

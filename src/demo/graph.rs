@@ -1,8 +1,9 @@
 //! The ROS 2 nodes of the demo: operators that publish `/cmd_vel`, and the robot that listens to it. They know nothing
 //! of any ledger.
 
-use bytes::Bytes;
-use ledger_gate::sample::{CDR_LE, Sample};
+use super::messages::{Twist, read_twist, twist};
+use arena::course::User;
+use arena::robot::Command;
 use ledger_rejection::{Code, Rejection};
 use ros_bridge::dds::{Participant, Reader, Writer};
 use ros_bridge::names::{TopicName, TypeName};
@@ -16,34 +17,27 @@ use tokio::time::{MissedTickBehavior, interval};
 
 /// Time for two participants to find each other.
 pub(super) const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
-/// Bytes of a Twist: two vectors of three doubles.
-const TWIST_BYTES: usize = 48;
-
-/// The marks that an operator writes into `linear.z`, so that the robot's side can tell whose message it got.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Operator {
-    /// Salma.
-    Salma = 1,
-    /// Farhad.
-    Farhad = 2,
-}
+/// What the operators publish forwards (m/s).
+const SPEED: f64 = 0.2;
 
 /// A Twist that the robot received.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Received {
     /// The publisher; none for a stop message.
-    pub operator: Option<Operator>,
+    pub operator: Option<User>,
     /// Its number.
     pub number: usize,
     /// When.
     pub at: Instant,
 }
 
-fn failed(error: &ros_bridge::error::Error) -> Rejection {
+/// What the middleware says, for people.
+pub(super) fn failed(error: &ros_bridge::error::Error) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, error.to_string())
 }
 
-fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
+/// The topic of the robot's commands.
+pub(super) fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
     let topic = TopicName::parse("/cmd_vel").map_err(|error| failed(&error))?;
     let kind = TypeName::parse("geometry_msgs/msg/Twist").map_err(|error| failed(&error))?;
     Ok((topic, kind))
@@ -53,14 +47,14 @@ fn cmd_vel() -> Result<(TopicName, TypeName), Rejection> {
 pub(super) struct Publisher {
     _participant: Participant,
     writer: Writer,
-    operator: Operator,
+    operator: User,
     /// How much it has published, which is the number of the next message.
     published: Arc<AtomicUsize>,
 }
 
 impl Publisher {
     /// Joins a ROS 2 domain.
-    pub(super) async fn open(domain: u16, operator: Operator) -> Result<Self, Rejection> {
+    pub(super) async fn open(domain: u16, operator: User) -> Result<Self, Rejection> {
         let (topic, kind) = cmd_vel()?;
         let name = format!("{operator:?}_teleop").to_lowercase();
         let participant = Participant::open(domain, &name).await.map_err(|error| failed(&error))?;
@@ -86,7 +80,8 @@ impl Publisher {
         let mut times = Vec::with_capacity(count);
         for _ in 0..count {
             schedule.tick().await;
-            let sample = twist(0.2, self.next_number(), self.operator)?;
+            let command = Command { linear: SPEED, angular: 0.0 };
+            let sample = twist(command, self.next_number(), self.operator)?;
             times.push(Instant::now());
             self.writer.write(&sample).map_err(|error| failed(&error))?;
             self.published.fetch_add(1, Ordering::Relaxed);
@@ -125,7 +120,8 @@ impl Robot {
         let kept = Arc::clone(&received);
         let task = tokio::spawn(async move {
             while let Some(incoming) = reader.next().await {
-                if let Some(received) = read(&incoming.sample.body(), incoming.received) {
+                if let Some(Twist { user, number, .. }) = read_twist(&incoming.sample.body()) {
+                    let received = Received { operator: user, number, at: incoming.received };
                     kept.lock().unwrap_or_else(PoisonError::into_inner).push(received);
                 }
             }
@@ -142,7 +138,7 @@ impl Robot {
     }
 
     /// How many of an operator's messages were received since the last [`Robot::take`].
-    pub(super) fn received_from(&self, operator: Operator) -> usize {
+    pub(super) fn received_from(&self, operator: User) -> usize {
         let received = self.received.lock().unwrap_or_else(PoisonError::into_inner);
         received.iter().filter(|message| message.operator == Some(operator)).count()
     }
@@ -163,26 +159,4 @@ pub(super) fn nobody_there(who: &str) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, format!("{who} was not discovered on the ROS 2 graph"))
         .wanted(format!("a match on /cmd_vel within {DISCOVERY_TIME_MAX:?}"))
         .next("check that UDP traffic on the loopback interface is allowed")
-}
-
-/// `linear = (speed, number, operator)`, `angular = 0`, as little-endian CDR.
-fn twist(speed: f64, number: usize, operator: Operator) -> Result<Sample, Rejection> {
-    let mut body = Vec::with_capacity(TWIST_BYTES);
-    for value in [speed, number as f64, f64::from(operator as u8), 0.0, 0.0, 0.0] {
-        body.extend_from_slice(&value.to_le_bytes());
-    }
-    Sample::new(CDR_LE, &body)
-}
-
-fn read(body: &Bytes, at: Instant) -> Option<Received> {
-    let double = |index: usize| {
-        let bytes = body.get(index * 8..index * 8 + 8)?;
-        Some(f64::from_le_bytes(bytes.try_into().ok()?))
-    };
-    let operator = match double(2)? {
-        1.0 => Some(Operator::Salma),
-        2.0 => Some(Operator::Farhad),
-        _ => None,
-    };
-    Some(Received { operator, number: double(1)? as usize, at })
 }

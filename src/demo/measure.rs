@@ -1,6 +1,7 @@
 //! Figures of the demo.
 
-use super::graph::{Operator, Received};
+use super::graph::Received;
+use arena::course::User;
 use hdrhistogram::Histogram;
 use serde::Serialize;
 use std::time::{Duration, Instant};
@@ -48,10 +49,10 @@ pub(super) struct Phase {
 
 impl Phase {
     /// Counts what came in `duration`; `intruder` is who may not publish in this phase.
-    pub(super) fn count(received: &[Received], duration: Duration, intruder: Option<Operator>) -> Self {
+    pub(super) fn count(received: &[Received], duration: Duration, intruder: Option<User>) -> Self {
         let of = |operator| received.iter().filter(|message| message.operator == Some(operator)).count();
         let hz = |count: usize| count as f64 / duration.as_secs_f64();
-        let (salma, farhad) = (of(Operator::Salma), of(Operator::Farhad));
+        let (salma, farhad) = (of(User::Salma), of(User::Farhad));
         Self {
             robot_hz: hz(salma + farhad),
             salma_hz: hz(salma),
@@ -69,13 +70,18 @@ pub(super) struct RosToRos {
 
 impl RosToRos {
     /// Adds the messages of one operator, published from number `first` on at `times`.
-    pub(super) fn add(&mut self, operator: Operator, first: usize, times: &[Instant], received: &[Received]) {
+    pub(super) fn add(&mut self, operator: User, first: usize, times: &[Instant], received: &[Received]) {
         for message in received.iter().filter(|message| message.operator == Some(operator)) {
             if let Some(published) = message.number.checked_sub(first).and_then(|index| times.get(index)) {
                 let latency = message.at.saturating_duration_since(*published);
                 self.microseconds.push(u64::try_from(latency.as_micros()).unwrap_or(u64::MAX));
             }
         }
+    }
+
+    /// How many messages there are.
+    pub(super) fn count(&self) -> usize {
+        self.microseconds.len()
     }
 
     /// The percentiles so far; zeros if nothing was received.

@@ -1,11 +1,10 @@
 //! The processes of the demo: two nodes and three bridges, in a temporary directory.
 
-use super::graph::{DISCOVERY_TIME_MAX, nobody_there};
+use super::bridges::{Bridges, Plan};
 use super::process::Process;
-use super::summary::{BridgeReport, Summary};
+use super::summary::Summary;
 use crate::clock::wall;
 use crate::dev::ORGANISATIONS;
-use crate::random;
 use crate::setup::{Founded, NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use ledger_api::context::Context;
 use ledger_api::{Client, Enrolment};
@@ -23,20 +22,8 @@ use tempfile::TempDir;
 const START_TIME_MAX: Duration = Duration::from_secs(20);
 /// Time for the follower to reach the leader's height on an idle network.
 const CONVERGE_TIME_MAX: Duration = Duration::from_secs(10);
-/// Between two looks at what the bridges have found.
-const DISCOVERY_LOOK: Duration = Duration::from_millis(20);
-/// Highest ROS 2 domain id whose UDP ports are not taken by the operating system for other things.
-const DOMAIN_MAX: u64 = 100;
-
-/// The ROS 2 domain ids of the three graphs.
-pub(super) struct Domains {
-    /// Salma's.
-    pub salma: u16,
-    /// Farhad's.
-    pub farhad: u16,
-    /// The robot's.
-    pub robot: u16,
-}
+/// The robots that have bridges.
+const ROBOTS: [&str; 2] = ["Turtlebot4", "OptiTrack"];
 
 /// The running experiment. Dropping it ends the processes and removes the directory.
 pub(super) struct Network {
@@ -46,7 +33,8 @@ pub(super) struct Network {
     founded: Founded,
     addresses: [String; 2],
     nodes: Vec<Process>,
-    bridges: Vec<Process>,
+    /// The bridges that run.
+    pub bridges: Bridges,
     // Declared last: removed after the processes are gone.
     directory: TempDir,
 }
@@ -64,8 +52,10 @@ impl Network {
         // Identities that their CAs issue without being asked over the network, before the nodes own the CAs.
         let admin = identity(&data[0], ORGANISATIONS[0], ("Admin", Role::Admin), &addresses[0])?;
         let owner = identity(&data[1], ORGANISATIONS[1], ("Admin", Role::Admin), &addresses[1])?;
-        let robot = identity(&data[1], ORGANISATIONS[1], ("Turtlebot4", Role::Robot), &addresses[1])?;
-        robot.save(&directory.path().join("home"))?;
+        for robot in ROBOTS {
+            identity(&data[1], ORGANISATIONS[1], (robot, Role::Robot), &addresses[1])?
+                .save(&directory.path().join("home"))?;
+        }
         let mut nodes = Vec::new();
         for ((organisation, data), address) in ORGANISATIONS.iter().zip(&data).zip(&addresses) {
             let config = directory.path().join(format!("{organisation}.toml"));
@@ -78,16 +68,26 @@ impl Network {
         }
         let admin = connect(&admin, &mut nodes).await?;
         let owner = connect(&owner, &mut nodes).await?;
-        Ok(Self { owner, admin, founded, addresses, nodes, bridges: Vec::new(), directory })
+        Ok(Self { owner, admin, founded, addresses, nodes, bridges: Bridges::default(), directory })
     }
 
     fn home(&self) -> PathBuf {
         self.directory.path().join("home")
     }
 
-    /// Org1's admin registers a user, who enrols from outside as anybody would.
+    /// The addresses of the nodes: Org1's, and Org2's.
+    pub(super) fn addresses(&self) -> &[String; 2] {
+        &self.addresses
+    }
+
+    /// Org1's admin registers a user, who enrols from outside as anybody would. An attribute is `KEY=VALUE`, or `KEY` for
+    /// `KEY=true`.
     pub(super) async fn enrol_user(&self, name: &str, attributes: &[&str]) -> Result<Client, Rejection> {
-        let attributes: BTreeMap<_, _> = attributes.iter().map(|key| ((*key).to_owned(), "true".to_owned())).collect();
+        let attributes: BTreeMap<_, _> = attributes
+            .iter()
+            .map(|attribute| attribute.split_once('=').unwrap_or((attribute, "true")))
+            .map(|(key, value)| (key.to_owned(), value.to_owned()))
+            .collect();
         let secret = self.admin.register(name, Role::Member, &attributes).await?;
         let fingerprint = self.founded.authorities.first().map_or(Hash::ZERO, |authority| authority.fingerprint);
         let context = Enrolment::new(self.addresses[0].as_str(), fingerprint)
@@ -97,54 +97,23 @@ impl Network {
         Client::connect(&context).await
     }
 
-    /// Starts the bridges: each user's at Org1's node, the robot's at Org2's.
-    pub(super) async fn start_bridges(&mut self) -> Result<Domains, Rejection> {
-        let first = u16::try_from(1 + random::number()? % (DOMAIN_MAX - 3)).unwrap_or(1);
-        let domains = Domains { salma: first, farhad: first + 1, robot: first + 2 };
-        for (name, domain, direction) in [
-            ("Salma", domains.salma, "to_ledger"),
-            ("Farhad", domains.farhad, "to_ledger"),
-            ("Turtlebot4", domains.robot, "from_ledger"),
-        ] {
-            let context = self.home().join("contexts").join(name);
-            let text = format!(
-                "context_dir = {:?}\ndomain_id = {domain}\nshared_memory = false\n\n[[route]]\nservice = \"Turtlebot4/cmd_vel\"\n\
-                 direction = \"{direction}\"\ntopic = \"/cmd_vel\"\ntype = \"geometry_msgs/msg/Twist\"\n",
-                context.display().to_string()
-            );
-            let config = self.directory.path().join(format!("bridge-{name}.toml"));
-            write(&config, &text)?;
-            let arguments = ["bridge", "--config", &config.to_string_lossy()];
-            self.bridges.push(Process::start(&format!("bridge-{name}"), self.directory.path(), &arguments)?);
-        }
-        Ok(domains)
-    }
-
-    /// Waits until each bridge has found the ROS 2 node of its graph. Discovery has two directions: a node that has found
-    /// its bridge may still be unknown to it, and then a message to the node is lost.
-    pub(super) async fn bridges_found(&mut self) -> Result<(), Rejection> {
-        let deadline = Instant::now() + DISCOVERY_TIME_MAX;
-        while !self.bridges.iter().all(|bridge| bridge.logged("on /cmd_vel has come")) {
-            self.check()?;
-            if Instant::now() > deadline {
-                return Err(nobody_there("the node of a bridge"));
-            }
-            tokio::time::sleep(DISCOVERY_LOOK).await;
-        }
-        Ok(())
+    /// Starts bridges.
+    pub(super) fn start_bridges(&mut self, plans: &[Plan<'_>]) -> Result<(), Rejection> {
+        let home = self.home();
+        plans.iter().try_for_each(|plan| self.bridges.start(plan, &home, self.directory.path()))
     }
 
     /// Fails if a process has ended by itself.
     pub(super) fn check(&mut self) -> Result<(), Rejection> {
-        self.nodes.iter_mut().chain(&mut self.bridges).try_for_each(Process::check)
+        self.nodes.iter_mut().try_for_each(Process::check)?;
+        self.bridges.check()
     }
 
     /// Ends the bridges, whose last line says what they saw, and compares the nodes.
     pub(super) async fn report(&mut self, summary: &mut Summary) -> Result<(), Rejection> {
-        for bridge in self.bridges.drain(..) {
-            let printed = bridge.stop().await?;
-            summary.add(BridgeReport::read(&printed)?);
-            summary.counted.extend(printed.lines().last().map(str::to_owned));
+        for (_, line, report) in self.bridges.stop().await? {
+            summary.add(report);
+            summary.counted.push(line);
         }
         let deadline = Instant::now() + CONVERGE_TIME_MAX;
         loop {

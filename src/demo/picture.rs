@@ -2,8 +2,9 @@
 //! messages a second.
 
 use super::HZ;
-use super::graph::{Operator, Robot};
+use super::graph::Robot;
 use crate::command::eprint_line;
+use arena::course::User;
 use std::collections::VecDeque;
 use std::io::IsTerminal;
 use std::sync::Arc;
@@ -18,6 +19,9 @@ const WINDOW: Duration = Duration::from_secs(1);
 const BAR: usize = 24;
 /// Moves the cursor up over the picture and clears what is below.
 const UP: &str = "\x1b[4A\x1b[J";
+
+/// The same for a single line.
+pub(super) const LINE_UP: &str = "\x1b[1A\x1b[J";
 
 /// Is there somebody who sees colours and a moving cursor?
 pub(super) fn is_seen() -> bool {
@@ -60,7 +64,7 @@ impl<'a> Picture<'a> {
     fn counts(&self) -> Counts {
         Counts {
             published: self.published.each_ref().map(|count| count.load(Ordering::Relaxed)),
-            received: [Operator::Salma, Operator::Farhad].map(|operator| self.robot.received_from(operator)),
+            received: [User::Salma, User::Farhad].map(|operator| self.robot.received_from(operator)),
         }
     }
 

@@ -69,6 +69,19 @@ impl BridgeReport {
     }
 }
 
+impl BridgeReport {
+    /// What the ledger refused of all that went to it, by code.
+    pub(super) fn refused(&self) -> BTreeMap<String, u64> {
+        let mut refused = BTreeMap::new();
+        for route in self.routes.iter().filter(|route| route.direction == "to_ledger") {
+            for (code, count) in &route.refused {
+                *refused.entry(code.clone()).or_default() += count;
+            }
+        }
+        refused
+    }
+}
+
 impl Summary {
     /// Counts a refusal that the demo itself was given.
     pub(super) fn refused(&mut self, rejection: &Rejection) {

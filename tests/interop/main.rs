@@ -12,6 +12,7 @@
 )]
 
 mod calls;
+mod arena;
 mod codec;
 mod demo;
 mod liar;

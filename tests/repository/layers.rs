@@ -6,9 +6,11 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 25] = [
+const LAYERS: [(&str, &[&str]); 26] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
+    // The paper's experiment without its network: nothing of a ledger.
+    ("arena", &[]),
     // "Did you mean": of names, not of a ledger.
     ("nearest", &[]),
     // Files that survive a crash whole.
@@ -145,6 +147,7 @@ const LAYERS: [(&str, &[&str]); 25] = [
     (
         "ledgerd",
         &[
+            "arena",
             "ledger",
             "ledger-abac",
             "ledger-api",

@@ -1,0 +1,81 @@
+//! `ledgerd demo --arena` on a small course: real nodes, bridges and DDS, a simulated robot.
+
+use crate::network;
+use crate::support::wait;
+use serde_json::Value;
+use std::path::Path;
+use std::process::{Command, Stdio};
+
+fn demo(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
+    command.args(["demo", "--arena", "--scale", "0.3"]).args(arguments).env_remove("RUST_LOG");
+    command
+}
+
+#[test]
+fn the_arena_judges_its_claims_and_leaves_pictures_a_page_and_numbers() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let out = directory.path().join("arena");
+    let played = demo(&["--json", "--out", out.to_str().unwrap()]).output().unwrap();
+    let (line, story) = (String::from_utf8(played.stdout).unwrap(), String::from_utf8(played.stderr).unwrap());
+    let result: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}\n{story}"));
+    assert_eq!(line.lines().count(), 1, "{line}");
+
+    let claims = result["claims"].as_array().unwrap();
+    assert_eq!(claims.len(), 7, "{line}");
+    let broken: Vec<_> = claims.iter().filter(|claim| claim["held"] != true).collect();
+    assert_eq!(result["ok"], broken.is_empty(), "{line}");
+    assert_eq!(played.status.code(), Some(if broken.is_empty() { 0 } else { 1 }), "{story}");
+    // However busy the machine is: whose commands pass is no question of time.
+    for run in ["controlled", "preempted", "delayed"] {
+        let commands = &result["runs"][run]["commands"];
+        assert_eq!((commands["strays"].as_u64(), commands["late"].as_u64()), (Some(0), Some(0)), "{run}: {commands}");
+        let refused = &commands["refused"]["Farhad"]["NOT_HOLDER"];
+        assert!(run == "preempted" || refused.as_u64().unwrap() > 10, "{run}: {commands}");
+    }
+    let order: Vec<_> = result["runs"]["controlled"]["order"].as_array().unwrap().iter().collect();
+    assert_eq!(order, ["A1", "A2", "A3", "B1", "B2", "B3"], "{story}");
+    assert_eq!(result["runs"]["preempted"]["stop"]["commands"], 0, "{line}");
+    assert!(result["runs"]["open"]["commands"]["changes_of_driver"].as_u64().unwrap() > 10, "{line}");
+    assert!(result["runs"]["delayed"]["feedback_ms"]["p50"].as_f64().unwrap() > 250.0, "{line}");
+
+    for name in ["overview", "trajectory", "orientation", "frequency", "latency", "latency-frequency"] {
+        let png = std::fs::read(out.join(format!("{name}.png"))).unwrap();
+        assert!(png.starts_with(b"\x89PNG") && png.len() > 5_000, "{name}.png has {} bytes", png.len());
+        assert!(std::fs::read_to_string(out.join(format!("{name}.svg"))).unwrap().contains("</svg>"), "{name}.svg");
+    }
+    assert!(std::fs::read_to_string(out.join("index.html")).unwrap().contains("A1 A2 A3 B1 B2 B3"));
+    assert_eq!(std::fs::read_to_string(out.join("numbers.json")).unwrap(), line.trim_end());
+    assert!(!story.contains('\x1b'), "nobody sees a moving line in a file:\n{story}");
+}
+
+#[test]
+fn an_interrupted_arena_leaves_no_process_and_no_file() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let directory = tempfile::tempdir().unwrap();
+    let (out, temporary) = (directory.path().join("arena"), directory.path().join("tmp"));
+    std::fs::create_dir(&temporary).unwrap();
+    let mut played =
+        demo(&["--out", out.to_str().unwrap()]).env("TMPDIR", &temporary).stderr(Stdio::piped()).spawn().unwrap();
+    let is_empty = |path: &Path| std::fs::read_dir(path).unwrap().next().is_none();
+    let mut story = std::io::BufRead::lines(std::io::BufReader::new(played.stderr.take().unwrap()));
+    let driving = story.by_ref().map(Result::unwrap).any(|line| line.contains("Salma's task"));
+    assert!(driving && !is_empty(&temporary), "the bridges run");
+    let pid = rustix::process::Pid::from_raw(i32::try_from(played.id()).unwrap()).unwrap();
+    rustix::process::kill_process(pid, rustix::process::Signal::INT).unwrap();
+    assert!(!played.wait().unwrap().success());
+    let gone = || processes_below(&temporary).is_empty() && is_empty(&temporary) && !out.exists();
+    wait::eventually("all processes and files are gone", || gone().then_some(()));
+}
+
+/// The processes that have this directory in their arguments.
+fn processes_below(directory: &Path) -> Vec<String> {
+    let processes = std::fs::read_dir("/proc").unwrap().flatten();
+    let called = processes.filter_map(|process| std::fs::read_to_string(process.path().join("cmdline")).ok());
+    called.filter(|line| line.contains(directory.to_str().unwrap()) && line.contains("--config")).collect()
+}
