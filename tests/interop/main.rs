@@ -11,8 +11,8 @@
     reason = "tests"
 )]
 
-mod calls;
 mod arena;
+mod calls;
 mod codec;
 mod demo;
 mod liar;
