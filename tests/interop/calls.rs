@@ -178,7 +178,7 @@ fn a_reply_that_another_than_the_robot_has_signed_reaches_nobody() {
     });
 }
 
-/// What a user's bridge answers to a request about the robot's grant.
+/// The answer of a user's bridge to a request about the robot's grant.
 fn asked(domain: &str, act: &str) -> String {
     client(domain, &format!("/Rover/{act}"), "Trigger", "20", &["0"]).line().unwrap()
 }

@@ -1,5 +1,5 @@
-//! Services of ROS 2: servers and clients of ours beside CycloneDDS in Python, which has its numbers in front of messages, and
-//! beside `ros2-client`, which has them beside, as Fast DDS does.
+//! Services of ROS 2: servers and clients of ours, and those of others. CycloneDDS in Python has its numbers in front of messages.
+//! `ros2-client` has them beside, as Fast DDS does.
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../../../tests/support/own_network.rs"]

@@ -50,7 +50,9 @@ impl Desk {
         let done = match services.as_slice() {
             [] => {
                 let robot = &self.robot;
-                return Answer::yes(format!("{robot} needs no grant here: whom its policies permit may use it"));
+                return Answer::yes(format!(
+                    "{robot} needs no grant here: everybody may use it whom its policies permit"
+                ));
             }
             [service] => self.acquire_one(service).await,
             several => self.acquire_all(several).await,

@@ -134,7 +134,6 @@ struct Call {
     caller: Caller,
     /// The transaction in which it goes to the ledger.
     id: Option<Hash>,
-    came: Instant,
 }
 
 /// Knows who has called.
@@ -182,7 +181,7 @@ impl Desk {
         let Ok(sample) = Sample::new(CDR_LE, &message) else { return };
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
-        self.waiting.insert(sequence, Call { caller, id: None, came: received }, received);
+        self.waiting.insert(sequence, Call { caller, id: None }, received);
         self.requests.push(Incoming { sample, source: [0; 16], sequence, received });
     }
 
@@ -210,13 +209,12 @@ impl Desk {
         }
         for (id, message) in samples.iter().filter_map(split) {
             let call = self.ids.remove(&id).and_then(|number| self.waiting.take(&number));
-            let Some(Call { caller, came, .. }) = call else { continue };
+            let Some(Call { caller, .. }) = call else { continue };
             match self.server.reply(&caller, &message) {
                 Ok(()) => {
                     let mut counts = self.counters.lock();
                     counts.summary.published += 1;
                     counts.live.passed = Some(Instant::now());
-                    tracing::debug!(service = self.service, elapsed = ?came.elapsed(), "a call is answered");
                 }
                 Err(error) => {
                     self.counters.lock().summary.unpublished += 1;

@@ -226,7 +226,8 @@ impl Pump {
                     }
                     Some(DataReaderStatus::RequestedIncompatibleQos { last_policy_id, .. }) => {
                         self.matches.refused();
-                        tracing::warn!(topic = self.topic, policy = ?last_policy_id, "a peer offers less than services need");
+                        let policy = format!("{last_policy_id:?}");
+                        tracing::warn!(topic = self.topic, policy, "a peer offers less than services need");
                     }
                     Some(_) => {}
                     None => break,
@@ -262,7 +263,7 @@ impl Pump {
         }
     }
 
-    /// Is it an endpoint of a bridge of this network? What came from the ledger does not go there again.
+    /// Is it an endpoint of a bridge of this network? Messages from the ledger do not go there again.
     fn is_bridge(&mut self, writer: [u8; 16]) -> bool {
         if let Some(known) = self.bridges.get(&writer) {
             return *known;
