@@ -93,7 +93,7 @@ impl Record {
         for chosen in &selection.services {
             places.push(Place::take(&session, &chosen.service, output).await?);
         }
-        let done = self.into_file(&path, &session, (&selection, window), &places, global.format()).await;
+        let done = self.fill(&path, &session, (&selection, window), &places, global.format()).await;
         for place in &places {
             place.give_back().await;
         }
@@ -114,7 +114,7 @@ impl Record {
     }
 
     /// Opens stream and file, and records. A file that was begun is ended, whatever ends the recording.
-    async fn into_file(
+    async fn fill(
         &self,
         path: &Path,
         session: &Session,

@@ -37,9 +37,9 @@ impl Window {
         let blocks = Blocks { session, kept: session.client.status().await?.first_height.max(1), tip };
         match since.map(|since| since.seen_from(now)) {
             None => {}
-            Some(Instant::Height(height)) => window.first = blocks.from_height(height, follow)?,
+            Some(Instant::Height(height)) => window.first = blocks.first_from(height, follow)?,
             Some(Instant::Time(at)) if at > now => return Err(ahead(at, now)),
-            Some(Instant::Time(at)) => window.first = blocks.from_time(at, selection.time, now).await?,
+            Some(Instant::Time(at)) => window.first = blocks.first_since(at, selection.time, now).await?,
         }
         match until.map(|until| until.seen_from(now)) {
             None => window.last = (since.is_some() && !follow).then_some(tip),
@@ -84,7 +84,7 @@ struct Blocks<'a> {
 }
 
 impl Blocks<'_> {
-    fn from_height(&self, height: u64, follow: bool) -> Result<u64, Rejection> {
+    fn first_from(&self, height: u64, follow: bool) -> Result<u64, Rejection> {
         if height > self.tip && !follow {
             return Err(Rejection::new(Code::BadArgument, format!("block {height} does not exist yet"))
                 .found(format!("the last block is {}", self.tip))
@@ -99,7 +99,7 @@ impl Blocks<'_> {
     }
 
     /// The first block at or after a moment, which lies before now.
-    async fn from_time(&self, at: u64, newest: u64, now: u64) -> Result<u64, Rejection> {
+    async fn first_since(&self, at: u64, newest: u64, now: u64) -> Result<u64, Rejection> {
         if at > newest {
             return Ok(self.tip + 1);
         }
