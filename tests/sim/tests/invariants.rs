@@ -231,7 +231,7 @@ fn a_task_past_a_line_is_noticed_and_whoever_holds_the_service_is_passed_over() 
             overtaken.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
         }
         let task = task.map(|id| format!(r#","task":{id}"#)).unwrap_or_default();
-        let granted = format!(r#"{{"holder":"{who}","epoch":2,"mode":"limited"{task}}}"#);
+        let granted = format!(r#"{{"holder":"{who}","epoch":2,"mode":"exclusive"{task}}}"#);
         let mut outcome = event(block(4, Hash::ZERO), "granted", &granted);
         outcome.events[0].index = None;
         overtaken.executed(&at(1, &outcome))
