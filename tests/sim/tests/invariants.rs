@@ -220,7 +220,8 @@ fn a_task_past_a_line_is_noticed_and_whoever_holds_the_service_is_passed_over() 
     let people = Arc::new(People::new());
     let turn = |holder: &str, who: &str, task: Option<u64>| {
         let mut overtaken = NobodyIsOvertaken::new(Arc::clone(&people));
-        let told = event(block(1, Hash::ZERO), "granted", &grant(holder, 1));
+        let mut told = event(block(1, Hash::ZERO), "granted", &grant(holder, 1));
+        told.events[0].index = None;
         overtaken.executed(&at(1, &told)).unwrap();
         // Two that wait, each with a task; the first one was interrupted, and joins the line with the next block.
         for (height, (id, who, reason)) in (2..).zip([(1, "A", "preempted"), (2, "B", "")]) {
@@ -231,7 +232,7 @@ fn a_task_past_a_line_is_noticed_and_whoever_holds_the_service_is_passed_over() 
             overtaken.executed(&Executed { node: 1, outcome: &outcome, transactions: &transactions }).unwrap();
         }
         let task = task.map(|id| format!(r#","task":{id}"#)).unwrap_or_default();
-        let granted = format!(r#"{{"holder":"{who}","epoch":2,"mode":"limited"{task}}}"#);
+        let granted = format!(r#"{{"holder":"{who}","epoch":2,"mode":"exclusive"{task}}}"#);
         let mut outcome = event(block(4, Hash::ZERO), "granted", &granted);
         outcome.events[0].index = None;
         overtaken.executed(&at(1, &outcome))

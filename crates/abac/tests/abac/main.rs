@@ -31,7 +31,6 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
-mod starving;
 mod task_ends;
 mod tasks;
 mod together;
