@@ -21,7 +21,7 @@ use arena::picture::Rate;
 use arena::record::Record;
 use ledger_api::{Client, Subscription};
 use ledger_rejection::{Code, Rejection};
-use output::Output;
+use output::Results;
 use run::Kind;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -35,7 +35,7 @@ const POSES: Route = Route {
     kind: "geometry_msgs/msg/PoseStamped",
 };
 
-/// What `--arena` takes.
+/// The options of `--arena`.
 #[derive(clap::Args)]
 pub(super) struct Options {
     /// Play the paper's experiment with a simulated Turtlebot4 in four runs, and draw it.
@@ -92,7 +92,7 @@ fn scale(text: &str) -> Result<f64, String> {
     if within { Ok(scale) } else { Err(format!("{scale} is not within {SCALE_MIN} and 1")) }
 }
 
-/// What all runs share.
+/// The setting of all runs.
 #[derive(Clone, Copy)]
 struct Setting {
     course: Course,
@@ -124,7 +124,7 @@ struct Played {
 
 /// Plays it; Ctrl-C ends everything that was started.
 pub(super) async fn run(options: Options, as_json: bool) -> Result<(), Rejection> {
-    let output = Output::open(&options.out)?;
+    let output = Results::open(&options.out)?;
     let setting = Setting { course: Course::new(options.scale), seed: options.seed };
     // Dropping the experiment ends its processes and removes its directory.
     let played = tokio::select! {

@@ -43,7 +43,7 @@ pub(super) struct Plan<'a> {
     pub name: &'static str,
     /// The ROS 2 domain of its graph.
     pub domain: u16,
-    /// What it carries.
+    /// Its routes.
     pub routes: &'a [Route],
     /// The address at which it reaches its node, if it is another one than in its context.
     pub via: Option<&'a str>,

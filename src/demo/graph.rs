@@ -17,7 +17,7 @@ use tokio::time::{MissedTickBehavior, interval};
 
 /// Time for two participants to find each other.
 pub(super) const DISCOVERY_TIME_MAX: Duration = Duration::from_secs(15);
-/// What the operators publish forwards (m/s).
+/// The speed that the operators publish (m/s).
 const SPEED: f64 = 0.2;
 
 /// A Twist that the robot received.
@@ -31,7 +31,7 @@ pub(super) struct Received {
     pub at: Instant,
 }
 
-/// What the middleware says, for people.
+/// A fault of the middleware, for people.
 pub(super) fn failed(error: &ros_bridge::error::Error) -> Rejection {
     Rejection::new(Code::MiddlewareFailed, error.to_string())
 }

@@ -18,11 +18,11 @@ const POSE_AT: usize = 24;
 /// A Twist that came.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Twist {
-    /// Whose it is; none for a stop message.
+    /// Its user; none for a stop message.
     pub user: Option<User>,
     /// Its number.
     pub number: usize,
-    /// What it says.
+    /// Its speeds.
     pub command: Command,
 }
 
@@ -72,6 +72,7 @@ fn double(body: &Bytes, at: usize) -> Option<f64> {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use ros_message::Library;

@@ -70,7 +70,7 @@ impl BridgeReport {
 }
 
 impl BridgeReport {
-    /// What the ledger refused of all that went to it, by code.
+    /// The messages that the ledger refused, by code.
     pub(super) fn refused(&self) -> BTreeMap<String, u64> {
         let mut refused = BTreeMap::new();
         for route in self.routes.iter().filter(|route| route.direction == "to_ledger") {

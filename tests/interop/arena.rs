@@ -6,6 +6,10 @@ use serde_json::Value;
 use std::path::Path;
 use std::process::{Command, Stdio};
 
+/// The planned orders of waypoints.
+const IN_TURNS: [&str; 6] = ["A1", "A2", "A3", "B1", "B2", "B3"];
+const INTERRUPTED: [&str; 6] = ["A1", "B1", "B2", "B3", "A2", "A3"];
+
 fn demo(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_ledgerd"));
     command.args(["demo", "--arena", "--scale", "0.3"]).args(arguments).env_remove("RUST_LOG");
@@ -29,17 +33,17 @@ fn the_arena_judges_its_claims_and_leaves_pictures_a_page_and_numbers() {
     let broken: Vec<_> = claims.iter().filter(|claim| claim["held"] != true).collect();
     assert_eq!(result["ok"], broken.is_empty(), "{line}");
     assert_eq!(played.status.code(), Some(if broken.is_empty() { 0 } else { 1 }), "{story}");
-    // However busy the machine is: whose commands pass is no question of time.
-    for run in ["controlled", "preempted", "delayed"] {
+    // However busy the machine is: whose commands pass is no question of time, nor is the order of what was reached.
+    for (run, planned) in [("controlled", IN_TURNS), ("preempted", INTERRUPTED), ("delayed", IN_TURNS)] {
         let commands = &result["runs"][run]["commands"];
         assert_eq!((commands["strays"].as_u64(), commands["late"].as_u64()), (Some(0), Some(0)), "{run}: {commands}");
+        let reached: Vec<_> = result["runs"][run]["order"].as_array().unwrap().iter().collect();
+        assert!(planned.starts_with(&reached.iter().map(|name| name.as_str().unwrap()).collect::<Vec<_>>()), "{story}");
         let refused = &commands["refused"]["Farhad"]["NOT_HOLDER"];
-        assert!(run == "preempted" || refused.as_u64().unwrap() > 10, "{run}: {commands}");
+        let waited = run != "preempted" && reached.len() > 1;
+        assert!(!waited || refused.as_u64().unwrap() > 10, "{run}: Farhad commands while he waits: {commands}");
     }
-    let order: Vec<_> = result["runs"]["controlled"]["order"].as_array().unwrap().iter().collect();
-    assert_eq!(order, ["A1", "A2", "A3", "B1", "B2", "B3"], "{story}");
-    assert_eq!(result["runs"]["preempted"]["stop"]["commands"], 0, "{line}");
-    assert!(result["runs"]["open"]["commands"]["changes_of_driver"].as_u64().unwrap() > 10, "{line}");
+    assert!(result["runs"]["preempted"]["stop"]["commands"].as_u64().is_none_or(|commands| commands == 0), "{line}");
     assert!(result["runs"]["delayed"]["feedback_ms"]["p50"].as_f64().unwrap() > 250.0, "{line}");
 
     for name in ["overview", "trajectory", "orientation", "frequency", "latency", "latency-frequency"] {
@@ -47,7 +51,7 @@ fn the_arena_judges_its_claims_and_leaves_pictures_a_page_and_numbers() {
         assert!(png.starts_with(b"\x89PNG") && png.len() > 5_000, "{name}.png has {} bytes", png.len());
         assert!(std::fs::read_to_string(out.join(format!("{name}.svg"))).unwrap().contains("</svg>"), "{name}.svg");
     }
-    assert!(std::fs::read_to_string(out.join("index.html")).unwrap().contains("A1 A2 A3 B1 B2 B3"));
+    assert!(std::fs::read_to_string(out.join("index.html")).unwrap().contains("const runs = [{"));
     assert_eq!(std::fs::read_to_string(out.join("numbers.json")).unwrap(), line.trim_end());
     assert!(!story.contains('\x1b'), "nobody sees a moving line in a file:\n{story}");
 }

@@ -3,7 +3,7 @@
 /// Latencies against frequency.
 #[derive(Clone, Copy, Debug)]
 pub struct Curve {
-    /// What was measured.
+    /// The setting that was measured.
     pub name: &'static str,
     /// Frequency (Hz) and median latency (milliseconds).
     pub points: &'static [(f64, f64)],

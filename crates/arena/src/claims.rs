@@ -1,4 +1,4 @@
-//! What must be true of the runs. The demo fails if one of these does not hold.
+//! The sentences that must be true of the runs. The demo fails if one of these does not hold.
 
 use crate::figures::Figures;
 use crate::record::Record;
@@ -54,7 +54,7 @@ pub struct Claim {
     pub claim: &'static str,
     /// Does it hold?
     pub held: bool,
-    /// What was found.
+    /// The findings behind it.
     pub found: String,
 }
 
@@ -86,7 +86,7 @@ pub fn judge(runs: &Runs<Figures>) -> Vec<Claim> {
             ),
         },
         Claim {
-            claim: "who has more priority goes first, and the other task goes on after it",
+            claim: "with more priority a task goes first, and the other task goes on after it",
             held: in_order(preempted),
             found: preempted.order_in_words(),
         },

@@ -28,7 +28,7 @@ pub struct Controller {
     waypoints: [Point; WAYPOINTS],
     /// How many it has reached.
     reached: usize,
-    /// What it heard last, and when.
+    /// The last pose that it heard, and when.
     heard: Option<(f64, Pose)>,
     /// The mean age of what it hears (seconds).
     age: f64,

@@ -64,7 +64,7 @@ impl User {
 /// A waypoint of a user, by its number from zero.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Waypoint {
-    /// Whose it is.
+    /// Its user.
     pub user: User,
     /// Its number, from zero.
     pub index: usize,

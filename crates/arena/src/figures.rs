@@ -32,9 +32,9 @@ pub struct Arrival {
 pub struct Yaw {
     /// All turns, either way (radians).
     pub turned_rad: f64,
-    /// What the planned order of waypoints needs (radians).
+    /// Those that the planned order of waypoints needs (radians).
     pub needed_rad: f64,
-    /// What was turned beyond it (radians).
+    /// Those beyond it (radians).
     pub extra_rad: f64,
 }
 

@@ -7,7 +7,7 @@
 use crate::noise::Noise;
 use serde::Serialize;
 
-/// What three segments behind a lost one take at the rates of the experiment (seconds).
+/// The time of three segments behind a lost one, at the rates of the experiment (seconds).
 const NOTICED_AFTER: f64 = 0.06;
 
 /// The setting of a link, one way. Both ways are alike.
@@ -62,7 +62,7 @@ mod tests {
 
     fn delays(link: Link, count: u32) -> Vec<f64> {
         let mut direction = Direction::new(link, Noise::new(5));
-        (0..count).map(|number| f64::from(number)).map(|now| direction.deliver(now) - now).collect()
+        (0..count).map(f64::from).map(|now| direction.deliver(now) - now).collect()
     }
 
     #[test]

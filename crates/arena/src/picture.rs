@@ -38,7 +38,7 @@ pub struct Rate {
 pub struct Picture {
     /// The name of its files, without an ending.
     pub name: &'static str,
-    /// What it shows.
+    /// Its contents, in words.
     pub caption: &'static str,
     /// The picture as SVG.
     pub svg: String,
@@ -75,7 +75,7 @@ impl Kind {
     fn caption(self) -> &'static str {
         match self {
             Self::Overview => {
-                "What access control changes: the way of the robot, and its yaw, with and without. A hollow waypoint was not reached."
+                "The way of the robot, and its yaw, with access control and without. A hollow waypoint was not reached."
             }
             Self::Trajectory => {
                 "The way of the robot, with a mark of its heading every second; references are dashed, and a hollow waypoint was not reached."
@@ -117,7 +117,7 @@ impl Kind {
 /// Draws all pictures.
 ///
 /// # Errors
-/// What could not be drawn, in words.
+/// The fault in a drawing, in words.
 pub fn draw(runs: &Runs<Record>, rates: &[Rate]) -> Result<Vec<Picture>, String> {
     Kind::ALL.into_iter().map(|kind| one(kind, runs, rates).map_err(|Fault(fault)| fault)).collect()
 }

@@ -21,11 +21,11 @@ pub struct Seen {
 pub struct Heard {
     /// When.
     pub at: f64,
-    /// Whose it is, by its mark; none for the stop message of the robot's bridge.
+    /// Its user, by its mark; none for the stop message of the robot's bridge.
     pub user: Option<User>,
     /// When its user's controller published it, if that is known.
     pub published: Option<f64>,
-    /// What it says.
+    /// Its speeds.
     pub command: Command,
 }
 
@@ -40,7 +40,7 @@ pub struct Reached {
     pub pose: Pose,
 }
 
-/// Who may drive.
+/// The right to drive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Driving {
     /// Nobody: before the first task, during an emergency stop, at the end.
@@ -82,7 +82,7 @@ pub struct Record {
     pub heard: Vec<Heard>,
     /// The waypoints that were reached, in order.
     pub reached: Vec<Reached>,
-    /// Who may drive from when on, as their clients were told.
+    /// The right to drive, and since when, as the clients were told.
     pub driving: Vec<(f64, Driving)>,
     /// The emergency stop, if there was one.
     pub emergency: Option<Emergency>,

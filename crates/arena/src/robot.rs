@@ -43,7 +43,7 @@ struct Wheels {
 }
 
 impl Wheels {
-    /// What the drive controller makes of a command: limited, and with the radius of the turn kept.
+    /// As the drive controller takes a command: limited, and with the radius of the turn kept.
     fn of(command: Command) -> Self {
         let finite = |value: f64| if value.is_finite() { value } else { 0.0 };
         let linear = finite(command.linear).clamp(-SPEED_MAX, SPEED_MAX);
@@ -67,7 +67,7 @@ pub struct Turtlebot {
     commanded: Option<f64>,
     /// How far it was simulated, in steps.
     steps: u64,
-    /// What each wheel really does of what it is told: no two tyres are equal.
+    /// The share of its order that each wheel really does: no two tyres are equal.
     tyres: Wheels,
 }
 

@@ -13,9 +13,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 use tokio::sync::mpsc::UnboundedSender;
 use tokio::task::JoinHandle;
-use tokio::time::{MissedTickBehavior, interval};
+use tokio::time::{MissedTickBehavior, interval_at};
 
-/// What a controller knows and has done.
+/// Between two commands.
+pub(super) const PERIOD: Duration = Duration::from_millis(1000 / HZ as u64);
+
+/// The knowledge and the deeds of a controller.
 struct State {
     controller: Controller,
     /// Does it publish commands?
@@ -37,11 +40,12 @@ pub(super) struct Driver {
 }
 
 impl Driver {
-    /// Joins a ROS 2 domain. The node tells of each waypoint that it has reached.
+    /// Joins a ROS 2 domain. The node commands from the first beat on, and tells of each waypoint that it has reached.
     pub(super) async fn open(
         domain: u16,
         user: User,
         course: Course,
+        first_beat: Instant,
         reached: UnboundedSender<(Waypoint, Instant)>,
     ) -> Result<Self, Rejection> {
         let name = format!("{}_controller", user.name()).to_lowercase();
@@ -59,7 +63,7 @@ impl Driver {
         };
         let state = Arc::new(Mutex::new(state));
         let (commands, poses) = (writer.matched().clone(), reader.matched().clone());
-        let task = tokio::spawn(control(user, Arc::clone(&state), reader, writer, reached));
+        let task = tokio::spawn(control(user, Arc::clone(&state), (reader, writer), first_beat, reached));
         Ok(Self { user, _participant: participant, commands, poses, state, task })
     }
 
@@ -116,13 +120,13 @@ fn locked(state: &Mutex<State>) -> MutexGuard<'_, State> {
 async fn control(
     user: User,
     state: Arc<Mutex<State>>,
-    mut reader: Reader,
-    writer: Writer,
+    (mut reader, writer): (Reader, Writer),
+    first_beat: Instant,
     reached: UnboundedSender<(Waypoint, Instant)>,
 ) {
     let began = Instant::now();
     let seconds = |at: Instant| at.saturating_duration_since(began).as_secs_f64();
-    let mut beats = interval(Duration::from_secs(1) / HZ);
+    let mut beats = interval_at(first_beat.into(), PERIOD);
     beats.set_missed_tick_behavior(MissedTickBehavior::Skip);
     loop {
         tokio::select! {

@@ -1,4 +1,4 @@
-//! What the arena leaves: pictures, a page, numbers, and a table on the terminal.
+//! The results of the arena: pictures, a page, numbers, and a table on the terminal.
 
 use super::{Options, Played};
 use crate::command::eprint_line;
@@ -17,12 +17,12 @@ const PAGE: &str = "index.html";
 const NUMBERS: &str = "numbers.json";
 
 /// The directory of the results. One that was made and stays empty is removed with it.
-pub(super) struct Output {
+pub(super) struct Results {
     directory: PathBuf,
     is_new: bool,
 }
 
-/// What is told at the end.
+/// The results in words, for the end.
 pub(super) struct Written {
     /// For programs.
     pub json: String,
@@ -45,7 +45,7 @@ struct Line<'a> {
     page: String,
 }
 
-impl Output {
+impl Results {
     /// Makes the directory, so that a wrong one is known before the experiment.
     pub(super) fn open(directory: &Path) -> Result<Self, Rejection> {
         let is_new = !directory.exists();
@@ -153,7 +153,7 @@ impl Output {
     }
 }
 
-impl Drop for Output {
+impl Drop for Results {
     fn drop(&mut self) {
         if self.is_new {
             // Refused if something was written, and that is meant.
@@ -169,6 +169,7 @@ fn cannot_write(path: &Path, error: &std::io::Error) -> Rejection {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
@@ -176,9 +177,9 @@ mod tests {
     fn a_new_directory_goes_with_a_run_that_leaves_nothing_and_stays_with_its_results() {
         let within = tempfile::tempdir().unwrap();
         let directory = within.path().join("deep/arena");
-        drop(Output::open(&directory).unwrap());
+        drop(Results::open(&directory).unwrap());
         assert!(!directory.exists());
-        let output = Output::open(&directory).unwrap();
+        let output = Results::open(&directory).unwrap();
         output.put(NUMBERS, b"{}").unwrap();
         drop(output);
         assert!(directory.join(NUMBERS).exists());
@@ -187,7 +188,7 @@ mod tests {
     #[test]
     fn a_file_in_the_place_of_the_directory_is_refused_before_the_experiment() {
         let file = tempfile::NamedTempFile::new().unwrap();
-        let refused = Output::open(file.path()).err().unwrap();
+        let refused = Results::open(file.path()).err().unwrap();
         assert_eq!(refused.code, Code::BadFile);
         assert!(refused.message.contains(&file.path().display().to_string()), "{refused}");
     }

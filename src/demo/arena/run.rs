@@ -74,7 +74,7 @@ impl Kind {
     }
 }
 
-/// What a run has come to.
+/// The state of a run.
 struct Run<'a> {
     kind: Kind,
     cast: &'a Cast,

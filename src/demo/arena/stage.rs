@@ -1,6 +1,6 @@
 //! The processes and nodes of one run: four ROS 2 graphs, each with its bridge.
 
-use super::driver::Driver;
+use super::driver::{Driver, PERIOD};
 use super::turtlebot::{Node, Shared, placed};
 use super::wire::Wire;
 use super::{POSES, Setting};
@@ -52,11 +52,13 @@ impl Stage {
         ])?;
         let body = placed(setting.course, setting.seed);
         let (told, reached) = unbounded_channel();
+        // Half a period apart. With the same beat the later one would be the last word each time, and drive alone.
+        let beat = Instant::now();
         let (base, cameras, salma, farhad) = tokio::try_join!(
             Node::base(of_robot, body.clone()),
             Node::cameras(of_cameras, body.clone(), setting.seed),
-            Driver::open(of_salma, User::Salma, setting.course, told.clone()),
-            Driver::open(of_farhad, User::Farhad, setting.course, told),
+            Driver::open(of_salma, User::Salma, setting.course, beat, told.clone()),
+            Driver::open(of_farhad, User::Farhad, setting.course, beat + PERIOD / 2, told),
         )?;
         tokio::try_join!(
             base.matched(),

@@ -45,7 +45,7 @@ fn a_calm_run_without_access_control_breaks_the_third_claim() {
 #[test]
 fn a_preemption_that_never_comes_breaks_its_claim() {
     let broken = broken(|runs| runs.preempted.reached.sort_by_key(|reached| reached.waypoint));
-    assert_eq!(broken, ["who has more priority goes first, and the other task goes on after it"]);
+    assert_eq!(broken, ["with more priority a task goes first, and the other task goes on after it"]);
 }
 
 #[test]

@@ -23,7 +23,7 @@ struct Reference {
     to: Point,
 }
 
-/// What changes a user's reference.
+/// A change of a user's reference.
 #[derive(Clone, Copy, Debug)]
 enum Change {
     Begins,

@@ -1,4 +1,4 @@
-//! What all pictures share: colours, letters, axes.
+//! The common parts of all pictures: colours, letters, axes.
 
 use crate::course::User;
 use crate::record::{Driving, Record};

@@ -1,4 +1,4 @@
-//! What changes over time: yaw, received frequency, latency.
+//! Pictures over time: yaw, received frequency, latency.
 
 use super::frame::{
     Area, BLUE, Fault, GREY, INK, LETTER, ORANGE, TITLE, axes, font, legend, of, of_user, stroke, turns,

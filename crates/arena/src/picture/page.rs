@@ -12,7 +12,7 @@ const SCRIPT: &str = include_str!("page.js");
 /// Every how many pictures of the cameras the replay has one.
 const EVERY: usize = 6;
 
-/// What the page says beside the pictures.
+/// The words of the page beside the pictures.
 #[derive(Clone, Copy, Debug)]
 pub struct Facts<'a> {
     /// How it was called.
