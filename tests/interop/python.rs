@@ -1,9 +1,10 @@
 //! Python processes with CycloneDDS, the software on the other side that we did not write.
+#![allow(dead_code, clippy::allow_attributes, reason = "each test uses its own part")]
 
 use std::{
     env,
     io::{BufRead, BufReader},
-    path::Path,
+    path::{Path, PathBuf},
     process::{Child, Command, Stdio},
     sync::mpsc::{Receiver, channel},
     time::Duration,
@@ -32,21 +33,18 @@ impl Python {
     /// The same by another command, such as `nsenter`, and with that configuration of CycloneDDS.
     pub(crate) fn start_within(by: &[&str], cyclone: &str, script: &str, args: &[&str]) -> Self {
         let python = env::var_os("LEDGERD_TEST_PYTHON").unwrap_or_else(|| "python3".into());
-        let script = Path::new(env!("CARGO_MANIFEST_DIR"))
-            .ancestors()
-            .map(|directory| directory.join("tests/interop").join(script))
-            .find(|script| script.exists())
-            .expect("the script is in tests/interop");
         // `env` alone runs the interpreter.
-        let mut child = Command::new(by.first().unwrap_or(&"env"))
-            .args(by.get(1..).unwrap_or_default())
-            .arg(&python)
-            .arg(script)
-            .args(args)
-            .env("CYCLONEDDS_URI", cyclone)
-            .stdout(Stdio::piped())
-            .spawn()
-            .unwrap_or_else(|error| panic!("{python:?} does not start: {error}; set LEDGERD_TEST_PYTHON"));
+        let mut command = Command::new(by.first().unwrap_or(&"env"));
+        command.args(by.get(1..).unwrap_or_default()).arg(&python).arg(source(script)).args(args);
+        command.env("CYCLONEDDS_URI", cyclone);
+        Self::run(command)
+    }
+
+    /// Starts any program, and takes the lines that it prints.
+    pub(crate) fn run(mut command: Command) -> Self {
+        let child = command.stdout(Stdio::piped()).spawn();
+        let mut child =
+            child.unwrap_or_else(|error| panic!("{command:?} does not start: {error}; set LEDGERD_TEST_PYTHON"));
         let output = BufReader::new(child.stdout.take().expect("stdout is piped"));
         // Read all the time: a script that fills its pipe would stand still.
         let (sender, lines) = channel();
@@ -63,6 +61,15 @@ impl Python {
     pub(crate) fn finish(mut self) -> bool {
         self.child.wait().expect("the script ends").success()
     }
+}
+
+/// A file of this directory, for a test of any package.
+pub(crate) fn source(name: &str) -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+        .ancestors()
+        .map(|directory| directory.join("tests/interop").join(name))
+        .find(|path| path.exists())
+        .expect("the file is in tests/interop")
 }
 
 impl Drop for Python {

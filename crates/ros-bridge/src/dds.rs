@@ -14,14 +14,16 @@
 //!   start.
 //! - **History is counted in samples**, and kept per topic after reading: `depth` times the largest
 //!   message is the memory of a topic. The bytes that wait for us are limited by [`crate::queue`].
-//! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, a bridge 6 s). A
-//!   reliable writer keeps what it has not acknowledged, up to [`WRITER_BYTES_MAX`], and then refuses.
+//! - **A crashed peer** stays matched until its lease ends (CycloneDDS 10 s, a bridge 6 s). For it, as for a slow one, a
+//!   writer of the copy keeps the last samples of its depth, and at most 32 MiB: newer ones replace them. The original
+//!   keeps what one reader has not acknowledged, and then writes for nobody.
 //! - **A process that was stopped and continues** (SIGSTOP and SIGCONT, a debugger) lost its DDS: the threads that wait
 //!   for the sockets took the interruption for a failure. The copy of RustDDS in `vendor` goes on. Should such a thread
 //!   end all the same, readers and writers notice it within a second: [`Matched::ended`].
 //! - **Other hosts.** Interfaces alone close no door: its unicast sockets are bound to all addresses. The copy drops
 //!   datagrams of other hosts by their source address, and keeps multicasts on this host ([`crate::reach`]).
-//! - **Large messages to Fast DDS** (above about 200 kB) need a larger receive buffer on its side.
+//! - **Large messages** go in bursts with pauses, and lost fragments are sent again at once: the copy does so. Fast DDS has
+//!   receive buffers of 200 kB, and needs larger ones for what others than we send to it.
 //!
 //! Creating a participant takes tens of milliseconds and two threads; reading and writing never
 //! block. Everything here must be called inside a tokio runtime.
@@ -46,7 +48,7 @@ pub use self::{
     matched::{Matched, Matching},
     neighbours::{Change, Neighbour, Role},
     reader::Reader,
-    writer::{WRITER_BYTES_MAX, Writer},
+    writer::Writer,
 };
 use crate::{
     door::Door,

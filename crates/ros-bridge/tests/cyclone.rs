@@ -14,8 +14,7 @@ use std::{
 use ledger_gate::sample::{CDR_LE, Sample};
 use python::Python;
 use ros_bridge::{
-    dds::{Participant, WRITER_BYTES_MAX},
-    error::Error,
+    dds::Participant,
     names::{TopicName, TypeName},
     qos::Qos,
     queue::Limits,
@@ -135,54 +134,6 @@ async fn large_images_go_to_cyclone() {
         let samples: Vec<Sample> = (0..5).map(|index| image(index, 300_000)).collect();
         to_python("/image", "sensor_msgs/msg/Image", &samples, Duration::from_millis(100), 300_000).await;
     }
-}
-
-#[tokio::test]
-async fn a_subscriber_that_stands_still_is_refused_memory_and_served_again_later() {
-    if !network::isolated(&|| ()) {
-        return;
-    }
-    let (topic, message) = names("/image", "sensor_msgs/msg/Image");
-    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
-    let writer = bridge.writer(&topic, &message, &Qos::default()).unwrap();
-    let mut python = Python::start("twist_subscriber.py", &["5", &topic.dds(), "0", "0", "300000", "60"]);
-    assert_eq!(python.line().unwrap(), "ready");
-    assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
-    assert_eq!(python.line().unwrap(), "matched");
-    signal("-STOP", &python);
-    stands_still(&python);
-    let mut written = 0;
-    let error = loop {
-        match writer.write(&image(0, 300_000)) {
-            Ok(()) => written += 1,
-            Err(error) => break error,
-        }
-        assert!(written <= WRITER_BYTES_MAX / 300_000, "{written} messages are waiting");
-    };
-    assert!(matches!(error, Error::Slow(_)), "{error}");
-    signal("-CONT", &python);
-    assert!(writer.flush(DEADLINE).await);
-    writer.write(&image(1, 300_000)).unwrap();
-    let last = hex_of(&image(1, 300_000));
-    assert!(until(&mut python, &last));
-}
-
-/// Waits until no thread of it can acknowledge anything any more.
-fn stands_still(python: &Python) {
-    let tasks = format!("/proc/{}/task", python.child.id());
-    let stopped = |stat: String| stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('T'));
-    let still = || {
-        let stats = std::fs::read_dir(&tasks).unwrap().map(|task| task.unwrap().path().join("stat"));
-        stats.filter_map(|path| std::fs::read_to_string(path).ok()).all(stopped)
-    };
-    while !still() {
-        std::thread::sleep(Duration::from_millis(1));
-    }
-}
-
-fn signal(signal: &str, python: &Python) {
-    let id = python.child.id().to_string();
-    assert!(Command::new("sh").args(["-c", &format!("kill {signal} {id}")]).status().unwrap().success());
 }
 
 #[tokio::test]

@@ -23,14 +23,12 @@ use crate::{
     qos::Qos,
 };
 
-/// Most bytes written that reliable readers have not acknowledged. Beyond it a write is refused.
-pub const WRITER_BYTES_MAX: usize = 16 * 1024 * 1024;
-
 /// A sample up to this size is copied. DDS keeps many samples for readers that lag. Each would keep the whole buffer in
 /// memory in which it came, with everything else that came in it.
 const COPIED_BYTES_MAX: usize = 4 * 1024;
 
-/// Offers one topic; leaves it when dropped. Writing never blocks.
+/// Offers one topic; leaves it when dropped. Writing never blocks, and waits for no reader: one that does not keep up
+/// loses what newer samples have replaced.
 pub struct Writer {
     participant: Participant,
     topic: TopicName,
@@ -43,7 +41,6 @@ pub struct Writer {
 /// The DDS writer of one encoding.
 struct Endpoint {
     output: Arc<dyn Output>,
-    unacknowledged_bytes: usize,
     watcher: AbortHandle,
 }
 
@@ -71,10 +68,7 @@ impl Writer {
         Ok(writer)
     }
 
-    /// Publishes a sample.
-    ///
-    /// [`Error::Slow`] means that reliable readers are too far behind: this sample is not written, a later one may
-    /// be. [`Error::Dds`] means that the participant is broken, or has ended.
+    /// Publishes a sample. [`Error::Dds`] means that the participant is broken, or has ended.
     pub fn write(&self, sample: &Sample) -> Result<()> {
         if self.matched.is_ended() {
             let what = format!("cannot publish on {}", self.topic);
@@ -90,24 +84,10 @@ impl Writer {
             }
         };
         let mut body = sample.body();
-        let bytes = body.len();
-        if bytes <= COPIED_BYTES_MAX {
+        if body.len() <= COPIED_BYTES_MAX {
             body = Bytes::copy_from_slice(&body);
         }
-        if endpoint.output.all_acknowledged() {
-            endpoint.unacknowledged_bytes = 0;
-        }
-        if endpoint.unacknowledged_bytes.saturating_add(bytes) > WRITER_BYTES_MAX && endpoint.unacknowledged_bytes > 0 {
-            return Err(self.slow());
-        }
-        match endpoint.output.put(body) {
-            Ok(()) => {
-                endpoint.unacknowledged_bytes = endpoint.unacknowledged_bytes.saturating_add(bytes);
-                Ok(())
-            }
-            Err(WriteError::WouldBlock { .. }) => Err(self.slow()),
-            Err(error) => Err(dds_error(&format!("cannot publish on {}", self.topic), &error)),
-        }
+        endpoint.output.put(body).map_err(|error| dds_error(&format!("cannot publish on {}", self.topic), &error))
     }
 
     /// Waits until all reliable readers have everything written so far; `false` after `at_most`. A stop message
@@ -149,15 +129,7 @@ impl Writer {
         let writer = Arc::new(writer);
         self.participant.graph.add(Role::Writes, writer.guid());
         let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.clone(), matches)).abort_handle();
-        Ok(Endpoint { output: writer, unacknowledged_bytes: 0, watcher })
-    }
-
-    fn slow(&self) -> Error {
-        let what = format!("sample not published on {}: a reader does not keep up", self.topic);
-        let found = "the window of unacknowledged samples is full";
-        let wanted = format!("acknowledgements within {WRITER_BYTES_MAX} bytes or 8192 samples");
-        let hint = "make the slow subscriber best effort, or publish less";
-        Error::Slow(Explained::new(what, found, wanted, hint))
+        Ok(Endpoint { output: writer, watcher })
     }
 }
 
@@ -173,7 +145,6 @@ impl Drop for Writer {
 /// A DDS writer of any encoding.
 trait Output: Send + Sync {
     fn put(&self, body: Bytes) -> std::result::Result<(), WriteError<Bytes>>;
-    fn all_acknowledged(&self) -> bool;
     fn acknowledged(&self) -> BoxFuture<'_, bool>;
     fn id(&self) -> GUID;
 }
@@ -181,10 +152,6 @@ trait Output: Send + Sync {
 impl<const ID: u8> Output for DataWriter<Bytes, Raw<ID>> {
     fn put(&self, body: Bytes) -> std::result::Result<(), WriteError<Bytes>> {
         self.write(body, Some(Timestamp::now()))
-    }
-
-    fn all_acknowledged(&self) -> bool {
-        self.wait_for_acknowledgments(Duration::ZERO).unwrap_or(false)
     }
 
     fn acknowledged(&self) -> BoxFuture<'_, bool> {

@@ -47,7 +47,6 @@ use crate::{
     config::{HEARTBEAT_MS, RouteConfig},
     count::{Complaint, Counters, count, line},
     dds::Role,
-    error::Error,
     gateway::{Deliveries, Gateway},
     names::Interface,
     service::{stop_for, topic_for},
@@ -208,7 +207,7 @@ impl FromLedger {
                 // The next turn stops the robot.
                 () = sleep_until(stop_due.unwrap_or_else(Instant::now).into()), if stop_due.is_some() => {}
                 () = again => {
-                    if self.stopping.say_again(&self.outlet, &self.route.service).await {
+                    if self.stopping.say_again(&self.outlet, &self.route.service) {
                         count(&mut self.counters.lock().summary.stops, "start", 1);
                     }
                 }
@@ -409,8 +408,7 @@ impl FromLedger {
                 }
                 Err(error) => {
                     counts.summary.unpublished += 1;
-                    let name = if matches!(error, Error::Slow(_)) { "slow" } else { "unpublished" };
-                    if let Some(silent) = self.complaint.worth(name, Instant::now()) {
+                    if let Some(silent) = self.complaint.worth("unpublished", Instant::now()) {
                         tracing::warn!(service = self.route.service, %error, not_logged = silent, "a message was not published");
                     }
                 }
@@ -433,7 +431,7 @@ impl FromLedger {
             return;
         }
         tracing::info!(service = self.route.service, reason, "stop");
-        self.stopping.say(&self.outlet, &self.route.service).await;
+        self.stopping.say(&self.outlet, &self.route.service);
         count(&mut self.counters.lock().summary.stops, reason, 1);
     }
 

@@ -20,11 +20,6 @@ use crate::{
     shm,
 };
 
-/// A stop message that a slow reader keeps from being written is tried so often.
-const STOP_TRIES_MAX: u32 = 20;
-/// How long each try waits for the reader.
-const STOP_TRY: Duration = Duration::from_millis(50);
-
 /// Our presence in the local graph: one participant and one origin for all routes, so that nothing a bridge
 /// publishes is taken in by it again.
 #[derive(Clone)]
@@ -165,22 +160,6 @@ impl Outlet {
             To::Calls { calls, .. } => Some(calls),
             To::Topic { .. } => None,
         }
-    }
-
-    /// Publishes a stop message; insists while a slow reader keeps it from being written.
-    pub(crate) async fn write_stop(&self, stop: &Sample) -> Result<()> {
-        let To::Topic { writer, shm } = &self.to else { return Ok(()) };
-        self.note(stop);
-        if let Some(Err(error)) = shm.as_ref().map(|shm| shm.write(stop)) {
-            tracing::error!(%error, "the stop message did not reach shared memory");
-        }
-        for _ in 1..STOP_TRIES_MAX {
-            match writer.write(stop) {
-                Err(Error::Slow(_)) => writer.flush(STOP_TRY).await,
-                done => return done,
-            };
-        }
-        writer.write(stop)
     }
 
     /// Subscribers in shared memory.

@@ -73,9 +73,9 @@ impl Stopping {
     }
 
     /// Says the stop message, and again a little later.
-    pub(super) async fn say(&mut self, outlet: &Outlet, service: &str) {
+    pub(super) fn say(&mut self, outlet: &Outlet, service: &str) {
         self.again = AGAIN;
-        self.write(outlet, service).await;
+        self.write(outlet, service);
     }
 
     /// Waits until the stop message is to be said again, or to somebody new: see [`Stopping::say_again`]. A listener in shared
@@ -98,14 +98,14 @@ impl Stopping {
     }
 
     /// Says the stop message again. True if it is for somebody new.
-    pub(super) async fn say_again(&mut self, outlet: &Outlet, service: &str) -> bool {
+    pub(super) fn say_again(&mut self, outlet: &Outlet, service: &str) -> bool {
         let now = listeners(outlet);
         let is_new = self.listeners.is_some_and(|known| known < now);
         if is_new {
             self.listeners = Some(now);
         }
         self.again = if is_new { AGAIN } else { self.again.saturating_sub(1) };
-        self.write(outlet, service).await;
+        self.write(outlet, service);
         is_new
     }
 
@@ -113,14 +113,14 @@ impl Stopping {
     pub(super) async fn finish(&mut self, outlet: &Outlet, service: &str) {
         while self.again > 0 {
             sleep_until((self.said + AGAIN_EVERY).into()).await;
-            self.say_again(outlet, service).await;
+            self.say_again(outlet, service);
         }
     }
 
-    async fn write(&mut self, outlet: &Outlet, service: &str) {
+    fn write(&mut self, outlet: &Outlet, service: &str) {
         self.said = Instant::now();
         let Some(message) = &self.message else { return };
-        if let Err(error) = outlet.write_stop(message).await {
+        if let Err(error) = outlet.write(message) {
             tracing::error!(service, %error, "THE STOP MESSAGE WAS NOT PUBLISHED");
         }
     }

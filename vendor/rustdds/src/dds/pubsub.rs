@@ -546,11 +546,18 @@ impl InnerPublisher {
         .unwrap_or(policy::Durability::Volatile),
       policy::Durability::Volatile
     );
+    // With keys, the depth counts for each instance, which the send buffer does not
+    // know.
+    let keep_last = matches!(
+      writer_qos.history(),
+      Some(policy::History::KeepLast { .. })
+    ) && entity_id.entity_kind == EntityKind::WRITER_NO_KEY_USER_DEFINED;
     let send_buffer = WriterSendBuffer::new(
       guid,
       topic.name(),
       writer_qos.is_reliable(),
       guid.entity_id.entity_kind.is_built_in(),
+      keep_last,
       volatile,
       window_limit,
       backlog_limit,

@@ -111,7 +111,7 @@ pub fn local_interface_table() -> Vec<IfAddr> {
 /// * If some local IPv4 interface's subnet contains `peer_ip`, the peer is
 ///   reachable in one hop, so we use that interface's MTU (minus headers).
 ///   Loopback peers (e.g. `127.0.0.1`) naturally match `lo`/`lo0` and inherit
-///   its (often large) MTU.
+///   its (often large) MTU. So does a peer with an address of this host.
 /// * Otherwise the peer is behind a router (or IPv6 / unresolved), where the
 ///   real path MTU is unknown; fall back to
 ///   [`FALLBACK_MAX_AGGREGATED_DATAGRAM_SIZE`] (a conservative
@@ -120,6 +120,16 @@ pub fn local_interface_table() -> Vec<IfAddr> {
 /// An overestimate is a soft failure (IP fragmentation), never data loss, so
 /// this errs toward the safe default when unsure.
 pub fn path_mtu_payload_for_peer(ifaces: &[IfAddr], peer_ip: IpAddr) -> usize {
+  // What goes to an address of this host passes the loopback interface.
+  if ifaces.iter().any(|ifa| ifa.ip == peer_ip) {
+    if let Some(mtu) = ifaces
+      .iter()
+      .find(|ifa| ifa.ip.is_loopback())
+      .and_then(|ifa| ifa.mtu)
+    {
+      return payload_budget_for_mtu(mtu);
+    }
+  }
   if let IpAddr::V4(peer) = peer_ip {
     for ifa in ifaces {
       let (IpAddr::V4(local), Some(mask)) = (ifa.ip, ifa.netmask) else {

@@ -39,6 +39,12 @@ pub const REPAIR_INTERVAL_MAX: Duration = Duration::from_millis(100);
 // one reader. A round always sends at least one sample, even a larger one.
 pub const REPAIR_BATCH_MAX_BYTES: usize = 8192;
 
+// The same for fragments of large samples that a reader requested with
+// NACK_FRAG. It is smaller than the receive buffer that Linux gives a socket by
+// default.
+pub const REPAIR_FRAGS_BATCH_MAX_BYTES: usize = 128 * 1024;
+pub const REPAIR_FRAGS_INTERVAL: Duration = Duration::from_millis(2);
+
 // Periodic HEARTBEAT period for reliable Writers. The period is adaptive: while
 // some matched reader is behind (has unacknowledged samples), heartbeats are
 // sent at the FAST period to prompt prompt repair (some peers rely on a
@@ -82,6 +88,11 @@ pub const MAX_TRACKED_CHANGES_PER_WRITER: usize = DEFAULT_WRITER_MAX_SAMPLES;
 // are handed over.
 pub const MAX_WITHHELD_BYTES_PER_TOPIC: usize = 16 * 1024 * 1024;
 
+// Most payload bytes that a KEEP_LAST Writer of a topic without keys retains for
+// its readers. Beyond it the oldest samples go, as beyond the depth. The newest
+// one is always retained.
+pub const MAX_KEEP_LAST_BYTES_PER_WRITER: usize = 32 * 1024 * 1024;
+
 // Default / fallback UDP-payload budget (RTPS header + submessages) used to
 // size datagrams built by the writer's DATA-coalescing and DATAFRAG packing
 // paths when the per-peer path MTU is unknown (peer behind a router, IPv6, or
@@ -107,7 +118,20 @@ pub const DATAGRAM_HEADER_OVERHEAD: usize = 48;
 // Readers (v2.5 Section 8.4.14.1.1), so this is a constant and must NOT be
 // varied per peer. Per-peer path MTU only controls how many fragments we pack
 // into each DATAFRAG submessage / datagram, never the fragment size itself.
-pub const FRAGMENT_SIZE: usize = 256;
+//
+// One fragment fills a datagram of an Ethernet. A NACK_FRAG reaches over 256 of
+// them.
+pub const FRAGMENT_SIZE: u16 = 1344;
+
+// The same for a Writer whose Readers are all on this host: four fill a datagram
+// of the loopback, and a NACK_FRAG reaches over 4 MB.
+pub const LOCAL_FRAGMENT_SIZE: u16 = 16_000;
+
+// A large sample is pushed in bursts of so many bytes, with a pause after each:
+// a burst fits into the receive buffer that Linux gives a socket by default,
+// and other Writers get their turn.
+pub const PUSH_BURST_MAX_BYTES: usize = 256 * 1024;
+pub const PUSH_PAUSE: Duration = Duration::from_millis(1);
 
 /// Convert an interface MTU into the RTPS-message (UDP payload) budget usable
 /// for submessage/fragment packing: `mtu - DATAGRAM_HEADER_OVERHEAD`, floored

@@ -140,6 +140,7 @@ pub struct DPEventLoop {
   // route same-host peers over loopback. See
   // `src/rtps/loopback_same_host_design.md`.
   same_host_loopback: bool,
+  only_local: bool,
   // The SPDP writer announces to these hosts as well.
   static_peers: Vec<IpAddr>,
 }
@@ -266,6 +267,7 @@ impl DPEventLoop {
       participant_status_sender,
       discovery_command_sender,
       same_host_loopback,
+      only_local,
       static_peers,
     })
   }
@@ -473,22 +475,26 @@ impl DPEventLoop {
     }
     let writer_ids = self.writer_ready.drain_unique();
     for eid in writer_ids {
-      let (blocked, local_readers) = match self.writers.get_mut(&eid) {
-        None => {
-          debug!("Command event for unknown writer {eid:?}");
-          (BTreeSet::new(), vec![])
-        }
-        Some(writer) => {
-          writer.process_pending();
-          (writer.take_blocked_sockets(), writer.local_readers())
-        }
-      };
-      for sid in blocked {
-        self.mark_writer_willing(sid, eid);
-      }
-      self.message_receiver.notify_data_to_readers(local_readers);
+      self.process_pending_of(eid);
     }
     false
+  }
+
+  fn process_pending_of(&mut self, eid: EntityId) {
+    let (blocked, local_readers) = match self.writers.get_mut(&eid) {
+      None => {
+        debug!("Command event for unknown writer {eid:?}");
+        (BTreeSet::new(), vec![])
+      }
+      Some(writer) => {
+        writer.process_pending();
+        (writer.take_blocked_sockets(), writer.local_readers())
+      }
+    };
+    for sid in blocked {
+      self.mark_writer_willing(sid, eid);
+    }
+    self.message_receiver.notify_data_to_readers(local_readers);
   }
 
   fn drain_timers(&mut self, preparing_to_stop: bool) {
@@ -527,6 +533,9 @@ impl DPEventLoop {
         DpTimerEvent::Writer { entity_id, event } => {
           if let Some(writer) = self.writers.get_mut(&entity_id) {
             writer.handle_timed_event(event);
+            for sid in writer.take_blocked_sockets() {
+              self.mark_writer_willing(sid, entity_id);
+            }
           } else if !preparing_to_stop {
             trace!("Timed event for unknown writer {entity_id:?}");
           }
@@ -680,6 +689,9 @@ impl DPEventLoop {
       let guid = new_writer_ingredients.guid;
       self.add_local_writer(new_writer_ingredients);
       self.inform_discovery_about_new_local_endpoint(guid);
+      // A sample may have been written meanwhile. Its doorbell is lost if it was
+      // drained before the Writer was here.
+      self.process_pending_of(guid.entity_id);
     }
     while let Ok(writer_guid) = self.remove_writer_receiver.receiver.try_recv() {
       pending_removals.push(writer_guid);
@@ -1125,6 +1137,9 @@ impl DPEventLoop {
     // - every writer may route a confirmed same-host peer over loopback.
     // See `src/rtps/loopback_same_host_design.md`.
     new_writer.set_prefer_loopback_same_host(self.same_host_loopback);
+    if self.only_local && self.static_peers.is_empty() {
+      new_writer.set_fragment_size(LOCAL_FRAGMENT_SIZE);
+    }
     if new_writer.guid().entity_id == EntityId::SPDP_BUILTIN_PARTICIPANT_WRITER {
       let mut destinations = Vec::new();
       if self.same_host_loopback {

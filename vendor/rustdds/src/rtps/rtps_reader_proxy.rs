@@ -1,5 +1,5 @@
 use std::{
-  cmp::max,
+  cmp::{max, min},
   collections::{BTreeMap, BTreeSet},
   net::SocketAddr,
 };
@@ -469,6 +469,7 @@ impl RtpsReaderProxy {
         }
         self.remove_from_unsent_set_all_before(new_all_acked_before);
         self.all_acked_before = new_all_acked_before;
+        self.frags_requested = self.frags_requested.split_off(&new_all_acked_before);
 
         // Insert the requested changes. These are (by construction) greater
         // then new_all_acked_before.
@@ -503,9 +504,10 @@ impl RtpsReaderProxy {
     self.pending_gap.insert(seq_num);
   }
 
-  pub fn set_pending_gap_up_to(&mut self, last_gap_sn: SequenceNumber) {
-    // form SN range from 1 to last_gap_sn (inclusive)
-    let gap_sn_range = SequenceNumberRange::new(SequenceNumber::new(1), last_gap_sn);
+  // Everything before `first_available` is not available to anybody: a HEARTBEAT
+  // says so, and it needs no GAP.
+  pub fn set_pending_gap(&mut self, first_available: SequenceNumber, last_gap_sn: SequenceNumber) {
+    let gap_sn_range = SequenceNumberRange::new(first_available, last_gap_sn);
     // Convert to a set and insert the SNs to pending_gap
     let gap_sn_set = BTreeSet::from_iter(gap_sn_range);
     self.pending_gap.extend(gap_sn_set);
@@ -551,86 +553,66 @@ impl RtpsReaderProxy {
 
   // Fragment handling
 
-  pub fn mark_frags_requested(&mut self, seq_num: SequenceNumber, frag_nums: &FragmentNumberSet) {
-    let req_set = self
+  /// A NACK_FRAG for a sample that has `frag_count` fragments.
+  pub fn mark_frags_requested(
+    &mut self,
+    seq_num: SequenceNumber,
+    frag_nums: &FragmentNumberSet,
+    frag_count: u32,
+  ) {
+    let frag_count = frag_count as usize;
+    let requested = self
       .frags_requested
       .entry(seq_num)
-      .or_insert_with(|| BitVec::with_capacity(64)); // default capacity out of hat
-
+      .or_insert_with(|| BitVec::from_elem(frag_count, false));
     for f in frag_nums.iter() {
-      // -1 because FragmentNumbers start at 1
-      let idx = usize::from(f) - 1;
-      // The bit vector must be long enough to address `idx`. Grow it (filling
-      // with `false`) whenever a requested fragment number exceeds the current
-      // length, otherwise `set()` would be out of bounds. Note that a freshly
-      // inserted `BitVec` has length 0 regardless of its capacity.
-      if idx >= req_set.len() {
-        req_set.grow(idx + 1 - req_set.len(), false);
+      // -1 because FragmentNumbers start at 1. There may be a request for
+      // fragments that the sample does not have.
+      match usize::from(f).checked_sub(1) {
+        Some(idx) if idx < requested.len() => requested.set(idx, true),
+        _ => debug!("NACK_FRAG for fragment {f:?} of {frag_count} of {seq_num:?}"),
       }
-      req_set.set(idx, true);
     }
-  }
-
-  // This just removes the FragmentNumber entry from the set.
-  pub fn mark_frag_sent(&mut self, seq_num: SequenceNumber, frag_num: &FragmentNumber) {
-    let mut frag_map_emptied = false;
-    if let Some(frag_map) = self.frags_requested.get_mut(&seq_num) {
-      // -1 because FragmentNumbers start at 1
-      frag_map.set(usize::from(*frag_num) - 1, false);
-      frag_map_emptied = frag_map.none();
-    }
-    if frag_map_emptied {
+    if requested.none() {
       self.frags_requested.remove(&seq_num);
     }
   }
 
-  // Note: The current implementation produces an iterator that iterates only
-  // over one fragmented sample, but the upper layer should detect that
-  // there are still other fragmented samples requested (if any)
-  // and continue sending.
-  pub fn frags_requested_iterator(&self) -> FragBitVecIterator {
-    match self.frags_requested.iter().next() {
-      None => FragBitVecIterator::new(SequenceNumber::default(), BitVec::new()), // empty iterator
-      Some((sn, bv)) => FragBitVecIterator::new(*sn, bv.clone()),
+  /// As if the reader had requested each of them.
+  pub fn mark_all_frags_requested(&mut self, seq_num: SequenceNumber, frag_count: u32) {
+    self
+      .frags_requested
+      .insert(seq_num, BitVec::from_elem(frag_count as usize, true));
+  }
+
+  /// The first run of consecutive fragments that is requested: of which sample,
+  /// the number of its first fragment, and how many.
+  pub fn first_frags_requested(&self) -> Option<(SequenceNumber, FragmentNumber, u32)> {
+    let (seq_num, requested) = self.frags_requested.iter().next()?;
+    let start = requested.iter().position(|bit| bit)?;
+    let run = requested.iter().skip(start).take_while(|bit| *bit).count();
+    Some((*seq_num, FragmentNumber::new(start as u32 + 1), run as u32))
+  }
+
+  pub fn mark_frags_sent(&mut self, seq_num: SequenceNumber, start: FragmentNumber, count: u32) {
+    if let Some(requested) = self.frags_requested.get_mut(&seq_num) {
+      let first = usize::from(start) - 1;
+      for idx in first..min(first + count as usize, requested.len()) {
+        requested.set(idx, false);
+      }
+      if requested.none() {
+        self.frags_requested.remove(&seq_num);
+      }
     }
+  }
+
+  /// The sample is not available any more.
+  pub fn forget_frags_requested(&mut self, seq_num: SequenceNumber) {
+    self.frags_requested.remove(&seq_num);
   }
 
   pub fn repair_frags_requested(&self) -> bool {
     self.frags_requested.values().any(|rf| rf.any())
-  }
-}
-
-pub struct FragBitVecIterator {
-  sequence_number: SequenceNumber,
-  frag_count: FragmentNumber,
-  bitvec: BitVec,
-}
-
-impl FragBitVecIterator {
-  pub fn new(sequence_number: SequenceNumber, bv: BitVec) -> FragBitVecIterator {
-    FragBitVecIterator {
-      sequence_number,
-      frag_count: FragmentNumber::new(1),
-      bitvec: bv,
-    }
-  }
-}
-
-impl Iterator for FragBitVecIterator {
-  type Item = (SequenceNumber, FragmentNumber);
-
-  fn next(&mut self) -> Option<Self::Item> {
-    // f indexes from 1, like FragmentNumber
-    let mut f = u32::from(self.frag_count);
-    while (f as usize) <= self.bitvec.len() && self.bitvec.get((f - 1) as usize) == Some(false) {
-      f += 1;
-    }
-    if (f as usize) > self.bitvec.len() {
-      None
-    } else {
-      self.frag_count = FragmentNumber::new(f + 1);
-      Some((self.sequence_number, FragmentNumber::new(f)))
-    }
   }
 }
 

@@ -30,7 +30,8 @@ use crate::{
     constant::{
       DEFAULT_WRITER_MAX_SAMPLES, FALLBACK_MAX_AGGREGATED_DATAGRAM_SIZE, FRAGMENT_SIZE,
       HEARTBEAT_PERIOD_FAST, HEARTBEAT_PERIOD_SLOW, HEARTBEAT_SUBMESSAGE_SERIALIZED_SIZE,
-      NACK_RESPONSE_DELAY, NACK_SUPPRESSION_DURATION, REPAIR_BATCH_MAX_BYTES,
+      NACK_RESPONSE_DELAY, NACK_SUPPRESSION_DURATION, PUSH_BURST_MAX_BYTES, PUSH_PAUSE,
+      REPAIR_BATCH_MAX_BYTES, REPAIR_FRAGS_BATCH_MAX_BYTES, REPAIR_FRAGS_INTERVAL,
       REPAIR_INTERVAL_DEFAULT, REPAIR_INTERVAL_MAX, REPAIR_INTERVAL_MIN,
     },
     outbound::{SocketId, TrafficClass},
@@ -108,12 +109,16 @@ pub(crate) enum SendProgress {
     cursor: SampleCursor,
     blocked: BTreeSet<SocketId>,
   },
+  /// PUSH_BURST_MAX_BYTES of a fragmented sample have gone out. `cursor` is
+  /// where to resume after PUSH_PAUSE.
+  Paused { cursor: SampleCursor },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum TimedEvent {
   Heartbeat,
   CacheCleaning,
+  ContinuePush,
   SendRepairData { to_reader: GUID },
   SendRepairFrags { to_reader: GUID },
 }
@@ -250,6 +255,10 @@ pub(crate) struct Writer {
   /// WouldBlock. Drained by the event loop, which enqueues this writer on those
   /// sockets' round-robin queues and arms write readiness.
   blocked_sockets: BTreeSet<SocketId>,
+  /// ContinuePush is armed. Nothing is pushed before.
+  push_paused: bool,
+  /// Bytes of each fragment; see FRAGMENT_SIZE.
+  fragment_size: u16,
 
   /// Contains timer that needs to be set to timeout with duration of
   /// self.heartbeat_period timed_event_handler sends notification when timer
@@ -357,6 +366,8 @@ impl Writer {
       last_sent: SequenceNumber::zero(),
       sample_cursor: SampleCursor::Fresh,
       blocked_sockets: BTreeSet::new(),
+      push_paused: false,
+      fragment_size: FRAGMENT_SIZE,
       timed_event_timer,
       like_stateless: i.like_stateless,
       qos_policies: i.qos_policies,
@@ -503,6 +514,10 @@ impl Writer {
           TimedEvent::CacheCleaning,
         );
       }
+      TimedEvent::ContinuePush => {
+        self.push_paused = false;
+        self.process_pending();
+      }
       TimedEvent::SendRepairData {
         to_reader: reader_guid,
       } => {
@@ -538,7 +553,10 @@ impl Writer {
           .get(&reader_guid)
           .is_some_and(RtpsReaderProxy::repair_frags_requested)
         {
-          self.schedule_repair_frags(reader_guid, self.repair_interval());
+          self.schedule_repair_frags(
+            reader_guid,
+            min(self.repair_interval(), REPAIR_FRAGS_INTERVAL),
+          );
         }
       } // SendRepairFrags
     } // match
@@ -601,20 +619,35 @@ impl Writer {
     } else {
       0
     };
-    budget
-      .saturating_sub(hb_reserve)
-      .saturating_sub(DATA_SUBMESSAGE_OVERHEAD)
+    // There is no fragment of a part of its size alone.
+    max(
+      usize::from(self.fragment_size),
+      budget
+        .saturating_sub(hb_reserve)
+        .saturating_sub(DATA_SUBMESSAGE_OVERHEAD),
+    )
   }
 
   fn num_frags_and_frag_size(&self, payload_size: usize) -> (u32, u16) {
-    let fragment_size = FRAGMENT_SIZE as u32;
+    let fragment_size = u32::from(self.fragment_size);
     let data_size = payload_size as u32; // TODO: overflow check
                                          // Formula from RTPS spec v2.5 Section "8.3.8.3.5 Logical Interpretation"
     let num_frags =
       (data_size / fragment_size) + u32::from(!data_size.is_multiple_of(fragment_size)); // rounding up
     debug!("Fragmenting {data_size} to {num_frags} x {fragment_size}");
-    // TODO: Check fragment_size overflow
-    (num_frags, fragment_size as u16)
+    (num_frags, self.fragment_size)
+  }
+
+  // The highest sequence number that a HEARTBEAT may tell of. A reader would ask
+  // for a sample that is still being pushed, and get it twice.
+  fn last_announced(&self) -> SequenceNumber {
+    let last = self.send_buffer.last_change_sequence_number();
+    if self.push_mode {
+      let first = self.send_buffer.first_change_sequence_number();
+      min(last, max(self.last_sent, first - SequenceNumber::new(1)))
+    } else {
+      last
+    }
   }
 
   // The DataWriter has admitted one or more new samples into the shared send
@@ -745,7 +778,7 @@ impl Writer {
       builder = builder.heartbeat_msg(
         self.entity_id(),
         self.send_buffer.first_change_sequence_number(),
-        self.send_buffer.last_change_sequence_number(),
+        last_seq,
         self.next_heartbeat_count(),
         self.endianness,
         EntityId::UNKNOWN, // to all readers
@@ -775,7 +808,7 @@ impl Writer {
     // The doorbell enqueues this writer's id and then wakes. A sample admitted
     // while we are here pushes another id, so the next wake runs us again. The
     // shared buffer's `last_seq` is the source of truth.
-    loop {
+    while !self.push_paused {
       let last_available = self.send_buffer.last_change_sequence_number();
       if self.last_sent >= last_available {
         break;
@@ -887,6 +920,11 @@ impl Writer {
             self.sample_cursor = SampleCursor::Fresh;
             self.send_buffer.set_sent_frontier(sequence_number);
             self.mark_change_sent_to_all_readers(sequence_number);
+          }
+          SendProgress::Paused { cursor } => {
+            self.sample_cursor = cursor;
+            self.push_paused = true;
+            self.schedule_timed_event(PUSH_PAUSE, TimedEvent::ContinuePush);
           }
           SendProgress::Blocked { cursor, blocked } => {
             // Reliable writers always back-pressure. Best-effort writers only if
@@ -1010,8 +1048,21 @@ impl Writer {
     let fragmentation_needed = messages_to_send.fragmentation_needed();
 
     // Send the messages, either to all readers or just one, stopping at the
-    // first message that a socket could not accept.
+    // first message that a socket could not accept, or when a burst is full.
+    let mut burst_bytes = 0;
     for (resume_cursor, msg) in messages_to_send {
+      if class == TrafficClass::Bulk
+        && fragmentation_needed
+        && burst_bytes >= PUSH_BURST_MAX_BYTES
+      {
+        return (
+          fragmentation_needed,
+          SendProgress::Paused {
+            cursor: resume_cursor,
+          },
+        );
+      }
+      burst_bytes += self.datagram_budget(target_reader_opt);
       let blocked = match target_reader_opt {
         None => self.send_message_to_readers(
           DeliveryMode::Multicast,
@@ -1070,7 +1121,7 @@ impl Writer {
     );
 
     let first_change = self.send_buffer.first_change_sequence_number();
-    let last_change = self.send_buffer.last_change_sequence_number();
+    let last_change = self.last_announced();
 
     if self
       .readers
@@ -1086,8 +1137,8 @@ impl Writer {
         .ts_msg(self.endianness, Some(Timestamp::now()))
         .heartbeat_msg(
           self.entity_id(), // from Writer
-          self.send_buffer.first_change_sequence_number(),
-          self.send_buffer.last_change_sequence_number(),
+          first_change,
+          last_change,
           self.next_heartbeat_count(),
           self.endianness,
           EntityId::UNKNOWN, // to Reader
@@ -1280,7 +1331,7 @@ impl Writer {
               .heartbeat_msg(
                 self.entity_id(),
                 self.send_buffer.first_change_sequence_number(),
-                last_seq,
+                self.last_announced(),
                 self.next_heartbeat_count(),
                 self.endianness,
                 reader_guid.entity_id,
@@ -1298,6 +1349,11 @@ impl Writer {
       } // AckNack
       AckSubmessage::NackFrag(ref nackfrag) => {
         // NackFrag is negative acknowledgement only, i.e. requesting missing fragments.
+        let Some(cc) = self.send_buffer.get_by_sn(nackfrag.writer_sn) else {
+          // The next HEARTBEAT tells that the sample is gone.
+          return;
+        };
+        let (frag_count, _) = self.num_frags_and_frag_size(cc.data_value.payload_size());
         let reader_guid = GUID::new(reader_guid_prefix, nackfrag.reader_id);
         let Some(reader_proxy) = self.lookup_reader_proxy_mut(reader_guid) else {
           return;
@@ -1311,7 +1367,11 @@ impl Writer {
           return;
         }
         reader_proxy.last_nackfrag_count = Some(nackfrag.count);
-        reader_proxy.mark_frags_requested(nackfrag.writer_sn, &nackfrag.fragment_number_state);
+        reader_proxy.mark_frags_requested(
+          nackfrag.writer_sn,
+          &nackfrag.fragment_number_state,
+          frag_count,
+        );
         self.schedule_repair_frags(reader_guid, self.nackfrag_response_delay);
       }
     }
@@ -1375,6 +1435,13 @@ impl Writer {
       {
         // This should really not happen.
         error!("Reader proxy was duplicated somehow??? {rp:?}");
+      }
+      if self
+        .readers
+        .get(&to_reader)
+        .is_some_and(RtpsReaderProxy::repair_frags_requested)
+      {
+        self.schedule_repair_frags(to_reader, std::time::Duration::ZERO);
       }
     }
   }
@@ -1492,12 +1559,15 @@ impl Writer {
         continue;
       };
       let payload_size = cc.data_value.payload_size();
-      if !coalesce || payload_size > self.max_unfragmented_serialized_payload(Some(reader_proxy)) {
+      if payload_size > self.max_unfragmented_serialized_payload(Some(reader_proxy)) {
+        // In one piece it would overflow the reader's buffer: its fragments go out as
+        // if they were requested.
+        let (frag_count, _) = self.num_frags_and_frag_size(payload_size);
+        reader_proxy.mark_all_frags_requested(unsent_sn, frag_count);
+      } else if !coalesce {
         // Keep the order: whatever is packed so far goes first.
         self.flush_repair_datagram(&mut datagram, reader_proxy);
         ts_active = false;
-        // This emits the whole sample, including every fragment when it does
-        // not fit one datagram. A later NACK_FRAG is what arms SendRepairFrags.
         self.send_cache_change(&cc, false, Some(reader_proxy));
         round_bytes += payload_size + DATA_SUBMESSAGE_OVERHEAD;
       } else {
@@ -1577,79 +1647,96 @@ impl Writer {
     }
   }
 
+  // One repair round for the fragments that a reader requested: runs of them are
+  // packed into datagrams of the reader's path-MTU budget, until
+  // REPAIR_FRAGS_BATCH_MAX_BYTES have gone out or nothing is left. The last
+  // datagram asks with a HEARTBEAT for what is still missing. A NACK_FRAG
+  // reaches over 256 fragments only, and without the HEARTBEAT the reader would
+  // say nothing more until the next period.
   fn handle_repair_frags_send_worker(
     &mut self,
     reader_proxy: &mut RtpsReaderProxy, /* This is mutable proxy temporarily detached from the
                                          * set of reader proxies */
   ) {
-    // Decide the (max) number of frags to be sent
-    let max_send_count = 8;
-
     let reader_guid = reader_proxy.remote_reader_guid;
+    let budget = reader_proxy.max_datagram_payload();
+    let mut round_bytes = 0;
 
-    // Get (an iterator to) frags requested but not yet sent
-    // reader_proxy.
-    // Iterate over frags to be sent
-    for (seq_num, frag_num) in reader_proxy.frags_requested_iterator().take(max_send_count) {
-      // Sanity check request
-      // ^^^ TODO
-
-      if let Some(cache_change) = self.send_buffer.get_by_sn(seq_num) {
-        // If the data is meant for a single reader only, make sure it is the one we're
-        // about to send frags to.
-        if let Some(single_reader_guid) = cache_change.write_options.to_single_reader() {
-          if single_reader_guid != reader_guid {
-            error!(
-              "We were asked to send datafrags meant for the reader {single_reader_guid:?} to a \
-               different reader {reader_guid:?}. Not gonna happen."
-            );
-            return;
-          }
+    while round_bytes < REPAIR_FRAGS_BATCH_MAX_BYTES {
+      let Some((seq_num, start, run)) = reader_proxy.first_frags_requested() else {
+        break;
+      };
+      let Some(cache_change) = self.send_buffer.get_by_sn(seq_num) else {
+        // Newer samples have replaced it. The HEARTBEAT below, or the next one,
+        // tells the reader.
+        reader_proxy.forget_frags_requested(seq_num);
+        continue;
+      };
+      // If the data is meant for a single reader only, make sure it is the one we're
+      // about to send frags to.
+      if let Some(single_reader_guid) = cache_change.write_options.to_single_reader() {
+        if single_reader_guid != reader_guid {
+          error!(
+            "We were asked to send datafrags meant for the reader {single_reader_guid:?} to a \
+             different reader {reader_guid:?}. Not gonna happen."
+          );
+          reader_proxy.forget_frags_requested(seq_num);
+          continue;
         }
-
-        // Generate datafrag message
-        let mut message_builder = MessageBuilder::new();
-        if let Some(src_ts) = cache_change.write_options.source_timestamp() {
-          message_builder = message_builder.ts_msg(self.endianness, Some(src_ts));
-        }
-
-        let fragment_size: u32 = FRAGMENT_SIZE as u32;
-        let data_size: u32 = cache_change.data_value.payload_size() as u32; // TODO: overflow check
-
-        message_builder = message_builder.data_frag_msg(
-          &cache_change,
-          reader_guid.entity_id, // reader
-          self.my_guid,          // writer
-          frag_num,
-          // Repair responds to specifically-NACKed fragment numbers (possibly
-          // non-contiguous), so retransmit one fragment per submessage.
-          1,
-          fragment_size as u16, // TODO: overflow check
-          data_size,
-          self.endianness,
-          self.security_plugins.as_ref(),
-        );
-
-        // Repair frags are a reliability action (response to a NACK_FRAG), so
-        // they must actually reach the reader. Use the never-dropped `Control`
-        // queue: dropping repair on WouldBlock livelocks under sustained send
-        // congestion (reader re-NACKs, retransmit dropped again, forever).
-        let _blocked = self.send_message_to_readers(
-          DeliveryMode::Unicast,
-          message_builder.add_header_and_build(self.my_guid.prefix),
-          &mut std::iter::once(&*reader_proxy),
-          TrafficClass::Control,
-        );
-      } else {
-        error!(
-          "handle_repair_frags_send_worker: {:?} missing from send buffer. topic={:?}",
-          seq_num, self.my_topic_name
-        );
-        // TODO: Should we send a GAP message then?
       }
 
-      reader_proxy.mark_frag_sent(seq_num, &frag_num);
-    } // for
+      // Generate datafrag message
+      let mut message_builder =
+        MessageBuilder::new().dst_submessage(self.endianness, reader_guid.prefix);
+      if let Some(src_ts) = cache_change.write_options.source_timestamp() {
+        message_builder = message_builder.ts_msg(self.endianness, Some(src_ts));
+      }
+      let data_size = cache_change.data_value.payload_size();
+      let (_, fragment_size) = self.num_frags_and_frag_size(data_size);
+      let count = frags_per_datafrag(
+        message_builder.len_serialized() + HEARTBEAT_SUBMESSAGE_SERIALIZED_SIZE,
+        budget,
+        u32::from(start),
+        u32::from(start) - 1 + run,
+        fragment_size,
+        data_size,
+      );
+      message_builder = message_builder.data_frag_msg(
+        &cache_change,
+        reader_guid.entity_id, // reader
+        self.my_guid,          // writer
+        start,
+        count as u16,
+        fragment_size,
+        data_size as u32, // TODO: overflow check
+        self.endianness,
+        self.security_plugins.as_ref(),
+      );
+      reader_proxy.mark_frags_sent(seq_num, start, count);
+      round_bytes += message_builder.len_serialized();
+      if !reader_proxy.repair_frags_requested() {
+        message_builder = message_builder.heartbeat_msg(
+          self.entity_id(),
+          self.send_buffer.first_change_sequence_number(),
+          self.last_announced(),
+          self.next_heartbeat_count(),
+          self.endianness,
+          reader_guid.entity_id,
+          false, // final_flag: request ACKNACK
+          false, // liveliness_flag
+        );
+      }
+
+      // Repair frags are a reliability action (response to a NACK_FRAG), so
+      // they must actually reach the reader. Use the never-dropped `Control`
+      // queue: dropping repair on WouldBlock livelocks under sustained send
+      // congestion (reader re-NACKs, retransmit dropped again, forever).
+      self.send_control_to_readers(
+        DeliveryMode::Unicast,
+        message_builder.add_header_and_build(self.my_guid.prefix),
+        &mut std::iter::once(&*reader_proxy),
+      );
+    }
   } // fn
 
   /// Removes permanently cacheChanges from DDSCache.
@@ -1962,6 +2049,11 @@ impl Writer {
     self.extra_unicast_destinations = locators;
   }
 
+  /// Must be set before anything is sent: it is fixed for a Writer.
+  pub fn set_fragment_size(&mut self, fragment_size: u16) {
+    self.fragment_size = fragment_size;
+  }
+
   /// Enable/disable preferring a same-host peer's loopback locator during route
   /// selection. See the participant-builder `same_host_loopback` knob.
   pub fn set_prefer_loopback_same_host(&mut self, enabled: bool) {
@@ -2009,7 +2101,7 @@ impl Writer {
           if self.is_reliable() && !self.like_stateless {
             let new_reader_guid = reader_proxy.remote_reader_guid;
             let first = self.send_buffer.first_change_sequence_number();
-            let last = self.send_buffer.last_change_sequence_number();
+            let last = self.last_announced();
             let hb_message = MessageBuilder::new()
               .ts_msg(self.endianness, Some(Timestamp::now()))
               .heartbeat_msg(
@@ -2101,7 +2193,10 @@ impl Writer {
           // With Durabilty::Volatile QoS we won't send the sequence numbers which existed
           // before matching with this reader. Therefore we set the reader as pending GAP
           // for all existing sequence numbers
-          new_proxy.set_pending_gap_up_to(self.send_buffer.last_change_sequence_number());
+          new_proxy.set_pending_gap(
+            self.send_buffer.first_change_sequence_number(),
+            self.send_buffer.last_change_sequence_number(),
+          );
         }
         new_proxy.resolve_send_route(
           &self.interface_observations.borrow(),
@@ -2512,7 +2607,7 @@ impl<'a> Iterator for FragmentationIter<'a> {
                 .heartbeat_msg(
                   writer.entity_id(), // from Writer
                   writer.send_buffer.first_change_sequence_number(),
-                  writer.send_buffer.last_change_sequence_number(),
+                  max(writer.last_announced(), cc.sequence_number),
                   writer.next_heartbeat_count(),
                   writer.endianness,
                   reader_entity_id, // to Reader
@@ -2570,7 +2665,7 @@ impl<'a> Iterator for FragmentationIter<'a> {
           message_builder = message_builder.heartbeat_msg(
             writer.entity_id(),
             writer.send_buffer.first_change_sequence_number(),
-            writer.send_buffer.last_change_sequence_number(),
+            max(writer.last_announced(), cc.sequence_number),
             writer.next_heartbeat_count(),
             writer.endianness,
             reader_entity_id, // to Reader
@@ -2780,6 +2875,7 @@ mod tests {
           "repair_test".to_string(),
           true, // reliable
           writer_id.kind().is_built_in(),
+          false,
           false,
           DEFAULT_WRITER_MAX_SAMPLES,
           DEFAULT_WRITER_MAX_SAMPLES,
@@ -2993,23 +3089,20 @@ mod tests {
       assert_eq!(f.unsent(), 0);
     }
 
-    // A sample larger than a whole round still goes out, one per round. These
-    // samples are fragmented, and that send is the only one: it does not arm
-    // SendRepairFrags.
+    // Samples that are fragmented go out as their fragments.
     #[test]
-    fn repair_round_sends_at_least_one_sample() {
+    fn repair_of_large_samples_sends_their_fragments() {
       let mut f = Fixture::user(3, 20_000, None);
       f.writer.nack_response_delay = StdDuration::ZERO;
       f.ack_nack(1..=3, 1);
-      for _ in 0..3 {
-        assert_eq!(f.repair_round(), 1);
-        assert!(!f.reader_proxy().repair_frags_requested());
-      }
+      assert_eq!(f.repair_round(), 3);
       assert!(!f.reader_proxy().repair_mode);
-      assert!(f
-        .reader_events(StdDuration::from_millis(50))
-        .iter()
-        .all(|event| !matches!(event, TimedEvent::SendRepairFrags { .. })));
+      assert!(f.reader_proxy().repair_frags_requested());
+      let events = f.reader_events(StdDuration::from_millis(50));
+      let is_frags = |event: &&TimedEvent| matches!(event, TimedEvent::SendRepairFrags { .. });
+      f.writer
+        .handle_timed_event(*events.iter().find(is_frags).expect("fragments are sent"));
+      assert!(!f.reader_proxy().repair_frags_requested());
     }
 
     // A repeated ACKNACK count is a copy and changes nothing; a new count does.

@@ -1,5 +1,5 @@
 use std::{
-  cmp::max,
+  cmp::{max, min},
   collections::BTreeMap,
   sync::{Arc, Condvar, Mutex},
   time::{Duration as StdDuration, Instant},
@@ -11,6 +11,7 @@ use log::{debug, error, trace, warn};
 
 use crate::{
   dds::{ddsdata::DDSData, with_key::datawriter::WriteOptions},
+  rtps::constant::MAX_KEEP_LAST_BYTES_PER_WRITER,
   structure::{cache_change::CacheChange, guid::GUID, sequence_number::SequenceNumber},
 };
 
@@ -34,6 +35,7 @@ struct Inner {
   // strictly monotonic and unique. This is the single source of truth for the
   // Writer's outgoing samples (send, repair, fragmentation, eviction).
   changes: BTreeMap<SequenceNumber, CacheChange>,
+  retained_bytes: usize,     // payloads of `changes`
   first_seq: SequenceNumber, // oldest still retained (default 1)
   last_seq: SequenceNumber,  // latest allocated (default 0 == nothing yet)
 
@@ -83,6 +85,11 @@ struct Shared {
   writer_guid: GUID,
   reliable_writer: bool,
   is_builtin: bool,
+  // True for KEEP_LAST history of a topic without keys. Such a writer never
+  // waits for a reader: the newest `max_retain` samples replace the older ones,
+  // acknowledged or not (DDS v1.4 2.2.3.18). A reader that stands still or was
+  // killed then loses samples of its own, and not those of all others.
+  keep_last: bool,
   // True for VOLATILE durability (the DDS default). When true, a reliable writer
   // with no matched reliable reader trims KeepLast on insert (there is no
   // late-joiner to serve, so retaining unacked samples is pointless). When false
@@ -113,6 +120,7 @@ impl WriterSendBuffer {
     topic_name: String,
     reliable_writer: bool,
     is_builtin: bool,
+    keep_last: bool,
     volatile: bool,
     window_limit: usize,
     backlog_limit: usize,
@@ -122,6 +130,7 @@ impl WriterSendBuffer {
       shared: Arc::new(Shared {
         inner: Mutex::new(Inner {
           changes: BTreeMap::new(),
+          retained_bytes: 0,
           first_seq: SequenceNumber::new(1),
           last_seq: SequenceNumber::new(0),
           window_limit: window_limit.max(1),
@@ -136,6 +145,7 @@ impl WriterSendBuffer {
         writer_guid,
         reliable_writer,
         is_builtin,
+        keep_last,
         volatile,
         topic_name,
       }),
@@ -156,8 +166,9 @@ impl WriterSendBuffer {
       return true;
     }
 
-    if !may_block {
-      // Best-effort write that must not block (DDS v1.4 2.2.2.4.2.11 default).
+    if !may_block || shared.keep_last {
+      // Best-effort write that must not block (DDS v1.4 2.2.2.4.2.11 default), or
+      // a history in which the newest sample replaces the oldest one.
       // Never throttle admission.
       return true;
     }
@@ -269,10 +280,12 @@ impl WriterSendBuffer {
   ) -> SequenceNumber {
     let seq = inner.last_seq.plus_1();
     let cc = CacheChange::new(shared.writer_guid, seq, write_options, data);
+    inner.retained_bytes += cc.data_value.payload_size();
     inner.changes.insert(seq, cc);
     inner.last_seq = seq;
 
     // KeepLast "newest wins" bound. Applied on insert for:
+    //  - KEEP_LAST writers of a topic without keys;
     //  - non-blocking best-effort writes: never throttled at admission (`has_room`
     //    returns true), and the only other eviction path is the periodic
     //    cache-cleaning timer, which starves under a sustained flood -- so without
@@ -289,20 +302,49 @@ impl WriterSendBuffer {
     //    flips true and we retain everything again for repair.
     // Built-in (discovery) writers are always exempt to never lose discovery data.
     let trim_keep_last = !shared.is_builtin
-      && (!may_block
+      && (shared.keep_last
+        || !may_block
         || (shared.reliable_writer && shared.volatile && !inner.reliable_readers_present));
     if trim_keep_last {
       while inner.changes.len() > inner.max_retain {
-        // BTreeMap keeps keys sorted, so the first entry is the oldest SN.
-        let oldest = match inner.changes.keys().next().copied() {
-          Some(sn) => sn,
-          None => break,
-        };
-        inner.changes.remove(&oldest);
-        inner.first_seq = oldest.plus_1();
+        Self::evict_oldest(inner);
+      }
+    }
+    // The depth counts samples. Large ones are bounded by their bytes as well, but
+    // the newest one always stays.
+    if shared.keep_last && !shared.is_builtin {
+      while inner.retained_bytes > MAX_KEEP_LAST_BYTES_PER_WRITER && inner.changes.len() > 1 {
+        Self::evict_oldest(inner);
       }
     }
     seq
+  }
+
+  fn evict_oldest(inner: &mut Inner) {
+    // BTreeMap keeps keys sorted, so the first entry is the oldest SN.
+    if let Some((oldest, cc)) = inner.changes.pop_first() {
+      inner.retained_bytes -= cc.data_value.payload_size();
+      inner.first_seq = oldest.plus_1();
+    }
+  }
+
+  // Nobody asks a VOLATILE writer for a sample that was sent, and acknowledged by
+  // all reliable readers: one that matches later starts with the next sample.
+  fn evict_delivered(shared: &Shared, inner: &mut Inner) {
+    if !shared.volatile || !shared.keep_last || shared.is_builtin {
+      return;
+    }
+    let mut delivered_before = inner.sent_frontier.plus_1();
+    if inner.reliable_readers_present {
+      delivered_before = min(delivered_before, inner.acked_before);
+    }
+    while inner
+      .changes
+      .first_key_value()
+      .is_some_and(|(oldest, _)| *oldest < delivered_before)
+    {
+      Self::evict_oldest(inner);
+    }
   }
 
   // --- consumer side (Writer / event loop) ---
@@ -335,6 +377,7 @@ impl WriterSendBuffer {
       }
     };
     if advanced {
+      Self::evict_delivered(shared, &mut inner);
       Self::wake_all(&mut inner, &shared.progress);
     }
   }
@@ -347,6 +390,7 @@ impl WriterSendBuffer {
     let mut inner = shared.inner.lock().unwrap();
     if sent_frontier > inner.sent_frontier {
       inner.sent_frontier = sent_frontier;
+      Self::evict_delivered(shared, &mut inner);
       Self::wake_all(&mut inner, &shared.progress);
     }
   }
@@ -381,6 +425,11 @@ impl WriterSendBuffer {
     let mut inner = shared.inner.lock().unwrap();
     let count_before = inner.changes.len();
     inner.changes = inner.changes.split_off(&remove_before);
+    inner.retained_bytes = inner
+      .changes
+      .values()
+      .map(|cc| cc.data_value.payload_size())
+      .sum();
     if remove_before > inner.first_seq {
       inner.first_seq = remove_before;
     }
@@ -481,6 +530,7 @@ mod tests {
       "t".to_string(),
       /* reliable_writer */ true,
       /* is_builtin */ false,
+      /* keep_last */ false,
       /* volatile */ true,
       /* window_limit */ 1,
       /* backlog_limit */ 1000,
@@ -507,6 +557,7 @@ mod tests {
       "t".to_string(),
       /* reliable_writer */ false,
       /* is_builtin */ false,
+      /* keep_last */ false,
       /* volatile */ true,
       /* window_limit */ 1000,
       /* backlog_limit */ 2,
@@ -535,6 +586,7 @@ mod tests {
       "t".to_string(),
       /* reliable_writer */ false,
       /* is_builtin */ false,
+      /* keep_last */ false,
       /* volatile */ true,
       /* window_limit */ 1000,
       /* backlog_limit */ 1,
@@ -555,6 +607,7 @@ mod tests {
       "t".to_string(),
       false,
       /* is_builtin */ true,
+      /* keep_last */ false,
       /* volatile */ true,
       1000,
       /* backlog_limit */ 1,
@@ -579,6 +632,7 @@ mod tests {
       "t".to_string(),
       /* reliable_writer */ false,
       /* is_builtin */ false,
+      /* keep_last */ false,
       /* volatile */ true,
       /* window_limit */ 1000,
       /* backlog_limit */ 1000,
@@ -614,6 +668,7 @@ mod tests {
       "t".to_string(),
       /* reliable_writer */ true,
       /* is_builtin */ false,
+      /* keep_last */ false,
       /* volatile */ false, // TRANSIENT_LOCAL etc: keep for late joiners
       /* window_limit */ 1000,
       /* backlog_limit */ 1000,
@@ -642,6 +697,7 @@ mod tests {
       "t".to_string(),
       /* reliable_writer */ true,
       /* is_builtin */ false,
+      /* keep_last */ false,
       /* volatile */ true,
       /* window_limit */ 1000,
       /* backlog_limit */ 1000,
