@@ -107,10 +107,15 @@ async fn is_free(world: &World, mode: &str) {
 
 /// README's two configurations on one machine: neither says which domain.
 async fn two_bridges_in_one_domain(mode: &str) {
+    let routes = ["to_ledger", "from_ledger"].map(|direction| route(direction, "/cmd_vel"));
+    two_bridges(mode, routes).await;
+}
+
+/// The routes are those of Salma and of the robot, on `/cmd_vel`.
+async fn two_bridges(mode: &str, [salma, rover]: [String; 2]) {
     let world = World::start_with_mode("/cmd_vel", TWIST, mode).await;
-    let bridges = [("Salma", "to_ledger"), ("Rover", "from_ledger")].map(|(name, direction)| {
-        world.start_bridge_as(name, &format!("shared_memory = false\n{}", route(direction, "/cmd_vel")), &[])
-    });
+    let bridges = [("Salma", salma), ("Rover", rover)]
+        .map(|(name, routes)| world.start_bridge_as(name, &format!("shared_memory = false\n{routes}"), &[]));
     let node = Node::open(0, "teleop").await;
     let (writer, mut reader) = (node.writer("/cmd_vel"), node.reader("/cmd_vel"));
     matched(&world, &reader, &writer).await;
@@ -143,6 +148,15 @@ fn two_bridges_in_one_domain_make_no_loop_of_an_exclusive_service() {
 fn two_bridges_in_one_domain_make_no_loop_of_an_open_service() {
     if network::isolated(&|| ()) {
         world::run(two_bridges_in_one_domain("open"));
+    }
+}
+
+#[test]
+fn two_bridges_in_one_domain_make_no_loop_of_a_route_that_they_discovered() {
+    if network::isolated(&|| ()) {
+        let salma = "[discover]\nremap = { 'Rover/cmd_vel' = '/cmd_vel' }\n".to_owned();
+        let rover = "[discover]\nrobot = 'Rover'\n".to_owned();
+        world::run(two_bridges("open", [salma, rover]));
     }
 }
 
@@ -293,6 +307,14 @@ fn a_relay_of_what_another_bridge_delivers_makes_no_loop_and_constant_commands_p
     if network::isolated(&|| ()) {
         let bridges = [("Salma", route("to_ledger", "/cmd_vel")), ("Farhad", route("from_ledger", "/watched"))];
         world::run(a_relay_in_the_operators_domain(&bridges));
+    }
+}
+
+#[test]
+fn a_relay_of_what_another_bridge_delivers_makes_no_loop_of_a_discovered_route() {
+    if network::isolated(&|| ()) {
+        let salma = "[discover]\nremap = { 'Rover/cmd_vel' = '/cmd_vel' }\n".to_owned();
+        world::run(a_relay_in_the_operators_domain(&[("Salma", salma), ("Farhad", route("from_ledger", "/watched"))]));
     }
 }
 

@@ -15,6 +15,8 @@ mod arena;
 mod calls;
 mod codec;
 mod demo;
+mod discovering;
+mod latched;
 mod liar;
 mod loops;
 #[path = "../support/own_network.rs"]

@@ -39,7 +39,8 @@ fn a_bridge_to_the_ledger_says_who_publishes_and_why_nothing_passes() {
     }
     world::run(async {
         let world = World::start("/cmd_vel", TWIST).await;
-        let _salma = world.start_bridge_as("Salma", &settings(1, "to_ledger", ""), &[]);
+        let _salma =
+            world.start_bridge_as("Salma", &settings(1, "to_ledger", "qos = { reliability = 'reliable' }\n"), &[]);
         let ready = [
             "INFO",
             "the bridge of Org1/Salma is ready: ROS domain 1 (from domain_id), local processes only, node 127.0.0.1:",

@@ -40,6 +40,7 @@ use std::sync::Arc;
 /// | `declare ROBOT` | anybody | [`crate::Declaration`], certified |
 /// | `service SERVICE` | anybody | [`crate::ServiceState`] |
 /// | `line SERVICE` | anybody | [`crate::LineState`] |
+/// | `latest SERVICE` | anybody | [`crate::Latest`]s, the newest first |
 /// | `grants [SERVICE]`, `grants PAGE_JSON` | anybody | [`crate::Grant`]s |
 /// | `submit SERVICE TASK_JSON` | whom policies permit | [`crate::Submitted`] |
 /// | `progress ID REACHED`, `fail ID REASON` | the submitter of the task, the robot itself | [`crate::Task`] |
@@ -58,7 +59,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 32] = [
+const FUNCTIONS: [&str; 33] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
@@ -71,6 +72,7 @@ const FUNCTIONS: [&str; 32] = [
     "fail",
     "grants",
     "handover",
+    "latest",
     "line",
     "policies",
     "policy",
@@ -97,10 +99,11 @@ const FUNCTIONS: [&str; 32] = [
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 10] = [
+const READS: [&str; 11] = [
     "GetSubmittingClientIdentity",
     "authorize",
     "grants",
+    "latest",
     "line",
     "policies",
     "robot",
@@ -205,6 +208,7 @@ impl Chaincode for AccessControl {
             "stop" if sharing::known(ctx) => emergency::stop(ctx, decider, args),
             "resume" if sharing::known(ctx) => emergency::resume(ctx, decider, args),
             "line" if sharing::known(ctx) => show::line(ctx, decider, args),
+            "latest" if sharing::known(ctx) => show::latest(ctx, args),
             "submit" if sharing::known(ctx) => tasks::submit(ctx, decider, args),
             "progress" if sharing::known(ctx) => tasks::progress(ctx, decider, args),
             "fail" if sharing::known(ctx) => tasks::fail(ctx, args),

@@ -36,7 +36,7 @@ pub use emergency::{Emergency, EmergencyAnswer, Stopped};
 pub use grant::{Grant, Reason, Released};
 pub use limits::Limits;
 pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
-pub use message::{MessageEvent, Published};
+pub use message::{Latest, MessageEvent, Published};
 pub use policy::{PolicyChange, PolicyEntry};
 pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, ServiceSpec, ServiceState, is_called, replies};

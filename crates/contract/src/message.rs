@@ -21,3 +21,18 @@ pub struct MessageEvent {
     /// How many they are.
     pub count: u64,
 }
+
+/// Where the last message of a publisher is: an element of the answer of `latest`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Latest {
+    /// The publisher, e.g. `Org2/Turtlebot4`.
+    pub publisher: String,
+    /// The epoch it was published under; 0 without a grant.
+    pub epoch: u64,
+    /// Its sequence number.
+    pub seq: u64,
+    /// How many messages its transaction holds; their sequence numbers end with `seq`.
+    pub count: u64,
+    /// The block it is in.
+    pub height: u64,
+}

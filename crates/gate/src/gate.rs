@@ -272,10 +272,27 @@ impl Gate {
     /// # Errors
     /// The first rule that is broken, the cheap ones first.
     pub fn pass(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Passed, Refused> {
+        self.judge(delivered, false, now)
+    }
+
+    /// Lets a message of a feed pass that was published before somebody listened here: however old it is, and also if it has passed
+    /// before. All other rules hold, so it is its publisher's, and older than none of theirs that has passed. It need not be their
+    /// last one: a node may withhold that. No command passes so.
+    ///
+    /// # Errors
+    /// As [`Gate::pass`].
+    pub fn pass_latched(&mut self, delivered: Delivered<'_>, now: Now) -> Result<Passed, Refused> {
+        self.judge(delivered, true, now)
+    }
+
+    fn judge(&mut self, delivered: Delivered<'_>, is_latched: bool, now: Now) -> Result<Passed, Refused> {
         let rules = self.rules.as_ref().ok_or(Refused::NoService)?;
         let Rules {
             capabilities: Capabilities { publishing, fencing, sequence }, max_age_us, lease_us, layout, ..
         } = *rules;
+        if is_latched && rules.publisher.is_none() {
+            return Err(Refused::TooOld);
+        }
         let must_be_fresh = rules.publisher.is_none() && !active(Mutation::IgnoreStaleness);
         if must_be_fresh && self.fresh_until().is_none_or(|until| until < now.steady) {
             return Err(Refused::Stale);
@@ -289,7 +306,11 @@ impl Gate {
         if !self.clock.heard(delivered.block_time, now) {
             return Err(Refused::FromFuture);
         }
-        self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
+        if is_latched {
+            check_signed_for(&transaction, delivered.block_time)?;
+        } else {
+            self.check_time(&transaction, delivered.block_time, max_age_us, now)?;
+        }
         if call.epoch > self.epoch {
             return Err(Refused::UnknownEpoch);
         }
@@ -310,13 +331,19 @@ impl Gate {
             return Err(Refused::NotHolder);
         }
         let lease_us = holding.map_or(lease_us, |holding| holding.lease_us);
-        if !self.sequences.may_follow(&name, sequence, call.epoch, call.first_seq) {
+        let (before, last) = (self.sequences.reached(&name), Some((call.epoch, call.last_seq)));
+        // Who comes late may have missed the very last one.
+        let may_follow = if is_latched {
+            last >= before
+        } else {
+            self.sequences.may_follow(&name, sequence, call.epoch, call.first_seq)
+        };
+        if !may_follow {
             return Err(Refused::StaleSequence);
         }
-        let age_us = self.age_us(&transaction, delivered.block_time, now);
+        let age_us = if is_latched { 0 } else { self.age_us(&transaction, delivered.block_time, now) };
         let clamped = self.keep_to_limits(&name, (layout, &mut samples), age_us, now)?;
         let (not_after, time) = (transaction.body().not_after, self.clock.now(now));
-        let before = self.sequences.reached(&name);
         if !self.sequences.note(&name, call.epoch, call.last_seq, not_after, time) {
             return Err(Refused::TooManyPublishers);
         }
@@ -328,6 +355,7 @@ impl Gate {
             || (publishing == Publishing::Policy && call.epoch == 0);
         let is_newest = !fences || call.epoch == newest;
         let grows = reached > before || reached.map(|(_, seq)| seq) > before.map(|(_, seq)| seq);
+        let grows = grows || (is_latched && reached == before);
         if !self.must_hold(is_theirs && is_newest && grows, || {
             format!(
                 "a message of {name} in epoch {}, who holds {held:?} of {newest}, reached {reached:?} after {before:?}",
@@ -424,9 +452,9 @@ impl Gate {
     }
 
     fn check_time(&self, signed: &Transaction, block_time: u64, max_age_us: u64, now: Now) -> Result<(), Refused> {
-        let time = self.clock.now(now);
         let not_after = signed.body().not_after;
-        if not_after < time.max(block_time) || not_after > block_time.saturating_add(NOT_AFTER_AHEAD_MAX) {
+        check_signed_for(signed, block_time)?;
+        if not_after < self.clock.now(now) {
             return Err(Refused::Expired);
         }
         if self.age_us(signed, block_time, now) > max_age_us {
@@ -442,6 +470,13 @@ impl Gate {
         let signed_at = signed.body().not_after.saturating_sub(ttl_us()).min(block_time);
         self.clock.now(now).saturating_sub(signed_at)
     }
+}
+
+/// May a block of this time have the transaction?
+fn check_signed_for(signed: &Transaction, block_time: u64) -> Result<(), Refused> {
+    let not_after = signed.body().not_after;
+    let fits = (block_time..=block_time.saturating_add(NOT_AFTER_AHEAD_MAX)).contains(&not_after);
+    if fits { Ok(()) } else { Err(Refused::Expired) }
 }
 
 /// [`COMMAND_TTL`] in microseconds.

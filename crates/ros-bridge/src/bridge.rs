@@ -14,16 +14,18 @@ use tokio::{sync::watch, task::JoinHandle};
 use crate::{
     config::{Config, IdentitySource, RouteConfig},
     count::{RouteSummary, line},
+    discover::Watch,
     domain::{Domain, ROS_DOMAIN_ID},
     gateway::Gateway,
     grants::Grants,
-    keeper::{Keeper, Kept, is_to_come},
+    keeper::{Keeper, is_to_come},
     reach::Reach,
     renewal::keep_renewed,
     report::Reporter,
     roster::Roster,
     route::local::Local,
     service::{ask_service, topic_for},
+    table::{Changed, Table},
 };
 
 /// Pause before a bridge that cannot start yet tries again.
@@ -42,15 +44,37 @@ pub struct Summary {
 pub struct Bridge {
     config: Config,
     domain: u16,
-    keeper: Arc<Keeper>,
+    gateway: Arc<dyn Gateway>,
     roster: Arc<Roster>,
-    routes: Vec<Kept>,
+    table: Arc<Table>,
+    /// Discovers routes, if the configuration asks for it.
+    watch: Option<Watching>,
     grants: Option<JoinHandle<()>>,
     reporter: JoinHandle<()>,
     stop_reporter: watch::Sender<bool>,
-    ending: watch::Sender<bool>,
     /// Has a route ended that nobody stopped?
     ended: watch::Receiver<bool>,
+}
+
+/// A task that discovers routes.
+struct Watching {
+    stop: watch::Sender<bool>,
+    task: JoinHandle<()>,
+}
+
+impl Watching {
+    fn start(config: &Config, gateway: &Arc<dyn Gateway>, table: &Arc<Table>) -> Option<Self> {
+        let watch = Watch::new(config.discover.clone()?, Arc::clone(gateway), Arc::clone(table));
+        let (stop, told) = watch::channel(false);
+        Some(Self { stop, task: tokio::spawn(watch.run(told)) })
+    }
+
+    async fn end(self) {
+        self.stop.send_replace(true);
+        if let Err(error) = self.task.await {
+            tracing::error!(%error, "the discovery of routes ended too early");
+        }
+    }
 }
 
 impl fmt::Debug for Bridge {
@@ -125,7 +149,10 @@ impl Bridge {
     }
 
     async fn start_with(config: Config, gateway: Arc<dyn Gateway>, context: &Context) -> Result<Self, Rejection> {
-        can_begin(&*gateway, &config.routes).await?;
+        // A bridge that discovers may have to wait for its first route.
+        if config.discover.is_none() {
+            can_begin(&*gateway, &config.routes).await?;
+        }
         let domain = Domain::choose(config.domain_id, std::env::var(ROS_DOMAIN_ID).ok().as_deref())?;
         let reach = Reach::choose(&config.reach, |name| std::env::var(name).ok())?;
         let local = Local::open(domain.id, &reach, &config.node_name, config.shared_memory).await?;
@@ -135,11 +162,10 @@ impl Bridge {
         let roster = Arc::new(Roster::default());
         let keeper = Arc::new(Keeper::new(Arc::clone(&gateway), context, local.clone(), known, Arc::clone(&roster)));
         let (ending, ended) = watch::channel(false);
-        let mut routes = Vec::with_capacity(config.routes.len());
-        for route in config.routes.clone() {
-            routes.push(keeper.start(route, &ending).await);
-        }
-        if let Some(refused) = all_refused(roster.slots().iter().map(|slot| slot.waits())) {
+        let table = Arc::new(Table::new(keeper, Arc::clone(&roster), ending));
+        table.begin(config.routes.clone()).await;
+        let refused = all_refused(roster.slots().iter().map(|slot| slot.waits()));
+        if let Some(refused) = refused.filter(|_| config.discover.is_none()) {
             return Err(refused);
         }
         let (stop_reporter, told) = watch::channel(false);
@@ -147,9 +173,11 @@ impl Bridge {
             let (gateway, local, roster) = (Arc::clone(&gateway), local.clone(), Arc::clone(&roster));
             tokio::spawn(Grants { gateway, local, roster, network: context.network }.run(told.clone()))
         });
-        let reporter = Reporter::ready(&config, context, (domain, &reach), gateway, local, Arc::clone(&roster));
+        let reporter =
+            Reporter::ready(&config, context, (domain, &reach), Arc::clone(&gateway), local, Arc::clone(&roster));
         let reporter = tokio::spawn(reporter.run(told));
-        Ok(Self { config, domain: domain.id, keeper, roster, routes, grants, reporter, stop_reporter, ending, ended })
+        let watch = Watching::start(&config, &gateway, &table);
+        Ok(Self { config, domain: domain.id, gateway, roster, table, watch, grants, reporter, stop_reporter, ended })
     }
 
     /// Takes over the routes of another configuration: those that are gone end, new ones start, and all others go on
@@ -158,31 +186,18 @@ impl Bridge {
         if !config.is_same_beside_routes(&self.config) {
             tracing::warn!("only routes change while the bridge runs: start it again to use the other settings");
         }
-        let (mut ended, mut started) = (0, 0);
-        let (stay, gone): (Vec<_>, Vec<_>) = std::mem::take(&mut self.routes)
-            .into_iter()
-            .partition(|kept| config.routes.iter().any(|route| route.is_same(&kept.slot.route)));
-        self.routes = stay;
-        for kept in gone {
-            let (number, service) = (kept.slot.number, kept.slot.route.service.clone());
-            kept.end().await;
-            self.roster.remove(number);
-            tracing::info!(service, "route {number} has ended: the configuration has it no longer");
-            ended += 1;
-        }
-        for route in &config.routes {
-            if self.routes.iter().any(|kept| kept.slot.route.is_same(route)) {
-                continue;
+        if !config.discovers_as(&self.config) {
+            if let Some(watch) = self.watch.take() {
+                watch.end().await;
             }
-            let kept = self.keeper.start(route.clone(), &self.ending).await;
-            if let Some(watched) = kept.slot.open() {
-                watched.tell();
+            if config.discover.is_none() {
+                self.table.discovered(Vec::new()).await;
             }
-            self.routes.push(kept);
-            started += 1;
+            self.watch = Watching::start(&config, &self.gateway, &self.table);
         }
-        self.config.routes = config.routes;
-        let routes = self.routes.len();
+        let Changed { ended, started } = self.table.configured(config.routes.clone()).await;
+        (self.config.routes, self.config.discover) = (config.routes, config.discover);
+        let routes = self.roster.slots().len();
         tracing::info!(
             ended,
             started,
@@ -209,12 +224,11 @@ impl Bridge {
     /// Stops what robots are moving, ends all routes, and leaves the graph.
     pub async fn stop(self) -> Summary {
         self.stop_reporter.send_replace(true);
-        for kept in &self.routes {
-            kept.stop.send_replace(true);
+        self.table.closes();
+        if let Some(watch) = self.watch {
+            watch.end().await;
         }
-        for kept in self.routes {
-            kept.end().await;
-        }
+        self.table.close().await;
         if let Some(Err(error)) = OptionFuture::from(self.grants).await {
             tracing::error!(%error, "the services for grants ended too early");
         }

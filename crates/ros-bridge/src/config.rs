@@ -21,6 +21,8 @@
 //! qos = { reliability = "reliable", durability = "volatile", depth = 100 }
 //! sample_bytes_max = 1048576
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
+//! latched_depth = 1            # to_ledger: samples kept of each publisher of a latched topic
+//! latched_again_s = 3600       # to_ledger: until they are said again
 //! max_rate_hz = 20             # to_ledger: at most so many a second, the newest; alone, without batch_max
 //! reply_timeout_ms = 10000     # service_server: a call without a reply is forgotten after so long
 //! server_timeout_ms = 10000    # service_client: the robot's server is waited for so long
@@ -31,10 +33,12 @@
 //! holder_topic = "/holder"     # from_ledger: who holds the service, as JSON in a std_msgs/msg/String
 //! path_topic = "/task/path"    # from_ledger: all points that are left of it, as nav_msgs/msg/Path
 //! ```
+//! With a section `[discover]` ([`crate::discover`]) there are routes for what is on the ledger, too, and none need be set.
 //! A bridge that is a process of its own has a section `[log]` like a node's, which the program reads.
 //! Everything has a default but `service`, `direction` and `type`. Every fault is reported, not only the first.
 
 use std::{
+    ops::RangeInclusive,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -47,8 +51,9 @@ use ledger_settings::{Fault, Reader, Section, Spot};
 
 use crate::{
     dds::DOMAIN_MAX,
+    discover,
     names::{TopicName, TypeName},
-    qos::{DEPTH_SAMPLES_MAX, Durability, Qos, Reliability},
+    qos::{Copied, DEPTH_SAMPLES_MAX, Durability, Qos, Reliability},
     queue::Limits,
     reach,
     route::kind::{KINDS, Kind, Plan},
@@ -58,6 +63,8 @@ use crate::{
 pub const ROUTES_MAX: usize = 64;
 /// How often the ledger gives a sign of life.
 pub(crate) const HEARTBEAT_MS: u32 = 250;
+/// The range of `sample_bytes_max`.
+pub(crate) const SAMPLE_BYTES_RANGE: RangeInclusive<u64> = 64..=SAMPLE_BYTES_MAX as u64;
 /// Longest `report_s`.
 const REPORT_S_MAX: u64 = 86_400;
 const REPORT_S_DEFAULT: u64 = 60;
@@ -83,7 +90,9 @@ pub struct Config {
     pub diagnostics: bool,
     /// Time between two lines with counters, while something is refused.
     pub report_every: Duration,
-    /// The routes.
+    /// Which routes are discovered on the ledger; none = no route is.
+    pub(crate) discover: Option<discover::Settings>,
+    /// The routes that are set.
     pub routes: Vec<RouteConfig>,
 }
 
@@ -113,14 +122,16 @@ pub struct RouteConfig {
     pub message: TypeName,
     /// Quality of service of the local topic.
     pub qos: Qos,
+    /// Which of it is only where the route begins, before it finds others on its topic.
+    pub(crate) copied: Copied,
     /// Largest sample, in bytes with its encapsulation header.
     pub sample_bytes_max: usize,
 }
 
 impl RouteConfig {
-    /// Have both the same settings? All of them are in the text for debugging, those of the kind too.
-    pub(crate) fn is_same(&self, other: &Self) -> bool {
-        format!("{self:?}") == format!("{other:?}")
+    /// All settings, those of the kind too: routes with the same text are the same.
+    pub(crate) fn text(&self) -> String {
+        format!("{self:?}")
     }
 
     /// The limits of the local readers of this route: they keep its depth of samples, the newest.
@@ -159,8 +170,13 @@ impl Config {
 
     /// Are all settings the same, whatever the routes are?
     pub(crate) fn is_same_beside_routes(&self, other: &Self) -> bool {
-        let text = |config: &Self| format!("{:?}", Self { routes: Vec::new(), ..config.clone() });
+        let text = |config: &Self| format!("{:?}", Self { discover: None, routes: Vec::new(), ..config.clone() });
         text(self) == text(other)
+    }
+
+    /// Is the same discovered?
+    pub(crate) fn discovers_as(&self, other: &Self) -> bool {
+        format!("{:?}", self.discover) == format!("{:?}", other.discover)
     }
 
     /// Reads a section, such as `[bridge]` of a node; `directory` is where relative paths in it start.
@@ -192,8 +208,10 @@ impl Config {
         });
         section.integer("report_s", 1..=REPORT_S_MAX, &mut report_s);
         self.report_every = Duration::from_secs(report_s);
+        section.section("discover", |section| self.discover = Some(discover::Settings::read(section)));
         let mut routes = Vec::new();
-        section.sections("route", ROUTES_MAX, |number, section| {
+        let routes_min = usize::from(self.discover.is_none());
+        section.sections("route", routes_min..=ROUTES_MAX, |number, section| {
             if let Some(route) = route(section) {
                 routes.push(Numbered { number, spot: section.spot(), route });
             }
@@ -218,6 +236,7 @@ impl Default for Config {
             diagnostics: true,
             checkpoint: None,
             report_every: Duration::from_secs(REPORT_S_DEFAULT),
+            discover: None,
             routes: Vec::new(),
         }
     }
@@ -287,10 +306,10 @@ fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     section.parsed("topic", "a ROS 2 topic name", &mut topic, |text| TopicName::parse(text).map(Some));
     section.required("type", TYPE);
     section.parsed("type", TYPE, &mut message, |text| TypeName::parse(text).map(Some));
-    let mut qos = Qos::default();
-    section.section("qos", |section| read_qos(section, &mut qos));
+    let (mut qos, mut copied) = (Qos::default(), Copied::default());
+    section.section("qos", |section| copied = read_qos(section, &mut qos));
     let mut sample_bytes_max = Limits::default().sample_bytes_max as u64;
-    section.integer("sample_bytes_max", 64..=SAMPLE_BYTES_MAX as u64, &mut sample_bytes_max);
+    section.integer("sample_bytes_max", SAMPLE_BYTES_RANGE, &mut sample_bytes_max);
     let sample_bytes_max = usize::try_from(sample_bytes_max).unwrap_or(SAMPLE_BYTES_MAX);
     if let (Some(kind), Some(message)) = (kind, &message)
         && let (Kind { name, carries, .. }, found) = (kind, TypeName::interface(message))
@@ -303,17 +322,25 @@ fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     if kind.is_none() {
         KINDS.iter().for_each(|kind| section.ignore(kind.keys));
     }
-    Some(RouteConfig { service: service?, kind: kind?, plan: plan?, topic, message: message?, qos, sample_bytes_max })
+    let (service, kind, plan, message) = (service?, kind?, plan?, message?);
+    Some(RouteConfig { service, kind, plan, topic, message, qos, copied, sample_bytes_max })
 }
 
-fn read_qos(section: &mut Section<'_, '_>, qos: &mut Qos) {
-    section.text("reliability", "\"reliable\" or \"best_effort\"", &mut qos.reliability, |text| {
-        [Reliability::Reliable, Reliability::BestEffort].into_iter().find(|known| known.name() == text)
+/// Answers what is not set.
+fn read_qos(section: &mut Section<'_, '_>, qos: &mut Qos) -> Copied {
+    let (mut reliability, mut durability) = (None, None);
+    section.text("reliability", "\"reliable\" or \"best_effort\"", &mut reliability, |text| {
+        let known = [Reliability::Reliable, Reliability::BestEffort].into_iter();
+        known.map(Some).find(|known| known.is_some_and(|known| known.name() == text))
     });
-    section.text("durability", "\"volatile\" or \"transient_local\"", &mut qos.durability, |text| {
-        [Durability::Volatile, Durability::TransientLocal].into_iter().find(|known| known.name() == text)
+    section.text("durability", "\"volatile\" or \"transient_local\"", &mut durability, |text| {
+        let known = [Durability::Volatile, Durability::TransientLocal].into_iter();
+        known.map(Some).find(|known| known.is_some_and(|known| known.name() == text))
     });
     section.integer("depth", 1..=u64::from(DEPTH_SAMPLES_MAX), &mut qos.depth);
+    qos.reliability = reliability.unwrap_or_default();
+    qos.durability = durability.unwrap_or_default();
+    Copied { reliability: reliability.is_none(), durability: durability.is_none() }
 }
 
 /// The stop message that hexadecimal digits stand for.
@@ -349,7 +376,7 @@ mod tests {
         assert_eq!(route.kind.name, "from_ledger");
         assert_eq!(
             format!("{:?}", route.plan),
-            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None }"
+            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, on_demand: false }"
         );
         assert_eq!(route.limits().queue_samples_max, 100);
     }
@@ -432,14 +459,14 @@ mod tests {
     fn routes_that_differ_in_one_setting_are_not_the_same() {
         let of = |more: &str| parse(&format!("{ROUTE}{more}")).unwrap().routes.remove(0);
         let up = "direction = 'to_ledger'";
-        assert!(of(up).is_same(&of(up)));
+        assert_eq!(of(up).text(), of(up).text());
         for more in ["batch_max = 2", "max_rate_hz = 5", "topic = '/x'", "qos = { depth = 3 }", "sample_bytes_max = 64"]
         {
-            assert!(!of(up).is_same(&of(&format!("{up}\n{more}"))), "{more}");
+            assert_ne!(of(up).text(), of(&format!("{up}\n{more}")).text(), "{more}");
         }
         let down = "direction = 'from_ledger'";
         for more in ["max_age_ms = 5", "stop_hex = '00010000ff'", "goal_topic = '/goal'", "side_door = 'stop'"] {
-            assert!(!of(down).is_same(&of(&format!("{down}\n{more}"))), "{more}");
+            assert_ne!(of(down).text(), of(&format!("{down}\n{more}")).text(), "{more}");
         }
     }
 

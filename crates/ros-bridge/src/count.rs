@@ -33,6 +33,8 @@ pub struct RouteSummary {
     pub replaced: u64,
     /// Samples that newer ones replaced because of the route's `max_rate_hz`.
     pub thinned: u64,
+    /// Samples of a discovered route that were kept back, because the bridge's user did not hold the service.
+    pub withheld: u64,
     /// Samples that came from the ledger, and were not taken in again.
     pub returned: u64,
     /// Samples submitted to the ledger.
@@ -123,6 +125,7 @@ impl Counters {
             samples_in: 0,
             replaced: 0,
             thinned: 0,
+            withheld: 0,
             returned: 0,
             submitted: 0,
             committed: 0,
@@ -145,6 +148,13 @@ impl Counters {
         let before = counts.ends.replace(Ends { matched: matched.clone(), door });
         counts.summary.returned += before.map_or(0, |ends| ends.returned());
         counts.live = Live::default();
+    }
+
+    /// The route has another endpoint in the local graph now.
+    pub(crate) fn opened_again(&self, matched: &Matched) {
+        if let Some(ends) = &mut self.lock().ends {
+            ends.matched = matched.clone();
+        }
     }
 
     pub(crate) fn lock(&self) -> MutexGuard<'_, Counts> {

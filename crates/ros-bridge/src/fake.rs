@@ -57,6 +57,8 @@ pub(crate) struct Fake {
     streams: Mutex<Vec<(Subscription, Sender)>>,
     /// Signs of life come without an end.
     pub(crate) floods: AtomicBool,
+    /// Blocks of the past, each for who asks from its height on.
+    kept: Mutex<Vec<Delivery>>,
 }
 
 impl Fake {
@@ -74,6 +76,7 @@ impl Fake {
             sets: watch::Sender::new(Vec::new()),
             streams: Mutex::default(),
             floods: AtomicBool::new(false),
+            kept: Mutex::default(),
         };
         fake.set_mode(mode);
         Arc::new(fake)
@@ -89,6 +92,10 @@ impl Fake {
 
     pub(crate) fn set_type(&self, name: &str) {
         *self.service.lock().unwrap().get_mut("type").unwrap() = json!(name);
+    }
+
+    pub(crate) fn set_direction(&self, direction: &str) {
+        *self.service.lock().unwrap().get_mut("direction").unwrap() = json!(direction);
     }
 
     pub(crate) fn set_holder(&self, holder: &str, epoch: u64, lease_ms: u64) {
@@ -154,6 +161,26 @@ impl Fake {
         );
     }
 
+    /// Keeps the block of a message.
+    pub(crate) fn keep(&self, height: u64, time: u64, signed: &Transaction, certificate: &Bytes) {
+        let event = EventRecord {
+            chaincode: "abac".into(),
+            name: "message".into(),
+            transaction: signed.encoded().clone(),
+            certificate: certificate.clone(),
+            ..EventRecord::default()
+        };
+        self.kept.lock().unwrap().push(Delivery { height, time, events: vec![event], ..Delivery::default() });
+    }
+
+    fn latest(&self) -> Value {
+        let kept = self.kept.lock().unwrap();
+        let latest = kept.iter().map(|block| {
+            json!({ "publisher": format!("Org2/{}", block.height), "epoch": 0, "seq": 1, "count": 1, "height": block.height })
+        });
+        latest.collect()
+    }
+
     /// A sign of life without events.
     pub(crate) fn heartbeat(&self, block_time: u64) {
         self.send("message", "abac", heartbeat(block_time));
@@ -208,6 +235,7 @@ impl Gateway for Fake {
             "authorize" => self.own.lock().unwrap().clone(),
             "GetSubmittingClientIdentity" => json!({ "id": "Org1/Salma" }),
             "revocations" => json!({ "items": [] }),
+            "latest" => self.latest(),
             _ => json!([]),
         };
         std::future::ready(Ok(Answer { response: Bytes::from(value.to_string()), height, time: 0, stale_for: 0 }))
@@ -252,6 +280,9 @@ impl Gateway for Fake {
     fn subscribe(&self, wanted: Subscription) -> Deliveries {
         let (sender, mut stream) = mpsc::unbounded_channel();
         let floods = self.floods.load(Ordering::Relaxed) && wanted.chaincode == "abac";
+        for block in self.kept.lock().unwrap().iter().filter(|block| block.height == wanted.from_height) {
+            let _gone = sender.send(Ok(block.clone()));
+        }
         self.streams.lock().unwrap().push((wanted, sender));
         if !floods {
             return UnboundedReceiverStream::new(stream).boxed();

@@ -131,11 +131,13 @@ impl Keeper {
             mark: slot.mark,
             asker,
             counters: slot.counters.clone(),
+            qos: slot.qos.subscribe(),
             stop: stop.clone(),
         };
         let Opened { in_memory, running } = slot.route.plan.open(opening).await?;
         let (route, counters, mark) = (slot.route.clone(), slot.counters.clone(), slot.mark);
-        let watched = Watched { number: slot.number, route, topic, mark, is_command, counters, in_memory };
+        let (number, qos) = (slot.number, slot.qos.clone());
+        let watched = Watched { number, route, topic, mark, is_command, counters, in_memory, qos };
         self.roster.opened(slot, watched);
         Ok(running)
     }

@@ -12,6 +12,8 @@
 //! |---|---|
 //! | `bridge` | [`run`], [`Bridge`]: a running bridge and its summary |
 //! | [`config`] | what it is told to do |
+//! | `table`, `discover` | which routes there are to be: set, read again, or discovered on the ledger |
+//! | `keeper`, `roster` | keeps them open; how they stand |
 //! | `route` | one topic of one service: `kind`, the table of kinds; a file for each; `local`, their side of the graph |
 //! | `grants` | a robot's grant from ROS: `/<robot>/acquire`, `release`, `stop` |
 //! | `gateway`, `service` | what is asked of the ledger, and what it answers |
@@ -48,6 +50,7 @@ mod bridge;
 pub mod config;
 mod count;
 pub mod dds;
+mod discover;
 pub mod domain;
 pub mod door;
 pub mod error;
@@ -71,6 +74,7 @@ mod service;
 pub mod shm;
 mod standing;
 pub mod stop;
+mod table;
 mod typed;
 
 pub use bridge::{Bridge, Summary, context_of, run};

@@ -52,6 +52,19 @@ impl Durability {
     }
 }
 
+/// The settings that a route copies from the endpoints that it finds on its topic, because nobody has set them.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Copied {
+    pub(crate) reliability: bool,
+    pub(crate) durability: bool,
+}
+
+impl Default for Copied {
+    fn default() -> Self {
+        Self { reliability: true, durability: true }
+    }
+}
+
 /// The settings of one route; unset ones have ROS 2's defaults for publishers and subscriptions.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Qos {
@@ -79,6 +92,31 @@ impl Qos {
         let wanted = format!("1 to {DEPTH_SAMPLES_MAX} samples");
         let hint = format!("depth = {DEPTH_SAMPLES_DEFAULT}");
         Err(Error::Setting(Explained::new("qos depth is out of range", self.depth.to_string(), wanted, hint)))
+    }
+
+    /// The settings for a topic with these endpoints at the other end. `reads` if the route reads what they publish.
+    ///
+    /// A reader that asks for no more than every publisher offers hears all of them. A writer that offers what any reader asks for
+    /// reaches all. Commands are never latched unless somebody sets it: an old one would move the robot again.
+    pub(crate) fn meeting(self, copied: Copied, reads: bool, is_command: bool, others: &[&QosPolicies]) -> Self {
+        let mut met = self;
+        if others.is_empty() {
+            return met;
+        }
+        if copied.reliability {
+            let is_reliable = !reads || others.iter().all(|other| other.is_reliable());
+            met.reliability = if is_reliable { Reliability::Reliable } else { Reliability::BestEffort };
+        }
+        if copied.durability {
+            // Some DDS do not send what is the default.
+            let is_volatile =
+                |kept: Option<policy::Durability>| matches!(kept, None | Some(policy::Durability::Volatile));
+            let mut latched = others.iter().map(|other| !is_volatile(other.durability()));
+            let is_latched = if reads { latched.all(|is| is) } else { latched.any(|is| is) };
+            let is_latched = is_latched && !is_command;
+            met.durability = if is_latched { Durability::TransientLocal } else { Durability::Volatile };
+        }
+        met
     }
 
     /// The same in the terms of `rustdds`.
@@ -127,6 +165,34 @@ mod tests {
             assert!(Qos { depth, ..Qos::default() }.validate().is_err());
         }
         assert!(Qos::default().validate().is_ok());
+    }
+
+    #[test]
+    fn a_route_meets_the_endpoints_on_its_topic_where_nobody_has_set_how() {
+        let of = |reliability, durability| Qos { reliability, durability, depth: 1 }.policies();
+        let (latched, plain) =
+            (of(Reliability::Reliable, Durability::TransientLocal), of(Reliability::BestEffort, Durability::Volatile));
+        let meet = |reads, is_command, others: &[&QosPolicies]| {
+            let met = Qos::default().meeting(Copied::default(), reads, is_command, others);
+            (met.reliability, met.durability, met.depth)
+        };
+        let (reliable, best, depth) = (Reliability::Reliable, Reliability::BestEffort, DEPTH_SAMPLES_DEFAULT);
+        assert_eq!(meet(true, false, &[]), (reliable, Durability::Volatile, depth));
+        assert_eq!(meet(true, false, &[&latched, &latched]), (reliable, Durability::TransientLocal, depth));
+        assert_eq!(meet(true, false, &[&latched, &plain]), (best, Durability::Volatile, depth), "it hears both");
+        assert_eq!(meet(false, false, &[&latched, &plain]), (reliable, Durability::TransientLocal, depth));
+        assert_eq!(meet(false, false, &[&plain]), (reliable, Durability::Volatile, depth));
+        let silent = QosPolicyBuilder::new().reliable(Duration::ZERO).build();
+        assert_eq!(
+            meet(true, false, &[&silent]),
+            (reliable, Durability::Volatile, depth),
+            "some do not send the default"
+        );
+        for reads in [true, false] {
+            assert_eq!(meet(reads, true, &[&latched]).1, Durability::Volatile, "an old command moves no robot");
+        }
+        let set = Copied { reliability: false, durability: false };
+        assert_eq!(Qos::default().meeting(set, true, false, &[&plain, &latched]), Qos::default());
     }
 
     #[test]

@@ -147,9 +147,8 @@ impl Reporter {
     }
 
     fn look_at_node(&mut self, now: Instant) {
-        let heard = self.roster.slots().iter().filter_map(|slot| slot.counters.lock().live.heard).max();
         let before = self.heard;
-        self.heard = heard.unwrap_or(before).max(before);
+        self.heard = self.roster.last_heard().unwrap_or(before).max(before);
         let (node, silent) = (self.gateway.node(), now.saturating_duration_since(self.heard));
         match (self.is_lost, silent > LOST_AFTER) {
             (false, true) => {

@@ -7,9 +7,11 @@ use std::{
         Arc, Mutex, MutexGuard, PoisonError,
         atomic::{AtomicUsize, Ordering},
     },
+    time::Instant,
 };
 
 use ledger_rejection::Rejection;
+use rustdds::QosPolicies;
 use tokio::sync::watch;
 
 use crate::{
@@ -18,6 +20,7 @@ use crate::{
     dds::Exchange,
     mark::Mark,
     names::{Interface, TopicName},
+    qos::Qos,
     shm::Peers,
 };
 
@@ -29,6 +32,8 @@ pub(crate) struct Slot {
     pub(crate) mark: Mark,
     /// They go on when the route is opened again.
     pub(crate) counters: Counters,
+    /// The quality of service that meets the others on its topic.
+    pub(crate) qos: watch::Sender<Qos>,
     state: Mutex<State>,
 }
 
@@ -51,13 +56,16 @@ pub(crate) struct Watched {
     pub(crate) counters: Counters,
     /// The other users of the topic in shared memory.
     pub(crate) in_memory: Option<Peers>,
+    /// The quality of service that meets the others on its topic: the route follows it.
+    pub(crate) qos: watch::Sender<Qos>,
 }
 
 impl Slot {
     /// A route that nobody has tried to open.
     pub(crate) fn new(number: usize, route: RouteConfig, mark: Mark) -> Self {
         let counters = Counters::new(&route);
-        Self { number, route, mark, counters, state: Mutex::new(State::Waits(None)) }
+        let qos = watch::Sender::new(route.qos);
+        Self { number, route, mark, counters, qos, state: Mutex::new(State::Waits(None)) }
     }
 
     /// The robot of its service.
@@ -108,10 +116,22 @@ impl Watched {
         }
     }
 
+    /// These are the endpoints at the other end now. Answers the quality of service that meets them, if that is another than
+    /// before.
+    pub(crate) fn meet(&self, others: &[&QosPolicies]) -> Option<Qos> {
+        if others.is_empty() {
+            return None;
+        }
+        let RouteConfig { qos, copied, kind, .. } = &self.route;
+        let met = qos.meeting(*copied, kind.takes_in(), self.is_command, others);
+        let is_news = self.qos.send_if_modified(|known| std::mem::replace(known, met) != met);
+        is_news.then_some(met)
+    }
+
     /// Says what the route carries.
     pub(crate) fn tell(&self) {
         let Self { number, route, topic, .. } = self;
-        let (service, message, qos) = (&route.service, &route.message, &route.qos);
+        let (service, message, qos) = (&route.service, &route.message, *self.qos.borrow());
         let (direction, arrow) = (route.kind.name, route.kind.arrow(topic, service));
         let (reliability, durability) = (qos.reliability.name(), qos.durability.name());
         tracing::info!(
@@ -129,6 +149,8 @@ pub(crate) struct Roster {
     numbered: AtomicUsize,
     /// The DDS topics of the open routes.
     topics: watch::Sender<BTreeSet<String>>,
+    /// When the ledger was last heard beside the routes.
+    heard: Mutex<Option<Instant>>,
 }
 
 impl Roster {
@@ -176,6 +198,17 @@ impl Roster {
     /// The routes that take something to a robot.
     fn taken(&self, robot: &str) -> Vec<Arc<Slot>> {
         self.slots().into_iter().filter(|slot| slot.route.kind.takes_in() && slot.robot() == robot).collect()
+    }
+
+    /// The ledger gave a sign of life, to nobody's route.
+    pub(crate) fn heard(&self, now: Instant) {
+        *self.heard.lock().unwrap_or_else(PoisonError::into_inner) = Some(now);
+    }
+
+    /// When the ledger last gave a sign of life.
+    pub(crate) fn last_heard(&self) -> Option<Instant> {
+        let beside = *self.heard.lock().unwrap_or_else(PoisonError::into_inner);
+        self.slots().iter().filter_map(|slot| slot.counters.lock().live.heard).chain(beside).max()
     }
 
     /// The open routes.

@@ -13,7 +13,7 @@ mod service_server;
 mod side_door;
 pub(crate) mod silence;
 mod stopping;
-mod to_ledger;
+pub(crate) mod to_ledger;
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 

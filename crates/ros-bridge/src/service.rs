@@ -17,6 +17,19 @@ use crate::{
 pub(crate) struct Authorization {
     pub(crate) epoch: u64,
     pub(crate) next_seq: u64,
+    /// The name of the code, e.g. `MISSING_ATTRIBUTE`.
+    #[serde(default)]
+    name: String,
+    /// Why not, in words.
+    #[serde(default)]
+    pub(crate) reason: String,
+}
+
+impl Authorization {
+    /// The code, if this version knows it.
+    pub(crate) fn code(&self) -> Option<Code> {
+        Code::ALL.iter().copied().find(|code| code.name() == self.name)
+    }
 }
 
 /// The identity of the caller, as `abac GetSubmittingClientIdentity` answers.

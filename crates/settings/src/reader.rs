@@ -183,22 +183,92 @@ impl<'t> Section<'_, 't> {
         section.close();
     }
 
-    /// Sections in a row, `[[NAME]]`, at least one and at most `count_max`; `read` gets each with its number, from 1.
-    pub fn sections(
+    /// Texts in a row, `["…", "…"]`, at most so many, that a parser with refusals of its own reads; each fault names its text.
+    /// None if the setting is not there.
+    pub fn texts<T, E: Into<Rejection>>(
         &mut self,
         name: &'static str,
         count_max: usize,
+        mut parse: impl FnMut(&str) -> Result<T, E>,
+    ) -> Option<Vec<T>> {
+        let wanted = format!("at most {count_max} texts in a row, [\"…\", \"…\"]");
+        let (span, value) = self.take(name)?;
+        let items = match value {
+            DeValue::Array(items) if items.len() <= count_max => items,
+            _ => {
+                let rejection = self.wrong(name, &span, &wanted);
+                self.reader.fault(Some(&span), rejection);
+                return None;
+            }
+        };
+        Some(items.iter().filter_map(|item| self.entry(name, &wanted, item, &mut parse)).collect())
+    }
+
+    /// A section whose settings have names of the user's own, at most so many: `read` gets each name with its text.
+    pub fn entries<T, E: Into<Rejection>>(
+        &mut self,
+        name: &'static str,
+        count_max: usize,
+        mut read: impl FnMut(&str, &str) -> Result<T, E>,
+    ) -> Vec<(Spot, T)> {
+        let wanted = format!("at most {count_max} lines NAME = \"…\"");
+        let Some((span, value)) = self.take(name) else { return Vec::new() };
+        let table = match value {
+            DeValue::Table(table) if table.len() <= count_max => table,
+            _ => {
+                let rejection = self.wrong(name, &span, &wanted);
+                self.reader.fault(Some(&span), rejection);
+                return Vec::new();
+            }
+        };
+        let mut entries = Vec::new();
+        for (key, value) in &table {
+            let key: &str = key.get_ref();
+            let read = self.entry(&format!("{name}.{key:?}"), "a text", value, &mut |text: &str| read(key, text));
+            entries.extend(read.map(|read| (Spot(Some(value.span())), read)));
+        }
+        entries
+    }
+
+    /// One text of several under a name.
+    fn entry<T, E: Into<Rejection>>(
+        &mut self,
+        name: &str,
+        wanted: &str,
+        value: &Spanned<DeValue<'t>>,
+        parse: &mut impl FnMut(&str) -> Result<T, E>,
+    ) -> Option<T> {
+        let rejection = match value.get_ref().as_str().map(parse) {
+            Some(Ok(read)) => return Some(read),
+            Some(Err(refusal)) => {
+                let refusal: Rejection = refusal.into();
+                Rejection { message: format!("{}: {}", self.path(name), refusal.message), ..refusal }
+            }
+            None => self.wrong(name, &value.span(), wanted),
+        };
+        self.reader.fault(Some(&value.span()), rejection);
+        None
+    }
+
+    /// Sections in a row, `[[NAME]]`, as many as `counts` allows; `read` gets each with its number, from 1.
+    pub fn sections(
+        &mut self,
+        name: &'static str,
+        counts: RangeInclusive<usize>,
         mut read: impl FnMut(usize, &mut Section<'_, 't>),
     ) {
-        let wanted = format!("1 to {count_max} sections [[{}]]", self.path(name));
+        let (count_min, count_max) = counts.into_inner();
+        let wanted = format!("{count_min} to {count_max} sections [[{}]]", self.path(name));
         let Some((span, value)) = self.take(name) else {
-            return self.missing(name, &wanted);
+            return if count_min > 0 {
+                self.missing(name, &wanted)
+            };
         };
         let DeValue::Array(items) = value else {
             let rejection = self.wrong(name, &span, &wanted);
             return self.reader.fault(Some(&span), rejection);
         };
-        if items.is_empty() || items.len() > count_max {
+        if items.len() < count_min || items.len() > count_max {
             let rejection = self.wrong(name, &span, &wanted).found(format!("{} sections", items.len()));
             self.reader.fault(Some(&span), rejection);
         }

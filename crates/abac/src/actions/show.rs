@@ -6,11 +6,14 @@ use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Target};
-use crate::records::{grant, line, pending, sharing, stopped, store};
+use crate::records::{grant, last, line, pending, sharing, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
 use ledger_rejection::Rejection;
+
+/// Most publishers that `latest` tells.
+const LATEST_MAX: usize = 64;
 
 /// `robots [PAGE_JSON]`
 pub(crate) fn robots(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
@@ -57,6 +60,17 @@ pub(crate) fn line(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Resu
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
     let asking = pending::all(ctx, &target.id)?;
     store::json(&Contest::of(ctx, &target)?.told(decider.rules.of(&target)?, &asking))
+}
+
+/// `latest SERVICE`: where the last message of each publisher is, for those who come late. The messages themselves are in
+/// their blocks.
+pub(crate) fn latest(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("latest SERVICE", args, 1, 1)?;
+    let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
+    let mut all = last::all(ctx, &target.id)?;
+    all.sort_by(|one, other| other.height.cmp(&one.height));
+    all.truncate(LATEST_MAX);
+    store::json(&all)
 }
 
 /// A robot as clients see it.

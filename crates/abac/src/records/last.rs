@@ -5,7 +5,7 @@
 
 use super::store;
 use ledger::Context;
-use ledger_contract::Sequence;
+use ledger_contract::{Latest, Sequence};
 use ledger_rejection::Rejection;
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +25,16 @@ pub(crate) struct Last {
     /// Block time (microseconds), where the service's rule asks for it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub(crate) at: Option<u64>,
+}
+
+/// Most publishers of a service that are looked at.
+const PUBLISHERS_MAX: usize = 1024;
+
+impl From<Last> for Latest {
+    fn from(last: Last) -> Self {
+        let Last { epoch, seq, height, publisher, count, at: _ } = last;
+        Self { publisher, epoch, seq, count, height }
+    }
 }
 
 /// The smallest sequence number that may follow, from this publisher in this epoch.
@@ -48,6 +58,14 @@ pub(crate) fn read(
     publisher: &str,
 ) -> Result<Option<Last>, Rejection> {
     store::read(ctx, &key(service, sequence, publisher))
+}
+
+/// Where the last messages of a service are: of the service, or of each publisher.
+pub(crate) fn all(ctx: &Context<'_>, service: &str) -> Result<Vec<Latest>, Rejection> {
+    let own: Option<Last> = store::read(ctx, &store::last_key(service, None))?;
+    let each = ctx.range(&store::last_key(service, Some("")), PUBLISHERS_MAX);
+    let each = each.iter().map(|(key, value)| store::parse(key, value));
+    own.into_iter().map(Ok).chain(each).map(|last| last.map(Latest::from)).collect()
 }
 
 /// Puts a message in the place of the last one.

@@ -4,13 +4,14 @@ use crate::fleet::{Fleet, TURTLEBOT, bytes, owner};
 use bytes::Bytes;
 use ledger_rejection::{Class, Code};
 
-pub(crate) const FUNCTIONS: [&str; 17] = [
+pub(crate) const FUNCTIONS: [&str; 18] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "authorize",
     "configure",
     "declare",
     "grants",
+    "latest",
     "policies",
     "policy",
     "release",

@@ -20,6 +20,7 @@ fn calls() -> Vec<(&'static str, Identity, Vec<Bytes>)> {
         ("authorize", salma(), text(&[TURTLEBOT])),
         ("grants", salma(), vec![]),
         ("grants", salma(), text(&["{}"])),
+        ("latest", salma(), text(&[HUSKY])),
         ("policies", salma(), vec![]),
         ("policies", salma(), text(&["{}"])),
         ("robot", salma(), text(&["Husky"])),

@@ -2,7 +2,7 @@
 
 use crate::fleet::{Fleet, HUSKY, TURTLEBOT, TWIST, bytes, farhad, salma};
 use bytes::Bytes;
-use ledger_abac::{Grant, MESSAGES_PER_CALL_MAX, MessageEvent, Published};
+use ledger_abac::{Grant, Latest, MESSAGES_PER_CALL_MAX, MessageEvent, Published};
 use ledger_rejection::Code;
 
 #[test]
@@ -96,4 +96,22 @@ fn an_intruder_without_the_attribute_hears_that_it_is_missing() {
     fleet.ok(&salma(), "acquire", &[HUSKY]);
     fleet.set_refused(&farhad(), Code::MissingAttribute, HUSKY, 0, 1);
     fleet.set_refused(&farhad(), Code::MissingAttribute, HUSKY, 1, 1);
+}
+
+#[test]
+fn who_comes_late_learns_where_the_last_message_of_each_publisher_is() {
+    let mut fleet = Fleet::of_the_paper();
+    assert_eq!(fleet.get::<Vec<Latest>>(&farhad(), "latest", &[HUSKY]), []);
+    fleet.ok(&salma(), "acquire", &[TURTLEBOT]);
+    fleet.set(&salma(), TURTLEBOT, 1, 10, 5).unwrap();
+    fleet.set(&salma(), HUSKY, 0, 7, 1).unwrap();
+    fleet.set(&farhad(), HUSKY, 0, 3, 2).unwrap();
+    let told = |fleet: &mut Fleet, service| {
+        let all: Vec<Latest> = fleet.get(&farhad(), "latest", &[service]);
+        all.into_iter().map(|last| (last.publisher, last.epoch, last.seq, last.count)).collect::<Vec<_>>()
+    };
+    assert_eq!(told(&mut fleet, TURTLEBOT), [("Org1/Salma".to_owned(), 1, 14, 5)]);
+    let both = [("Org1/Farhad".to_owned(), 0, 4, 2), ("Org1/Salma".to_owned(), 0, 7, 1)];
+    assert_eq!(told(&mut fleet, HUSKY), both, "the newest first");
+    fleet.refused(&farhad(), Code::UnknownService, "latest", &["Husky/nothing"]);
 }

@@ -3,6 +3,7 @@
 
 mod faults;
 mod handover;
+mod latched;
 mod limits;
 mod standing;
 mod stopped;

@@ -53,6 +53,8 @@ pub struct Block {
     pub height: u64,
     /// Its time, microseconds since the UNIX epoch.
     pub time: u64,
+    /// Was it fetched for those who come late?
+    is_latched: bool,
     /// Its transactions with the certificates of their creators, by position: the first event of each carries it.
     shown: HashMap<u32, (Bytes, Bytes)>,
 }
@@ -60,7 +62,12 @@ pub struct Block {
 impl Block {
     /// Before its first event.
     pub fn new(height: u64, time: u64) -> Self {
-        Self { height, time, shown: HashMap::new() }
+        Self { height, time, is_latched: false, shown: HashMap::new() }
+    }
+
+    /// A block of the past, of which only messages count: see [`Gate::pass_latched`].
+    pub fn latched(height: u64, time: u64) -> Self {
+        Self { is_latched: true, ..Self::new(height, time) }
     }
 
     /// The message at a position, to be judged later.
@@ -81,6 +88,8 @@ impl Block {
         let (transaction, certificate) = self.shown.get(&event.index).unwrap_or(&none);
         let delivered = Delivered { block_time: self.time, transaction, certificate };
         Ok(match (event.chaincode, event.name) {
+            (ABAC, "message") if self.is_latched => Some(Act::Publish(gate.pass_latched(delivered, now)?)),
+            _ if self.is_latched => None,
             (ABAC, "message") => Some(Act::Publish(gate.pass(delivered, now)?)),
             (ABAC, "granted") => {
                 if active(Mutation::BelieveAGrant) {

@@ -4,6 +4,7 @@
 #[path = "../../../../tests/support/own_network.rs"]
 mod network;
 
+mod latched_tests;
 mod limit_tests;
 mod start_tests;
 mod stop_tests;

@@ -86,6 +86,11 @@ impl Participant {
         writers.filter(move |(guid, _)| prefix(*guid) != own).map(|(_, neighbour)| neighbour)
     }
 
+    /// Is this publisher of another in the domain?
+    pub(crate) fn has_publisher(&self, guid: &[u8; 16]) -> bool {
+        self.publishers().any(|publisher| publisher.guid == *guid)
+    }
+
     /// The hash that somebody in the graph announces for a type.
     pub(super) fn hash_in_graph(&self, dds_type: &str) -> Option<String> {
         let writers = self.dds.discovered_writers().into_iter();

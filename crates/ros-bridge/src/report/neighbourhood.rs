@@ -72,6 +72,7 @@ impl Neighbourhood {
         }
         let open: Vec<Arc<Watched>> = self.roster.open().collect();
         for watched in open.iter().filter(|watched| watched.dds_topic() == neighbour.topic) {
+            self.meet(watched);
             watched.counters.lock().live.beside = self.beside(watched);
             let line = meaning(watched, &neighbour, came);
             let line = if came { line.map(|line| self.second(watched, &neighbour, line)) } else { line };
@@ -79,10 +80,16 @@ impl Neighbourhood {
         }
     }
 
-    /// Looks at what nobody tells: shared memory; and says how much was not told.
+    /// Looks at what nobody tells: shared memory, and what those who came before a route mean for it; and says how much was not
+    /// told.
     pub(super) fn look(&mut self, now: Instant) {
+        let is_new = |neighbour: &&Neighbour| neighbour.mark.is_some() && !self.listened.contains_key(&neighbour.guid);
+        for neighbour in self.known.values().filter(is_new).cloned().collect::<Vec<_>>() {
+            self.listen(&neighbour);
+        }
         for watched in self.roster.open() {
             // A route that was opened late has neighbours of which nobody tells any more.
+            self.meet(&watched);
             let beside = self.beside(&watched);
             watched.counters.lock().live.beside = beside;
             let count = count_in_memory(&watched);
@@ -119,6 +126,22 @@ impl Neighbourhood {
         // A bridge is in shared memory as well; which one of them it is cannot be told.
         surroundings.in_memory = count_in_memory(watched).saturating_sub(surroundings.bridges);
         surroundings
+    }
+
+    /// Has a route follow the quality of service of those at its other end.
+    fn meet(&self, watched: &Watched) {
+        let (topic, wanted) = (watched.dds_topic(), watched.dds_type());
+        let others = self.known.values().filter(|neighbour| {
+            (neighbour.topic == topic && neighbour.type_name == wanted)
+                && neighbour.role == watched.route.kind.other_end
+                && !is_bridge(neighbour, watched.mark)
+        });
+        let others: Vec<&QosPolicies> = others.map(|neighbour| &neighbour.qos).collect();
+        if let Some(met) = watched.meet(&others) {
+            let (service, topic) = (&watched.route.service, watched.topic.as_str());
+            let (reliability, durability) = (met.reliability.name(), met.durability.name());
+            tracing::info!(service, topic, "{reliability}, {durability}: as the others on {topic}");
+        }
     }
 
     /// How many publish on the topic of a route that delivers commands there, other than bridges of the same service.
@@ -204,7 +227,10 @@ impl Neighbourhood {
                     "another bridge delivers {service} on {topic}: samples from there are not taken in"
                 );
             }
-            Err(error) => tracing::warn!(%topic, %error, "cannot hear what another bridge delivers here"),
+            Err(error) if self.warnings.may_tell(Instant::now()) => {
+                tracing::warn!(%topic, %error, "cannot hear what another bridge delivers here");
+            }
+            Err(_) => {}
         }
     }
 }
@@ -225,7 +251,7 @@ fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
 
 /// The policy by which DDS keeps both apart.
 fn misfit(watched: &Watched, neighbour: &Neighbour) -> Option<String> {
-    let ours: QosPolicies = watched.route.qos.policies();
+    let ours: QosPolicies = watched.qos.borrow().policies();
     let (offered, requested) = match neighbour.role {
         Role::Publisher => (&neighbour.qos, &ours),
         Role::Subscriber => (&ours, &neighbour.qos),

@@ -6,6 +6,8 @@
 //! How the robot stands is asked when it may have changed, and while somebody moves it. A message of which the gate knows
 //! nothing yet waits for the answer.
 
+mod demand;
+mod late;
 mod settings;
 
 pub(super) use self::settings::half;
@@ -15,7 +17,11 @@ use std::{
     time::{Duration, Instant},
 };
 
-use futures::{FutureExt, StreamExt, future::BoxFuture};
+use futures::{
+    FutureExt, StreamExt,
+    future::{BoxFuture, OptionFuture},
+    stream,
+};
 use ledger_api::{
     Subscription,
     v1::{Delivery, EventRecord},
@@ -28,15 +34,15 @@ use ledger_gate::{
 };
 use ledger_invariant::broken;
 use ledger_rejection::{Code, Rejection};
-use tokio::time::sleep_until;
+use tokio::{sync::watch, time::sleep_until};
 
-use self::settings::Settings;
+use self::{demand::Demand, settings::Settings};
 use super::{
     Clocks, Stop,
     calls::TOO_MANY,
     holder::{self, Holder},
     kind::Kind,
-    local::Outlet,
+    local::{Outlet, changed},
     points::{self, Points},
     side_door::{self, SideDoor},
     silence::{Cause, Facts, Silence, fault, pause},
@@ -49,6 +55,7 @@ use crate::{
     dds::Role,
     gateway::{Deliveries, Gateway},
     names::Interface,
+    qos::Qos,
     service::{stop_for, topic_for},
     standing::{Answered, Asker},
 };
@@ -78,6 +85,7 @@ pub(super) static KIND: Kind = Kind {
         holder::KEY,
     ],
     read: settings::read,
+    discovered: Some(|_terms| settings::discovered()),
     silence,
     beside: side_door::beside,
 };
@@ -102,6 +110,8 @@ struct FromLedger {
     route: RouteConfig,
     settings: Settings,
     outlet: Outlet,
+    /// The quality of service that the outlet follows.
+    qos: watch::Receiver<Qos>,
     points: Points,
     holder: Holder,
     counters: Counters,
@@ -111,6 +121,7 @@ struct FromLedger {
     /// The question under way.
     question: Option<BoxFuture<'static, Answer>>,
     service: Service,
+    demand: Demand,
     stopping: Stopping,
     side_door: SideDoor,
     /// The next height of the subscription.
@@ -128,17 +139,18 @@ impl FromLedger {
         (route, settings): (RouteConfig, Settings),
         gate: GateSettings,
         service: Service,
-        outlet: impl Future<Output = Result<(Outlet, (Points, Holder), Counters), Rejection>>,
+        outlet: impl Future<Output = Result<((Outlet, watch::Receiver<Qos>), (Points, Holder), Counters), Rejection>>,
     ) -> Result<Self, Rejection> {
         let height = gateway.height().await?;
         let clocks = Clocks::start();
         let guard = Guard::new(gate, &route.service, clocks.now());
         let stop = stop_for(&service, &route, settings.stop.as_ref())?;
-        let (outlet, (points, holder), counters) = outlet.await?;
+        let ((outlet, qos), (points, holder), counters) = outlet.await?;
         let mut opened = Self {
             gateway,
             route,
             outlet,
+            qos,
             points,
             holder,
             counters,
@@ -146,6 +158,7 @@ impl FromLedger {
             guard,
             asker,
             question: None,
+            demand: Demand::new(settings.on_demand && !service.is_command()),
             stopping: Stopping::new(stop, &service),
             side_door: SideDoor::new(settings.side_door),
             settings,
@@ -164,15 +177,9 @@ impl FromLedger {
 
     /// Runs until it is told to end; then the robot stops, if anybody moved it.
     async fn run(mut self, mut stop: Stop) {
-        let mut events = self.subscribe();
-        let mut revocations = self.gateway.subscribe(Subscription {
-            from_height: self.next_height,
-            chaincode: MSP.to_owned(),
-            names: vec!["revoked".to_owned()],
-            heartbeat: HEARTBEAT_MS,
-            ..Subscription::default()
-        });
-        let mut graph_ended = std::pin::pin!(self.outlet.matched().clone().ended());
+        let (mut events, mut revocations) = self.begin();
+        let mut late: OptionFuture<_> = self.fetch_late().into();
+        let mut graph_ended = Box::pin(self.outlet.matched().clone().ended());
         let fault = loop {
             if let Some(found) = self.guard.gate().fault() {
                 break Some(found.to_owned());
@@ -196,7 +203,8 @@ impl FromLedger {
                 let next = if self.question.is_some() { stale } else { ask };
                 ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
             }
-            let again = self.stopping.due(&self.outlet);
+            let (again, demand) = (self.stopping.due(&self.outlet), self.demand.due(&self.outlet));
+            let follow = changed(&self.qos);
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -212,6 +220,23 @@ impl FromLedger {
                     }
                 }
                 answer = self.answer() => self.answered(answer).await,
+                () = follow => {
+                    let qos = *self.qos.borrow_and_update();
+                    self.outlet.follow(&qos);
+                    self.counters.opened_again(self.outlet.matched());
+                    graph_ended = Box::pin(self.outlet.matched().clone().ended());
+                    late = self.fetch_late().into();
+                }
+                () = demand => {
+                    if self.demand.look(&self.outlet) {
+                        (events, revocations) = self.begin_again();
+                        late = self.fetch_late().into();
+                    }
+                }
+                Some(fetched) = &mut late, if !self.guard.gate().is_closed() => {
+                    late = None.into();
+                    self.deliver_late(fetched).await;
+                }
                 () = sleep_until(ask_due.unwrap_or_else(Instant::now).into()), if ask_due.is_some() => {
                     // With a question under way the points on show are too old: the next turn takes them away.
                     if self.question.is_none() {
@@ -262,6 +287,32 @@ impl FromLedger {
         let answer = question.await;
         self.question = None;
         answer
+    }
+
+    /// Subscribes to what the ledger tells; to nothing while nobody listens to a feed.
+    fn begin(&self) -> (Deliveries, Deliveries) {
+        if !self.demand.is_there() {
+            return (stream::pending().boxed(), stream::pending().boxed());
+        }
+        let revocations = self.gateway.subscribe(Subscription {
+            from_height: self.next_height,
+            chaincode: MSP.to_owned(),
+            names: vec!["revoked".to_owned()],
+            heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
+        });
+        (self.subscribe(), revocations)
+    }
+
+    /// Somebody listens, or nobody any more. Nobody told what changed meanwhile: nothing passes until the voters have.
+    fn begin_again(&mut self) -> (Deliveries, Deliveries) {
+        self.next_height = 0;
+        // No message waits: none came.
+        let _none = self.guard.gone(self.clocks.now());
+        if self.demand.is_there() && self.question.is_none() {
+            self.ask();
+        }
+        self.begin()
     }
 
     fn subscribe(&self) -> Deliveries {

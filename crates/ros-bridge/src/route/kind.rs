@@ -9,6 +9,7 @@ use ledger_api::Context;
 use ledger_gate::service::Service;
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
+use tokio::sync::watch;
 
 use super::{
     Stop, from_ledger,
@@ -24,6 +25,7 @@ use crate::{
     gateway::Gateway,
     mark::Mark,
     names::{Interface, TopicName},
+    qos::Qos,
     shm::Peers,
     standing::Asker,
 };
@@ -49,6 +51,8 @@ pub(crate) struct Kind {
     pub(crate) keys: &'static [&'static str],
     /// Reads the settings under these keys; the number is the largest sample of the route, in bytes.
     pub(crate) read: fn(&mut Section<'_, '_>, usize) -> Arc<dyn Plan>,
+    /// The settings of a route that was discovered; none if this kind cannot be.
+    pub(crate) discovered: Option<fn(&Terms) -> Arc<dyn Plan>>,
     /// The words for a cause of silence.
     pub(crate) silence: fn(&Facts<'_>, Cause<'_>) -> Silence,
     /// The warning about an endpoint that does beside this route what the route does.
@@ -59,6 +63,14 @@ pub(crate) struct Kind {
 pub(crate) trait Plan: fmt::Debug + Send + Sync {
     /// Joins the topic, and learns from the ledger where the route stands.
     fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>>;
+}
+
+/// The settings that `[discover]` has for a route.
+pub(crate) struct Terms {
+    /// Most samples a second; none = any number.
+    pub(crate) max_rate_hz: Option<u32>,
+    /// Does publishing need a grant?
+    pub(crate) needs_grant: bool,
 }
 
 /// The surroundings of a route that is being opened.
@@ -75,6 +87,8 @@ pub(crate) struct Opening<'a> {
     pub(crate) asker: Arc<Asker>,
     /// Those of the route, from its first opening on.
     pub(crate) counters: Counters,
+    /// The quality of service that meets the others on the topic.
+    pub(crate) qos: watch::Receiver<Qos>,
     /// Tells the route to end.
     pub(crate) stop: Stop,
 }

@@ -6,7 +6,7 @@ use std::{
 };
 
 use ledger_gate::{gate::Passed, sample::Sample};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
@@ -14,7 +14,7 @@ use crate::{
     error::{Error, Result},
     mark::Mark,
     names::{TopicName, TypeName},
-    qos::Qos,
+    qos::{Durability, Qos},
     queue::{Incoming, Limits, Queue},
     reach::Reach,
     shm,
@@ -53,33 +53,55 @@ impl Local {
         &self,
         topic: &TopicName,
         message: &TypeName,
-        qos: &Qos,
+        mut qos: watch::Receiver<Qos>,
         limits: Limits,
         door: Arc<Door>,
     ) -> Result<(Inlet, Matched, Option<shm::Peers>)> {
-        let reader = self.participant.reader_behind(topic, message, qos, limits, Arc::clone(&door))?;
+        let participant = self.participant.clone();
+        let open = {
+            let (participant, topic, message, door) =
+                (participant.clone(), topic.clone(), message.clone(), Arc::clone(&door));
+            move |qos: &Qos| participant.reader_behind(&topic, &message, qos, limits, Arc::clone(&door))
+        };
+        let first = *qos.borrow_and_update();
+        let reader = open(&first)?;
         let shm = match &self.shm {
             Some(node) => or_dds_only(topic.as_str(), node.subscriber_behind(topic, limits, door).await),
             None => None,
         };
         let (matched, in_memory) = (reader.matched().clone(), shm.as_ref().map(shm::Subscriber::peers));
-        Ok((Inlet::Topic { reader: Box::new(reader), shm: shm.map(Box::new) }, matched, in_memory))
+        let topic = TopicInlet { reader, open: Box::new(open), qos, participant, lost: 0, shm };
+        Ok((Inlet::Topic(Box::new(topic)), matched, in_memory))
     }
 
     pub(crate) async fn outlet(&self, topic: &TopicName, message: &TypeName, qos: &Qos, mark: Mark) -> Result<Outlet> {
         self.delivered.begins(mark);
-        let writer = self.participant.marked_writer(topic, message, qos, mark)?;
+        let open = {
+            let (participant, topic, message) = (self.participant.clone(), topic.clone(), message.clone());
+            move |qos: &Qos| participant.marked_writer(&topic, &message, qos, mark)
+        };
+        let writer = open(qos)?;
         let shm = match &self.shm {
             Some(node) => or_dds_only(topic.as_str(), node.marked_publisher(topic, mark).await),
             None => None,
         };
-        let to = To::Topic { writer: Box::new(writer), shm: shm.map(Box::new) };
+        let to = To::Topic { writer: Box::new(writer), open: Box::new(open), shm: shm.map(Box::new) };
         Ok(Outlet { to, mark, delivered: Arc::clone(&self.delivered) })
     }
 
     /// Where messages go to the other half of a route of calls, with those at its end of the graph.
     pub(crate) fn outlet_for_calls(&self, calls: mpsc::Sender<Passed>, matched: Matched, mark: Mark) -> Outlet {
         Outlet { to: To::Calls { calls, matched }, mark, delivered: Arc::clone(&self.delivered) }
+    }
+}
+
+/// Waits for another quality of service.
+pub(super) fn changed(qos: &watch::Receiver<Qos>) -> impl Future<Output = ()> + use<> {
+    let mut qos = qos.clone();
+    async move {
+        if qos.changed().await.is_err() {
+            std::future::pending().await
+        }
     }
 }
 
@@ -94,20 +116,57 @@ fn or_dds_only<T>(topic: &str, opened: Result<T>) -> Option<T> {
 /// Where samples come in.
 pub(crate) enum Inlet {
     /// From a topic.
-    Topic { reader: Box<Reader>, shm: Option<Box<shm::Subscriber>> },
+    Topic(Box<TopicInlet>),
     /// From the other half of a route of calls.
     Calls(Arc<Queue>),
+}
+
+/// Where samples of a topic come in.
+pub(crate) struct TopicInlet {
+    reader: Reader,
+    /// Opens a reader in the place of the one before.
+    open: Box<dyn Fn(&Qos) -> Result<Reader> + Send + Sync>,
+    /// The quality of service that it follows.
+    qos: watch::Receiver<Qos>,
+    participant: Participant,
+    /// Samples that readers before this one have lost.
+    lost: u64,
+    shm: Option<shm::Subscriber>,
+}
+
+impl TopicInlet {
+    async fn next(&mut self) -> Option<Incoming> {
+        match &mut self.shm {
+            None => self.reader.next().await,
+            Some(shm) => tokio::select! {
+                incoming = self.reader.next() => incoming,
+                incoming = shm.next() => incoming,
+            },
+        }
+    }
+
+    fn follow(&mut self) {
+        let qos = *self.qos.borrow_and_update();
+        match (self.open)(&qos) {
+            Ok(reader) => {
+                self.lost = self.lost.saturating_add(self.reader.dropped());
+                self.reader = reader;
+            }
+            Err(error) => tracing::warn!(%error, "the topic is read as before"),
+        }
+    }
+
+    fn dropped(&self) -> u64 {
+        let lost = self.lost.saturating_add(self.reader.dropped());
+        lost.saturating_add(self.shm.as_ref().map_or(0, shm::Subscriber::dropped))
+    }
 }
 
 impl Inlet {
     /// The next sample; none when the middleware ended. Cancelling it loses nothing.
     pub(crate) async fn next(&mut self) -> Option<Incoming> {
         match self {
-            Self::Topic { reader, shm: None } => reader.next().await,
-            Self::Topic { reader, shm: Some(shm) } => tokio::select! {
-                incoming = reader.next() => incoming,
-                incoming = shm.next() => incoming,
-            },
+            Self::Topic(topic) => topic.next().await,
             Self::Calls(queue) => queue.next().await,
         }
     }
@@ -115,15 +174,47 @@ impl Inlet {
     /// The next sample if one waits.
     pub(crate) fn try_next(&mut self) -> Option<Incoming> {
         match self {
-            Self::Topic { reader, shm } => reader.try_next().or_else(|| shm.as_mut()?.try_next()),
+            Self::Topic(topic) => topic.reader.try_next().or_else(|| topic.shm.as_mut()?.try_next()),
             Self::Calls(queue) => queue.try_next(),
         }
+    }
+
+    /// Do its publishers keep what they said for those who come late?
+    pub(crate) fn is_latched(&self) -> bool {
+        matches!(self, Self::Topic(topic) if topic.qos.borrow().durability == Durability::TransientLocal)
+    }
+
+    /// Is this publisher still in the graph?
+    pub(crate) fn has_publisher(&self, source: &[u8; 16]) -> bool {
+        matches!(self, Self::Topic(topic) if topic.participant.has_publisher(source))
+    }
+
+    /// Waits until others on the topic need another quality of service: see [`Inlet::follow`].
+    pub(crate) fn to_follow(&self) -> impl Future<Output = ()> + use<> {
+        let waits = match self {
+            Self::Topic(topic) => Some(changed(&topic.qos)),
+            Self::Calls(_) => None,
+        };
+        async move {
+            match waits {
+                Some(waits) => waits.await,
+                None => std::future::pending().await,
+            }
+        }
+    }
+
+    /// Reads with the quality of service that meets the others; answers who they are now. What the reader before has heard
+    /// is lost with it, unless it was taken.
+    pub(crate) fn follow(&mut self) -> Option<Matched> {
+        let Self::Topic(topic) = self else { return None };
+        topic.follow();
+        Some(topic.reader.matched().clone())
     }
 
     /// Samples lost here: replaced by newer ones, too large, or not readable.
     pub(crate) fn dropped(&self) -> u64 {
         match self {
-            Self::Topic { reader, shm } => reader.dropped().saturating_add(shm.as_ref().map_or(0, |shm| shm.dropped())),
+            Self::Topic(topic) => topic.dropped(),
             Self::Calls(queue) => queue.dropped(),
         }
     }
@@ -138,16 +229,34 @@ pub(crate) struct Outlet {
 
 /// The ways out.
 enum To {
-    /// To a topic.
-    Topic { writer: Box<Writer>, shm: Option<Box<shm::Publisher>> },
+    /// To a topic. `open` opens a writer in the place of the one before.
+    Topic {
+        writer: Box<Writer>,
+        open: Box<dyn Fn(&Qos) -> Result<Writer> + Send + Sync>,
+        shm: Option<Box<shm::Publisher>>,
+    },
     /// To the other half of a route of calls.
     Calls { calls: mpsc::Sender<Passed>, matched: Matched },
 }
 
 impl Outlet {
+    /// Offers the topic with another quality of service.
+    pub(crate) fn follow(&mut self, qos: &Qos) {
+        let To::Topic { writer, open, .. } = &mut self.to else { return };
+        match open(qos) {
+            Ok(opened) => **writer = opened,
+            Err(error) => tracing::warn!(%error, "the topic is offered as before"),
+        }
+    }
+
+    /// How many listen, over DDS and in shared memory.
+    pub(crate) fn listeners(&self) -> usize {
+        self.matched().now().matched + self.in_memory().map_or(0, |peers| peers.count())
+    }
+
     /// Publishes a sample, to local processes first: that is quicker. An error concerns one of both only.
     pub(crate) fn write(&self, sample: &Sample) -> Result<()> {
-        let To::Topic { writer, shm } = &self.to else { return Ok(()) };
+        let To::Topic { writer, shm, .. } = &self.to else { return Ok(()) };
         self.note(sample);
         let shm = shm.as_ref().map_or(Ok(0), |shm| shm.write(sample));
         writer.write(sample)?;

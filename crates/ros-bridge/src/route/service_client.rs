@@ -39,6 +39,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Subscriber,
     keys: &[KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
+    discovered: None,
     silence,
     beside,
 };

@@ -51,6 +51,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Publisher,
     keys: &[KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
+    discovered: None,
     silence,
     beside,
 };

@@ -81,7 +81,7 @@ impl Stopping {
     /// Waits until the stop message is to be said again, or to somebody new: see [`Stopping::say_again`]. A listener in shared
     /// memory is noticed at the next sign of life of the ledger.
     pub(super) fn due(&mut self, outlet: &Outlet) -> impl Future<Output = ()> + use<> {
-        let now = listeners(outlet);
+        let now = outlet.listeners();
         // One who leaves and comes again is somebody new.
         self.listeners = self.listeners.map(|known| known.min(now));
         let is_new = self.listeners.is_some_and(|known| known < now);
@@ -99,7 +99,7 @@ impl Stopping {
 
     /// Says the stop message again. True if it is for somebody new.
     pub(super) fn say_again(&mut self, outlet: &Outlet, service: &str) -> bool {
-        let now = listeners(outlet);
+        let now = outlet.listeners();
         let is_new = self.listeners.is_some_and(|known| known < now);
         if is_new {
             self.listeners = Some(now);
@@ -124,9 +124,4 @@ impl Stopping {
             tracing::error!(service, %error, "THE STOP MESSAGE WAS NOT PUBLISHED");
         }
     }
-}
-
-/// How many listen, over DDS and in shared memory.
-fn listeners(outlet: &Outlet) -> usize {
-    outlet.matched().now().matched + outlet.in_memory().map_or(0, |peers| peers.count())
 }

@@ -3,6 +3,7 @@
 //! Nothing waits for an earlier verdict, and no batch waits to be filled. When the ledger is slower than the topic,
 //! the newest samples replace the oldest that wait, and that is counted.
 
+mod latch;
 mod pace;
 mod publishing;
 
@@ -22,7 +23,11 @@ use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use tokio::{sync::mpsc, time::sleep_until};
 
-use self::{pace::Pace, publishing::Publishing};
+use self::{
+    latch::{KEYS as LATCH_KEYS, Latch},
+    pace::Pace,
+    publishing::Publishing,
+};
 use super::{
     Clocks, Stop,
     calls::Told,
@@ -52,7 +57,7 @@ const IN_FLIGHT_BYTES_MAX: usize = 8 * 1024 * 1024;
 /// A batch takes no more samples beyond this, in bytes.
 const BATCH_BYTES_MAX: usize = 256 * 1024;
 /// Highest `max_rate_hz`.
-const RATE_HZ_MAX: u64 = 10_000;
+pub(crate) const RATE_HZ_MAX: u64 = 10_000;
 /// The own grant is asked for at most this often.
 const REFRESH_EVERY: Duration = Duration::from_millis(500);
 
@@ -62,8 +67,12 @@ pub(super) static KIND: Kind = Kind {
     carries: Interface::Message,
     right: "publish",
     other_end: Role::Publisher,
-    keys: &["batch_max", "max_rate_hz"],
+    keys: &["batch_max", "max_rate_hz", LATCH_KEYS[0], LATCH_KEYS[1]],
     read,
+    discovered: Some(|terms| {
+        let (max_rate_hz, latched) = (terms.max_rate_hz, latch::Terms::default());
+        Arc::new(Settings { batch_max: 1, max_rate_hz, latched, held_only: terms.needs_grant })
+    }),
     silence,
     beside,
 };
@@ -75,6 +84,10 @@ struct Settings {
     batch_max: usize,
     /// Most samples a second; none = any number.
     max_rate_hz: Option<u32>,
+    /// Where the local topic is latched.
+    latched: latch::Terms,
+    /// Is nothing submitted without the grant that the service asks for?
+    held_only: bool,
 }
 
 fn read(section: &mut Section<'_, '_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
@@ -90,7 +103,8 @@ fn read(section: &mut Section<'_, '_>, _sample_bytes_max: usize) -> Arc<dyn Plan
             "one of them: with a rate each sample goes alone".to_owned(),
         );
     }
-    Arc::new(Settings { batch_max: usize::try_from(batch_max).unwrap_or(1), max_rate_hz })
+    let (batch_max, latched) = (usize::try_from(batch_max).unwrap_or(1), latch::Terms::read(section));
+    Arc::new(Settings { batch_max, max_rate_hz, latched, held_only: false })
 }
 
 impl Plan for Settings {
@@ -101,16 +115,18 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = opening;
+        let Opening { route, gateway, local, service, topic, mark, counters, qos, stop, .. } = opening;
         let max_age = Duration::from_millis(service.max_age_ms);
         let door = Arc::new(Door::new(mark, &route.service, max_age, Arc::clone(local.delivered())));
-        let limits = route.limits();
         let (inlet, matched, in_memory) =
-            local.inlet(topic, &route.message, &route.qos, limits, Arc::clone(&door)).await?;
+            local.inlet(topic, &route.message, qos, route.limits(), Arc::clone(&door)).await?;
         counters.opened(&matched, Some(door));
         counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
         let inlet = (inlet, Fit::of(&route.message));
         let opened = ToLedger::open(gateway, &route.service, inlet, self, counters).await?;
+        // A command that is said again would move the robot again.
+        let latch = (!service.is_command()).then(|| Latch::new(self.latched));
+        let opened = ToLedger { withholds: self.held_only, latch, ..opened };
         Ok(Opened { in_memory, running: opened.run(stop).boxed() })
     }
 }
@@ -124,7 +140,7 @@ pub(super) async fn half(
     told: Option<mpsc::UnboundedSender<Told>>,
     counters: Counters,
 ) -> Result<impl FnOnce(Stop) -> BoxFuture<'static, ()> + use<>, Rejection> {
-    let settings = Settings { batch_max: 1, max_rate_hz: None };
+    let settings = Settings { batch_max: 1, max_rate_hz: None, latched: latch::Terms::default(), held_only: false };
     let opened = ToLedger::open(gateway, service, (Inlet::Calls(calls), Fit::none()), &settings, counters).await?;
     Ok(move |stop| ToLedger { told, ..opened }.run(stop).boxed())
 }
@@ -162,6 +178,10 @@ struct ToLedger {
     pace: Pace<Incoming>,
     counters: Counters,
     fit: Fit,
+    /// Does nothing go out while the user holds no grant?
+    withholds: bool,
+    /// What was last said on a latched topic; none for commands.
+    latch: Option<Latch>,
     clocks: Clocks,
     publishing: Publishing,
     /// Where the subscription begins.
@@ -208,6 +228,8 @@ impl ToLedger {
             pace: Pace::new(settings.max_rate_hz),
             counters,
             fit,
+            withholds: false,
+            latch: None,
             clocks: Clocks::start(),
             publishing,
             from_height: height.saturating_add(1),
@@ -235,6 +257,8 @@ impl ToLedger {
         loop {
             let has_room = under_way.len() < IN_FLIGHT_MAX && self.under_way_bytes < IN_FLIGHT_BYTES_MAX;
             let paced = self.pace.due();
+            let follow = self.inlet.to_follow();
+            let again = self.latch.as_ref().filter(|_| self.inlet.is_latched()).and_then(Latch::due);
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break,
@@ -268,12 +292,23 @@ impl ToLedger {
                     }
                 }
                 () = sleep_until(paced.unwrap_or_else(Instant::now).into()), if has_room && paced.is_some() => {
-                    under_way.extend(self.pace.take(Instant::now()).map(|waited| self.submit(waited)));
+                    // The grant may have ended meanwhile.
+                    let waited = self.pace.take(Instant::now()).filter(|_| !self.is_withheld());
+                    under_way.extend(waited.map(|waited| self.submit(waited)));
+                }
+                () = sleep_until(again.unwrap_or_else(Instant::now).into()), if has_room && again.is_some() => {
+                    under_way.extend(self.say_latched());
+                }
+                () = follow => {
+                    if let Some(matched) = self.inlet.follow() {
+                        self.counters.opened_again(&matched);
+                    }
                 }
                 incoming = self.inlet.next(), if has_room => match incoming {
-                    Some(incoming) if self.fits(&incoming) => {
-                        under_way.extend(self.in_its_turn(incoming).map(|now| self.submit(now)));
-                    }
+                    Some(incoming) if self.fits(&incoming) => match self.latch.as_mut().filter(|_| self.inlet.is_latched()) {
+                        Some(latch) => latch.keep(incoming, Instant::now()),
+                        None => under_way.extend(self.in_its_turn(incoming).map(|now| self.submit(now))),
+                    },
                     Some(_) => {}
                     None => {
                         tracing::error!(service = self.publishing.service, "the local topic ended");
@@ -308,7 +343,6 @@ impl ToLedger {
 
     /// Submits a sample, with those that wait behind it up to a batch.
     fn submit(&mut self, first: Incoming) -> BoxFuture<'static, Outcome> {
-        let number = first.sequence;
         let mut bytes = first.sample.wire().len();
         let mut samples = vec![first];
         while samples.len() < self.batch_max && bytes < BATCH_BYTES_MAX {
@@ -319,13 +353,42 @@ impl ToLedger {
             bytes = bytes.saturating_add(next.sample.wire().len());
             samples.push(next);
         }
-        let (id, verdict) = self.gateway.set(self.publishing.call(self.clocks.now().wall, &samples));
+        let received: Vec<Instant> = samples.iter().map(|incoming| incoming.received).collect();
+        self.counters.lock().summary.samples_in += received.len() as u64;
+        self.submit_all(&samples, received, bytes)
+    }
+
+    /// Submits the last samples of a latched topic, all together.
+    fn say_latched(&mut self) -> Option<BoxFuture<'static, Outcome>> {
+        let (latch, now) = (self.latch.as_mut()?, Instant::now());
+        if latch.was_crowded() {
+            let service = &self.publishing.service;
+            tracing::warn!(
+                service,
+                "not all publishers of this latched topic fit into one call: the oldest are left out"
+            );
+        }
+        let samples = latch.take(|source| self.inlet.has_publisher(source), now);
+        if samples.is_empty() {
+            return None;
+        }
+        let bytes = samples.iter().map(|incoming| incoming.sample.wire().len()).sum();
+        let said = vec![now; samples.len()];
+        Some(self.submit_all(&samples, said, bytes))
+    }
+
+    fn submit_all(
+        &mut self,
+        samples: &[Incoming],
+        received: Vec<Instant>,
+        bytes: usize,
+    ) -> BoxFuture<'static, Outcome> {
+        let (id, verdict) = self.gateway.set(self.publishing.call(self.clocks.now().wall, samples));
+        let number = samples.first().map_or(0, |first| first.sequence);
         if let Some(id) = id {
             self.tell(Told::Submitted(number, id));
         }
-        let received: Vec<Instant> = samples.iter().map(|incoming| incoming.received).collect();
         let mut counts = self.counters.lock();
-        counts.summary.samples_in += received.len() as u64;
         counts.summary.submitted += received.len() as u64;
         counts.live.came = Some(Instant::now());
         let replaced = self.inlet.dropped();
@@ -347,8 +410,23 @@ impl ToLedger {
         }
     }
 
-    /// Can the sample be a message of the route's type? One that cannot is counted as refused here and never submitted.
+    /// Is a sample kept back, because the user holds no grant?
+    fn is_withheld(&mut self) -> bool {
+        let withheld = self.withholds && self.publishing.epoch == 0;
+        if withheld {
+            let mut counts = self.counters.lock();
+            counts.summary.samples_in += 1;
+            counts.summary.withheld += 1;
+            counts.live.came = Some(Instant::now());
+        }
+        withheld
+    }
+
+    /// May the sample be submitted, and can it be a message of the route's type? One that cannot is counted as refused here.
     fn fits(&mut self, incoming: &Incoming) -> bool {
+        if self.is_withheld() {
+            return false;
+        }
         let Err(refused) = self.fit.check(&incoming.sample) else { return true };
         let mut counts = self.counters.lock();
         let now = Instant::now();
@@ -381,6 +459,9 @@ impl ToLedger {
             }
             Err(refused) => refused,
         };
+        if let Some(latch) = &mut self.latch {
+            latch.refused(now);
+        }
         count(&mut counts.summary.refused, refused.code.name(), received.len() as u64);
         counts.live.refused = Some((refused.code.name(), line(&refused), now));
         drop(counts);

@@ -10,7 +10,7 @@ use ledger_gate::{
 };
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, watch};
 
 use super::{
     super::{
@@ -52,6 +52,22 @@ pub(super) struct Settings {
     pub(super) points: Topics,
     /// Where it is shown who holds the service.
     pub(super) holder: Option<TopicName>,
+    /// Is a feed read only while somebody listens to it?
+    pub(super) on_demand: bool,
+}
+
+/// A discovered route has the defaults.
+pub(super) fn discovered() -> Arc<dyn Plan> {
+    Arc::new(Settings {
+        max_age: None,
+        stale_after: Duration::from_millis(STALE_MS_DEFAULT),
+        command_timeout: None,
+        side_door: Treatment::Warn,
+        stop: None,
+        points: Topics::default(),
+        holder: None,
+        on_demand: true,
+    })
 }
 
 pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
@@ -66,7 +82,7 @@ pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Ar
     let holder = holder::read(section);
     let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
     let command_timeout = timeout_ms.map(Duration::from_millis);
-    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points, holder })
+    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points, holder, on_demand: false })
 }
 
 impl Plan for Settings {
@@ -92,6 +108,7 @@ pub(in crate::route) async fn half(
         stop: None,
         points: Topics::default(),
         holder: None,
+        on_demand: false,
     };
     let gate = GateSettings {
         network: context.network,
@@ -101,11 +118,13 @@ pub(in crate::route) async fn half(
         command_timeout: None,
     };
     let route = RouteConfig { service: service.service.clone(), ..(*route).clone() };
+    // Nobody follows anybody.
+    let (_none, qos) = watch::channel(route.qos);
     let outlet = async {
         let outlet = local.outlet_for_calls(calls, matched, *mark);
         let points = settings.points.open(local, opening.topic, *mark).await?;
         let holder = Holder::open(None, std::iter::empty(), local, *mark).await?;
-        Ok((outlet, (points, holder), counters))
+        Ok(((outlet, qos), (points, holder), counters))
     };
     let both = (Arc::clone(gateway), Arc::clone(asker));
     let opened = FromLedger::open(both, (route, settings.clone()), gate, service, outlet).await?;
@@ -114,7 +133,7 @@ pub(in crate::route) async fn half(
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, context, local, service, topic, mark, asker, counters, stop } = opening;
+        let Opening { route, gateway, context, local, service, topic, mark, asker, counters, mut qos, stop } = opening;
         let gate = GateSettings {
             network: context.network,
             sample_bytes_max: route.sample_bytes_max,
@@ -123,12 +142,13 @@ impl Settings {
             command_timeout: command_timeout(self.command_timeout, &route.message),
         };
         let outlet = async {
-            let outlet = local.outlet(topic, &route.message, &route.qos, mark).await?;
+            let first = *qos.borrow_and_update();
+            let outlet = local.outlet(topic, &route.message, &first, mark).await?;
             counters.opened(outlet.matched(), None);
             let points = self.points.open(local, topic, mark).await?;
             let taken = self.points.names().chain([topic]);
             let holder = Holder::open(self.holder.as_ref(), taken, local, mark).await?;
-            Ok((outlet, (points, holder), counters))
+            Ok(((outlet, qos), (points, holder), counters))
         };
         let opened = FromLedger::open((gateway, asker), (route.clone(), self.clone()), gate, service, outlet).await?;
         let in_memory = opened.outlet.in_memory();

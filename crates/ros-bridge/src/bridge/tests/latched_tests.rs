@@ -1,0 +1,121 @@
+//! Routes that follow the quality of service of the others on their topic, and latched topics.
+
+use super::*;
+use crate::qos::{Durability, Reliability};
+
+const HOUR_US: u64 = 3_600_000_000;
+
+fn qos(reliability: Reliability, durability: Durability) -> Qos {
+    Qos { reliability, durability, ..Qos::default() }
+}
+
+fn latched() -> Qos {
+    qos(Reliability::Reliable, Durability::TransientLocal)
+}
+
+fn feed(fake: &Fake) {
+    fake.set_direction("feed");
+}
+
+/// The messages of a call of `set`.
+fn payloads(set: &[Bytes]) -> Vec<Bytes> {
+    set[3..].to_vec()
+}
+
+#[tokio::test]
+async fn a_route_hears_a_best_effort_publisher_unless_it_is_set_to_be_reliable() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let best_effort = qos(Reliability::BestEffort, Durability::Volatile);
+    let (topic, message) = names();
+    let route = bench("open", "direction = 'to_ledger'", |_| ()).await;
+    let writer = route.graph.writer(&topic, &message, &best_effort).unwrap();
+    assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+    writer.write(&twist(4)).unwrap();
+    assert_eq!(payloads(&route.sets(1).await[0]), [twist(4).wire().clone()]);
+    drop((writer, route));
+
+    let set = bench("open", "direction = 'to_ledger'\nqos = { reliability = 'reliable' }", |_| ()).await;
+    let writer = set.graph.writer(&topic, &message, &best_effort).unwrap();
+    let refused = async {
+        while writer.matched().now().incompatible == 0 {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    tokio::time::timeout(DEADLINE, refused).await.unwrap();
+    assert_eq!(writer.matched().now().matched, 0);
+}
+
+#[tokio::test]
+async fn what_several_latched_publishers_said_before_the_bridge_came_goes_to_the_ledger_in_one_call() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let (topic, message) = names();
+    let graphs = [Participant::open(DOMAIN, "one").await.unwrap(), Participant::open(DOMAIN, "two").await.unwrap()];
+    let writers = graphs.each_ref().map(|graph| graph.writer(&topic, &message, &latched()).unwrap());
+    for (number, writer) in (1..).zip(&writers) {
+        writer.write(&twist(number)).unwrap();
+    }
+    let bench = bench("open", "direction = 'to_ledger'", feed).await;
+    let both = async |wanted: [u8; 2]| {
+        let mut wanted = wanted.map(|number| twist(number).wire().clone());
+        wanted.sort();
+        let is_last = |sets: &Vec<Vec<Bytes>>| {
+            let mut said = sets.last().map_or_else(Vec::new, |last| payloads(last));
+            said.sort();
+            said == wanted
+        };
+        let mut sets = bench.fake.sets.subscribe();
+        let told = tokio::time::timeout(DEADLINE, sets.wait_for(is_last)).await.is_ok();
+        assert!(told, "{:?}", bench.fake.sets.borrow());
+    };
+    both([1, 2]).await;
+    writers[0].write(&twist(7)).unwrap();
+    both([7, 2]).await;
+}
+
+#[tokio::test]
+async fn commands_of_latched_publishers_go_to_the_ledger_one_by_one_and_are_never_said_again() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("open", "direction = 'to_ledger'", |_| ()).await;
+    let (topic, message) = names();
+    for number in 1..4 {
+        let writer = bench.graph.writer(&topic, &message, &latched()).unwrap();
+        assert!(tokio::time::timeout(DEADLINE, writer.matched().at_least(1)).await.unwrap());
+        writer.write(&twist(number)).unwrap();
+        let sets = bench.sets(usize::from(number)).await;
+        assert_eq!(payloads(sets.last().unwrap()), [twist(number).wire().clone()]);
+    }
+}
+
+#[tokio::test]
+async fn who_comes_late_to_a_latched_feed_hears_what_was_said_last_and_no_made_up_message() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bench = bench("open", "direction = 'from_ledger'", feed).await;
+    let (robot, salma) = (&bench.network.robot, &bench.network.salma);
+    let long_ago = micros() - HOUR_US;
+    let said = |user: &User, seq, number| {
+        let signed = sign(user, 0, seq, &twist(number), long_ago);
+        (signed, user.certificate.clone())
+    };
+    let (last, certificate) = said(robot, 5, 3);
+    bench.fake.keep(400, long_ago, &last, &certificate);
+    // A user publishes on no feed.
+    let (forged, certificate) = said(salma, 9, 6);
+    bench.fake.keep(401, long_ago, &forged, &certificate);
+    let (topic, message) = names();
+    let mut heard = Vec::new();
+    for _ in 0..2 {
+        let mut reader = bench.graph.reader(&topic, &message, &latched(), Limits::default()).unwrap();
+        heard.push(tokio::time::timeout(DEADLINE, reader.next()).await.unwrap().unwrap().sample);
+    }
+    assert_eq!(heard, [twist(3), twist(3)]);
+    bench.until(|route| route.gate.get("not_owner") == Some(&1)).await;
+    assert_eq!(bench.bridge.stop().await.routes[0].published, 1);
+}
