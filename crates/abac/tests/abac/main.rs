@@ -31,6 +31,7 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod starving;
 mod task_ends;
 mod tasks;
 mod together;
