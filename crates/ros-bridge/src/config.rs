@@ -53,7 +53,7 @@ use crate::{
     dds::DOMAIN_MAX,
     discover,
     names::{TopicName, TypeName},
-    qos::{Copied, DEPTH_SAMPLES_MAX, Durability, Qos, Reliability},
+    qos::{Copied, Qos},
     queue::Limits,
     reach,
     route::kind::{KINDS, Kind, Plan},
@@ -307,7 +307,7 @@ fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     section.required("type", TYPE);
     section.parsed("type", TYPE, &mut message, |text| TypeName::parse(text).map(Some));
     let (mut qos, mut copied) = (Qos::default(), Copied::default());
-    section.section("qos", |section| copied = read_qos(section, &mut qos));
+    section.section("qos", |section| copied = qos.read(section));
     let mut sample_bytes_max = Limits::default().sample_bytes_max as u64;
     section.integer("sample_bytes_max", SAMPLE_BYTES_RANGE, &mut sample_bytes_max);
     let sample_bytes_max = usize::try_from(sample_bytes_max).unwrap_or(SAMPLE_BYTES_MAX);
@@ -324,23 +324,6 @@ fn route(section: &mut Section<'_, '_>) -> Option<RouteConfig> {
     }
     let (service, kind, plan, message) = (service?, kind?, plan?, message?);
     Some(RouteConfig { service, kind, plan, topic, message, qos, copied, sample_bytes_max })
-}
-
-/// Answers what is not set.
-fn read_qos(section: &mut Section<'_, '_>, qos: &mut Qos) -> Copied {
-    let (mut reliability, mut durability) = (None, None);
-    section.text("reliability", "\"reliable\" or \"best_effort\"", &mut reliability, |text| {
-        let known = [Reliability::Reliable, Reliability::BestEffort].into_iter();
-        known.map(Some).find(|known| known.is_some_and(|known| known.name() == text))
-    });
-    section.text("durability", "\"volatile\" or \"transient_local\"", &mut durability, |text| {
-        let known = [Durability::Volatile, Durability::TransientLocal].into_iter();
-        known.map(Some).find(|known| known.is_some_and(|known| known.name() == text))
-    });
-    section.integer("depth", 1..=u64::from(DEPTH_SAMPLES_MAX), &mut qos.depth);
-    qos.reliability = reliability.unwrap_or_default();
-    qos.durability = durability.unwrap_or_default();
-    Copied { reliability: reliability.is_none(), durability: durability.is_none() }
 }
 
 /// The stop message that hexadecimal digits stand for.
@@ -360,6 +343,7 @@ pub(crate) fn stop_sample(text: &str, bytes_max: usize) -> Result<Sample, Reject
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::qos::{Durability, Reliability};
 
     const ROUTE: &str = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\n";
 

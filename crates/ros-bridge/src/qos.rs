@@ -3,6 +3,7 @@
 //! Reader and writer match only if the writer offers at least what the reader requests: a reliable
 //! reader does not hear a best-effort writer. Sensors often publish best effort.
 
+use ledger_settings::Section;
 use rustdds::{Duration, QosPolicies, QosPolicyBuilder, policy};
 
 use crate::error::{Error, Explained, Result};
@@ -84,6 +85,23 @@ impl Default for Qos {
 }
 
 impl Qos {
+    /// Reads the settings; answers what is not set.
+    pub(crate) fn read(&mut self, section: &mut Section<'_, '_>) -> Copied {
+        let (mut reliability, mut durability) = (None, None);
+        section.text("reliability", "\"reliable\" or \"best_effort\"", &mut reliability, |text| {
+            let known = [Reliability::Reliable, Reliability::BestEffort].into_iter();
+            known.map(Some).find(|known| known.is_some_and(|known| known.name() == text))
+        });
+        section.text("durability", "\"volatile\" or \"transient_local\"", &mut durability, |text| {
+            let known = [Durability::Volatile, Durability::TransientLocal].into_iter();
+            known.map(Some).find(|known| known.is_some_and(|known| known.name() == text))
+        });
+        section.integer("depth", 1..=u64::from(DEPTH_SAMPLES_MAX), &mut self.depth);
+        self.reliability = reliability.unwrap_or_default();
+        self.durability = durability.unwrap_or_default();
+        Copied { reliability: reliability.is_none(), durability: durability.is_none() }
+    }
+
     /// Checks the ranges; call it after reading a configuration.
     pub fn validate(&self) -> Result<()> {
         if (1..=DEPTH_SAMPLES_MAX).contains(&self.depth) {

@@ -20,14 +20,13 @@ use std::{
 use futures::{
     FutureExt, StreamExt,
     future::{BoxFuture, OptionFuture},
-    stream,
 };
 use ledger_api::{
     Subscription,
     v1::{Delivery, EventRecord},
 };
 use ledger_gate::{
-    ABAC, MSP,
+    ABAC,
     gate::{Passed, Refused, Settings as GateSettings},
     guard::{Act, Block, Guard, SILENT, Told},
     service::Service,
@@ -287,32 +286,6 @@ impl FromLedger {
         let answer = question.await;
         self.question = None;
         answer
-    }
-
-    /// Subscribes to what the ledger tells; to nothing while nobody listens to a feed.
-    fn begin(&self) -> (Deliveries, Deliveries) {
-        if !self.demand.is_there() {
-            return (stream::pending().boxed(), stream::pending().boxed());
-        }
-        let revocations = self.gateway.subscribe(Subscription {
-            from_height: self.next_height,
-            chaincode: MSP.to_owned(),
-            names: vec!["revoked".to_owned()],
-            heartbeat: HEARTBEAT_MS,
-            ..Subscription::default()
-        });
-        (self.subscribe(), revocations)
-    }
-
-    /// Somebody listens, or nobody any more. Nobody told what changed meanwhile: nothing passes until the voters have.
-    fn begin_again(&mut self) -> (Deliveries, Deliveries) {
-        self.next_height = 0;
-        // No message waits: none came.
-        let _none = self.guard.gone(self.clocks.now());
-        if self.demand.is_there() && self.question.is_none() {
-            self.ask();
-        }
-        self.begin()
     }
 
     fn subscribe(&self) -> Deliveries {

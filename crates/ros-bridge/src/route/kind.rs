@@ -37,6 +37,9 @@ pub(crate) static KINDS: [&Kind; 4] =
 // The halves of a route of calls: one submits, and what passes the gate goes to the other.
 pub(super) use super::{from_ledger::half as gated, to_ledger::half as submitted};
 
+/// Makes the settings of a route that was discovered.
+pub(crate) type Discovered = fn(&Terms) -> Arc<dyn Plan>;
+
 /// A kind of route.
 pub(crate) struct Kind {
     /// Its name in the configuration, in the log and in the summary.
@@ -52,7 +55,7 @@ pub(crate) struct Kind {
     /// Reads the settings under these keys; the number is the largest sample of the route, in bytes.
     pub(crate) read: fn(&mut Section<'_, '_>, usize) -> Arc<dyn Plan>,
     /// The settings of a route that was discovered; none if this kind cannot be.
-    pub(crate) discovered: Option<fn(&Terms) -> Arc<dyn Plan>>,
+    pub(crate) discovered: Option<Discovered>,
     /// The words for a cause of silence.
     pub(crate) silence: fn(&Facts<'_>, Cause<'_>) -> Silence,
     /// The warning about an endpoint that does beside this route what the route does.

@@ -20,6 +20,9 @@ use crate::{
     shm,
 };
 
+/// Opens a reader or writer with a quality of service.
+type Open<T> = Box<dyn Fn(&Qos) -> Result<T> + Send + Sync>;
+
 /// Our presence in the local graph: one participant and one origin for all routes, so that nothing a bridge
 /// publishes is taken in by it again.
 #[derive(Clone)]
@@ -125,7 +128,7 @@ pub(crate) enum Inlet {
 pub(crate) struct TopicInlet {
     reader: Reader,
     /// Opens a reader in the place of the one before.
-    open: Box<dyn Fn(&Qos) -> Result<Reader> + Send + Sync>,
+    open: Open<Reader>,
     /// The quality of service that it follows.
     qos: watch::Receiver<Qos>,
     participant: Participant,
@@ -230,11 +233,7 @@ pub(crate) struct Outlet {
 /// The ways out.
 enum To {
     /// To a topic. `open` opens a writer in the place of the one before.
-    Topic {
-        writer: Box<Writer>,
-        open: Box<dyn Fn(&Qos) -> Result<Writer> + Send + Sync>,
-        shm: Option<Box<shm::Publisher>>,
-    },
+    Topic { writer: Box<Writer>, open: Open<Writer>, shm: Option<Box<shm::Publisher>> },
     /// To the other half of a route of calls.
     Calls { calls: mpsc::Sender<Passed>, matched: Matched },
 }

@@ -2,9 +2,13 @@
 
 use std::time::{Duration, Instant};
 
+use futures::{StreamExt, stream};
+use ledger_api::Subscription;
+use ledger_gate::MSP;
 use tokio::time::sleep_until;
 
-use super::super::local::Outlet;
+use super::{super::local::Outlet, FromLedger};
+use crate::{config::HEARTBEAT_MS, gateway::Deliveries};
 
 /// How soon it is noticed that nobody listens any more.
 const LEFT_AFTER: Duration = Duration::from_secs(1);
@@ -52,5 +56,33 @@ impl Demand {
         self.looked = Instant::now();
         let before = std::mem::replace(&mut self.is_there, !self.matters || outlet.listeners() > 0);
         before != self.is_there
+    }
+}
+
+impl FromLedger {
+    /// Subscribes to what the ledger tells; to nothing while nobody listens to a feed.
+    pub(super) fn begin(&self) -> (Deliveries, Deliveries) {
+        if !self.demand.is_there() {
+            return (stream::pending().boxed(), stream::pending().boxed());
+        }
+        let revocations = self.gateway.subscribe(Subscription {
+            from_height: self.next_height,
+            chaincode: MSP.to_owned(),
+            names: vec!["revoked".to_owned()],
+            heartbeat: HEARTBEAT_MS,
+            ..Subscription::default()
+        });
+        (self.subscribe(), revocations)
+    }
+
+    /// Somebody listens, or nobody any more. Nobody told what changed meanwhile: nothing passes until the voters have.
+    pub(super) fn begin_again(&mut self) -> (Deliveries, Deliveries) {
+        self.next_height = 0;
+        // No message waits: none came.
+        let _none = self.guard.gone(self.clocks.now());
+        if self.demand.is_there() && self.question.is_none() {
+            self.ask();
+        }
+        self.begin()
     }
 }
