@@ -68,7 +68,7 @@ pub(crate) fn latest(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejecti
     let args = Arguments::new("latest SERVICE", args, 1, 1)?;
     let target = service::resolve(ctx, args.text(0, "SERVICE")?)?;
     let mut all = last::all(ctx, &target.id)?;
-    all.sort_by(|one, other| other.height.cmp(&one.height));
+    all.sort_by_key(|last| std::cmp::Reverse(last.height));
     all.truncate(LATEST_MAX);
     store::json(&all)
 }
