@@ -19,7 +19,7 @@ const EMERGENCY_AFTER: Duration = Duration::from_secs(1);
 /// It lasts so long.
 const EMERGENCY: Duration = Duration::from_secs(3);
 /// Longest run in which somebody decides.
-const RUN_TIME_MAX: Duration = Duration::from_secs(120);
+const RUN_TIME_MAX: Duration = Duration::from_secs(300);
 /// Longest run in which nobody decides, which may never end, on the whole course.
 const OPEN_TIME_MAX: Duration = Duration::from_secs(30);
 /// How long the robot is watched after the end, until it stands.
