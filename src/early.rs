@@ -37,7 +37,7 @@ impl Early {
         }
     }
 
-    /// What is to be announced of a call that a user of this node has submitted, and against which nothing speaks.
+    /// The announcement of a call that a user of this node has submitted, if it is one to announce. Nothing speaks against it.
     pub(crate) fn foresee(&self, transaction: &Transaction) -> Option<Arc<Foreseen>> {
         self.calls.submitted(&self.ledger, transaction, self.clock.both())
     }

@@ -15,7 +15,7 @@ use tokio::runtime::Runtime;
 use tokio::task::spawn_blocking;
 use tokio::time::{Instant, sleep_until, timeout, timeout_at};
 
-/// Whatever finds nobody for so long has failed.
+/// A party that finds nobody for so long has failed.
 const CONNECT_MAX: Duration = Duration::from_secs(30);
 /// So long after the last sample was due it is waited for.
 const LATE: Duration = Duration::from_secs(3);
@@ -112,8 +112,8 @@ impl Drop for Other {
     }
 }
 
-/// Publishes `count` images of `size` bytes at `hz`, and measures in microseconds from publishing to receiving. What is
-/// missing was not received.
+/// Publishes `count` images of `size` bytes at `hz`, and measures in microseconds from publishing to receiving. Images that are
+/// missing were not received.
 pub(crate) fn run(runtime: &Runtime, from: Party, to: Party, (size, hz, count): (usize, f64, u32)) -> Histogram<u64> {
     latencies(runtime.block_on(async {
         let (topic, message) = (TopicName::parse("/image").unwrap(), TypeName::parse("sensor_msgs/msg/Image").unwrap());
@@ -152,7 +152,7 @@ pub(crate) fn latencies(microseconds: impl IntoIterator<Item = u64>) -> Histogra
     latencies
 }
 
-/// What a subscriber in another process says.
+/// The latencies that a subscriber in another process says.
 fn told(subscriber: &mut Other) -> Vec<u64> {
     let mut latencies = Vec::new();
     while let Some(line) = subscriber.line() {
@@ -161,7 +161,7 @@ fn told(subscriber: &mut Other) -> Vec<u64> {
     latencies
 }
 
-/// What a bridge receives, until all have come or nothing comes any more.
+/// The images that a bridge receives, until all have come or nothing comes any more.
 async fn read(mut reader: Reader, count: u32, time: Duration) -> Vec<u64> {
     let mut latencies = Vec::new();
     let deadline = Instant::now() + CONNECT_MAX + time;

@@ -7,8 +7,8 @@ use ledger_raft::Lane;
 use ledger_replica::gateway::Shares;
 use std::sync::Arc;
 
-/// The turns to read for somebody who asks. An identity has no more of them with many connections, and control is never asked for
-/// here: emergency stops and the like are submitted, and submissions have turns of their own.
+/// The turns to read for somebody who asks. An identity has no more of them with many connections. Control is never asked for here:
+/// it is submitted, and submissions have turns of their own.
 #[derive(Clone)]
 pub(crate) struct Questions {
     turns: Arc<Looks>,
@@ -21,7 +21,7 @@ impl Questions {
         Self { turns: Looks::new(workers), shares: Arc::clone(shares) }
     }
 
-    /// The right to read, until it is dropped; after those of the same identity who wait already. Whoever has it waits for nothing.
+    /// The right to read, until it is dropped; after those of the same identity who wait already. Its holder waits for nothing.
     pub(super) async fn turn(&self, reader: &Identity) -> Look {
         self.turns.turn(Lane::Data, &self.shares.of(reader.id())).await
     }

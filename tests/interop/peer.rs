@@ -70,7 +70,7 @@ fn fast_dds() -> PathBuf {
     program
 }
 
-/// What docs/bridge.md tells those to set who use Fast DDS with large messages.
+/// The profile of docs/bridge.md for Fast DDS with large messages.
 fn profile() -> PathBuf {
     let book = std::fs::read_to_string(source("../../docs/bridge.md")).expect("the page is there");
     let profile = book.split_once("```xml").and_then(|(_, rest)| rest.split_once("```")).expect("a profile is in it").0;

@@ -20,7 +20,7 @@ fn read(file: &Path, words: &[&str]) -> Value {
     serde_json::from_str(&line).unwrap()
 }
 
-/// Publishes a twist that drives so fast; what the ledger answers.
+/// Publishes a twist that drives so fast, and gives the ledger's answer.
 fn drive(user: &Ctl, speed: f64) -> Value {
     user.json(&["publish", "Turtlebot4", &format!("{{linear: {{x: {speed}}}}}")])
 }

@@ -130,7 +130,7 @@ pub struct Engine {
     ended_terms: BTreeMap<u64, u64>,
     /// A node of which this one does not know that it votes has spoken as a leader.
     stranger_leads: bool,
-    /// What this follower has acknowledged last.
+    /// The newest acknowledgement of this follower.
     acknowledged: Acknowledged,
     /// Receipts of the followers, and the means to make own ones.
     receipts: Receipts,

@@ -36,7 +36,7 @@ pub struct Early {
 #[derive(Default)]
 struct Known {
     told: VecDeque<Hash>,
-    /// What each node has passed on in the current second.
+    /// The calls that each node has passed on in the current second.
     passed_on: BTreeMap<u64, Passed>,
 }
 

@@ -31,8 +31,8 @@ use crate::{
     config::SAMPLE_BYTES_RANGE,
     names::TopicName,
     route::{
+        RATE_HZ_MAX,
         kind::{KINDS, Kind},
-        to_ledger::RATE_HZ_MAX,
     },
 };
 

@@ -13,7 +13,7 @@ mod service_server;
 mod side_door;
 pub(crate) mod silence;
 mod stopping;
-pub(crate) mod to_ledger;
+mod to_ledger;
 
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
@@ -21,6 +21,8 @@ use tokio::sync::watch;
 
 use ledger_gate::gate::Now;
 
+/// Highest `max_rate_hz`.
+pub(crate) const RATE_HZ_MAX: u64 = 10_000;
 /// No moment is further away: a hundred years, in microseconds.
 const STEADY_US_MAX: u64 = 100 * 366 * 24 * 3600 * 1_000_000;
 

@@ -48,7 +48,7 @@ impl Table {
         Self { keeper, roster, ending, entries: sync::Mutex::default(), is_closing: AtomicBool::new(false) }
     }
 
-    /// Starts the routes of the configuration. Whoever starts the bridge tells which they are.
+    /// Starts the routes of the configuration. The starter of the bridge tells which they are.
     pub(crate) async fn begin(&self, routes: Vec<RouteConfig>) {
         let mut entries = self.entries.lock().await;
         entries.configured = routes;
@@ -135,7 +135,7 @@ impl Entries {
     fn wanted(&self) -> Vec<RouteConfig> {
         let is_taken = |found: &RouteConfig| {
             self.configured.iter().any(|set| {
-                let same_way = set.service == found.service && set.kind.name == found.kind.name;
+                let same_way = set.service == found.service && std::ptr::eq(set.kind, found.kind);
                 same_way || (set.topic.is_some() && set.topic == found.topic)
             })
         };

@@ -104,7 +104,7 @@ async fn all_go(peer: Peer, stream: Stream) {
     assert!(writer.flush(DEADLINE).await, "{peer:?} has acknowledged everything");
 }
 
-/// Nothing of a best-effort stream is sent again. What comes is whole and in order, and the stream goes on to its end.
+/// Nothing of a best-effort stream is sent again. The images that come are whole and in order, and the stream goes on to its end.
 async fn some_come_and_go(peer: Peer, stream: Stream) {
     let (count, _, size) = stream;
     let last = count - 1;

@@ -52,7 +52,7 @@ fn in_our_graph(mut command: Command) -> Command {
     command
 }
 
-/// What `ros2` says. Warnings of endpoints without a hash of their type would stand on its standard error.
+/// The output of `ros2`. Warnings of endpoints without a hash of their type would stand on its standard error.
 fn ros2(words: &[&str]) -> String {
     let mut command = Command::new("timeout");
     command.args(["60", "ros2"]).args(words);

@@ -12,7 +12,7 @@ const ENDING: &str = "mcap";
 /// The command that takes a file.
 const RECORD: &str = "record";
 
-/// What stands behind `-o`.
+/// The word behind `-o`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Destination {
     /// Results in this form, on standard output.

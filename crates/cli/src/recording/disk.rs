@@ -1,4 +1,4 @@
-//! The file of a recording. What cannot be written whole is taken back, so that the file ends with a whole chunk.
+//! The file of a recording. A part that cannot be written whole is taken back, so that the file ends with a whole chunk.
 
 use ledger_rejection::{Code, Rejection};
 use std::cell::RefCell;
@@ -61,7 +61,7 @@ impl Disk {
         Ok(open.written)
     }
 
-    /// What became of a write. The file is cut behind its last whole chunk.
+    /// The refusal of a write. The file is cut behind its last whole chunk.
     pub(super) fn refused(&self, error: &io::Error) -> Rejection {
         let mut open = self.0.borrow_mut();
         let cut = open.file.take().is_some_and(|file| file.into_parts().0.set_len(open.whole).is_ok());

@@ -16,7 +16,7 @@ pub(crate) struct Source {
     pub(crate) type_name: String,
     /// The encoding of its messages.
     pub(crate) encoding: String,
-    /// Whatever its writer added.
+    /// Everything that its writer added.
     pub(crate) about: BTreeMap<String, String>,
 }
 

@@ -1,4 +1,4 @@
-//! What the ledger says about messages, and its events, as messages of types of our own. A recording has their definitions.
+//! The ledger's words about messages, and its events, as messages of types of our own. A recording has their definitions.
 
 use super::{CDR, DEFINITION, Disk, OWN_PACKAGE};
 use crate::mcap::{Stamp, Writer};

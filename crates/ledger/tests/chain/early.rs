@@ -1,4 +1,4 @@
-//! What readers are told of a call before it is ordered.
+//! Calls of which readers are told before they are ordered.
 
 use super::world::{Caller, NOW, SECOND, World, block};
 use ledger::Ledger;

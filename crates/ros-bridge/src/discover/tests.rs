@@ -1,4 +1,4 @@
-//! What is offered for the robots on a ledger.
+//! Routes that are offered for the robots on a ledger.
 #![expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 
 use std::path::Path;

@@ -206,8 +206,8 @@ impl Inlet {
         }
     }
 
-    /// Reads with the quality of service that meets the others; answers who they are now. What the reader before has heard
-    /// is lost with it, unless it was taken.
+    /// Reads with the quality of service that meets the others; answers who they are now. Samples that the reader before
+    /// has heard are lost with it, unless they were taken.
     pub(crate) fn follow(&mut self) -> Option<Matched> {
         let Self::Topic(topic) = self else { return None };
         topic.follow();

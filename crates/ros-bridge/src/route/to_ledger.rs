@@ -29,7 +29,7 @@ use self::{
     publishing::Publishing,
 };
 use super::{
-    Clocks, Stop,
+    Clocks, RATE_HZ_MAX, Stop,
     calls::Told,
     kind::{Beside, Kind, Opened, Opening, Plan},
     local::Inlet,
@@ -56,8 +56,6 @@ const IN_FLIGHT_MAX: usize = 256;
 const IN_FLIGHT_BYTES_MAX: usize = 8 * 1024 * 1024;
 /// A batch takes no more samples beyond this, in bytes.
 const BATCH_BYTES_MAX: usize = 256 * 1024;
-/// Highest `max_rate_hz`.
-pub(crate) const RATE_HZ_MAX: u64 = 10_000;
 /// The own grant is asked for at most this often.
 const REFRESH_EVERY: Duration = Duration::from_millis(500);
 
@@ -180,7 +178,7 @@ struct ToLedger {
     fit: Fit,
     /// Does nothing go out while the user holds no grant?
     withholds: bool,
-    /// What was last said on a latched topic; none for commands.
+    /// The last samples of a latched topic; none for commands.
     latch: Option<Latch>,
     clocks: Clocks,
     publishing: Publishing,

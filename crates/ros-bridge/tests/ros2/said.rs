@@ -1,4 +1,4 @@
-//! What `ros2` prints.
+//! The output of `ros2`.
 
 /// An endpoint in the output of `ros2 topic info -v`.
 #[derive(Debug, PartialEq, Eq)]

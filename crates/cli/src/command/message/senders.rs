@@ -28,7 +28,7 @@ impl<'a> Senders<'a> {
     /// Checks the signature and names the signer. A stream shows each certificate once, with the first transaction of its owner.
     ///
     /// # Errors
-    /// [`Code::UnknownCreator`] without a certificate; what is wrong with it; [`Code::BadSignature`].
+    /// [`Code::UnknownCreator`] without a certificate; the fault of the certificate; [`Code::BadSignature`].
     pub(crate) fn check(&mut self, transaction: &Transaction, certificate: &[u8]) -> Result<&Identity, Rejection> {
         let creator = transaction.creator();
         if Hash::of(&[certificate]) == creator && !self.known.contains_key(&creator) {

@@ -1,4 +1,4 @@
-//! What was recorded, for people and programs.
+//! The end of a recording, for people and programs.
 
 use crate::output::{Facts, Table, printable};
 use crate::time;

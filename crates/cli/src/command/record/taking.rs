@@ -87,7 +87,7 @@ impl<'a> Taking<'a> {
     /// Takes down the events of a block.
     ///
     /// # Errors
-    /// [`Code::BadFile`] if the file cannot be written; what is wrong with a signature or its certificate.
+    /// [`Code::BadFile`] if the file cannot be written; the fault of a signature or of its certificate.
     pub(super) fn take(&mut self, delivery: &v1::Delivery) -> Result<(), Rejection> {
         self.counts.height = self.counts.height.max(delivery.height);
         let block = hex::encode(&delivery.block_hash);

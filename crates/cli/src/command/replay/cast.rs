@@ -166,7 +166,7 @@ impl Part {
     }
 }
 
-/// Is it a channel of messages of ROS 2? What recordings say about the ledger is for readers, not for robots.
+/// Is it a channel of messages of ROS 2? Channels about the ledger are for readers, not for robots.
 fn is_ros(source: &Source) -> bool {
     let package = source.type_name.split('/').next().unwrap_or_default();
     source.encoding == CDR && !package.is_empty() && package != OWN_PACKAGE

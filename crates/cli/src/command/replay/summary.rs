@@ -1,4 +1,4 @@
-//! What was replayed, for people and programs.
+//! The end of a replay, for people and programs.
 
 use crate::output::{Facts, Table};
 use serde::Serialize;
