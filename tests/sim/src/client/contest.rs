@@ -79,7 +79,7 @@ impl World {
 
     /// The act of the owner of the robots about who wins, if there is one.
     pub(super) fn rule_contests(&mut self) -> Option<Call> {
-        if !self.contends(30) {
+        if !self.contends(if self.plan.tasks { 60 } else { 30 }) {
             return None;
         }
         if let Some(call) = self.rule_readers() {
@@ -107,7 +107,7 @@ impl World {
 
     /// The wish of a user for a service where there may be a line, if it has one.
     pub(super) fn contend(&mut self, number: usize) -> Option<Call> {
-        if !self.contends(35) {
+        if !self.contends(if self.plan.tasks { 75 } else { 35 }) {
             return None;
         }
         if let Some(call) = self.toil(number).or_else(|| self.subscribe(number)) {

@@ -26,7 +26,7 @@ const TERMS: [Terms; 6] = [
 impl World {
     /// The act of the owner about readers, if there is one.
     pub(super) fn rule_readers(&mut self) -> Option<Call> {
-        if !self.plan.tasks || !self.random.contests.percent(30) {
+        if !self.plan.tasks || !self.random.contests.percent(40) {
             return None;
         }
         let random = &mut self.random.contests;
@@ -45,7 +45,7 @@ impl World {
 
     /// The wish of a user to read, if it has one.
     pub(super) fn subscribe(&mut self, number: usize) -> Option<Call> {
-        if !self.plan.tasks || !self.random.contests.percent(40) {
+        if !self.plan.tasks || !self.random.contests.percent(60) {
             return None;
         }
         let holds = self.clients[number].grants.get(PLACES).copied();

@@ -59,7 +59,7 @@ impl World {
         let chosen = if random.percent(85) { &own } else { &any };
         let task = random.pick(chosen).copied();
         Some(match (random.below(100), task) {
-            (0..=54, Some(Heard { id, reached, total, .. })) => {
+            (0..=69, Some(Heard { id, reached, total, .. })) => {
                 // Mostly one more than before; now and then as many, fewer, or more than there are.
                 let next = match random.below(12) {
                     0 => *reached,
@@ -69,9 +69,9 @@ impl World {
                 };
                 Call::Progress { id: *id, reached: next }
             }
-            (55..=57, Some(Heard { id, .. })) => Call::Fail { id: *id },
-            (58..=62, Some(Heard { id, .. })) => Call::Cancel { id: *id },
-            (63, _) => Call::Cancel { id: random.below(200) },
+            (70..=72, Some(Heard { id, .. })) => Call::Fail { id: *id },
+            (73..=77, Some(Heard { id, .. })) => Call::Cancel { id: *id },
+            (78, _) => Call::Cancel { id: random.below(200) },
             _ => {
                 let service = random.pick(&CONTESTED).copied().unwrap_or(CONTESTED[0]).to_owned();
                 let points: Vec<_> =
