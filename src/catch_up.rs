@@ -7,6 +7,7 @@
 //! catch_up     carries out what the machine says
 //!   ask        asks the other nodes what they have, when the node starts and later
 //!   blocks     streams of blocks, and block hashes
+//!   receipt    receipts between nodes
 //!   snapshot   manifests and chunks
 //!   serve      the other side: what this node gives to those that ask
 //! ```
@@ -16,6 +17,7 @@
 
 mod ask;
 mod blocks;
+mod receipt;
 mod serve;
 mod snapshot;
 
@@ -29,6 +31,7 @@ use ask::{Answers, Contact};
 use ledger::Ledger;
 use ledger_api::v1::BlockEntries;
 use ledger_hash::Hash;
+use ledger_raft::ReceiptKey;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Executor;
 use ledger_replica::catch_up::{self, ASK_TIME_MAX, Ballot, Batch, Behind, Caught, Got, Todo};
@@ -78,6 +81,8 @@ pub(crate) struct CatchUp {
     pub dialer: Dialer,
     /// Whether the node may vote.
     pub ballot: Ballot,
+    /// Knows this node's own receipts again.
+    pub receipts: ReceiptKey,
     /// Set when the node stops.
     pub stopping: watch::Receiver<bool>,
 }

@@ -18,7 +18,7 @@ use crate::instance::Fate;
 use crate::peers::{Dialer, Member};
 use confirmed::Confirmed;
 use ledger::Ledger;
-use ledger_raft::PeerMessage;
+use ledger_raft::{PeerMessage, Receipt};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Behind;
 use ledger_replica::company::{self, Follows, Place, Point, Said};
@@ -67,9 +67,9 @@ impl Company {
         self.machine().own(height).ok().flatten()
     }
 
-    /// The height that a voter has confirmed; 0 if nothing is known.
-    pub(crate) fn confirmed(&self, id: u64) -> u64 {
-        self.machine().confirmed().get(&id).copied().unwrap_or_default()
+    /// The newest receipt of a voter, for a height that it has confirmed.
+    pub(crate) fn confirmed(&self, id: u64) -> Option<Receipt> {
+        self.machine().confirmed().get(&id).cloned()
     }
 
     /// Is this a request for a vote that this node must not give?

@@ -1,5 +1,6 @@
 //! The blocks of the other nodes.
 
+use super::receipt::from_wire;
 use super::{Bootstrap, CatchUp};
 use crate::peers::{Dialer, Member};
 use futures::StreamExt;
@@ -9,7 +10,7 @@ use ledger_api::v1::peer_client::PeerClient;
 use ledger_api::v1::{ChainRequest, ChainResponse};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
-use ledger_replica::catch_up::{ASK_TIME_MAX, Heard, Holding, Look, Stage, Who};
+use ledger_replica::catch_up::{ASK_TIME_MAX, Heard, Holding, Look, Own, RECEIPTS_MAX, Stage, Who};
 use ledger_replica::company::Point;
 use std::time::Duration;
 use tokio::time::{Instant, timeout};
@@ -45,9 +46,12 @@ impl CatchUp {
     pub(crate) async fn look(&self, election_time: u64) -> Result<(Vec<Holding>, Open), Rejection> {
         let members = self.directory.members();
         let answers = self.question(&members);
-        let voters = members.iter().filter(|member| member.votes()).map(|member| member.id).collect();
-        let (last, asked) = (self.into.log.store.last_index(), answers.len());
-        let look = Look::new((0, self.dialer.me), voters, last, asked, election_time, self.ballot.clone());
+        let voters = members.iter().filter(|member| member.votes());
+        let voters = voters.map(|member| (member.id, member.organisation.clone())).collect();
+        let (store, asked) = (&self.into.log.store, answers.len());
+        let (term, last, key) = (store.hard_state().term, store.last_index(), self.receipts.clone());
+        let own = Own { id: self.dialer.me, voters, term, last, key };
+        let look = Look::new(0, own, asked, election_time, self.ballot.clone());
         let (mut open, mut offers) = (Open { answers, look, asked: Instant::now() }, Vec::new());
         while open.look.stage() == Stage::Asking {
             offers.extend(open.hear().await?);
@@ -167,7 +171,9 @@ fn holding(chain: &ChainResponse) -> Holding {
         first_height: chain.first_height,
         snapshot_height: chain.snapshot_height,
         yours: chain.yours,
+        receipts: chain.receipts.iter().take(RECEIPTS_MAX).map(from_wire).collect(),
         you_vote: chain.you_vote,
+        receipt: chain.receipt.as_ref().map(from_wire),
     }
 }
 

@@ -1,6 +1,7 @@
 //! The other side: what this node gives to nodes that catch up.
 
 use super::blocks::to_wire;
+use super::receipt;
 use crate::blocks::Blocks;
 use crate::company::Company;
 use crate::orderer::Seat;
@@ -13,6 +14,7 @@ use ledger_api::v1::{
     WritesResponse,
 };
 use ledger_hash::Hash;
+use ledger_raft::ReceiptKey;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::{Holding, store_holds};
 use ledger_replica::company::Point;
@@ -42,22 +44,39 @@ pub(crate) struct Source {
     blocks: Arc<Blocks>,
     seat: Arc<Seat>,
     company: Arc<Company>,
+    /// Makes receipts for what this node holds.
+    receipts: ReceiptKey,
     streams: Arc<Semaphore>,
 }
 
 impl Source {
     /// Gives what is in the node's stores.
-    pub(crate) fn new(stores: &Stores, blocks: Arc<Blocks>, seat: Arc<Seat>, company: Arc<Company>) -> Self {
+    pub(crate) fn new(
+        (stores, receipts): (&Stores, ReceiptKey),
+        blocks: Arc<Blocks>,
+        seat: Arc<Seat>,
+        company: Arc<Company>,
+    ) -> Self {
         let Stores { ledger, store, snapshots, .. } = stores.clone();
-        Self { ledger, store, snapshots, blocks, seat, company, streams: Arc::new(Semaphore::new(STREAMS_MAX)) }
+        Self {
+            ledger,
+            store,
+            snapshots,
+            blocks,
+            seat,
+            company,
+            receipts,
+            streams: Arc::new(Semaphore::new(STREAMS_MAX)),
+        }
     }
 
     /// The blocks of this node, and its knowledge of the asking one. That is no member if none is given.
     pub(crate) fn chain(&self, asking: Option<&Member>, request: &ChainRequest) -> ChainResponse {
         let stores = (&*self.ledger, &*self.store, &*self.snapshots);
         let id = asking.map_or(0, |asking| asking.id);
-        let Holding { height, first_height, snapshot_height, yours, you_vote } =
-            Holding::of(stores, self.seat.status().as_ref(), id);
+        let confirmed = self.company.confirmed(id);
+        let has = Holding::of(stores, self.seat.status().as_ref(), (id, confirmed.as_ref()), &self.receipts);
+        let Holding { height, first_height, snapshot_height, yours, receipts, you_vote, receipt } = has;
         let told = Hash::from_slice(&request.block_hash).zip(Hash::from_slice(&request.digest));
         if let (Some(asking), Some((hash, digest))) = (asking, told) {
             self.company.told(asking, Point { height: request.height, hash, digest });
@@ -74,8 +93,10 @@ impl Source {
             height,
             term: self.store.term(height).unwrap_or_default(),
             snapshot_height,
-            yours: yours.max(self.company.confirmed(id)),
+            yours,
             you_vote,
+            receipts: receipts.into_iter().map(receipt::to_wire).collect(),
+            receipt: receipt.map(receipt::to_wire),
         }
     }
 

@@ -27,7 +27,7 @@ use crate::witness::{Seen, Testimony, Witness};
 use bytes::Bytes;
 use ledger::Ledger;
 use ledger_api::tls::{TlsIdentity, TrustSource};
-use ledger_raft::{Input, PeerMessage, Secret};
+use ledger_raft::{Input, PeerMessage, ReceiptKey, Secret};
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::catch_up::Ballot;
 use ledger_replica::certifier::Certifier;
@@ -121,6 +121,11 @@ impl Wired {
     pub(super) fn secret(&self) -> Secret {
         let purpose = [&b"ledgerd receipts v1\0"[..], &self.stores.ledger.network().0].concat();
         Secret(self.identity.own().key.secret_for(&purpose))
+    }
+
+    /// Makes this node's receipts, and knows them again.
+    fn receipts(&self) -> ReceiptKey {
+        ReceiptKey::new(self.me.id, &self.secret())
     }
 
     /// Makes the parts and tells them of each other. Answers also with the attestations that they will have seen, and with
@@ -331,7 +336,8 @@ impl Wired {
         let Engines { executor, log, outside, .. } = self.engines.clone();
         let into = Destination { log, executor, snapshots: Arc::clone(&self.stores.snapshots) };
         let (seat, dialer) = (Arc::clone(&self.links.seat), self.dialer.clone());
-        CatchUp { bootstrap, into, directory: outside.directory, fate: outside.fate, seat, dialer, ballot, stopping }
+        let (directory, fate, receipts) = (outside.directory, outside.fate, self.receipts());
+        CatchUp { bootstrap, into, directory, fate, seat, dialer, ballot, receipts, stopping }
     }
 
     pub(super) fn housekeeping(&self, pruner: Pruner) -> io::Result<Housekeeping> {
@@ -342,8 +348,8 @@ impl Wired {
     pub(super) fn peer_service(&self, votes: Ballot) -> PeerService<Deliver> {
         let Links { seat, directory, peers, .. } = self.links.clone();
         let company = Arc::clone(&self.followers.company);
-        let source =
-            Source::new(&self.stores, Arc::clone(&self.followers.blocks), Arc::clone(&seat), Arc::clone(&company));
+        let (stores, blocks) = ((&self.stores, self.receipts()), Arc::clone(&self.followers.blocks));
+        let source = Source::new(stores, blocks, Arc::clone(&seat), Arc::clone(&company));
         let (certificates, early) = (Arc::clone(&self.followers.certificates), Arc::clone(&self.early));
         let deliver: Deliver = Box::new(move |from, message| {
             let message = match message {

@@ -243,8 +243,13 @@ async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_
     assert_eq!(at(&fleet, &owner, 2).await.status().await.unwrap().height, 0);
     learner.interrupt();
 
-    // Now somebody could, and does not.
-    voters[0] = fleet.nodes[0].start();
+    // Now somebody could, and does not. Nobody leads before the learner has asked: a leader would mend the forged chain.
+    voters[1].interrupt();
+    for place in &fleet.nodes[..2] {
+        place.configure("[order]\nelection_ticks = 100");
+    }
+    voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    drop(at(&fleet, &owner, 1).await);
     drop(at(&fleet, &owner, 0).await);
     learner = fleet.nodes[2].start();
     let (one, follower) = (at(&fleet, &owner, 0).await, at(&fleet, &owner, 2).await);

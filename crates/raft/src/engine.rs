@@ -20,7 +20,7 @@ mod time;
 pub use config::{EngineConfig, EngineError};
 pub use doubt::ClockDoubt;
 pub use mandate::{Ballot, Ballots};
-pub use receipt::Secret;
+pub use receipt::{Receipt, ReceiptKey, Secret};
 pub use status::{PeerStatus, Replication, Status};
 pub use time::TIME_AHEAD_MAX;
 

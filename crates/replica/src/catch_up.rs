@@ -23,8 +23,8 @@ mod look;
 mod offer;
 
 pub use batch::Batch;
-pub use look::{ASK_TIME_MAX, Ballot, Heard, Look, Stage};
-pub use offer::{Holding, Offer, Who, is_far_behind, is_known, store_holds};
+pub use look::{ASK_TIME_MAX, Ballot, Heard, Look, Own, Stage};
+pub use offer::{Holding, Offer, RECEIPTS_MAX, Who, is_far_behind, is_known, store_holds};
 
 use crate::replica::FULL_DISK_PAUSE;
 use crate::trust::{Attested, Trial};

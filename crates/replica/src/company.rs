@@ -17,7 +17,7 @@ use crate::REJOIN;
 use crate::catch_up::{Behind, Holding, Who};
 use ledger::Ledger;
 use ledger_hash::Hash;
-use ledger_raft::{PeerMessage, RaftKind};
+use ledger_raft::{PeerMessage, RaftKind, Receipt};
 use ledger_rejection::{Code, Rejection};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -107,8 +107,8 @@ pub struct Company<C> {
     chain: C,
     /// Of this node.
     organisation: String,
-    /// The greatest height that each voter has confirmed.
-    confirmed: BTreeMap<u64, u64>,
+    /// The greatest height that each voter has confirmed, with the receipt that it gave for it.
+    confirmed: BTreeMap<u64, Receipt>,
     differing: BTreeMap<u64, Differs>,
     /// Voters that hold less than they had confirmed.
     lost: BTreeMap<u64, String>,
@@ -116,7 +116,7 @@ pub struct Company<C> {
 
 impl<C: Chain> Company<C> {
     /// Of a node with this chain and of this organisation, which remembers what voters have confirmed.
-    pub fn new(chain: C, organisation: &str, confirmed: BTreeMap<u64, u64>) -> Self {
+    pub fn new(chain: C, organisation: &str, confirmed: BTreeMap<u64, Receipt>) -> Self {
         let (differing, lost) = Default::default();
         Self { chain, organisation: organisation.to_owned(), confirmed, differing, lost }
     }
@@ -130,7 +130,7 @@ impl<C: Chain> Company<C> {
     }
 
     /// The heights that voters have confirmed, to be kept.
-    pub fn confirmed(&self) -> &BTreeMap<u64, u64> {
+    pub fn confirmed(&self) -> &BTreeMap<u64, Receipt> {
         &self.confirmed
     }
 
@@ -138,7 +138,7 @@ impl<C: Chain> Company<C> {
     pub fn withholds(&self, from: u64, message: &PeerMessage) -> bool {
         let votes = [RaftKind::Vote, RaftKind::PreVote].map(|kind| kind as i32);
         let PeerMessage::Raft(message) = message else { return false };
-        votes.contains(&message.kind) && self.confirmed.get(&from).is_some_and(|had| message.index < *had)
+        votes.contains(&message.kind) && self.confirmed.get(&from).is_some_and(|had| message.index < had.index)
     }
 
     /// A node told its own chain when it asked, or attested it. It is compared, shown and logged.
@@ -179,7 +179,7 @@ impl<C: Chain> Company<C> {
         self.confirmed.retain(|id, _| place.voters.contains_key(id));
         for Said { who, has, at, .. } in said {
             if place.voters.contains_key(&who.id) {
-                self.note_height(who, has.height);
+                self.note_height(who, has);
             }
             if let Some(at) = at {
                 self.told(who.id, &who.name, *at)?;
@@ -192,13 +192,16 @@ impl<C: Chain> Company<C> {
         self.judge(said, place, asked)
     }
 
-    fn note_height(&mut self, who: &Who, height: u64) {
-        let had = self.confirmed.entry(who.id).or_default();
-        if height >= *had {
-            *had = height;
+    fn note_height(&mut self, who: &Who, has: &Holding) {
+        let height = has.height;
+        let confirmed = self.confirmed.entry(who.id).or_default();
+        if height >= confirmed.index {
+            let receipt = has.receipt.as_ref().filter(|receipt| (receipt.term, receipt.index) == (0, height));
+            *confirmed = receipt.cloned().unwrap_or(Receipt { index: height, ..Receipt::default() });
             self.lost.remove(&who.id);
             return;
         }
+        let had = confirmed.index;
         let text = format!("{} holds blocks up to height {height}, and had confirmed {had}", who.name);
         if self.lost.insert(who.id, text).is_none() {
             tracing::error!(voter = who.name, height, confirmed = had, "a voter has lost blocks that it had confirmed");
@@ -302,7 +305,7 @@ fn removed(said: &[Said], place: &Place, own: &str, height: u64) -> Option<Behin
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use ledger_raft::RaftMessage;
+    use ledger_raft::{RaftMessage, ReceiptKey, Secret};
 
     fn point(height: u64, hash: u8, digest: u8) -> Point {
         Point { height, hash: Hash([hash; 32]), digest: Hash([digest; 32]) }
@@ -323,7 +326,12 @@ mod tests {
 
     fn said(id: u64, organisation: &str, height: u64, at: Option<Point>) -> Said {
         let who = Who { id, organisation: organisation.into(), name: format!("{organisation}/{id}"), vouched: false };
-        Said { who, has: Holding { height, ..Holding::default() }, at, stranger: false }
+        let has = Holding { height, receipt: Some(confirmed(height)), ..Holding::default() };
+        Said { who, has, at, stranger: false }
+    }
+
+    fn confirmed(index: u64) -> Receipt {
+        ReceiptKey::new(2, &Secret::default()).committed(index)
     }
 
     fn place(voters: &[(u64, &str)]) -> Place {
@@ -374,7 +382,7 @@ mod tests {
     #[test]
     fn a_voter_that_holds_less_than_it_had_confirmed_is_shown_until_it_has_it_again() {
         let place = place(&[(1, "Org1"), (2, "Org2"), (3, "Org1")]);
-        let mut company = Company::new(own(100), "Org1", BTreeMap::from([(7, 9)]));
+        let mut company = Company::new(own(100), "Org1", BTreeMap::from([(7, confirmed(9))]));
         for (height, shown) in
             [(80, ""), (90, ""), (60, "Org2/2 holds blocks up to height 60, and had confirmed 90"), (95, "")]
         {
@@ -382,7 +390,7 @@ mod tests {
             assert_eq!(company.heard(&said, &place, None).unwrap(), Follows::Nothing);
             assert_eq!(company.describe(), shown, "{height}");
         }
-        assert_eq!(company.confirmed(), &BTreeMap::from([(2, 95)]), "one that votes no longer is forgotten");
+        assert_eq!(company.confirmed(), &BTreeMap::from([(2, confirmed(95))]), "one that votes no longer is forgotten");
     }
 
     #[test]
@@ -411,7 +419,7 @@ mod tests {
 
     #[test]
     fn a_voter_that_holds_less_than_it_had_confirmed_gets_no_vote() {
-        let confirmed = BTreeMap::from([(2, 200)]);
+        let confirmed = BTreeMap::from([(2, confirmed(200))]);
         let company = Company::new(own(9), "Org1", confirmed);
         let message = |kind: RaftKind, index| {
             PeerMessage::Raft(RaftMessage { kind: kind as i32, index, ..RaftMessage::default() })

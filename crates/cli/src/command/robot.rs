@@ -11,7 +11,7 @@ use crate::session::{self, ABAC, Session};
 use crate::words::Words;
 use crate::{json, time};
 use bytes::Bytes;
-use ledger_contract::{Direction, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
+use ledger_contract::{Direction, OnConflict, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
 use serde::Serialize;
 use serde_json::value::RawValue;
 use std::io::{self, Write};
@@ -155,7 +155,7 @@ impl Serialize for Robots {
 impl Facts for Robots {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table =
-            Table::new(["SERVICE", "TYPE", "MODE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES", "WAITING"]);
+            Table::new(["SERVICE", "TYPE", "RULE", "OWNER", "REQUIRES", "HOLDER", "EPOCH", "EXPIRES", "WAITING"]);
         for robot in &self.0 {
             for service in &robot.services {
                 let expires =
@@ -163,7 +163,7 @@ impl Facts for Robots {
                 table.row([
                     service.service.clone(),
                     service.type_name.clone(),
-                    service.mode.to_string(),
+                    rule(service),
                     robot.organisation.clone(),
                     robot.attribute_required.clone(),
                     holders(robot, service),
@@ -175,13 +175,21 @@ impl Facts for Robots {
                     let readers = if service.readers.is_empty() { "-".to_owned() } else { service.readers.join(", ") };
                     let mut cells = [const { String::new() }; 9];
                     cells[0] = ledger_contract::readers(&service.service);
-                    cells[2] = service.mode.to_string();
+                    cells[2] = rule(service);
                     cells[5] = readers;
                     table.row(cells);
                 }
             }
         }
         table.write(out, 0)
+    }
+}
+
+/// The mode of a service, and the treatment of a contender without a free place if it is not simply refused.
+fn rule(service: &ServiceState) -> String {
+    match &service.sharing.on_conflict {
+        Some(on_conflict) if *on_conflict != OnConflict::Deny => format!("{}, {on_conflict}", service.mode),
+        _ => service.mode.to_string(),
     }
 }
 
@@ -258,12 +266,18 @@ mod tests {
     fn the_list_says_who_holds_what_until_when() {
         let robots = Robots(vec![serde_json::from_str(ASSET).unwrap()], 1_000_000);
         let wanted = "\
-SERVICE             TYPE                     MODE       OWNER  REQUIRES         HOLDER      EPOCH  EXPIRES  WAITING
+SERVICE             TYPE                     RULE       OWNER  REQUIRES         HOLDER      EPOCH  EXPIRES  WAITING
 Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  Org1/Salma  3      in 10 s
 ";
         assert_eq!(text(&robots), wanted);
         let json: serde_json::Value = serde_json::to_value(&robots).unwrap();
         assert_eq!(json.as_array().unwrap().len(), 1);
+        for (on_conflict, rule) in [("queue", "  exclusive, queue  "), ("deny", "  exclusive  ")] {
+            let sharing = format!(r#""sharing":{{"on_conflict":"{on_conflict}"}},"holder":"#);
+            let robots =
+                Robots(vec![serde_json::from_str(&ASSET.replace(r#""holder":"#, &sharing)).unwrap()], 1_000_000);
+            assert!(text(&robots).contains(rule), "{}", text(&robots));
+        }
     }
 
     #[test]

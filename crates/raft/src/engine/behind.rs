@@ -53,11 +53,9 @@ impl Engine {
     /// that it had acknowledged. Within a term nothing that was acknowledged is replaced (Raft §5.3, leader append-only), and
     /// nobody else can make the receipt.
     pub(super) fn has_lost_blocks(&self, message: &RaftMessage) -> Option<u64> {
-        let acknowledged = message.receipt_index;
-        let shown = message.kind == i32::from(RaftKind::Heartbeat)
-            && message.term >= self.raw.raft.term
-            && acknowledged > self.raw.raft.raft_log.last_index();
-        (shown && self.receipts.are_own(message)).then_some(acknowledged)
+        let (term, last) = (self.raw.raft.term, self.raw.raft.raft_log.last_index());
+        let shown = message.kind == i32::from(RaftKind::Heartbeat) && self.receipts.show_loss(message, term, last);
+        shown.then_some(message.receipt_index)
     }
 
     /// A learner has promised nothing to anybody and may fetch what it lost. A voter has helped to commit by keeping

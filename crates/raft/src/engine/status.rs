@@ -1,6 +1,6 @@
 //! How an engine stands.
 
-use super::Engine;
+use super::{Engine, Receipt};
 use crate::interface::RoleChange;
 use crate::queue::QueueStatus;
 use ledger::members::Membership;
@@ -26,6 +26,7 @@ impl Engine {
                     next: progress.next_idx,
                     replication: replication(progress.state),
                     recently_active: self.is_active(*node),
+                    receipt: self.receipts.given(*node),
                 })
                 .collect(),
             _ => Vec::new(),
@@ -87,7 +88,7 @@ pub struct Status {
 }
 
 /// One peer as the leader sees it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PeerStatus {
     /// The peer.
     pub node: u64,
@@ -99,6 +100,8 @@ pub struct PeerStatus {
     pub replication: Replication,
     /// It was heard of within the last (shortest) election timeout.
     pub recently_active: bool,
+    /// Its newest receipt of this term.
+    pub receipt: Option<Receipt>,
 }
 
 /// How entries are sent to a peer.

@@ -17,6 +17,7 @@ fn leader(voters: &[u64], learners: &[u64]) -> Status {
             next: 5001,
             replication: Replication::Streaming,
             recently_active: true,
+            receipt: None,
         })
         .collect();
     Status {

@@ -4,13 +4,15 @@ use crate::REJOIN;
 use crate::trust::given;
 use ledger::Ledger;
 use ledger::msp::{self, NodeRole};
-use ledger_raft::Status;
+use ledger_raft::{Receipt, ReceiptKey, Status};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::block_store::BlockStore;
 use ledger_storage::snapshot::Snapshots;
 
 /// A node that lacks no more blocks than this leaves it to replication.
 const LAG_MIN: u64 = 1000;
+/// Most receipts in one answer: one of the leader, one of a node that keeps what voters have confirmed.
+pub const RECEIPTS_MAX: usize = 2;
 
 /// A node that was asked.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -26,7 +28,7 @@ pub struct Who {
 }
 
 /// The blocks that a node says it has, and its snapshot.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Holding {
     /// Its newest block that is committed and durable.
     pub height: u64,
@@ -34,10 +36,14 @@ pub struct Holding {
     pub first_height: u64,
     /// The snapshot that it gives; 0 if it has none.
     pub snapshot_height: u64,
-    /// The height that it knows the asking node to have had.
+    /// The height that it says the asking node to have had. A claim, without a proof.
     pub yours: u64,
+    /// Receipts of the asking node, which that node itself can check: at most [`RECEIPTS_MAX`].
+    pub receipts: Vec<Receipt>,
     /// It knows the asking node as a voter.
     pub you_vote: bool,
+    /// Its own receipt for its newest block, for whoever keeps it.
+    pub receipt: Option<Receipt>,
 }
 
 /// The blocks of one node, and how to reach it.
@@ -53,21 +59,33 @@ pub struct Offer<P> {
 
 impl Holding {
     /// The answer of a node with these stores to the node `asking`. `status`: how ordering stands there, if it does.
+    /// `confirmed`: what it remembers of the asking node. `key`: makes its own receipts.
     pub fn of(
         (ledger, store, snapshots): (&Ledger, &BlockStore, &Snapshots),
         status: Option<&Status>,
-        asking: u64,
+        (asking, confirmed): (u64, Option<&Receipt>),
+        key: &ReceiptKey,
     ) -> Self {
-        let peers = status.into_iter().flat_map(|status| &status.peers);
-        let acknowledged = peers.filter(|peer| peer.node == asking).map(|peer| peer.matched).max();
+        let peer = status.and_then(|status| status.peers.iter().find(|peer| peer.node == asking));
+        let acknowledged = peer.map(|peer| peer.matched);
+        let receipts: Vec<_> = peer
+            .and_then(|peer| peer.receipt.clone())
+            .into_iter()
+            .chain(confirmed.cloned())
+            .take(RECEIPTS_MAX)
+            .collect();
+        let known = acknowledged.into_iter().chain(confirmed.map(|receipt| receipt.index));
         let attestations = msp::attestations(&**ledger.state()).unwrap_or_default();
         let attested = attestations.iter().find(|said| said.id == asking).map(|said| said.latest.attest.height);
+        let height = store_holds(store);
         Self {
-            height: store_holds(store),
+            height,
             first_height: store.first_index(),
             snapshot_height: given(ledger, snapshots).ok().flatten().map_or(0, |given| given.manifest().height),
-            yours: acknowledged.max(attested).unwrap_or_default(),
+            yours: known.chain(attested).max().unwrap_or_default(),
+            receipts,
             you_vote: ledger.members().is_ok_and(|members| members.is_voter(asking)),
+            receipt: Some(key.committed(height)),
         }
     }
 

@@ -1,9 +1,11 @@
 //! The work of nodes beside ordering: they drop old blocks, lose their disks, and fetch from others what replication
 //! does not bring. The replica's machine decides which blocks they fetch, and from whom.
 
+use super::drive::secret;
 use super::people::{ORGANISATION, PEOPLE, call};
 use super::{Cluster, Event};
 use bytes::Bytes;
+use ledger_raft::ReceiptKey;
 use ledger_rejection::Rejection;
 use ledger_replica::catch_up::{Behind, CatchUp, Caught, Got, Holding, Offer, Todo, Who, install, store_holds};
 use ledger_replica::trust::{Attested, Trial};
@@ -141,7 +143,8 @@ impl Cluster {
         let offers = others.filter_map(|node| {
             let (up, peer) = (node.up.as_ref()?, node.id);
             let status = up.replica.as_ref().map(ledger_replica::Replica::status);
-            let has = Holding::of((up.ledger(), &up.store, &up.snapshots), status.as_ref(), id);
+            let key = ReceiptKey::new(peer, &secret(peer));
+            let has = Holding::of((up.ledger(), &up.store, &up.snapshots), status.as_ref(), (id, None), &key);
             let who = Who { id: peer, organisation: ORGANISATION.into(), name: format!("node{peer}"), vouched: false };
             Some(Offer { who, has, peer })
         });

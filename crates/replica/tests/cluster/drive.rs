@@ -14,6 +14,11 @@ const WAKE: u64 = 100;
 /// The world state is stored so often, microseconds.
 const STORE_PERIOD: u64 = 100_000;
 
+/// The secret behind a node's receipts.
+pub(super) fn secret(id: u64) -> Secret {
+    Secret([u8::try_from(id).unwrap_or(0); 32])
+}
+
 impl Cluster {
     /// Both clocks of a node.
     fn clocks(&self, id: u64) -> Now {
@@ -28,12 +33,7 @@ impl Cluster {
 
     /// An engine starts in a process that runs.
     pub(super) fn begin(&mut self, id: u64) {
-        let settings = Settings {
-            id,
-            seed: self.random.number(),
-            timing: self.timing,
-            secret: Secret([u8::try_from(id).unwrap_or(0); 32]),
-        };
+        let settings = Settings { id, seed: self.random.number(), timing: self.timing, secret: secret(id) };
         let desired = self.desired.clone().unwrap_or_default();
         let node = self.nodes.get_mut(&id).unwrap();
         let up = node.up.as_mut().unwrap();

@@ -1,9 +1,11 @@
 //! The question with which a node starts, and what the others answer.
 
+use super::start::secret;
 use super::{Contact, Timer, World};
 use crate::invariant::Check;
 use ledger::Ledger;
 use ledger::msp::{self, NodeRole};
+use ledger_raft::ReceiptKey;
 use ledger_replica::catch_up::{Heard, Holding, Offer, Stage, Who};
 use ledger_replica::conductor::Happened;
 use std::sync::Arc;
@@ -46,7 +48,8 @@ impl World {
     pub(super) fn holding(&self, peer: u64, asking: u64) -> Option<Holding> {
         let running = self.nodes.get(&peer)?.up.as_ref()?;
         let status = running.replica.as_ref().map(ledger_replica::Replica::status);
-        Some(Holding::of((&running.ledger, &running.store, &running.snapshots), status.as_ref(), asking))
+        let stores = (&*running.ledger, &*running.store, &*running.snapshots);
+        Some(Holding::of(stores, status.as_ref(), (asking, None), &ReceiptKey::new(peer, &secret(peer))))
     }
 
     /// A node that has started asks all others at the same time.
@@ -79,13 +82,13 @@ impl World {
         if before == Stage::Closed && running.begun {
             return Ok(());
         }
-        let heard = match answer {
+        let heard = match &answer {
             None => running.look.step(now, Heard::Time),
             Some((_, None)) => running.look.step(now, Heard::Refusal),
             Some((peer, Some(has))) => {
-                running.heard.push(has);
-                let who = Who { id: peer, organisation: String::new(), name: format!("node{peer}"), vouched: false };
-                running.look.step(now, Heard::Answer(&who, &has))
+                running.heard.push(has.clone());
+                let who = Who { id: *peer, organisation: String::new(), name: format!("node{peer}"), vouched: false };
+                running.look.step(now, Heard::Answer(&who, has))
             }
         };
         if answer.is_some() {

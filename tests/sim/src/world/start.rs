@@ -9,9 +9,9 @@ use crate::node::{Client, Keeping, Running, open_blocks};
 use ledger::{Chaincode, Ledger, Registry, Rules, msp};
 use ledger_abac::AccessControl;
 use ledger_hash::Hash;
-use ledger_raft::{Desired, Secret};
+use ledger_raft::{Desired, ReceiptKey, Secret};
 use ledger_rejection::{Code, Rejection};
-use ledger_replica::catch_up::{Ballot, Look};
+use ledger_replica::catch_up::{Ballot, Look, Own};
 use ledger_replica::conductor::Conductor;
 use ledger_replica::gateway::{Shares, Turns};
 use ledger_replica::opening::Opening;
@@ -31,6 +31,11 @@ const UNEXPLAINED: &str = "a node ends only for a reason";
 
 /// The keys of robots that are stopped.
 const STOPPED: &[u8] = b"abac\0stopped/";
+
+/// The secret behind a node's receipts.
+pub(super) fn secret(id: u64) -> Secret {
+    Secret([u8::try_from(id % 251).unwrap_or(0); 32])
+}
 
 impl World {
     /// Switches a node on.
@@ -104,7 +109,12 @@ impl World {
         }
         let certifier = self.certifier(id, &ledger);
         let (asked, election_time) = (self.asked_by(id, &ledger), self.plan.timing.election_time());
-        let look = Look::new((self.now, id), members.voters, last, asked.len(), election_time, ballot.clone());
+        let records = msp::nodes(&**ledger.state()).unwrap().into_iter();
+        let voters = records.filter(|record| members.is_voter(record.id));
+        let voters = voters.map(|record| (record.id, record.organisation)).collect();
+        let key = ReceiptKey::new(id, &secret(id));
+        let own = Own { id, voters, term: store.hard_state().term, last, key };
+        let look = Look::new(self.now, own, asked.len(), election_time, ballot.clone());
         let running = Running {
             replica: None,
             executor,
@@ -262,8 +272,7 @@ impl World {
 
     /// A new replica that goes on from what is executed.
     pub(super) fn replica(&self, id: u64, seed: u64, running: &Running) -> Result<Replica<Client>, Violation> {
-        let settings =
-            Settings { id, seed, timing: self.plan.timing, secret: Secret([u8::try_from(id % 251).unwrap_or(0); 32]) };
+        let settings = Settings { id, seed, timing: self.plan.timing, secret: secret(id) };
         let Running { store, executor, waiters, wanted, .. } = running;
         let (store, executor, waiters) = (Arc::clone(store), Arc::clone(executor), Arc::clone(waiters));
         let ballots = Arc::new(Voting::new(Arc::clone(executor.ledger()), self.keys(id)));
