@@ -126,7 +126,7 @@ async fn a_voter_that_was_set_back_does_not_start_where_a_peer_remembers_what_it
     let kept = network.fleet.nodes[3].data.join("confirmed.json");
     until("the learner keeps it", || async {
         let kept: serde_json::Value = serde_json::from_slice(&std::fs::read(&kept).ok()?).ok()?;
-        (kept["1"].as_u64()? >= acknowledged).then_some(())
+        (kept["1"]["height"].as_u64()? >= acknowledged).then_some(())
     })
     .await;
     for node in [0, 1, 3] {
@@ -141,7 +141,24 @@ async fn a_voter_that_was_set_back_does_not_start_where_a_peer_remembers_what_it
     let ended = first.wait();
     let log = first.stderr();
     assert!(!ended.success() && log.contains("this voter has lost blocks that it had before"), "{ended}\n{log}");
-    assert!(log.contains("Org2/node4 knows it to have had"), "{log}");
+    assert!(log.contains("of which Org2/node4 shows this node's own receipt"), "{log}");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_learner_that_makes_up_what_a_voter_had_confirmed_keeps_it_from_nothing() {
+    let mut network = Network::start(true).await;
+    let acknowledged = network.publish(1, 1..10).await;
+    network.stop(3);
+    let lie = json!({"1": {"height": 1_000_000_000_000_u64, "receipt": "00".repeat(32)}}).to_string();
+    std::fs::write(network.fleet.nodes[3].data.join("confirmed.json"), lie).unwrap();
+    network.start_again(3);
+    network.reaches(3, acknowledged).await;
+    network.stop(0);
+    network.start_again(0);
+    let after = network.publish(1, 10..20).await;
+    network.reaches(0, after).await;
+    let log = network.nodes[0].as_ref().unwrap().stderr();
+    assert!(log.contains("shows no receipt") && log.contains("Org2/node4"), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
