@@ -1,4 +1,5 @@
 //! The two ends: a ROS 2 node that publishes at a fixed rate, and one that notes when what arrives.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::load::{histogram, wait_until};
 use hdrhistogram::Histogram;
@@ -97,6 +98,27 @@ impl Ends {
         Self { publisher, arrived, next: 1, listening }
     }
 
+    /// Publishes one sample.
+    pub(crate) fn write(&mut self, runtime: &Runtime) {
+        let _context = runtime.enter();
+        let sample = Sample::new(CDR_LE, &twist(self.next)).unwrap();
+        self.next += 1;
+        self.publish(&sample);
+    }
+
+    fn publish(&self, sample: &Sample) {
+        match &self.publisher {
+            Publisher::Dds(writer) => writer.write(sample).unwrap(),
+            Publisher::SharedMemory(publisher) => drop(publisher.write(sample).unwrap()),
+        }
+    }
+
+    /// How many samples arrived that no run has counted, and when the last one did.
+    pub(crate) fn arrivals(&self) -> (usize, Instant) {
+        let arrived = self.arrived.lock().unwrap();
+        (arrived.len(), arrived.values().max().copied().unwrap_or_else(Instant::now))
+    }
+
     /// Publishes at `hz` for `duration`; answers with the time from when each sample was due until it arrived, and how
     /// many did not arrive.
     pub(crate) fn run(&mut self, runtime: &Runtime, hz: f64, duration: Duration) -> (Histogram<u64>, usize) {
@@ -109,10 +131,7 @@ impl Ends {
         for number in 0..count {
             let sample = Sample::new(CDR_LE, &twist(first + u64::from(number))).unwrap();
             wait_until(due(number));
-            match &self.publisher {
-                Publisher::Dds(writer) => writer.write(&sample).unwrap(),
-                Publisher::SharedMemory(publisher) => drop(publisher.write(&sample).unwrap()),
-            }
+            self.publish(&sample);
         }
         let deadline = Instant::now() + LATE_MAX;
         while self.arrived.lock().unwrap().len() < count as usize && Instant::now() < deadline {
@@ -135,9 +154,11 @@ async fn listen(mut subscriber: Subscriber, arrived: Arc<Mutex<HashMap<u64, Inst
         // A user's callback runs now, not when the middleware had it.
         let now = Instant::now();
         let Some(Incoming { sample, .. }) = incoming else { return };
-        // A stop message has the number 0.
         let number = f64::from_le_bytes(sample.body()[..8].try_into().unwrap()) as u64;
-        arrived.lock().unwrap().entry(number).or_insert(now);
+        // A stop message has the number 0.
+        if number > 0 {
+            arrived.lock().unwrap().entry(number).or_insert(now);
+        }
     }
 }
 

@@ -1,5 +1,6 @@
 //! The paper's network with its two bridges. The operator's is a process of its own beside the node of her
 //! organisation; the robot's is inside the node that its owner has on it.
+#![allow(dead_code, clippy::allow_attributes, reason = "each bench uses its own part")]
 
 use crate::founding::{Founding, PAPER, clock, robots};
 use crate::network::Network;
@@ -80,6 +81,20 @@ impl Site {
     /// The process of the robot's node, which only follows, with the robot's bridge inside.
     pub(crate) fn robots_node(&self) -> u32 {
         *self.network.processes().last().unwrap()
+    }
+
+    /// All processes: nodes, and the operator's bridge.
+    pub(crate) fn processes(&self) -> Vec<u32> {
+        let bridge = self.bridge.iter().map(|bridge| bridge.0.id());
+        self.network.processes().into_iter().chain(bridge).collect()
+    }
+
+    /// Somebody else acquires the Turtlebot4, and has a bridge in this domain instead of Salma's.
+    pub(crate) async fn drive(&mut self, who: &Context, domain: u16) {
+        who.save(self.home.path()).unwrap();
+        let lease = ["Turtlebot4", LEASE_MS].map(|arg| Bytes::copy_from_slice(arg.as_bytes()));
+        connect(who).await.invoke("abac", "acquire", lease.into()).await.unwrap();
+        self.bridge = Some(Bridge::start(self.home.path(), &who.name, domain, "to_ledger"));
     }
 
     /// Ends the operator's bridge in order; answers with what it has done.

@@ -248,7 +248,7 @@ async fn blocks_of_another_organisation_are_taken_only_if_a_second_one_has_them_
     for place in &fleet.nodes[..2] {
         place.configure("[order]\nelection_ticks = 100");
     }
-    voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
+    let _voters = [fleet.nodes[0].start(), fleet.nodes[1].start()];
     drop(at(&fleet, &owner, 1).await);
     drop(at(&fleet, &owner, 0).await);
     learner = fleet.nodes[2].start();

@@ -16,6 +16,8 @@ use ledger_settings::Section;
 pub const ROS_AUTOMATIC_DISCOVERY_RANGE: &str = "ROS_AUTOMATIC_DISCOVERY_RANGE";
 /// The variable that names hosts beyond that range, with `;` between them.
 pub const ROS_STATIC_PEERS: &str = "ROS_STATIC_PEERS";
+/// Demands DDS Security (SROS2) from every ROS 2 node if it is `true`.
+const ROS_SECURITY_ENABLE: &str = "ROS_SECURITY_ENABLE";
 /// Most static peers, and most interfaces.
 const HOSTS_MAX: usize = 64;
 const HOSTS: &str = "host names or IPv4 addresses with ';' between them, at most 64";
@@ -80,9 +82,17 @@ impl Reach {
     ///
     /// # Errors
     /// [`Code::BadConfiguration`] if the environment says something that is no range, or `OFF`: a bridge without
-    /// discovery would carry nothing.
+    /// discovery would carry nothing. Also if it demands SROS2, in which a bridge cannot take part.
     pub fn choose(settings: &Settings, environment: impl Fn(&str) -> Option<String>) -> Result<Self, Rejection> {
         let variable = |name| environment(name).map(|text| text.trim().to_owned()).filter(|text| !text.is_empty());
+        if variable(ROS_SECURITY_ENABLE).is_some_and(|text| text == "true") {
+            return Err(Rejection::new(Code::BadConfiguration, "a bridge cannot take part in a domain that SROS2 secures")
+                .found(format!("{ROS_SECURITY_ENABLE}=true"))
+                .wanted("a domain without DDS Security")
+                .next(format!(
+                    "start the bridge with {ROS_SECURITY_ENABLE}=false; docs/bridge.md (SROS2) says how to close the robot's graph"
+                )));
+        }
         let range = match (settings.range, variable(ROS_AUTOMATIC_DISCOVERY_RANGE)) {
             (Some(range), _) => range,
             (None, None) => Range::default(),
@@ -177,6 +187,19 @@ mod tests {
             choose(&Settings::default(), "", "10.0.0.6; robot7.local;").unwrap().static_peers,
             ["10.0.0.6", "robot7.local"]
         );
+    }
+
+    #[test]
+    fn a_bridge_says_that_it_cannot_take_part_in_a_secured_domain() {
+        let with = |value: &str| {
+            let value = value.to_owned();
+            Reach::choose(&Settings::default(), move |name| (name == ROS_SECURITY_ENABLE).then(|| value.clone()))
+        };
+        let refused = with("true").unwrap_err();
+        assert!(refused.message.contains("SROS2") && refused.next.contains("docs/bridge.md"), "{refused}");
+        for value in ["false", "", "True"] {
+            assert_eq!(with(value).unwrap(), Reach::default(), "as ROS 2 reads it: {value:?}");
+        }
     }
 
     #[test]

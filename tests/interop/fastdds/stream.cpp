@@ -8,9 +8,12 @@
 //
 // SIZE 0 is geometry_msgs/msg/Twist, more is sensor_msgs/msg/Image with so many bytes of data. Samples are those of
 // stream.py. A transient-local publisher does not wait for a reader, and stays for 30 s. QoS is as ROS 2 has it by default: reliable, the last 10.
+//
+// With STREAM_ENCLAVE=DIRECTORY it takes part in DDS Security with the files of an enclave, named as SROS2 names them.
 
 #include <chrono>
 #include <cstdint>
+#include <cstdlib>
 #include <cstring>
 #include <iostream>
 #include <set>
@@ -123,6 +126,24 @@ bool is_whole(const Bytes& bytes, uint32_t number, size_t size) {
     return true;
 }
 
+// The plugins of DDS Security, with the files of an enclave.
+void secure(DomainParticipantQos& qos, const std::string& enclave) {
+    auto& properties = qos.properties().properties();
+    const auto file = [&](const char* name) { return "file://" + enclave + "/" + name; };
+    const auto set = [&](const std::string& name, const std::string& value) {
+        properties.emplace_back("dds.sec." + name, value);
+    };
+    set("auth.plugin", "builtin.PKI-DH");
+    set("access.plugin", "builtin.Access-Permissions");
+    set("crypto.plugin", "builtin.AES-GCM-GMAC");
+    set("auth.builtin.PKI-DH.identity_ca", file("identity_ca.cert.pem"));
+    set("auth.builtin.PKI-DH.identity_certificate", file("cert.pem"));
+    set("auth.builtin.PKI-DH.private_key", file("key.pem"));
+    set("access.builtin.Access-Permissions.permissions_ca", file("permissions_ca.cert.pem"));
+    set("access.builtin.Access-Permissions.governance", file("governance.p7s"));
+    set("access.builtin.Access-Permissions.permissions", file("permissions.p7s"));
+}
+
 template <typename Qos>
 void demand(Qos& qos, const std::set<std::string>& words) {
     const bool reliable = words.count("best_effort") == 0;
@@ -223,6 +244,9 @@ int main(int argc, char** argv) {
     eprosima::fastrtps::rtps::Locator_t here(LOCATOR_KIND_UDPv4, 0);
     eprosima::fastrtps::rtps::IPLocator::setIPv4(here, 127, 0, 0, 1);
     qos.wire_protocol().builtin.initialPeersList.push_back(here);
+    if (const char* enclave = std::getenv("STREAM_ENCLAVE")) {
+        secure(qos, enclave);
+    }
     auto* participant = factory->create_participant(domain, qos);
     if (participant == nullptr) {
         std::cerr << "no participant\n";
