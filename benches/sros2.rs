@@ -21,14 +21,13 @@
 
 #[path = "sros2/enclave.rs"]
 mod enclave;
+mod fastdds;
 mod founding;
 #[path = "ros/graph.rs"]
 mod graph;
 mod load;
 mod network;
 mod own_network;
-#[path = "sros2/peer.rs"]
-mod peer;
 mod report;
 #[path = "ros/site.rs"]
 mod site;
@@ -36,6 +35,7 @@ mod usage;
 
 use bytes::Bytes;
 use enclave::{Keystore, Right};
+use fastdds::End;
 use graph::{Ends, Middleware};
 use hdrhistogram::Histogram;
 use ledger_api::Enrolment;
@@ -44,10 +44,10 @@ use ledger_identity::Role;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::KeyKind;
 use load::histogram;
-use peer::Peer;
 use serde_json::{Value, json};
 use site::Site;
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tokio::runtime::{Builder, Runtime};
 
@@ -57,6 +57,7 @@ const TURNS: u32 = 4;
 const OPERATOR_DOMAIN: u16 = 211;
 const ROBOT_DOMAIN: u16 = 212;
 const NEWCOMER_DOMAIN: u16 = 213;
+const FAST_DOMAIN: u16 = 9;
 /// How long somebody whose right has ended is listened to, with SROS2.
 const LISTENED: Duration = Duration::from_secs(10);
 /// How long a right lasts that ends while it is used. Participants need some of it to find each other.
@@ -93,8 +94,8 @@ fn main() {
     let mut sides = ["plain", "secured", "ledger"].map(Side::new);
     let secured = [keystore.enclave("driver", Right::Publish, None), keystore.enclave("robot", Right::Subscribe, None)];
     for _ in 0..TURNS {
-        peer::stream(&mut sides[0], None, count);
-        peer::stream(&mut sides[1], Some(&secured), count);
+        stream(&mut sides[0], None, count);
+        stream(&mut sides[1], Some(&secured), count);
         let before = usage::cpu(&site.processes());
         let (latency, lost) = ends.run(&runtime, HZ, Duration::from_secs_f64(f64::from(count) / HZ));
         assert_eq!(lost, 0, "samples are lost");
@@ -115,22 +116,42 @@ fn main() {
     }
 }
 
+/// An end of `/cmd_vel` over Fast DDS.
+fn end(enclave: Option<&Path>) -> End<'_> {
+    End { domain: FAST_DOMAIN, topic: "rt/cmd_vel", size: 0, enclave }
+}
+
+/// One turn of Fast DDS, with the enclaves of driver and robot or without. Discovery is not part of it.
+fn stream(side: &mut Side, enclaves: Option<&[PathBuf; 2]>, count: u32) {
+    let [driver, robot] = [0, 1].map(|end| enclaves.map(|enclaves| enclaves[end].as_path()));
+    let mut subscriber = end(robot).subscriber(count);
+    let mut publisher = end(driver).publisher(count + 50, HZ);
+    publisher.matched();
+    let processes = [subscriber.process(), publisher.process()];
+    let before = usage::cpu(&processes);
+    let mut latencies: Vec<_> = (0..count - 1).map_while(|_| subscriber.sample()).collect();
+    side.cpu += usage::cpu(&processes) - before;
+    latencies.extend(subscriber.samples());
+    assert_eq!(latencies.len(), count as usize, "commands are lost");
+    latencies.into_iter().for_each(|latency| side.latency.record(latency * 1000).unwrap());
+}
+
 /// From the decision that somebody may drive until the robot hears the first command: keys, signed permissions, discovery.
-fn newcomer_to_sros2(keystore: &Keystore, robot: &std::path::Path) -> Duration {
-    let mut subscriber = Peer::subscriber(Some(robot), 1);
+fn newcomer_to_sros2(keystore: &Keystore, robot: &Path) -> Duration {
+    let mut subscriber = end(Some(robot)).subscriber(1);
     let begun = Instant::now();
     let newcomer = keystore.enclave("newcomer", Right::Publish, None);
-    let _publisher = Peer::publisher(Some(&newcomer), 10_000);
+    let _publisher = end(Some(&newcomer)).publisher(10_000, HZ);
     subscriber.samples();
     begun.elapsed()
 }
 
 /// How many commands of a running publisher still arrive in [`LISTENED`] after its permissions have expired.
-fn after_the_end_with_sros2(keystore: &Keystore, robot: &std::path::Path) -> usize {
+fn after_the_end_with_sros2(keystore: &Keystore, robot: &Path) -> usize {
     let ended = keystore.enclave("ended", Right::Publish, Some(LASTS));
     let begun = Instant::now();
-    let mut subscriber = Peer::subscriber_for(robot, LASTS + LISTENED + Duration::from_secs(2));
-    let _publisher = Peer::publisher(Some(&ended), 10_000);
+    let mut subscriber = end(Some(robot)).subscriber_for(LASTS + LISTENED + Duration::from_secs(2));
+    let _publisher = end(Some(&ended)).publisher(10_000, HZ);
     // The validity has whole seconds.
     let after = begun + LASTS + Duration::from_secs(1);
     subscriber.arrivals().into_iter().filter(|at| (after..after + LISTENED).contains(at)).count()

@@ -60,7 +60,7 @@ use crate::{
 };
 
 /// Most routes of one bridge.
-pub const ROUTES_MAX: usize = 64;
+pub const ROUTES_MAX: usize = 128;
 /// How often the ledger gives a sign of life.
 pub(crate) const HEARTBEAT_MS: u32 = 250;
 /// The range of `sample_bytes_max`.
