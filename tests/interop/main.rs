@@ -11,6 +11,7 @@
     reason = "tests"
 )]
 
+mod actions;
 mod arena;
 mod calls;
 mod codec;

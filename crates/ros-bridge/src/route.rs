@@ -1,6 +1,9 @@
 //! Routes: one topic of one service. Each is a task of its own; its decisions are in parts without IO. The kinds are
 //! one table, [`kind::KINDS`], and each kind is a file.
 
+mod action_client;
+mod action_server;
+mod actions;
 mod calls;
 mod from_ledger;
 mod holder;

@@ -10,7 +10,7 @@ mod demand;
 mod late;
 mod settings;
 
-pub(super) use self::settings::half;
+pub(super) use self::settings::{STALE_KEY, half, stale_after};
 
 use std::{
     sync::Arc,
@@ -75,7 +75,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Subscriber,
     keys: &[
         "max_age_ms",
-        "stale_after_ms",
+        STALE_KEY,
         "command_timeout_ms",
         side_door::NAME,
         "stop_hex",
@@ -203,7 +203,7 @@ impl FromLedger {
                 ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
             }
             let (again, demand) = (self.stopping.due(&self.outlet), self.demand.due(&self.outlet));
-            let follow = changed(&self.qos);
+            let (follow, rests) = (changed(&self.qos), self.outlet.hand().map(|hand| hand.done()));
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -219,6 +219,7 @@ impl FromLedger {
                     }
                 }
                 answer = self.answer() => self.answered(answer).await,
+                Some(()) = OptionFuture::from(rests), if self.guard.gate().is_moving() => self.guard.rested(),
                 () = follow => {
                     let qos = *self.qos.borrow_and_update();
                     self.outlet.follow(&qos);
@@ -403,13 +404,14 @@ impl FromLedger {
         if self.side_door.drops(&self.counters) {
             return;
         }
-        if let Some(calls) = self.outlet.calls() {
-            // It is done when it is handed over: nobody moves the robot by it.
-            self.guard.rested();
+        if let Some(hand) = self.outlet.hand() {
             let mut counts = self.counters.lock();
             counts.live.came = Some(Instant::now());
-            if calls.try_send(passed).is_err() {
+            if !hand.give(passed) {
                 count(&mut counts.summary.gate, TOO_MANY, 1);
+            }
+            if hand.is_done() {
+                self.guard.rested();
             }
             return;
         }
@@ -451,7 +453,11 @@ impl FromLedger {
         if reason != SILENT {
             self.points.clear();
         }
-        if !self.stopping.is_known() {
+        let is_told = match self.outlet.hand() {
+            Some(hand) => hand.stop(reason).await,
+            None => self.stopping.is_known(),
+        };
+        if !is_told {
             return;
         }
         tracing::info!(service = self.route.service, reason, "stop");

@@ -3,19 +3,15 @@
 use std::{sync::Arc, time::Duration};
 
 use futures::{FutureExt, future::BoxFuture};
-use ledger_gate::{
-    gate::{Passed, Settings as GateSettings},
-    sample::Sample,
-    service::Service,
-};
+use ledger_gate::{gate::Settings as GateSettings, sample::Sample, service::Service};
 use ledger_rejection::Rejection;
 use ledger_settings::Section;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 
 use super::{
     super::{
         Stop,
-        calls::REPLY_BYTES,
+        calls::{Hand, REPLY_BYTES},
         holder::{self, Holder},
         kind::{Opened, Opening, Plan},
         points::Topics,
@@ -27,7 +23,6 @@ use super::{
 use crate::{
     config::{HEARTBEAT_MS, RouteConfig, stop_sample},
     count::Counters,
-    dds::Matched,
     names::TopicName,
 };
 
@@ -36,6 +31,9 @@ const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
 const STALE_MS_DEFAULT: u64 = 1_000;
 /// Longest `stale_after_ms`, `command_timeout_ms` and `max_age_ms`.
 const WAIT_MS_MAX: u64 = 3_600_000;
+/// The setting of how long the ledger may be silent.
+pub(in crate::route) const STALE_KEY: &str = "stale_after_ms";
+
 /// The settings of this kind.
 #[derive(Debug, Clone)]
 pub(super) struct Settings {
@@ -56,31 +54,37 @@ pub(super) struct Settings {
     pub(super) on_demand: bool,
 }
 
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            max_age: None,
+            stale_after: Duration::from_millis(STALE_MS_DEFAULT),
+            command_timeout: None,
+            side_door: Treatment::Warn,
+            stop: None,
+            points: Topics::default(),
+            holder: None,
+            on_demand: false,
+        }
+    }
+}
+
 /// A discovered route has the defaults.
 pub(super) fn discovered() -> Arc<dyn Plan> {
-    Arc::new(Settings {
-        max_age: None,
-        stale_after: Duration::from_millis(STALE_MS_DEFAULT),
-        command_timeout: None,
-        side_door: Treatment::Warn,
-        stop: None,
-        points: Topics::default(),
-        holder: None,
-        on_demand: true,
-    })
+    Arc::new(Settings { on_demand: true, ..Settings::default() })
 }
 
 pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let (mut max_age_ms, mut stale_after_ms, mut timeout_ms, mut stop) = (None, STALE_MS_DEFAULT, None, None);
+    let (mut max_age_ms, mut timeout_ms, mut stop) = (None, None, None);
     section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
-    section.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    let stale_after = stale_after(section);
     section.integer("command_timeout_ms", 0..=WAIT_MS_MAX, &mut timeout_ms);
     section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
         stop_sample(text, sample_bytes_max).map(Some)
     });
     let (points, side_door) = (Topics::read(section), Treatment::read(section));
     let holder = holder::read(section);
-    let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
+    let max_age = max_age_ms.map(Duration::from_millis);
     let command_timeout = timeout_ms.map(Duration::from_millis);
     Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points, holder, on_demand: false })
 }
@@ -91,25 +95,16 @@ impl Plan for Settings {
     }
 }
 
-/// Opens the half of a route of calls that comes from the ledger: what passes the gate goes to `calls`. `matched` are those at its
-/// end of the graph.
+/// Opens the half of a route of calls that comes from the ledger: what passes the gate is handed over.
 pub(in crate::route) async fn half(
     opening: &Opening<'_>,
     service: Service,
-    (calls, matched): (mpsc::Sender<Passed>, Matched),
+    hand: Hand,
     counters: Counters,
 ) -> Result<impl FnOnce(Stop) -> BoxFuture<'static, ()> + use<>, Rejection> {
     let Opening { route, gateway, context, local, mark, asker, .. } = opening;
-    let settings = Settings {
-        max_age: None,
-        stale_after: Duration::from_millis(STALE_MS_DEFAULT),
-        command_timeout: None,
-        side_door: Treatment::default(),
-        stop: None,
-        points: Topics::default(),
-        holder: None,
-        on_demand: false,
-    };
+    let usual = Settings::default();
+    let settings = Settings { stale_after: hand.stale_after().unwrap_or(usual.stale_after), ..usual };
     let gate = GateSettings {
         network: context.network,
         sample_bytes_max: route.sample_bytes_max.saturating_add(REPLY_BYTES),
@@ -121,7 +116,7 @@ pub(in crate::route) async fn half(
     // Nobody follows anybody.
     let (_none, qos) = watch::channel(route.qos);
     let outlet = async {
-        let outlet = local.outlet_for_calls(calls, matched, *mark);
+        let outlet = local.outlet_for_calls(hand, *mark);
         let points = settings.points.open(local, opening.topic, *mark).await?;
         let holder = Holder::open(None, std::iter::empty(), local, *mark).await?;
         Ok(((outlet, qos), (points, holder), counters))
@@ -129,6 +124,13 @@ pub(in crate::route) async fn half(
     let both = (Arc::clone(gateway), Arc::clone(asker));
     let opened = FromLedger::open(both, (route, settings.clone()), gate, service, outlet).await?;
     Ok(move |stop| opened.run(stop).boxed())
+}
+
+/// Reads `stale_after_ms`.
+pub(in crate::route) fn stale_after(section: &mut Section<'_, '_>) -> Duration {
+    let mut stale_after_ms = STALE_MS_DEFAULT;
+    section.integer(STALE_KEY, STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    Duration::from_millis(stale_after_ms)
 }
 
 impl Settings {
