@@ -10,12 +10,14 @@ use std::time::{Duration, Instant};
 const TYPE: &str = "example_interfaces/action/Fibonacci";
 /// A goal that does not end within a test.
 const LONG: &str = "1000000";
+/// A machine under load must not be taken for a network that is silent.
+const PATIENT: &str = "stale_after_ms = 10000";
 
-/// A network whose robot has the action, in this mode and with a lease of two seconds.
+/// A network whose robot has the action, in this mode and with a lease of five seconds.
 async fn with_action(mode: &str) -> (World, Client) {
     let world = World::start("/cmd_vel", "geometry_msgs/msg/Twist").await;
     let owner = owner_of(&world).await;
-    let service = |topic: &str, direction: &str, mode: &str| serde_json::json!({ "topic": topic, "type": TYPE, "direction": direction, "mode": mode, "max_age_ms": 5000, "lease_ms": 2000 });
+    let service = |topic: &str, direction: &str, mode: &str| serde_json::json!({ "topic": topic, "type": TYPE, "direction": direction, "mode": mode, "max_age_ms": 5000, "lease_ms": 5000 });
     let services = [service("/count", "command", mode), service("/count/_reply", "feed", "open")];
     let spec = serde_json::json!({ "name": "Rover", "attribute_required": "Rover", "services": services });
     call(&owner, "replace", &[&spec.to_string()]).await;
@@ -69,7 +71,7 @@ fn the_holder_alone_sets_goals_and_has_their_feedback_their_states_and_their_res
         let (world, _) = with_action("exclusive").await;
         let salma = bridge(&world, "Salma", 1, "action_server", "");
         let farhad = bridge(&world, "Farhad", 2, "action_server", "");
-        let robot = bridge(&world, "Rover", 3, "action_client", "");
+        let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
         let mut server = server(&[]);
         call(&world.salma, "acquire", &["Rover/count", "600000"]).await;
         world.line("Salma", &["grant held"]).await;
@@ -113,7 +115,7 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
         let (world, owner) = with_action("exclusive").await;
         let _salma = bridge(&world, "Salma", 1, "action_server", "");
         let farhad = bridge(&world, "Farhad", 2, "action_server", "");
-        let robot = bridge(&world, "Rover", 3, "action_client", "");
+        let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
         let mut server = server(&[]);
         call(&world.salma, "acquire", &["Rover/count"]).await;
         world.line("Salma", &["grant held"]).await;
@@ -121,7 +123,7 @@ fn a_goal_whose_grant_ends_is_cancelled_and_its_client_hears_of_it() {
 
         // Given back while the goal runs. Until then its own signs of life have kept the grant, beyond its lease.
         let mut goal = running("1", &mut server);
-        let until = Instant::now() + Duration::from_secs(5);
+        let until = Instant::now() + Duration::from_secs(9);
         while Instant::now() < until {
             tokio::time::sleep(Duration::from_millis(100)).await;
             let grants = owner.query("abac", "grants", vec!["Rover/count".into()]).await.unwrap().response;
@@ -163,7 +165,7 @@ fn a_goal_ends_with_the_robots_bridge_or_with_its_client() {
     world::run(async {
         let (world, _) = with_action("exclusive").await;
         let _salma = bridge(&world, "Salma", 1, "action_server", "");
-        let robot = bridge(&world, "Rover", 3, "action_client", "");
+        let robot = bridge(&world, "Rover", 3, "action_client", PATIENT);
         let mut server = server(&[]);
         call(&world.salma, "acquire", &["Rover/count"]).await;
         world.line("Salma", &["grant held"]).await;
@@ -211,5 +213,23 @@ fn a_goal_that_takes_too_long_is_cancelled_until_it_ends_and_a_silent_server_is_
         }
         assert_eq!(silent.line().unwrap(), "goal 5");
         assert_eq!(silent.line().unwrap(), "cancel");
+    });
+}
+
+#[test]
+fn an_action_that_neither_bridge_names_is_offered_and_its_goals_run() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let (world, _) = with_action("open").await;
+        let discover = |name: &str, domain: u16, more: &str| {
+            let settings = format!("domain_id = {domain}\nshared_memory = false\n[discover]\n{more}");
+            world.start_bridge_as(name, &settings, &[])
+        };
+        let _salma = discover("Salma", 1, "remap = { 'Rover/count' = '/count' }");
+        let _robot = discover("Rover", 3, "robot = 'Rover'");
+        let mut server = server(&[]);
+        first_goal("1", &mut server, &world);
     });
 }

@@ -23,7 +23,7 @@
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
 //! latched_depth = 1            # to_ledger: samples kept of each publisher of a latched topic
 //! latched_again_s = 3600       # to_ledger: until they are said again
-//! max_rate_hz = 20             # to_ledger: at most so many a second, the newest; alone, without batch_max
+//! max_rate_hz = 20             # at most so many a second, the newest; alone, without batch_max; from_ledger: feeds only
 //! reply_timeout_ms = 10000     # servers of calls and goals: one without a reply is forgotten after so long
 //! server_timeout_ms = 10000    # clients of them: the robot's server is waited for so long
 //! result_timeout_ms = 3600000  # actions: the result of a goal is waited for so long
@@ -363,7 +363,7 @@ mod tests {
         assert_eq!(route.kind.name, "from_ledger");
         assert_eq!(
             format!("{:?}", route.plan),
-            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, on_demand: false }"
+            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, max_rate_hz: None, on_demand: false }"
         );
         assert_eq!(route.limits().queue_samples_max, 100);
     }

@@ -143,6 +143,12 @@ impl Participant {
         self.dds.guid().to_bytes()
     }
 
+    /// Loses DDS as a fault would take it away.
+    #[cfg(test)]
+    pub(crate) fn break_down(&self) {
+        self.dds.end_event_loop();
+    }
+
     /// The ROS domain.
     pub fn domain(&self) -> u16 {
         self.dds.domain_id()

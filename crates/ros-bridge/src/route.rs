@@ -10,6 +10,7 @@ mod holder;
 pub(crate) mod kind;
 mod latched;
 pub(crate) mod local;
+mod pace;
 mod points;
 mod service_client;
 mod service_server;

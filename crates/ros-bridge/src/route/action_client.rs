@@ -25,11 +25,11 @@ use self::said::Said;
 use super::{
     Stop,
     actions::{
-        FEEDBACK, GoalId, Goals, Part, RESULT_KEY, RUN_MS_MAX, STATUS, cancel_of, feedback, goal_of, is_accepted,
-        is_over, is_unknown_or_over, over_in, result_patience, split_request, status,
+        FEEDBACK, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, RUN_MS_MAX, STATUS, cancel_of, feedback, goal_of,
+        is_accepted, is_over, is_unknown_or_over, over_in, result_patience, split_request, status,
     },
-    calls::{Account, CALLS_MAX, Hand, Handed, TOO_MANY, Waiting, patience, reply_to},
-    kind::{self, Beside, Kind, Opened, Opening, Plan, STALE_KEY},
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Waiting, patience, reply_to},
+    kind::{self, Beside, Kind, Opened, Opening, Plan, STALE_AFTER, STALE_KEY},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
 };
@@ -52,7 +52,7 @@ const RATE_KEY: &str = "feedback_rate_hz";
 const GOAL_MS_MIN: u64 = 100;
 /// Highest `feedback_rate_hz`.
 const RATE_HZ_MAX: u64 = 1000;
-const RATE_HZ_DEFAULT: u64 = 10;
+const RATE_HZ_DEFAULT: u32 = 10;
 /// Most replies and feedback that wait to go to the ledger.
 const ANSWERS_MAX: usize = 4 * CALLS_MAX;
 /// How long the bridge waits for the server at its end, when goals are cancelled.
@@ -68,7 +68,15 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Subscriber,
     keys: &[KEY, RESULT_KEY, GOAL_KEY, RATE_KEY, STALE_KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings::read(section)),
-    discovered: None,
+    discovered: Some(|_terms| {
+        Arc::new(Settings {
+            patience: PATIENCE,
+            results: RESULT_PATIENCE,
+            goal: None,
+            feedback_every: Duration::from_secs(1) / RATE_HZ_DEFAULT,
+            stale_after: STALE_AFTER,
+        })
+    }),
     silence,
     beside,
 };
@@ -103,7 +111,7 @@ impl Settings {
             patience: patience(section, KEY),
             results: result_patience(section),
             goal: goal_ms.map(Duration::from_millis),
-            feedback_every: Duration::from_micros(1_000_000 / rate_hz.max(1)),
+            feedback_every: Duration::from_secs(1) / rate_hz.max(1),
             stale_after: kind::stale_after(section),
         }
     }

@@ -26,10 +26,10 @@ use tokio::{
 use super::{
     Stop, actions,
     actions::{
-        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, Part, RESULT_KEY, STATUS, cancel_of, goal_of,
-        is_accepted, is_over, over_in, request_of, result_patience,
+        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, STATUS, cancel_of,
+        goal_of, is_accepted, is_over, over_in, request_of, result_patience,
     },
-    calls::{Account, CALLS_MAX, Hand, Handed, TOO_MANY, Told, Waiting, patience, split},
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Told, Waiting, patience, split},
     kind::{self, Beside, Kind, Opened, Opening, Plan},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
@@ -61,7 +61,7 @@ pub(super) static KIND: Kind = Kind {
     read: |section: &mut Section<'_, '_>, _| {
         Arc::new(Settings { patience: patience(section, KEY), results: result_patience(section) })
     },
-    discovered: None,
+    discovered: Some(|_terms| Arc::new(Settings { patience: PATIENCE, results: RESULT_PATIENCE })),
     silence,
     beside,
 };

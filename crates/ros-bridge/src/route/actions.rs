@@ -35,6 +35,8 @@ pub(super) const RESULT_KEY: &str = "result_timeout_ms";
 pub(super) const RUN_MS_MAX: u64 = 86_400_000;
 /// `result_timeout_ms` by default: actions take their time.
 const RESULT_MS_DEFAULT: u64 = 3_600_000;
+/// How long a result is waited for by default.
+pub(super) const RESULT_PATIENCE: Duration = Duration::from_millis(RESULT_MS_DEFAULT);
 /// Depth of the topic of feedback.
 const FEEDBACK_DEPTH: u32 = 10;
 

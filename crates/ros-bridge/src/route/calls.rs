@@ -30,6 +30,8 @@ pub(super) const CALLS_MAX: usize = 64;
 pub(super) const WAIT_MS_MIN: u64 = 100;
 const WAIT_MS_MAX: u64 = 3_600_000;
 const WAIT_MS_DEFAULT: u64 = 10_000;
+/// How long a reply is waited for by default.
+pub(super) const PATIENCE: Duration = Duration::from_millis(WAIT_MS_DEFAULT);
 /// The name of the reason for what is dropped because too many calls wait.
 pub(super) const TOO_MANY: &str = "too_many_calls";
 

@@ -9,8 +9,9 @@
 mod demand;
 mod late;
 mod settings;
+mod writing;
 
-pub(super) use self::settings::{STALE_KEY, half, stale_after};
+pub(super) use self::settings::{STALE_AFTER, STALE_KEY, half, stale_after};
 
 use std::{
     sync::Arc,
@@ -27,8 +28,9 @@ use ledger_api::{
 };
 use ledger_gate::{
     ABAC,
-    gate::{Passed, Refused, Settings as GateSettings},
+    gate::{Refused, Settings as GateSettings},
     guard::{Act, Block, Guard, SILENT, Told},
+    sample::Sample,
     service::Service,
 };
 use ledger_invariant::broken;
@@ -38,10 +40,10 @@ use tokio::{sync::watch, time::sleep_until};
 use self::{demand::Demand, settings::Settings};
 use super::{
     Clocks, Stop,
-    calls::TOO_MANY,
     holder::{self, Holder},
     kind::Kind,
     local::{Outlet, changed},
+    pace::{Pace, RATE_KEY},
     points::{self, Points},
     side_door::{self, SideDoor},
     silence::{Cause, Facts, Silence, fault, pause},
@@ -82,9 +84,10 @@ pub(super) static KIND: Kind = Kind {
         points::KEYS[0],
         points::KEYS[1],
         holder::KEY,
+        RATE_KEY,
     ],
     read: settings::read,
-    discovered: Some(|_terms| settings::discovered()),
+    discovered: Some(settings::discovered),
     silence,
     beside: side_door::beside,
 };
@@ -123,6 +126,8 @@ struct FromLedger {
     demand: Demand,
     stopping: Stopping,
     side_door: SideDoor,
+    /// The highest rate of a feed.
+    pace: Pace<Sample>,
     /// The next height of the subscription.
     next_height: u64,
     renewed: Instant,
@@ -160,6 +165,7 @@ impl FromLedger {
             demand: Demand::new(settings.on_demand && !service.is_command()),
             stopping: Stopping::new(stop, &service),
             side_door: SideDoor::new(settings.side_door),
+            pace: Pace::new(settings.max_rate_hz),
             settings,
             service,
             next_height: height.saturating_add(1),
@@ -202,6 +208,7 @@ impl FromLedger {
                 let next = if self.question.is_some() { stale } else { ask };
                 ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
             }
+            let paced = self.pace.due();
             let (again, demand) = (self.stopping.due(&self.outlet), self.demand.due(&self.outlet));
             let (follow, rests) = (changed(&self.qos), self.outlet.hand().map(|hand| hand.done()));
             tokio::select! {
@@ -243,6 +250,7 @@ impl FromLedger {
                         self.ask();
                     }
                 }
+                () = sleep_until(paced.unwrap_or_else(Instant::now).into()), if paced.is_some() => self.write_paced(),
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     // What is told early has no height, and is no sign that blocks come.
@@ -397,48 +405,6 @@ impl FromLedger {
         live.held = self.guard.gate().is_held();
         if !self.guard.gate().is_closed() {
             live.waiting = None;
-        }
-    }
-
-    fn publish(&mut self, passed: Passed) {
-        if self.side_door.drops(&self.counters) {
-            return;
-        }
-        if let Some(hand) = self.outlet.hand() {
-            let mut counts = self.counters.lock();
-            counts.live.came = Some(Instant::now());
-            if !hand.give(passed) {
-                count(&mut counts.summary.gate, TOO_MANY, 1);
-            }
-            if hand.is_done() {
-                self.guard.rested();
-            }
-            return;
-        }
-        let Passed { samples, clamped, .. } = passed;
-        self.stopping.driven();
-        let mut counts = self.counters.lock();
-        counts.live.came = Some(Instant::now());
-        counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(clamped).unwrap_or(u64::MAX));
-        if clamped > 0
-            && let Some(not_logged) = self.clamps.worth("clamped", Instant::now())
-        {
-            let service = &self.route.service;
-            tracing::warn!(service, not_logged, "the gate slowed a message down to the limit of its creator's grant");
-        }
-        for sample in &samples {
-            match self.outlet.write(sample) {
-                Ok(()) => {
-                    counts.summary.published += 1;
-                    counts.live.passed = Some(Instant::now());
-                }
-                Err(error) => {
-                    counts.summary.unpublished += 1;
-                    if let Some(silent) = self.complaint.worth("unpublished", Instant::now()) {
-                        tracing::warn!(service = self.route.service, %error, not_logged = silent, "a message was not published");
-                    }
-                }
-            }
         }
     }
 

@@ -42,7 +42,7 @@ pub(crate) static KINDS: [&Kind; 6] = [
 
 // The halves of a route of calls: one submits, and what passes the gate goes to the other.
 pub(super) use super::{
-    from_ledger::{STALE_KEY, half as gated, stale_after},
+    from_ledger::{STALE_AFTER, STALE_KEY, half as gated, stale_after},
     to_ledger::half as submitted,
 };
 
@@ -83,6 +83,8 @@ pub(crate) struct Terms {
     pub(crate) max_rate_hz: Option<u32>,
     /// Does publishing need a grant?
     pub(crate) needs_grant: bool,
+    /// Do users publish and the robot listens?
+    pub(crate) is_command: bool,
 }
 
 /// The surroundings of a route that is being opened.

@@ -15,7 +15,7 @@ use tokio::{sync::mpsc, time::sleep_until};
 
 use super::{
     Stop,
-    calls::{Account, CALLS_MAX, Hand, Handed, TOO_MANY, Waiting, message_of, patience, reply_to},
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Waiting, message_of, patience, reply_to},
     kind::{self, Beside, Kind, Opened, Opening, Plan},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
@@ -39,7 +39,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Subscriber,
     keys: &[KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
-    discovered: None,
+    discovered: Some(|_terms| Arc::new(Settings { patience: PATIENCE })),
     silence,
     beside,
 };

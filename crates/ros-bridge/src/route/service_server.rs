@@ -26,7 +26,7 @@ use tokio::{
 
 use super::{
     Stop,
-    calls::{Account, CALLS_MAX, Hand, Handed, TOO_MANY, Told, Waiting, patience, split},
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Told, Waiting, patience, split},
     kind::{self, Beside, Kind, Opened, Opening, Plan},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
@@ -50,7 +50,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Publisher,
     keys: &[KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
-    discovered: None,
+    discovered: Some(|_terms| Arc::new(Settings { patience: PATIENCE })),
     silence,
     beside,
 };

@@ -4,7 +4,7 @@ use std::{sync::Arc, time::Duration};
 
 use futures::{FutureExt, future::BoxFuture};
 use ledger_gate::{gate::Settings as GateSettings, sample::Sample, service::Service};
-use ledger_rejection::Rejection;
+use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use tokio::sync::watch;
 
@@ -13,7 +13,8 @@ use super::{
         Stop,
         calls::{Hand, REPLY_BYTES},
         holder::{self, Holder},
-        kind::{Opened, Opening, Plan},
+        kind::{Opened, Opening, Plan, Terms},
+        pace::{RATE_KEY, read_rate},
         points::Topics,
         side_door::Treatment,
         stopping::command_timeout,
@@ -29,6 +30,8 @@ use crate::{
 /// Shortest `stale_after_ms`: one heartbeat may be late.
 const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
 const STALE_MS_DEFAULT: u64 = 1_000;
+/// How long the ledger may be silent by default.
+pub(in crate::route) const STALE_AFTER: Duration = Duration::from_millis(STALE_MS_DEFAULT);
 /// Longest `stale_after_ms`, `command_timeout_ms` and `max_age_ms`.
 const WAIT_MS_MAX: u64 = 3_600_000;
 /// The setting of how long the ledger may be silent.
@@ -50,6 +53,8 @@ pub(super) struct Settings {
     pub(super) points: Topics,
     /// Where it is shown who holds the service.
     pub(super) holder: Option<TopicName>,
+    /// Most samples of a feed a second; none = any number.
+    pub(super) max_rate_hz: Option<u32>,
     /// Is a feed read only while somebody listens to it?
     pub(super) on_demand: bool,
 }
@@ -58,20 +63,22 @@ impl Default for Settings {
     fn default() -> Self {
         Self {
             max_age: None,
-            stale_after: Duration::from_millis(STALE_MS_DEFAULT),
+            stale_after: STALE_AFTER,
             command_timeout: None,
             side_door: Treatment::Warn,
             stop: None,
             points: Topics::default(),
             holder: None,
+            max_rate_hz: None,
             on_demand: false,
         }
     }
 }
 
-/// A discovered route has the defaults.
-pub(super) fn discovered() -> Arc<dyn Plan> {
-    Arc::new(Settings { on_demand: true, ..Settings::default() })
+/// A discovered route has the defaults, and a feed its highest rate.
+pub(super) fn discovered(terms: &Terms) -> Arc<dyn Plan> {
+    let max_rate_hz = terms.max_rate_hz.filter(|_| !terms.is_command);
+    Arc::new(Settings { on_demand: true, max_rate_hz, ..Settings::default() })
 }
 
 pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
@@ -83,10 +90,21 @@ pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Ar
         stop_sample(text, sample_bytes_max).map(Some)
     });
     let (points, side_door) = (Topics::read(section), Treatment::read(section));
-    let holder = holder::read(section);
+    let (holder, max_rate_hz) = (holder::read(section), read_rate(section));
     let max_age = max_age_ms.map(Duration::from_millis);
     let command_timeout = timeout_ms.map(Duration::from_millis);
-    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points, holder, on_demand: false })
+    let on_demand = false;
+    Arc::new(Settings {
+        max_age,
+        stale_after,
+        command_timeout,
+        side_door,
+        stop,
+        points,
+        holder,
+        max_rate_hz,
+        on_demand,
+    })
 }
 
 impl Plan for Settings {
@@ -136,6 +154,12 @@ pub(in crate::route) fn stale_after(section: &mut Section<'_, '_>) -> Duration {
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
         let Opening { route, gateway, context, local, service, topic, mark, asker, counters, mut qos, stop } = opening;
+        if let Some(hz) = self.max_rate_hz.filter(|_| service.is_command()) {
+            return Err(Rejection::new(Code::BadConfiguration, "commands are not thinned out on their way to a robot")
+                .found(format!("{RATE_KEY} = {hz} for the commands of {}", route.service))
+                .wanted(format!("{RATE_KEY} for feeds, or on the side of the users who send the commands"))
+                .next(format!("remove {RATE_KEY} here; a grant with limits bounds how often its holder may send")));
+        }
         let gate = GateSettings {
             network: context.network,
             sample_bytes_max: route.sample_bytes_max,
