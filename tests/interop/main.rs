@@ -128,6 +128,19 @@ fn a_300_kb_message_passes() {
 }
 
 #[test]
+fn a_message_of_4_mb_passes_whole() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/image", "sensor_msgs/msg/Image").await;
+        call(&world.salma, "acquire", &["Rover/image", "60000"]).await;
+        let _bridges = world.start_bridges("/image", "sensor_msgs/msg/Image");
+        drive(&world, "/image", (5, 1, 4_000_000), false).await;
+    });
+}
+
+#[test]
 fn local_processes_reach_the_robot_through_shared_memory() {
     use ledger_gate::sample::Sample;
     use ros_bridge::{names::TopicName, queue::Limits, shm};

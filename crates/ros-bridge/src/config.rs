@@ -19,7 +19,7 @@
 //! topic = "/cmd_vel"           # by default the service's topic
 //! type = "geometry_msgs/msg/Twist"
 //! qos = { reliability = "reliable", durability = "volatile", depth = 100 }
-//! sample_bytes_max = 1048576
+//! sample_bytes_max = 4194304
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
 //! latched_depth = 1            # to_ledger: samples kept of each publisher of a latched topic
 //! latched_again_s = 3600       # to_ledger: until they are said again

@@ -81,9 +81,7 @@ fn limits_are_those_of_the_first_expression_that_matches() {
     let settings = parse("max_rate_hz = ['Rover/.*=7', '.*=9']\nsample_bytes_max = ['Arm/.*=4096']").unwrap();
     let (found, _) = candidates(&settings, &fleet());
     let of = |service: &str| found.iter().find(|candidate| candidate.route.service == service).unwrap();
-    for (service, rate, bytes) in
-        [("Rover/cmd_vel", 7, 1024 * 1024), ("Arm/grip", 9, 4096), ("Rover/odom", 7, 1024 * 1024)]
-    {
+    for (service, rate, bytes) in [("Rover/cmd_vel", 7, 4 << 20), ("Arm/grip", 9, 4096), ("Rover/odom", 7, 4 << 20)] {
         let route = &of(service).route;
         assert!(format!("{:?}", route.plan).contains(&format!("max_rate_hz: Some({rate})")), "{route:?}");
         assert_eq!(route.sample_bytes_max, bytes);
