@@ -142,7 +142,11 @@ impl Default for Config {
             listen: "127.0.0.1:7450".into(),
             profile: Profile::Balanced,
             member: MemberOf::default(),
-            limits: Limits { payload_bytes_max: 1024 * 1024, in_flight_max: 65_536, subscribers_max: 1024 },
+            limits: Limits {
+                payload_bytes_max: TRANSACTION_BYTES_MAX as u64,
+                in_flight_max: 65_536,
+                subscribers_max: 1024,
+            },
             storage: Storage { segment_mib: 64, retention: Retention::Forever, archive: PathBuf::new() },
             order: Order::default(),
             ca: Ca {

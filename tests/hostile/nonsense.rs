@@ -330,13 +330,15 @@ async fn a_replay_gets_the_first_verdict_and_changes_nothing() {
 
 #[tokio::test]
 async fn what_is_too_large_is_refused_by_the_configured_limit() {
-    let mut target = Target::start().await;
+    let fleet = Fleet::found(1);
+    fleet.nodes[0].configure("[limits]\npayload_bytes_max = 1048576");
+    let mut target = Target::start_on(fleet).await;
     let channel = wire::channel(&target.salma, true).await;
     let sized = |target: &Target, bytes: usize, seq: u64| {
         let arguments = message(1, seq, &vec![7; bytes]);
         target.signed(|body| (body.function, body.args) = ("set".into(), arguments))
     };
-    // 1 MiB unless configured, for the whole transaction.
+    // For the whole transaction.
     for (bytes, seq) in [(1 << 20, 1), ((1 << 20) + 1, 2), (2 << 20, 3)] {
         let answer = submit(&channel, sized(&target, bytes, seq).encoded().clone()).await.unwrap();
         assert_eq!(code(&answer), 1002, "{bytes}: {:?}", answer.verdict);

@@ -11,6 +11,7 @@
     reason = "tests"
 )]
 
+mod actions;
 mod arena;
 mod calls;
 mod codec;
@@ -123,6 +124,19 @@ fn a_300_kb_message_passes() {
         call(&world.salma, "acquire", &["Rover/image", "60000"]).await;
         let _bridges = world.start_bridges("/image", "sensor_msgs/msg/Image");
         drive(&world, "/image", (10, 5, 300_000), false).await;
+    });
+}
+
+#[test]
+fn a_message_of_4_mb_passes_whole() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    world::run(async {
+        let world = World::start("/image", "sensor_msgs/msg/Image").await;
+        call(&world.salma, "acquire", &["Rover/image", "60000"]).await;
+        let _bridges = world.start_bridges("/image", "sensor_msgs/msg/Image");
+        drive(&world, "/image", (5, 1, 4_000_000), false).await;
     });
 }
 

@@ -59,14 +59,15 @@ pub fn replies(service: &str) -> String {
     format!("{service}{REPLY}")
 }
 
-/// Is that a type of calls, to which the robot replies: a ROS 2 service?
+/// Is that a type of calls, to which the robot replies: a ROS 2 service or action?
 ///
 /// ```
 /// assert!(ledger_contract::is_called("std_srvs/srv/Trigger"));
+/// assert!(ledger_contract::is_called("nav2_msgs/action/NavigateToPose"));
 /// assert!(!ledger_contract::is_called("geometry_msgs/msg/Twist"));
 /// ```
 pub fn is_called(type_name: &str) -> bool {
-    type_name.split('/').nth(1) == Some("srv")
+    matches!(type_name.split('/').nth(1), Some("srv" | "action"))
 }
 
 impl ServiceSpec {

@@ -17,6 +17,8 @@ pub const CDR_LE: [u8; 2] = [0, 1];
 pub const PL_CDR_BE: [u8; 2] = [0, 2];
 /// Representation identifier of parameter-list CDR, little endian.
 pub const PL_CDR_LE: [u8; 2] = [0, 3];
+/// Representation identifiers of XCDR2 (DDS-XTypes 1.3, table 60): of final, appendable and mutable types, each in both byte orders.
+pub const XCDR2: [[u8; 2]; 6] = [[0, 6], [0, 7], [0, 8], [0, 9], [0, 0xa], [0, 0xb]];
 
 /// A message exactly as DDS carries it: header and body, never decoded.
 ///
@@ -26,8 +28,8 @@ pub const PL_CDR_LE: [u8; 2] = [0, 3];
 /// | id   | opts | body ...
 /// +------+------+----------
 /// ```
-/// `id` names the encoding (and with it the byte order), `opts` is reserved and zero in what
-/// RustDDS hands over, `body` is the CDR of the message. These bytes are the payload on the ledger
+/// `id` names the encoding, and with it the byte order. `opts` is how many bytes of padding are at the end, if the middleware
+/// says that. `body` is the CDR of the message. These bytes are the payload on the ledger
 /// and in shared memory, so the robot's side publishes what the user's node sent. Cloning is cheap.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sample(Bytes);
@@ -38,11 +40,19 @@ impl Sample {
     /// # Errors
     /// [`Code::BadArgument`].
     pub fn new(representation_id: [u8; 2], body: &[u8]) -> Result<Self, Rejection> {
+        Self::with_options(representation_id, [0, 0], body)
+    }
+
+    /// The same with the two bytes of options behind the identifier.
+    ///
+    /// # Errors
+    /// As [`Sample::new`].
+    pub fn with_options(representation_id: [u8; 2], options: [u8; 2], body: &[u8]) -> Result<Self, Rejection> {
         let len = body.len().saturating_add(HEADER_BYTES);
         check_len(len, SAMPLE_BYTES_MAX)?;
         let mut wire = BytesMut::with_capacity(len);
         wire.put_slice(&representation_id);
-        wire.put_slice(&[0, 0]);
+        wire.put_slice(&options);
         wire.put_slice(body);
         Ok(Self(wire.freeze()))
     }
@@ -57,9 +67,10 @@ impl Sample {
         let sample = Self(wire);
         match sample.representation_id() {
             CDR_BE | CDR_LE | PL_CDR_BE | PL_CDR_LE => Ok(sample),
+            id if XCDR2.contains(&id) => Ok(sample),
             [first, second] => {
                 let found = format!("encoding {first:02x} {second:02x}");
-                let wanted = "00 00 to 00 03 (CDR, as ROS 2 writes it)";
+                let wanted = "00 00 to 00 03 (CDR, as ROS 2 writes it), or 00 06 to 00 0b (XCDR2)";
                 let hint = "send the message with its 4-byte encapsulation header, 00 01 00 00 for little endian";
                 Err(refused("sample has an unknown encoding", found).wanted(wanted).next(hint))
             }
@@ -86,6 +97,11 @@ impl Sample {
             Some(id) => *id,
             None => CDR_LE, // unreachable: every constructor checks the length
         }
+    }
+
+    /// The bytes of options behind the identifier.
+    pub fn options(&self) -> [u8; 2] {
+        self.0.get(2..HEADER_BYTES).and_then(|options| options.first_chunk().copied()).unwrap_or_default()
     }
 
     /// The CDR of the message without its header.
@@ -154,7 +170,17 @@ mod tests {
     #[test]
     fn reserved_options_survive() {
         let wire = Bytes::from_static(&[0, 1, 0, 3, 9, 0, 0, 0]);
-        assert_eq!(Sample::from_wire(wire.clone(), 100).unwrap().wire(), &wire);
+        let sample = Sample::from_wire(wire.clone(), 100).unwrap();
+        assert_eq!((sample.wire(), sample.options()), (&wire, [0, 3]));
+        assert_eq!(Sample::with_options(CDR_LE, [0, 3], &[9, 0, 0, 0]).unwrap(), sample);
+    }
+
+    #[test]
+    fn every_encoding_of_xcdr2_passes_as_it_is() {
+        for id in XCDR2 {
+            let wire = Bytes::copy_from_slice(&[id[0], id[1], 0, 2, 7, 7, 0, 0]);
+            assert_eq!(Sample::from_wire(wire.clone(), 100).unwrap().wire(), &wire);
+        }
     }
 
     #[test]
@@ -177,7 +203,7 @@ mod tests {
 
     #[test]
     fn unknown_encodings_are_refused() {
-        for id in [[0, 4], [0, 9], [1, 0], [0xff, 0xff]] {
+        for id in [[0, 4], [0, 5], [0, 0xc], [0, 0x11], [1, 0], [0xff, 0xff]] {
             let wire = Bytes::copy_from_slice(&[id[0], id[1], 0, 0, 1]);
             let error = Sample::from_wire(wire, 100).unwrap_err().to_string();
             assert!(error.contains("unknown encoding"), "{error}");

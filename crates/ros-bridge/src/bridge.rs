@@ -5,7 +5,10 @@ mod tests;
 
 use std::{fmt, path::Path, sync::Arc, time::Duration};
 
-use futures::{Stream, StreamExt, future::OptionFuture};
+use futures::{
+    FutureExt, Stream, StreamExt,
+    future::{BoxFuture, OptionFuture},
+};
 use ledger_api::{Client, Context, home, read_checkpoint};
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
@@ -54,6 +57,8 @@ pub struct Bridge {
     stop_reporter: watch::Sender<bool>,
     /// Has a route ended that nobody stopped?
     ended: watch::Receiver<bool>,
+    #[cfg(test)]
+    local: Local,
 }
 
 /// A task that discovers routes.
@@ -84,25 +89,60 @@ impl fmt::Debug for Bridge {
 }
 
 /// Runs a bridge by itself until `stop` is ready, and then prints one line of JSON on standard output: the
-/// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered. `changes` brings
-/// configurations that are to count from now on, as [`Bridge::reload`] takes them.
+/// [`Summary`]. It waits, and says so, as long as no node answers or its robot is not registered. If it loses the local graph, it
+/// joins it again; the summary counts from there. `changes` brings configurations that are to count from now on, as
+/// [`Bridge::reload`] takes them.
 ///
 /// # Errors
-/// As [`Client::connect`] and [`Bridge::start`], where waiting cannot help;
-/// [`Code::MiddlewareFailed`] if the local graph is lost.
+/// As [`Client::connect`] and [`Bridge::start`] at the first start, where waiting cannot help.
 pub async fn run(
-    mut config: Config,
+    config: Config,
     changes: impl Stream<Item = Config>,
     stop: impl Future<Output = ()>,
 ) -> Result<(), Rejection> {
+    match keep_running(config, changes, stop, start).await? {
+        Some(summary) => print(&summary),
+        None => Ok(()),
+    }
+}
+
+/// A bridge, and what ends it as `stop` does: its certificate is a new one.
+type Started = (Bridge, BoxFuture<'static, ()>);
+
+/// Runs bridges that `start` starts, one after another, until `stop` is ready. Answers with the summary of the last one, if one
+/// ever ran.
+async fn keep_running(
+    mut config: Config,
+    changes: impl Stream<Item = Config>,
+    stop: impl Future<Output = ()>,
+    start: impl AsyncFn(&Config) -> Result<Started, Rejection>,
+) -> Result<Option<Summary>, Rejection> {
     let (mut stop, mut changes) = (std::pin::pin!(stop), std::pin::pin!(changes));
-    let mut told = String::new();
-    let (mut bridge, client) = loop {
+    let (mut told, mut last) = (String::new(), None);
+    loop {
         let refused = tokio::select! {
-            () = &mut stop => return Ok(()),
+            () = &mut stop => return Ok(last),
             started = start(&config) => match started {
-                Ok(started) => break started,
-                Err(refused) if is_to_come(&refused) => refused,
+                Ok((mut bridge, mut renewed)) => {
+                    let lost = loop {
+                        tokio::select! {
+                            () = &mut stop => break None,
+                            () = &mut renewed => break None,
+                            lost = bridge.ended() => break Some(lost),
+                            Some(changed) = changes.next() => {
+                                config = changed;
+                                bridge.reload(config.clone()).await;
+                            }
+                        }
+                    };
+                    let summary = bridge.stop().await;
+                    let Some(lost) = lost else { return Ok(Some(summary)) };
+                    let counters = serde_json::to_string(&summary).unwrap_or_default();
+                    tracing::error!(summary = counters, "the local graph is lost, and is joined again");
+                    last = Some(summary);
+                    lost
+                }
+                Err(refused) if last.is_some() || is_to_come(&refused) => refused,
                 Err(refused) => return Err(refused),
             },
         };
@@ -113,23 +153,11 @@ pub async fn run(
             told = refused.message;
         }
         tokio::select! {
-            () = &mut stop => return Ok(()),
+            () = &mut stop => return Ok(last),
             Some(changed) = changes.next() => config = changed,
             () = tokio::time::sleep(RETRY_PAUSE) => {}
         }
-    };
-    let mut renewed = std::pin::pin!(keep_renewed(&config, &client));
-    let outcome = loop {
-        let changed = tokio::select! {
-            () = &mut stop => break Ok(()),
-            () = &mut renewed => break Ok(()),
-            lost = bridge.ended() => break Err(lost),
-            Some(changed) = changes.next() => changed,
-        };
-        bridge.reload(changed).await;
-    };
-    print(&bridge.stop().await)?;
-    outcome
+    }
 }
 
 impl Bridge {
@@ -173,11 +201,26 @@ impl Bridge {
             let (gateway, local, roster) = (Arc::clone(&gateway), local.clone(), Arc::clone(&roster));
             tokio::spawn(Grants { gateway, local, roster, network: context.network }.run(told.clone()))
         });
+        #[cfg(test)]
+        let kept = local.clone();
         let reporter =
             Reporter::ready(&config, context, (domain, &reach), Arc::clone(&gateway), local, Arc::clone(&roster));
         let reporter = tokio::spawn(reporter.run(told));
         let watch = Watching::start(&config, &gateway, &table);
-        Ok(Self { config, domain: domain.id, gateway, roster, table, watch, grants, reporter, stop_reporter, ended })
+        Ok(Self {
+            config,
+            domain: domain.id,
+            gateway,
+            roster,
+            table,
+            watch,
+            grants,
+            reporter,
+            stop_reporter,
+            ended,
+            #[cfg(test)]
+            local: kept,
+        })
     }
 
     /// Takes over the routes of another configuration: those that are gone end, new ones start, and all others go on
@@ -206,14 +249,14 @@ impl Bridge {
         );
     }
 
-    /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then start another bridge.
+    /// Waits until a route ends that nobody stopped, and says why: the middleware has ended. Then stop it, and start another bridge.
     pub async fn ended(&self) -> Rejection {
         // An error means that every route has ended.
         drop(self.ended.clone().wait_for(|ended| *ended).await);
         Rejection::new(Code::MiddlewareFailed, "the local ROS 2 graph is lost")
             .found("DDS has ended: one of its threads is gone")
             .wanted("a running DDS")
-            .next("start the bridge again, or let a service unit do it")
+            .next("it is joined again by itself; look at the interfaces of this machine if that does not help")
     }
 
     /// The counters of the routes so far.
@@ -255,9 +298,11 @@ fn all_refused(refused: impl Iterator<Item = Option<Rejection>>) -> Option<Rejec
     refused?.into_iter().min_by_key(is_to_come)
 }
 
-async fn start(config: &Config) -> Result<(Bridge, Client), Rejection> {
+async fn start(config: &Config) -> Result<Started, Rejection> {
     let client = Client::connect(&context_of(config)?).await?;
-    Ok((Bridge::start(config.clone(), client.clone()).await?, client))
+    let bridge = Bridge::start(config.clone(), client.clone()).await?;
+    let config = config.clone();
+    Ok((bridge, async move { keep_renewed(&config, &client).await }.boxed()))
 }
 
 /// The identity of a bridge towards the ledger, as its configuration names it.

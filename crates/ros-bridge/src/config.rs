@@ -15,17 +15,20 @@
 //!
 //! [[route]]
 //! service = "Turtlebot4/cmd_vel"
-//! direction = "to_ledger"      # "from_ledger" on the robot's side; for services "service_server" and "service_client"
+//! direction = "to_ledger"      # "from_ledger" on the robot's side; services and actions have kinds of their own
 //! topic = "/cmd_vel"           # by default the service's topic
 //! type = "geometry_msgs/msg/Twist"
 //! qos = { reliability = "reliable", durability = "volatile", depth = 100 }
-//! sample_bytes_max = 1048576
+//! sample_bytes_max = 4194304
 //! batch_max = 1                # to_ledger: samples that wait share a transaction, up to so many
 //! latched_depth = 1            # to_ledger: samples kept of each publisher of a latched topic
 //! latched_again_s = 3600       # to_ledger: until they are said again
-//! max_rate_hz = 20             # to_ledger: at most so many a second, the newest; alone, without batch_max
-//! reply_timeout_ms = 10000     # service_server: a call without a reply is forgotten after so long
-//! server_timeout_ms = 10000    # service_client: the robot's server is waited for so long
+//! max_rate_hz = 20             # at most so many a second, the newest; alone, without batch_max; from_ledger: feeds only
+//! reply_timeout_ms = 10000     # servers of calls and goals: one without a reply is forgotten after so long
+//! server_timeout_ms = 10000    # clients of them: the robot's server is waited for so long
+//! result_timeout_ms = 3600000  # actions: the result of a goal is waited for so long
+//! goal_timeout_ms = 60000      # clients of actions: a goal that runs longer is cancelled
+//! feedback_rate_hz = 10        # clients of actions: feedback goes to the ledger at most so often
 //! max_age_ms = 1000            # from_ledger: may only shorten the service's own limit
 //! stale_after_ms = 1000        # from_ledger: so long without a sign of life of the ledger, then the robot stops
 //! stop_hex = "00010000…"       # from_ledger: the stop message, if the type has none or another is wanted
@@ -360,7 +363,7 @@ mod tests {
         assert_eq!(route.kind.name, "from_ledger");
         assert_eq!(
             format!("{:?}", route.plan),
-            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, on_demand: false }"
+            "Settings { max_age: None, stale_after: 1s, command_timeout: None, side_door: Warn, stop: None, points: Topics { goal: None, path: None }, holder: None, max_rate_hz: None, on_demand: false }"
         );
         assert_eq!(route.limits().queue_samples_max, 100);
     }
@@ -466,14 +469,15 @@ mod tests {
 
     #[test]
     fn a_kind_of_route_carries_types_of_its_own_kind() {
-        let light = ROUTE.replace("geometry_msgs/msg/Twist", "std_srvs/srv/SetBool");
-        for (route, direction) in [(ROUTE, "to_ledger"), (&light, "service_server"), (&light, "service_client")] {
-            assert!(parse(&format!("{route}direction = '{direction}'")).is_ok(), "{direction}");
-        }
-        for (route, direction) in [(&*light, "to_ledger"), (&light, "from_ledger"), (ROUTE, "service_server")] {
-            let faults = parse(&format!("{route}direction = '{direction}'")).unwrap_err();
-            assert_eq!(faults.len(), 1, "{faults:?}");
-            assert!(faults[0].to_string().contains("direction does not fit"), "{}", faults[0]);
+        let types = ["geometry_msgs/msg/Twist", "std_srvs/srv/SetBool", "example_interfaces/action/Fibonacci"];
+        for kind in KINDS {
+            for of in types {
+                let text = format!("{}direction = '{}'", ROUTE.replace(types[0], of), kind.name);
+                let faults = parse(&text).err().unwrap_or_default();
+                let fits = of.contains(&format!("/{}/", kind.carries.name()));
+                assert_eq!(faults.len(), usize::from(!fits), "{kind:?} {of} {faults:?}");
+                assert!(faults.iter().all(|fault| fault.to_string().contains("direction does not fit")), "{faults:?}");
+            }
         }
     }
 

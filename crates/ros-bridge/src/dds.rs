@@ -7,10 +7,10 @@
 //!   12 participants of the domain. It does so on `127.0.0.1`, UDP port 7410 + 250 · domain + 2 · index. A CycloneDDS
 //!   peer is found if it listens there: interface `lo`, multicast off, peer `127.0.0.1`, participant index `auto`.
 //!   There is nothing to set on our side.
-//! - **Options of the encapsulation header** are dropped on reading and zero on writing. Plain CDR
-//!   has none; CycloneDDS puts the count of padding bytes there, which no reader of plain CDR needs.
+//! - **Options of the encapsulation header** were dropped on reading and zero on writing. CycloneDDS puts the count of padding
+//!   bytes there, which readers of XCDR2 need. The copy hands them over.
 //! - **A DDS writer has one encoding.** [`Writer`] opens a second one when the first sample of
-//!   another byte order comes; samples written before readers matched that one are lost, as at any
+//!   another byte order, or of XCDR2, comes; samples written before readers matched that one are lost, as at any
 //!   start.
 //! - **History is counted in samples**, and kept per topic after reading: `depth` times the largest
 //!   message is the memory of a topic. The bytes that wait for us are limited by [`crate::queue`].
@@ -29,7 +29,7 @@
 //! block. Everything here must be called inside a tokio runtime.
 
 mod calls;
-mod encoding;
+pub(crate) mod encoding;
 mod graph;
 mod intake;
 mod matched;
@@ -141,6 +141,12 @@ impl Participant {
     /// The GUID of the participant: unique in the world, new with every start.
     pub fn guid(&self) -> [u8; 16] {
         self.dds.guid().to_bytes()
+    }
+
+    /// Loses DDS as a fault would take it away.
+    #[cfg(test)]
+    pub(crate) fn break_down(&self) {
+        self.dds.end_event_loop();
     }
 
     /// The ROS domain.

@@ -8,7 +8,7 @@
 //! allow = { from_ledger = [".*/odom"], to_ledger = [".*/cmd_vel"] } # whole ids of services; by default all
 //! deny = { from_ledger = [".*/image"] } # counts before allow
 //! remap = { "Turtlebot4/cmd_vel" = "/cmd_vel" } # other local topics
-//! max_rate_hz = [".*/odom=10"] # to_ledger: the first expression that matches counts
+//! max_rate_hz = [".*/odom=10"] # no commands to a robot; the first expression that matches counts
 //! sample_bytes_max = [".*/image=2000000"]
 //! ```
 //! On a user's side commands are taken from the local graph while the user holds the service, and feeds are delivered

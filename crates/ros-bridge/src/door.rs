@@ -22,6 +22,8 @@ use std::{
     time::{Duration, Instant},
 };
 
+use ledger_gate::sample::HEADER_BYTES;
+
 use crate::{count::Complaint, mark::Mark};
 
 /// A payload is remembered at least so long, also where messages grow old sooner: relays may be slow.
@@ -78,10 +80,15 @@ impl Delivered {
         self.lock().delivering.insert(service)
     }
 
+    /// The hash of a payload, without the options in its header: a relay on another middleware writes others.
+    fn hash(&self, payload: &[u8]) -> u64 {
+        self.hasher.hash_one((payload.get(..2), payload.get(HEADER_BYTES..)))
+    }
+
     /// A payload was, or is about to be, delivered to the graph.
     pub fn note(&self, service: Mark, payload: &[u8], now: Instant) {
         if self.lock().wanted.contains_key(&service) {
-            let hash = self.hasher.hash_one(payload);
+            let hash = self.hash(payload);
             let mut window = self.lock();
             window.delivering.insert(service);
             window.add(service, hash, None, now);
@@ -216,7 +223,7 @@ impl Door {
             publishers.insert(source, Publisher::Source);
             return Entry::Admit;
         }
-        let hash = self.delivered.hasher.hash_one(payload);
+        let hash = self.delivered.hash(payload);
         let mut window = self.delivered.lock();
         let (is_source, was_quiet, after) = match publishers.get(&source) {
             Some(Publisher::Source) => (true, false, 0),

@@ -4,7 +4,7 @@ use ledger_rejection::{Code, Rejection};
 use ros_message::{Library, Message};
 
 use crate::names::TypeName;
-use ledger_gate::sample::Sample;
+use ledger_gate::sample::{Sample, XCDR2};
 
 /// The type with which samples of a route are compared.
 pub(crate) struct Fit(Option<Message>);
@@ -25,7 +25,10 @@ impl Fit {
     /// # Errors
     /// [`Code::BadMessage`] if there are too few or too many bytes for the type.
     pub(crate) fn check(&self, sample: &Sample) -> Result<(), Rejection> {
-        let Some(message) = &self.0 else { return Ok(()) };
+        // Lengths of XCDR2 are others.
+        let Some(message) = self.0.as_ref().filter(|_| !XCDR2.contains(&sample.representation_id())) else {
+            return Ok(());
+        };
         message.check(sample.wire()).map_err(|fault| {
             Rejection::new(Code::BadMessage, fault.message)
                 .found(fault.found)
@@ -62,5 +65,11 @@ mod tests {
     #[test]
     fn a_type_without_a_definition_admits_everything() {
         assert!(check("arm_msgs/msg/Grip", &[1, 2, 3]).is_ok());
+    }
+
+    #[test]
+    fn a_sample_in_xcdr2_is_not_measured_by_the_lengths_of_plain_cdr() {
+        let fit = Fit::of(&TypeName::parse("geometry_msgs/msg/Twist").unwrap());
+        assert!(fit.check(&Sample::new([0, 9], &[0; 52]).unwrap()).is_ok());
     }
 }

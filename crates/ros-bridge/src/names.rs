@@ -35,7 +35,7 @@ const WELL_KNOWN: [&str; 14] = [
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TopicName(String);
 
-/// The name of a ROS 2 type: of a message such as `geometry_msgs/msg/Twist`, or of a service.
+/// The name of a ROS 2 type: of a message such as `geometry_msgs/msg/Twist`, of a service, or of an action.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct TypeName {
     package: String,
@@ -50,16 +50,19 @@ pub enum Interface {
     Message,
     /// One calls, another replies.
     Service,
+    /// One sets goals, another works on them, and tells how far it is.
+    Action,
 }
 
 impl Interface {
-    const ALL: [Self; 2] = [Self::Message, Self::Service];
+    const ALL: [Self; 3] = [Self::Message, Self::Service, Self::Action];
 
     /// The part of a type's name that says it.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Message => "msg",
             Self::Service => "srv",
+            Self::Action => "action",
         }
     }
 }
@@ -83,6 +86,14 @@ impl TopicName {
     /// The name itself, or the nearest one that ROS 2 allows.
     pub(crate) fn near(text: &str) -> Option<Self> {
         if topic_fault(text).is_none() { Some(Self(text.to_owned())) } else { repaired_topic(text).map(Self) }
+    }
+
+    /// The name with a part behind it, such as `/_action/status`.
+    ///
+    /// # Errors
+    /// As [`TopicName::parse`]: the whole may be too long.
+    pub(crate) fn below(&self, part: &str) -> Result<Self> {
+        Self::parse(&format!("{}{part}", self.0))
     }
 
     /// The name as ROS 2 writes it, `/cmd_vel`.
@@ -122,7 +133,7 @@ impl TypeName {
         self.interface
     }
 
-    /// The type of a part of a service, such as `_Request`.
+    /// The type of a part of a service or an action, such as `_Request`.
     pub(crate) fn part(&self, suffix: &str) -> Self {
         Self { name: format!("{}{suffix}", self.name), ..self.clone() }
     }
@@ -195,7 +206,7 @@ fn split_type(text: &str) -> std::result::Result<(&str, Interface, &str), String
         return Err(format!("it has {} parts between slashes, not three", parts.len()));
     };
     let Some(interface) = Interface::ALL.into_iter().find(|interface| interface.name() == middle) else {
-        return Err(format!("the middle part is {middle:?}, not \"msg\" or \"srv\""));
+        return Err(format!("the middle part is {middle:?}, not \"msg\", \"srv\" or \"action\""));
     };
     let lower = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
     if !package.starts_with(|c: char| c.is_ascii_lowercase()) || !package.chars().all(lower) {
@@ -314,5 +325,8 @@ mod tests {
         let spawn = TypeName::parse("turtlesim/srv/Spawn").unwrap();
         assert_eq!((spawn.interface(), spawn.to_string().as_str()), (Interface::Service, "turtlesim/srv/Spawn"));
         assert_eq!(spawn.part("_Request").dds(), "turtlesim::srv::dds_::Spawn_Request_");
+        let rotate = TypeName::parse("turtlesim/action/RotateAbsolute").unwrap();
+        assert_eq!(rotate.interface(), Interface::Action);
+        assert_eq!(rotate.part("_FeedbackMessage").dds(), "turtlesim::action::dds_::RotateAbsolute_FeedbackMessage_");
     }
 }

@@ -28,7 +28,7 @@ pub struct Limits {
 
 impl Default for Limits {
     fn default() -> Self {
-        Self { sample_bytes_max: 1024 * 1024, queue_bytes_max: 16 * 1024 * 1024, queue_samples_max: 10_000 }
+        Self { sample_bytes_max: 4 * 1024 * 1024, queue_bytes_max: 16 * 1024 * 1024, queue_samples_max: 10_000 }
     }
 }
 

@@ -100,19 +100,21 @@ impl Slot {
 }
 
 impl Watched {
-    /// The DDS topic on which others meet this route: that of the requests if it carries calls.
+    /// The DDS topic on which others meet this route: that of the requests if it carries calls, of the goals if it carries actions.
     pub(crate) fn dds_topic(&self) -> String {
-        match self.route.message.interface() {
-            Interface::Service => Exchange::new(&self.topic, &self.route.message).requests(),
-            Interface::Message => self.topic.dds(),
-        }
+        self.requests().map_or_else(|| self.topic.dds(), |exchange| exchange.requests())
     }
 
     /// The DDS type there.
     pub(crate) fn dds_type(&self) -> String {
+        self.requests().map_or_else(|| self.route.message.dds(), |exchange| exchange.request_type().dds())
+    }
+
+    fn requests(&self) -> Option<Exchange> {
         match self.route.message.interface() {
-            Interface::Service => Exchange::new(&self.topic, &self.route.message).request_type().dds(),
-            Interface::Message => self.route.message.dds(),
+            Interface::Message => None,
+            Interface::Service => Some(Exchange::new(&self.topic, &self.route.message)),
+            Interface::Action => Exchange::of_goals(&self.topic, &self.route.message).ok(),
         }
     }
 

@@ -1,12 +1,16 @@
 //! Routes: one topic of one service. Each is a task of its own; its decisions are in parts without IO. The kinds are
 //! one table, [`kind::KINDS`], and each kind is a file.
 
+mod action_client;
+mod action_server;
+mod actions;
 mod calls;
 mod from_ledger;
 mod holder;
 pub(crate) mod kind;
 mod latched;
 pub(crate) mod local;
+mod pace;
 mod points;
 mod service_client;
 mod service_server;

@@ -137,6 +137,30 @@ async fn large_images_go_to_cyclone() {
 }
 
 #[tokio::test]
+async fn messages_in_xcdr2_pass_from_cyclone_to_cyclone() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let bridge = Participant::open(5, "ledgerd_bridge").await.unwrap();
+    for (kind, id) in [("Final", 7), ("Appendable", 9), ("Mutable", 11)] {
+        let (from, message) = names(&format!("/from/{kind}"), &format!("test_msgs/msg/{kind}"));
+        let (to, _) = names(&format!("/to/{kind}"), "test_msgs/msg/Any");
+        let mut reader = bridge.reader(&from, &message, &Qos::default(), Limits::default()).unwrap();
+        let writer = bridge.writer(&to, &message, &Qos::default()).unwrap();
+        // The first sample of an encoding opens its writer, and is lost until somebody reads that.
+        let mut python = Python::start("xcdr2.py", &["5", kind]);
+        // The script ends when it has all its texts back, and sends until then.
+        while python.child.try_wait().unwrap().is_none() {
+            let next = tokio::time::timeout(Duration::from_millis(100), reader.next()).await;
+            let Ok(incoming) = next.map(Option::unwrap) else { continue };
+            assert_eq!(incoming.sample.representation_id(), [0, id], "{kind}");
+            writer.write(&incoming.sample).unwrap();
+        }
+        assert!(python.finish(), "{kind}: what came back was not what was sent");
+    }
+}
+
+#[tokio::test]
 async fn ros_tools_see_one_node_with_its_endpoints() {
     if !network::isolated(&|| ()) {
         return;

@@ -7,7 +7,7 @@ mod network;
 use std::{process::Command, sync::Arc, time::Duration};
 use tokio::sync::watch;
 
-use ledger_gate::sample::{CDR_BE, CDR_LE, Sample};
+use ledger_gate::sample::{CDR_BE, CDR_LE, PL_CDR_BE, PL_CDR_LE, Sample, XCDR2};
 use ledger_hash::Hash;
 use ros_bridge::{
     dds::{Change, Participant, Reader, Role, Writer},
@@ -68,6 +68,31 @@ async fn samples_arrive_byte_for_byte_and_in_order() {
         assert_eq!(incoming.sequence, u64::from(number) + 1);
     }
     assert_eq!(reader.dropped(), 0);
+}
+
+#[tokio::test]
+async fn every_encoding_arrives_with_its_options() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let (here, there) = (Participant::open(3, "here").await.unwrap(), Participant::open(3, "there").await.unwrap());
+    let writer = here.writer(&topic(), &twist(), &Qos::default()).unwrap();
+    let mut reader = there.reader(&topic(), &twist(), &Qos::default(), Limits::default()).unwrap();
+    matched(&reader, &writer).await;
+    for id in [CDR_LE, CDR_BE, PL_CDR_LE, PL_CDR_BE].into_iter().chain(XCDR2) {
+        let sample = Sample::with_options(id, [0, 3], &[1, 2, 3, 4, 5, 0, 0, 0]).unwrap();
+        let arrived = async {
+            loop {
+                // The first one of an encoding may be lost, as its writer is opened with it.
+                writer.write(&sample).unwrap();
+                let next = tokio::time::timeout(Duration::from_millis(100), reader.next()).await;
+                if next.is_ok_and(|incoming| incoming.unwrap().sample == sample) {
+                    return;
+                }
+            }
+        };
+        assert!(tokio::time::timeout(DEADLINE, arrived).await.is_ok(), "{id:?} does not arrive as it is");
+    }
 }
 
 #[tokio::test]

@@ -53,6 +53,17 @@ impl<'a> Reader<'a> {
         let order = match header {
             [0, 0, ..] => ByteOrder::Big,
             [0, 1, ..] => ByteOrder::Little,
+            [0, id @ (2 | 3 | 6..=11), ..] => {
+                let name = match id {
+                    2 | 3 => "parameter list CDR",
+                    6 | 7 => "XCDR2",
+                    8 | 9 => "XCDR2 of an appendable type",
+                    _ => "XCDR2 of a mutable type",
+                };
+                return Err(Fault::new(format!("this message is {name}, which is passed on and not decoded"))
+                    .found(format!("the header 00 {id:02x}"))
+                    .wanted("the header 00 01 00 00 (CDR, little endian) or 00 00 00 00 (big endian)"));
+            }
             _ => {
                 let found: Vec<_> = header.iter().map(|byte| format!("{byte:02x}")).collect();
                 return Err(Fault::new("these bytes do not begin as a message of ROS 2 does")

@@ -64,3 +64,17 @@ fn a_list_of_the_wrong_length_is_refused() {
     assert_eq!((fault.found.as_str(), fault.wanted.as_str()), ("2 elements", "9"));
     assert!(fault.message.starts_with("orientation_covariance: "), "{fault:?}");
 }
+
+#[test]
+fn an_encoding_that_is_passed_on_and_not_decoded_is_named() {
+    let message = Library::builtin().message("std_msgs/msg/UInt16").unwrap();
+    for (id, name) in
+        [(3, "parameter list CDR"), (7, "XCDR2,"), (9, "XCDR2 of an appendable"), (11, "XCDR2 of a mutable")]
+    {
+        let refused = message.decode(&[0, id, 0, 2, 1, 2, 0, 0]).unwrap_err();
+        assert!(refused.message.contains(name), "{}", refused.message);
+        assert!(refused.found.contains(&format!("00 {id:02x}")), "{}", refused.found);
+    }
+    let unknown = message.decode(&[0, 5, 0, 0, 1, 2]).unwrap_err();
+    assert!(!unknown.message.contains("XCDR2"), "{}", unknown.message);
+}

@@ -115,12 +115,15 @@ fn policies_that_rules_3_would_refuse_deny_until_their_owner_puts_smaller_ones_a
 }
 
 #[test]
-fn types_of_ros_2_services_are_registered_since_rules_3() {
+fn types_of_ros_2_services_and_actions_are_registered_since_rules_3() {
     let lamp = robot("Lamp", "exclusive").replace("geometry_msgs/msg/Twist", "std_srvs/srv/SetBool");
+    let nav = robot("Nav", "exclusive").replace("geometry_msgs/msg/Twist", "nav2_msgs/action/NavigateToPose");
     let (mut fleet, _) = before();
     fleet.refused(&owner(), Code::BadName, "setup", &[&lamp]);
+    fleet.refused(&owner(), Code::BadName, "setup", &[&nav]);
     fleet.rules = rules(3);
     fleet.ok(&owner(), "setup", &[&lamp]);
+    fleet.ok(&owner(), "setup", &[&nav]);
     for bad in ["std_srvs/srv/", "std_srvs/service/SetBool", "std_srvs/srv/Set Bool", "srv/SetBool"] {
         let bad = robot("Lamp2", "exclusive").replace("geometry_msgs/msg/Twist", bad);
         fleet.refused(&owner(), Code::BadName, "setup", &[&bad]);

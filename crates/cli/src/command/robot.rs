@@ -37,8 +37,10 @@ Example:
   ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1
   ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue
   ledgerctl robot add Arm --attr-required Arm --service /home=std_srvs/srv/Trigger
+  ledgerctl robot add Nav --attr-required Nav --service /navigate_to_pose=nav2_msgs/action/NavigateToPose
 
-The last one is a ROS 2 service: users call it, and the robot replies on /home/_reply, which is registered with it.")]
+The last two are a ROS 2 service and an action: users call them, and the robot replies on /home/_reply and
+/navigate_to_pose/_reply, which are registered with them.")]
 pub(crate) struct Add {
     /// Name of the robot
     name: String,
@@ -247,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_service_of_ros_2_comes_with_one_for_its_replies() {
+    fn a_service_or_an_action_of_ros_2_comes_with_one_for_its_replies() {
         let topics = |given: &[&str]| {
             let given = given.iter().map(|text| service::parse(text).unwrap()).collect();
             let services = with_replies(given).into_iter();
@@ -259,6 +261,7 @@ mod tests {
         assert_eq!(topics(&[given]), [light(), replies(Some(500))]);
         let own = "/light/_reply=std_srvs/srv/SetBool,direction=feed";
         assert_eq!(topics(&[given, own]), [light(), replies(None)], "as the owner wants them");
+        assert_eq!(topics(&["/navigate=nav2_msgs/action/NavigateToPose"]).len(), 2);
         assert_eq!(topics(&["/cmd_vel=geometry_msgs/msg/Twist"]).len(), 1);
     }
 

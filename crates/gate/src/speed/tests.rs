@@ -5,7 +5,7 @@ use bytes::Bytes;
 use proptest::prelude::*;
 
 use super::*;
-use crate::sample::{PL_CDR_BE, PL_CDR_LE};
+use crate::sample::{PL_CDR_BE, PL_CDR_LE, XCDR2};
 
 const LIMITS: Speeds = Speeds { linear_mm_s: Some(500), angular_mrad_s: Some(1000) };
 
@@ -112,7 +112,7 @@ fn a_message_that_is_cut_off_or_too_long_or_in_another_encoding_is_refused_if_th
             assert_eq!(layout(frame).slow_down(&sample, LIMITS), Err(Fault::Layout), "{} bytes", body.len());
             assert_eq!(layout(frame).slow_down(&sample, Speeds::default()), Ok(None));
         }
-        for other in [PL_CDR_BE, PL_CDR_LE] {
+        for other in [PL_CDR_BE, PL_CDR_LE].into_iter().chain(XCDR2) {
             let sample = Sample::new(other, &whole).unwrap();
             assert_eq!(layout(frame).slow_down(&sample, LIMITS), Err(Fault::Layout));
         }

@@ -6,6 +6,7 @@ mod network;
 
 mod latched_tests;
 mod limit_tests;
+mod lost_tests;
 mod start_tests;
 mod stop_tests;
 

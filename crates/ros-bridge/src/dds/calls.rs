@@ -14,7 +14,10 @@ pub use self::{
     mapping::Caller,
     server::{Request, Server},
 };
-use crate::names::{TopicName, TypeName};
+use crate::{
+    error::Result,
+    names::{TopicName, TypeName},
+};
 
 /// Most requests or replies that wait to be taken; more are dropped.
 const WAITING_MAX: usize = 64;
@@ -30,6 +33,30 @@ impl Exchange {
     /// The service of that name, such as `/reset`, and type, such as `std_srvs/srv/Trigger`.
     pub fn new(name: &TopicName, of: &TypeName) -> Self {
         Self { name: name.clone(), of: of.clone() }
+    }
+
+    /// The service on which an action of that name, such as `/navigate_to_pose`, takes goals.
+    ///
+    /// # Errors
+    /// [`crate::error::Error::Name`] if the name is too long with what ROS 2 puts behind it.
+    pub fn of_goals(action: &TopicName, of: &TypeName) -> Result<Self> {
+        Ok(Self { name: action.below("/_action/send_goal")?, of: of.part("_SendGoal") })
+    }
+
+    /// The service on which it is asked for results.
+    ///
+    /// # Errors
+    /// As [`Exchange::of_goals`].
+    pub fn of_results(action: &TopicName, of: &TypeName) -> Result<Self> {
+        Ok(Self { name: action.below("/_action/get_result")?, of: of.part("_GetResult") })
+    }
+
+    /// The service on which goals are cancelled.
+    ///
+    /// # Errors
+    /// As [`Exchange::of_goals`].
+    pub fn of_cancels(action: &TopicName) -> Result<Self> {
+        Ok(Self { name: action.below("/_action/cancel_goal")?, of: TypeName::parse("action_msgs/srv/CancelGoal")? })
     }
 
     /// The name of the DDS topic of the requests, `rq/resetRequest`.
@@ -71,5 +98,21 @@ mod tests {
         assert_eq!((service.requests(), service.replies()), ("rq/arm/resetRequest".into(), "rr/arm/resetReply".into()));
         assert_eq!(service.request_type().dds(), "std_srvs::srv::dds_::Trigger_Request_");
         assert_eq!(service.reply_type().dds(), "std_srvs::srv::dds_::Trigger_Response_");
+    }
+    #[test]
+    fn an_action_has_three_services() {
+        let of = TypeName::parse("nav2_msgs/action/NavigateToPose").unwrap();
+        let action = TopicName::parse("/navigate_to_pose").unwrap();
+        let [goals, results, cancels] =
+            [Exchange::of_goals(&action, &of), Exchange::of_results(&action, &of), Exchange::of_cancels(&action)]
+                .map(|exchange| exchange.unwrap());
+        assert_eq!(goals.requests(), "rq/navigate_to_pose/_action/send_goalRequest");
+        assert_eq!(goals.request_type().dds(), "nav2_msgs::action::dds_::NavigateToPose_SendGoal_Request_");
+        assert_eq!(results.replies(), "rr/navigate_to_pose/_action/get_resultReply");
+        assert_eq!(results.reply_type().dds(), "nav2_msgs::action::dds_::NavigateToPose_GetResult_Response_");
+        assert_eq!(cancels.requests(), "rq/navigate_to_pose/_action/cancel_goalRequest");
+        assert_eq!(cancels.request_type().dds(), "action_msgs::srv::dds_::CancelGoal_Request_");
+        let long = TopicName::parse(&format!("/{}", "a".repeat(240))).unwrap();
+        assert!(Exchange::of_goals(&long, &of).is_err(), "no name for its goals fits into DDS");
     }
 }

@@ -9,7 +9,7 @@ use tokio::{task::JoinHandle, time::interval};
 
 use super::{
     ALIVE_EVERY, Matched, Participant, dds_error,
-    encoding::AnyRaw,
+    encoding::{AnyRaw, accepted},
     graph::{Graph, Role},
     intake::{Intake, Verdict},
     matched::Matches,
@@ -49,6 +49,7 @@ impl Reader {
         let policies = qos.policies();
         let policies = participant.with_type_hash(policies, message);
         let policies = door.as_ref().map_or_else(|| policies.clone(), |door| door.mark().put_on(&policies));
+        let policies = policies.with_data_representation(accepted());
         let subscriber = participant.dds.create_subscriber(&qos.policies()).map_err(failed)?;
         let source: SimpleDataReader<Sample, AnyRaw> =
             subscriber.create_simple_datareader_no_key(&dds_topic, Some(policies)).map_err(failed)?;

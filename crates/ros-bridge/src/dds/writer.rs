@@ -15,7 +15,12 @@ use rustdds::{
 };
 use tokio::{task::AbortHandle, time::interval};
 
-use super::{ALIVE_EVERY, Matched, Participant, dds_error, encoding::Raw, graph::Role, matched::Matches};
+use super::{
+    ALIVE_EVERY, Matched, Participant, dds_error,
+    encoding::{Payload, Raw, offered},
+    graph::Role,
+    matched::Matches,
+};
 use crate::{
     error::{Error, Explained, Result},
     mark::Mark,
@@ -83,11 +88,12 @@ impl Writer {
                 new.insert(self.endpoint(id, matches)?)
             }
         };
-        let mut body = sample.body();
+        let (options, mut body) = (sample.options(), sample.body());
         if body.len() <= COPIED_BYTES_MAX {
             body = Bytes::copy_from_slice(&body);
         }
-        endpoint.output.put(body).map_err(|error| dds_error(&format!("cannot publish on {}", self.topic), &error))
+        let payload = Payload { options, body };
+        endpoint.output.put(payload).map_err(|error| dds_error(&format!("cannot publish on {}", self.topic), &error))
     }
 
     /// Waits until all reliable readers have everything written so far; `false` after `at_most`. A stop message
@@ -113,19 +119,29 @@ impl Writer {
             CDR_BE => self.endpoint_of::<0>(matches),
             PL_CDR_BE => self.endpoint_of::<2>(matches),
             PL_CDR_LE => self.endpoint_of::<3>(matches),
+            [0, 6] => self.endpoint_of::<6>(matches),
+            [0, 7] => self.endpoint_of::<7>(matches),
+            [0, 8] => self.endpoint_of::<8>(matches),
+            [0, 9] => self.endpoint_of::<9>(matches),
+            [0, 10] => self.endpoint_of::<10>(matches),
+            [0, 11] => self.endpoint_of::<11>(matches),
             [first, second] => {
                 let found = format!("encoding {first:02x} {second:02x}");
                 let what = format!("cannot publish on {}: unknown encoding", self.topic);
-                Err(Error::Sample(Explained::new(what, found, "00 00 to 00 03", "")))
+                Err(Error::Sample(Explained::new(what, found, "00 00 to 00 03, or 00 06 to 00 0b", "")))
             }
         }
     }
 
     fn endpoint_of<const ID: u8>(&self, matches: Matches) -> Result<Endpoint> {
         let failed = |error| dds_error(&format!("cannot write topic {}", self.topic), &error);
-        let publisher = self.participant.dds.create_publisher(&self.policies).map_err(failed)?;
-        let writer: DataWriter<Bytes, Raw<ID>> =
-            publisher.create_datawriter_no_key(&self.dds_topic, Some(self.policies.clone())).map_err(failed)?;
+        let policies = match offered([0, ID]) {
+            Some(version) => self.policies.clone().with_data_representation(version),
+            None => self.policies.clone(),
+        };
+        let publisher = self.participant.dds.create_publisher(&policies).map_err(failed)?;
+        let writer: DataWriter<Payload, Raw<ID>> =
+            publisher.create_datawriter_no_key(&self.dds_topic, Some(policies)).map_err(failed)?;
         let writer = Arc::new(writer);
         self.participant.graph.add(Role::Writes, writer.guid());
         let watcher = tokio::spawn(watch(Arc::clone(&writer), self.topic.clone(), matches)).abort_handle();
@@ -144,14 +160,14 @@ impl Drop for Writer {
 
 /// A DDS writer of any encoding.
 trait Output: Send + Sync {
-    fn put(&self, body: Bytes) -> std::result::Result<(), WriteError<Bytes>>;
+    fn put(&self, payload: Payload) -> std::result::Result<(), WriteError<Payload>>;
     fn acknowledged(&self) -> BoxFuture<'_, bool>;
     fn id(&self) -> GUID;
 }
 
-impl<const ID: u8> Output for DataWriter<Bytes, Raw<ID>> {
-    fn put(&self, body: Bytes) -> std::result::Result<(), WriteError<Bytes>> {
-        self.write(body, Some(Timestamp::now()))
+impl<const ID: u8> Output for DataWriter<Payload, Raw<ID>> {
+    fn put(&self, payload: Payload) -> std::result::Result<(), WriteError<Payload>> {
+        self.write(payload, Some(Timestamp::now()))
     }
 
     fn acknowledged(&self) -> BoxFuture<'_, bool> {
@@ -164,7 +180,7 @@ impl<const ID: u8> Output for DataWriter<Bytes, Raw<ID>> {
 }
 
 /// Follows the status of a DDS writer until it is dropped.
-async fn watch<const ID: u8>(writer: Arc<DataWriter<Bytes, Raw<ID>>>, topic: TopicName, mut matches: Matches) {
+async fn watch<const ID: u8>(writer: Arc<DataWriter<Payload, Raw<ID>>>, topic: TopicName, mut matches: Matches) {
     let mut statuses = writer.as_async_status_stream();
     let mut alive = interval(ALIVE_EVERY);
     loop {

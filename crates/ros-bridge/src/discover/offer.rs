@@ -13,7 +13,7 @@ use ledger_contract::{Direction, Publishing, RobotAsset, ServiceState};
 use super::{Settings, kinds, pattern::Numbered};
 use crate::{
     config::RouteConfig,
-    names::{TopicName, TypeName},
+    names::{Interface, TopicName, TypeName},
     qos::{Copied, Qos},
     queue::Limits,
     route::kind::{Kind, Terms},
@@ -61,15 +61,18 @@ fn kind_for(settings: &Settings, service: &ServiceState) -> Option<&'static Kind
     // A direction that came after this version is not guessed.
     let users_publish = service.direction.known()? == Direction::Command;
     let takes_in = users_publish == settings.robot.is_none();
-    kinds().find(|kind| kind.takes_in() == takes_in && settings.permits(kind, &service.service))
+    let carries = TypeName::parse(&service.type_name).map_or(Interface::Message, |of| of.interface());
+    // Replies go with the route of their calls.
+    if carries != Interface::Message && !users_publish {
+        return None;
+    }
+    kinds()
+        .find(|kind| kind.carries == carries && kind.takes_in() == takes_in && settings.permits(kind, &service.service))
 }
 
 fn candidate(settings: &Settings, service: &ServiceState, kind: &'static Kind) -> Result<Candidate, String> {
     let ServiceState { service: id, robot, organisation, topic, type_name, .. } = service;
-    let message = TypeName::parse(type_name).map_err(|_| format!("{type_name:?} is no message type of ROS 2"))?;
-    if message.interface() != kind.carries {
-        return Err(format!("{type_name:?} is no message type of ROS 2"));
-    }
+    let message = TypeName::parse(type_name).map_err(|_| format!("{type_name:?} is no type of ROS 2"))?;
     let (is_exact, topic) = match settings.remap.get(id) {
         Some(topic) => (true, topic.clone()),
         None => {
@@ -84,7 +87,8 @@ fn candidate(settings: &Settings, service: &ServiceState, kind: &'static Kind) -
     let max_rate_hz = Numbered::of(&settings.max_rate_hz, id).and_then(|hz| u32::try_from(hz).ok());
     // Without knowing the rule nothing is submitted; and the route says that it does not know it.
     let needs_grant = service.capabilities().map_or(true, |known| known.publishing != Publishing::Policy);
-    let terms = Terms { max_rate_hz, needs_grant };
+    let is_command = service.direction.known() == Some(Direction::Command);
+    let terms = Terms { max_rate_hz, needs_grant, is_command };
     let plan = kind.discovered.map(|plan| plan(&terms)).ok_or("it cannot be discovered")?;
     let bytes = Numbered::of(&settings.sample_bytes_max, id).and_then(|bytes| usize::try_from(bytes).ok());
     let route = RouteConfig {

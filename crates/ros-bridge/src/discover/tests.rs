@@ -81,11 +81,19 @@ fn limits_are_those_of_the_first_expression_that_matches() {
     let settings = parse("max_rate_hz = ['Rover/.*=7', '.*=9']\nsample_bytes_max = ['Arm/.*=4096']").unwrap();
     let (found, _) = candidates(&settings, &fleet());
     let of = |service: &str| found.iter().find(|candidate| candidate.route.service == service).unwrap();
-    for (service, rate, bytes) in [("Rover/cmd_vel", 7, 1024 * 1024), ("Arm/grip", 9, 4096)] {
+    for (service, rate, bytes) in [("Rover/cmd_vel", 7, 4 << 20), ("Arm/grip", 9, 4096), ("Rover/odom", 7, 4 << 20)] {
         let route = &of(service).route;
         assert!(format!("{:?}", route.plan).contains(&format!("max_rate_hz: Some({rate})")), "{route:?}");
         assert_eq!(route.sample_bytes_max, bytes);
     }
+    let robots = parse("robot = 'Rover'\nmax_rate_hz = ['.*=9']").unwrap();
+    let (found, _) = candidates(&robots, &fleet());
+    let of = |service: &str| found.iter().find(|candidate| candidate.route.service == service).unwrap();
+    assert!(format!("{:?}", of("Rover/odom").route.plan).contains("max_rate_hz: Some(9)"));
+    assert!(
+        format!("{:?}", of("Rover/cmd_vel").route.plan).contains("max_rate_hz: None"),
+        "no command is thinned out here"
+    );
 }
 
 #[test]
@@ -125,13 +133,27 @@ fn organisations_take_turns_so_that_one_with_many_robots_leaves_room() {
 }
 
 #[test]
-fn a_service_of_another_kind_or_of_a_direction_that_is_not_known_has_no_route() {
+fn services_and_actions_have_routes_of_their_kinds_and_their_replies_none() {
+    let mut rover = robot("Org2", "Rover", &["/plan", "</plan/_reply", "/go", "</go/_reply"]);
+    for (number, name) in (0..).zip(["nav_msgs/srv/GetPlan", "nav2_msgs/action/NavigateToPose"]) {
+        rover.services[2 * number].type_name = name.to_owned();
+        rover.services[2 * number + 1].type_name = name.to_owned();
+    }
+    let offers = |settings: &str| offered(settings, std::slice::from_ref(&rover));
+    assert_eq!(offers("").0, ["action_server /Rover/go", "service_server /Rover/plan"]);
+    assert_eq!(offers("robot = 'Rover'").0, ["action_client /go", "service_client /plan"]);
+    assert_eq!(offers("deny = { service_server = ['.*'] }"), (vec!["action_server /Rover/go".to_owned()], vec![]));
+    assert_eq!(offers("allow = { to_ledger = [] }").0.len(), 2, "each kind has a list of its own");
+}
+
+#[test]
+fn a_service_of_no_type_of_ros_or_of_a_direction_that_is_not_known_has_no_route() {
     let mut rover = robot("Org2", "Rover", &["/cmd_vel", "/plan", "/new"]);
-    rover.services[1].type_name = "nav_msgs/srv/GetPlan".to_owned();
+    rover.services[1].type_name = "nav_msgs/GetPlan".to_owned();
     rover.services[2].direction = serde_json::from_value(json!("sideways")).unwrap();
     let (offers, left) = offered("", &[rover]);
     assert_eq!(offers, ["to_ledger /Rover/cmd_vel"]);
-    assert_eq!(left, ["Rover/plan: \"nav_msgs/srv/GetPlan\" is no message type of ROS 2"]);
+    assert_eq!(left, ["Rover/plan: \"nav_msgs/GetPlan\" is no type of ROS 2"]);
 }
 
 #[test]

@@ -10,7 +10,7 @@ use rustdds::QosPolicies;
 use tokio::task::AbortHandle;
 
 use crate::{
-    dds::{Change, Neighbour, Role},
+    dds::{Change, Neighbour, Role, encoding::accepted},
     mark::Mark,
     names::{Interface, TopicName, quoted},
     qos::{Qos, Reliability},
@@ -252,8 +252,9 @@ fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
 /// The policy by which DDS keeps both apart.
 fn misfit(watched: &Watched, neighbour: &Neighbour) -> Option<String> {
     let ours: QosPolicies = watched.qos.borrow().policies();
+    let accepts = ours.clone().with_data_representation(accepted());
     let (offered, requested) = match neighbour.role {
-        Role::Publisher => (&neighbour.qos, &ours),
+        Role::Publisher => (&neighbour.qos, &accepts),
         Role::Subscriber => (&ours, &neighbour.qos),
     };
     offered.compliance_failure_wrt(requested).map(|policy| format!("{policy:?}").to_lowercase())

@@ -7,7 +7,9 @@
 //! A request travels as the CDR of its type. The middleware's words about the caller stay with the user's bridge. A reply names its
 //! request, see [`frame`].
 
+mod account;
 mod frame;
+mod hand;
 mod waiting;
 
 use std::time::Duration;
@@ -16,16 +18,20 @@ use ledger_hash::Hash;
 use ledger_settings::Section;
 
 pub(super) use self::{
+    account::Account,
     frame::{REPLY_BYTES, message_of, reply_to, split},
+    hand::{Hand, Handed},
     waiting::Waiting,
 };
 
 /// Most calls of a route without a reply, and most that wait to be handed over.
 pub(super) const CALLS_MAX: usize = 64;
 /// Shortest and longest time that a reply is waited for.
-const WAIT_MS_MIN: u64 = 100;
+pub(super) const WAIT_MS_MIN: u64 = 100;
 const WAIT_MS_MAX: u64 = 3_600_000;
 const WAIT_MS_DEFAULT: u64 = 10_000;
+/// How long a reply is waited for by default.
+pub(super) const PATIENCE: Duration = Duration::from_millis(WAIT_MS_DEFAULT);
 /// The name of the reason for what is dropped because too many calls wait.
 pub(super) const TOO_MANY: &str = "too_many_calls";
 

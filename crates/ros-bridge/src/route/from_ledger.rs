@@ -9,8 +9,9 @@
 mod demand;
 mod late;
 mod settings;
+mod writing;
 
-pub(super) use self::settings::half;
+pub(super) use self::settings::{STALE_AFTER, STALE_KEY, half, stale_after};
 
 use std::{
     sync::Arc,
@@ -27,8 +28,9 @@ use ledger_api::{
 };
 use ledger_gate::{
     ABAC,
-    gate::{Passed, Refused, Settings as GateSettings},
+    gate::{Refused, Settings as GateSettings},
     guard::{Act, Block, Guard, SILENT, Told},
+    sample::Sample,
     service::Service,
 };
 use ledger_invariant::broken;
@@ -38,10 +40,10 @@ use tokio::{sync::watch, time::sleep_until};
 use self::{demand::Demand, settings::Settings};
 use super::{
     Clocks, Stop,
-    calls::TOO_MANY,
     holder::{self, Holder},
     kind::Kind,
     local::{Outlet, changed},
+    pace::{Pace, RATE_KEY},
     points::{self, Points},
     side_door::{self, SideDoor},
     silence::{Cause, Facts, Silence, fault, pause},
@@ -75,16 +77,17 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Subscriber,
     keys: &[
         "max_age_ms",
-        "stale_after_ms",
+        STALE_KEY,
         "command_timeout_ms",
         side_door::NAME,
         "stop_hex",
         points::KEYS[0],
         points::KEYS[1],
         holder::KEY,
+        RATE_KEY,
     ],
     read: settings::read,
-    discovered: Some(|_terms| settings::discovered()),
+    discovered: Some(settings::discovered),
     silence,
     beside: side_door::beside,
 };
@@ -123,6 +126,8 @@ struct FromLedger {
     demand: Demand,
     stopping: Stopping,
     side_door: SideDoor,
+    /// The highest rate of a feed.
+    pace: Pace<Sample>,
     /// The next height of the subscription.
     next_height: u64,
     renewed: Instant,
@@ -160,6 +165,7 @@ impl FromLedger {
             demand: Demand::new(settings.on_demand && !service.is_command()),
             stopping: Stopping::new(stop, &service),
             side_door: SideDoor::new(settings.side_door),
+            pace: Pace::new(settings.max_rate_hz),
             settings,
             service,
             next_height: height.saturating_add(1),
@@ -202,8 +208,9 @@ impl FromLedger {
                 let next = if self.question.is_some() { stale } else { ask };
                 ask_due = Some(ask_due.map_or(next, |due| due.min(next)));
             }
+            let paced = self.pace.due();
             let (again, demand) = (self.stopping.due(&self.outlet), self.demand.due(&self.outlet));
-            let follow = changed(&self.qos);
+            let (follow, rests) = (changed(&self.qos), self.outlet.hand().map(|hand| hand.done()));
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => break None,
@@ -219,6 +226,7 @@ impl FromLedger {
                     }
                 }
                 answer = self.answer() => self.answered(answer).await,
+                Some(()) = OptionFuture::from(rests), if self.guard.gate().is_moving() => self.guard.rested(),
                 () = follow => {
                     let qos = *self.qos.borrow_and_update();
                     self.outlet.follow(&qos);
@@ -242,6 +250,7 @@ impl FromLedger {
                         self.ask();
                     }
                 }
+                () = sleep_until(paced.unwrap_or_else(Instant::now).into()), if paced.is_some() => self.write_paced(),
                 Some(delivery) = revocations.next() => self.handle_all(delivery).await,
                 Some(delivery) = events.next() => {
                     // What is told early has no height, and is no sign that blocks come.
@@ -399,47 +408,6 @@ impl FromLedger {
         }
     }
 
-    fn publish(&mut self, passed: Passed) {
-        if self.side_door.drops(&self.counters) {
-            return;
-        }
-        if let Some(calls) = self.outlet.calls() {
-            // It is done when it is handed over: nobody moves the robot by it.
-            self.guard.rested();
-            let mut counts = self.counters.lock();
-            counts.live.came = Some(Instant::now());
-            if calls.try_send(passed).is_err() {
-                count(&mut counts.summary.gate, TOO_MANY, 1);
-            }
-            return;
-        }
-        let Passed { samples, clamped, .. } = passed;
-        self.stopping.driven();
-        let mut counts = self.counters.lock();
-        counts.live.came = Some(Instant::now());
-        counts.summary.clamped = counts.summary.clamped.saturating_add(u64::try_from(clamped).unwrap_or(u64::MAX));
-        if clamped > 0
-            && let Some(not_logged) = self.clamps.worth("clamped", Instant::now())
-        {
-            let service = &self.route.service;
-            tracing::warn!(service, not_logged, "the gate slowed a message down to the limit of its creator's grant");
-        }
-        for sample in &samples {
-            match self.outlet.write(sample) {
-                Ok(()) => {
-                    counts.summary.published += 1;
-                    counts.live.passed = Some(Instant::now());
-                }
-                Err(error) => {
-                    counts.summary.unpublished += 1;
-                    if let Some(silent) = self.complaint.worth("unpublished", Instant::now()) {
-                        tracing::warn!(service = self.route.service, %error, not_logged = silent, "a message was not published");
-                    }
-                }
-            }
-        }
-    }
-
     /// Stops the robot by our own decision: then nothing from before passes any more.
     async fn halt(&mut self, reason: &'static str) {
         self.guard.stopped(self.clocks.now());
@@ -451,7 +419,11 @@ impl FromLedger {
         if reason != SILENT {
             self.points.clear();
         }
-        if !self.stopping.is_known() {
+        let is_told = match self.outlet.hand() {
+            Some(hand) => hand.stop(reason).await,
+            None => self.stopping.is_known(),
+        };
+        if !is_told {
             return;
         }
         tracing::info!(service = self.route.service, reason, "stop");

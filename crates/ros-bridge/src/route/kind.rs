@@ -12,7 +12,7 @@ use ledger_settings::Section;
 use tokio::sync::watch;
 
 use super::{
-    Stop, from_ledger,
+    Stop, action_client, action_server, from_ledger,
     local::Local,
     service_client, service_server,
     silence::{Cause, Facts, Silence},
@@ -31,11 +31,20 @@ use crate::{
 };
 
 /// Every kind.
-pub(crate) static KINDS: [&Kind; 4] =
-    [&to_ledger::KIND, &from_ledger::KIND, &service_server::KIND, &service_client::KIND];
+pub(crate) static KINDS: [&Kind; 6] = [
+    &to_ledger::KIND,
+    &from_ledger::KIND,
+    &service_server::KIND,
+    &service_client::KIND,
+    &action_server::KIND,
+    &action_client::KIND,
+];
 
 // The halves of a route of calls: one submits, and what passes the gate goes to the other.
-pub(super) use super::{from_ledger::half as gated, to_ledger::half as submitted};
+pub(super) use super::{
+    from_ledger::{STALE_AFTER, STALE_KEY, half as gated, stale_after},
+    to_ledger::half as submitted,
+};
 
 /// Makes the settings of a route that was discovered.
 pub(crate) type Discovered = fn(&Terms) -> Arc<dyn Plan>;
@@ -74,6 +83,8 @@ pub(crate) struct Terms {
     pub(crate) max_rate_hz: Option<u32>,
     /// Does publishing need a grant?
     pub(crate) needs_grant: bool,
+    /// Do users publish and the robot listens?
+    pub(crate) is_command: bool,
 }
 
 /// The surroundings of a route that is being opened.
@@ -148,13 +159,14 @@ mod tests {
     use std::collections::BTreeSet;
 
     #[test]
-    fn each_kind_has_a_name_and_keys_of_its_own() {
+    fn each_kind_has_a_name_of_its_own_and_no_key_twice() {
         let mut names = BTreeSet::new();
         for kind in KINDS {
             assert!(names.insert(kind.name), "{kind:?} twice");
-            assert!(kind.keys.iter().all(|key| names.insert(key)), "{kind:?} shares a key");
+            let keys: BTreeSet<_> = kind.keys.iter().collect();
+            assert_eq!(keys.len(), kind.keys.len(), "{kind:?} has a key twice");
         }
-        let names = r#""to_ledger" or "from_ledger" or "service_server" or "service_client""#;
+        let names = r#""to_ledger" or "from_ledger" or "service_server" or "service_client" or "action_server" or "action_client""#;
         assert_eq!(Kind::names(), names);
     }
 }

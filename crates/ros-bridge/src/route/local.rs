@@ -5,9 +5,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use ledger_gate::{gate::Passed, sample::Sample};
-use tokio::sync::{mpsc, watch};
+use ledger_gate::sample::Sample;
+use tokio::sync::watch;
 
+use super::calls::Hand;
 use crate::{
     dds::{Matched, Participant, Reader, Writer},
     door::{Delivered, Door},
@@ -92,9 +93,9 @@ impl Local {
         Ok(Outlet { to, mark, delivered: Arc::clone(&self.delivered) })
     }
 
-    /// Where messages go to the other half of a route of calls, with those at its end of the graph.
-    pub(crate) fn outlet_for_calls(&self, calls: mpsc::Sender<Passed>, matched: Matched, mark: Mark) -> Outlet {
-        Outlet { to: To::Calls { calls, matched }, mark, delivered: Arc::clone(&self.delivered) }
+    /// Where messages go to the other half of a route of calls.
+    pub(crate) fn outlet_for_calls(&self, hand: Hand, mark: Mark) -> Outlet {
+        Outlet { to: To::Calls(hand), mark, delivered: Arc::clone(&self.delivered) }
     }
 }
 
@@ -235,7 +236,7 @@ enum To {
     /// To a topic. `open` opens a writer in the place of the one before.
     Topic { writer: Box<Writer>, open: Open<Writer>, shm: Option<Box<shm::Publisher>> },
     /// To the other half of a route of calls.
-    Calls { calls: mpsc::Sender<Passed>, matched: Matched },
+    Calls(Hand),
 }
 
 impl Outlet {
@@ -263,9 +264,9 @@ impl Outlet {
     }
 
     /// The other half of a route of calls: it takes whole messages.
-    pub(crate) fn calls(&self) -> Option<&mpsc::Sender<Passed>> {
-        match &self.to {
-            To::Calls { calls, .. } => Some(calls),
+    pub(crate) fn hand(&mut self) -> Option<&mut Hand> {
+        match &mut self.to {
+            To::Calls(hand) => Some(hand),
             To::Topic { .. } => None,
         }
     }
@@ -274,7 +275,7 @@ impl Outlet {
     pub(crate) fn in_memory(&self) -> Option<shm::Peers> {
         match &self.to {
             To::Topic { shm, .. } => shm.as_ref().map(|shm| shm.peers()),
-            To::Calls { .. } => None,
+            To::Calls(_) => None,
         }
     }
 
@@ -287,7 +288,7 @@ impl Outlet {
     pub(crate) fn matched(&self) -> &Matched {
         match &self.to {
             To::Topic { writer, .. } => writer.matched(),
-            To::Calls { matched, .. } => matched,
+            To::Calls(hand) => hand.matched(),
         }
     }
 
@@ -295,7 +296,7 @@ impl Outlet {
     pub(crate) async fn flush(&self, at_most: Duration) -> bool {
         match &self.to {
             To::Topic { writer, .. } => writer.flush(at_most).await,
-            To::Calls { .. } => true,
+            To::Calls(_) => true,
         }
     }
 }

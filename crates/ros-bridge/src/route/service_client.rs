@@ -15,13 +15,13 @@ use tokio::{sync::mpsc, time::sleep_until};
 
 use super::{
     Stop,
-    calls::{CALLS_MAX, TOO_MANY, Waiting, message_of, patience, reply_to},
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Waiting, message_of, patience, reply_to},
     kind::{self, Beside, Kind, Opened, Opening, Plan},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
 };
 use crate::{
-    count::{Complaint, Counters, count},
+    count::Counters,
     dds::{Client, Exchange, Number, Reply, Role},
     error::Error,
     names::Interface,
@@ -39,7 +39,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Subscriber,
     keys: &[KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
-    discovered: None,
+    discovered: Some(|_terms| Arc::new(Settings { patience: PATIENCE })),
     silence,
     beside,
 };
@@ -67,18 +67,16 @@ impl Settings {
         let (gateway, of_replies, answered) = (Arc::clone(gateway), Counters::new(route), replies(&route.service));
         let to = kind::submitted(gateway, &answered, Arc::clone(&answers), None, of_replies);
         let to = to.await?;
-        let (calls, passed) = mpsc::channel(CALLS_MAX);
-        let from = kind::gated(&opening, service.clone(), (calls, client.matched().clone()), counters.clone());
+        let (hand, handed) = Hand::new(client.matched().clone());
+        let from = kind::gated(&opening, service.clone(), hand, counters.clone());
         let from = from.await?;
         let desk = Desk {
-            service: route.service.clone(),
             client,
-            passed,
+            handed,
             answers,
             waiting: Waiting::new(self.patience),
             last: 0,
-            counters: counters.clone(),
-            complaint: Complaint::default(),
+            account: Account::new(&route.service, counters.clone()),
         };
         let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
         Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
@@ -107,16 +105,14 @@ fn beside(Beside { topic, is_same_service, .. }: &Beside<'_>) -> Option<String> 
 
 /// Knows which request each call of the server is for.
 struct Desk {
-    service: String,
     client: Client,
-    passed: mpsc::Receiver<Passed>,
+    handed: mpsc::Receiver<Handed>,
     answers: Arc<Queue>,
     /// The ids of the requests' transactions.
     waiting: Waiting<Number, Hash>,
     /// The number of the last reply.
     last: u64,
-    counters: Counters,
-    complaint: Complaint,
+    account: Account,
 }
 
 impl Desk {
@@ -133,10 +129,10 @@ impl Desk {
                 },
                 () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => {
                     for _request in self.waiting.expire(Instant::now()) {
-                        self.refuse("no_reply", "the server has not replied in time");
+                        self.account.refuse("no_reply", "the server has not replied in time");
                     }
                 }
-                Some(passed) = self.passed.recv() => self.call(&passed),
+                Some(Handed::Passed(passed)) = self.handed.recv() => self.call(&passed),
             }
         }
         self.answers.close();
@@ -145,27 +141,21 @@ impl Desk {
     fn call(&mut self, Passed { transaction, samples, .. }: &Passed) {
         // A reply names a transaction, so there is one call in each.
         let [sample] = samples.as_slice() else {
-            return self.refuse("several_calls", "a transaction has more than one call");
+            return self.account.refuse("several_calls", "a transaction has more than one call");
         };
         if self.waiting.is_full() {
-            return self.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for the server"));
+            return self.account.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for the server"));
         }
         let Some(message) = message_of(sample) else {
-            return self.refuse("bad_payload", "it is no little endian CDR");
+            return self.account.refuse("bad_payload", "it is no little endian CDR");
         };
         match self.client.call(&message) {
             Ok(number) => {
-                let now = Instant::now();
-                self.waiting.insert(number, *transaction, now);
-                let mut counts = self.counters.lock();
-                counts.summary.published += 1;
-                counts.live.passed = Some(now);
+                self.waiting.insert(number, *transaction, Instant::now());
+                self.account.published();
             }
-            Err(Error::Unserved(explained)) => self.refuse("no_server", &explained.what),
-            Err(error) => {
-                self.counters.lock().summary.unpublished += 1;
-                tracing::warn!(service = self.service, %error, "a call was not handed over");
-            }
+            Err(Error::Unserved(explained)) => self.account.refuse("no_server", &explained.what),
+            Err(error) => self.account.unpublished("a call", &error),
         }
     }
 
@@ -175,16 +165,5 @@ impl Desk {
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
         self.answers.push(Incoming { sample, source: [0; 16], sequence, received });
-    }
-
-    fn refuse(&mut self, name: &'static str, meaning: &str) {
-        let now = Instant::now();
-        let mut counts = self.counters.lock();
-        count(&mut counts.summary.gate, name, 1);
-        counts.live.refused = Some((name, meaning.to_owned(), now));
-        drop(counts);
-        if let Some(not_logged) = self.complaint.worth(name, now) {
-            tracing::warn!(service = self.service, reason = name, meaning, not_logged, "a call has no reply");
-        }
     }
 }

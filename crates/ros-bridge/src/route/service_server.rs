@@ -17,7 +17,6 @@ use ledger_gate::{
     sample::{CDR_LE, Sample},
 };
 use ledger_hash::Hash;
-use ledger_identity::{Identity, Role as Signer};
 use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
 use tokio::{
@@ -27,13 +26,13 @@ use tokio::{
 
 use super::{
     Stop,
-    calls::{CALLS_MAX, TOO_MANY, Told, Waiting, patience, split},
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Told, Waiting, patience, split},
     kind::{self, Beside, Kind, Opened, Opening, Plan},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
 };
 use crate::{
-    count::{Complaint, Counters, count},
+    count::Counters,
     dds::{Caller, Exchange, Request, Role, Server},
     names::Interface,
     queue::{Incoming, Limits, Queue},
@@ -51,7 +50,7 @@ pub(super) static KIND: Kind = Kind {
     other_end: Role::Publisher,
     keys: &[KEY],
     read: |section: &mut Section<'_, '_>, _| Arc::new(Settings { patience: patience(section, KEY) }),
-    discovered: None,
+    discovered: Some(|_terms| Arc::new(Settings { patience: PATIENCE })),
     silence,
     beside,
 };
@@ -82,21 +81,18 @@ impl Settings {
         let to =
             kind::submitted(Arc::clone(gateway), &route.service, Arc::clone(&requests), Some(tell), counters.clone());
         let to = to.await?;
-        let (calls, passed) = mpsc::channel(CALLS_MAX);
-        let of_replies = Counters::new(route);
-        let from = kind::gated(&opening, answers, (calls, server.matched().clone()), of_replies).await?;
+        let (hand, handed) = Hand::new(server.matched().clone());
+        let from = kind::gated(&opening, answers, hand, Counters::new(route)).await?;
         let desk = Desk {
-            service: route.service.clone(),
             robot: service.robot.clone(),
             server,
             requests,
             told,
-            passed,
+            handed,
             waiting: Waiting::new(self.patience),
             ids: BTreeMap::new(),
             last: 0,
-            counters: counters.clone(),
-            complaint: Complaint::default(),
+            account: Account::new(&route.service, counters.clone()),
         };
         let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
         Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
@@ -139,19 +135,17 @@ struct Call {
 
 /// Knows who has called.
 struct Desk {
-    service: String,
     robot: String,
     server: Server,
     requests: Arc<Queue>,
     told: UnboundedReceiver<Told>,
-    passed: mpsc::Receiver<Passed>,
+    handed: mpsc::Receiver<Handed>,
     waiting: Waiting<u64, Call>,
     /// The numbers of the calls by the ids of their transactions.
     ids: BTreeMap<Hash, u64>,
     /// The number of the last call.
     last: u64,
-    counters: Counters,
-    complaint: Complaint,
+    account: Account,
 }
 
 impl Desk {
@@ -164,7 +158,7 @@ impl Desk {
                 () = stopped(&mut stop) => break,
                 // Before replies: the id of a request is known before its reply can come.
                 Some(told) = self.told.recv() => self.hear(told),
-                Some(passed) = self.passed.recv() => self.reply(&passed),
+                Some(Handed::Passed(passed)) = self.handed.recv() => self.reply(&passed),
                 () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => self.expire(),
                 request = self.server.next() => match request {
                     Some(request) => self.request(request),
@@ -177,7 +171,7 @@ impl Desk {
 
     fn request(&mut self, Request { message, caller }: Request) {
         if self.waiting.is_full() {
-            return self.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for their replies"));
+            return self.account.refuse(TOO_MANY, &format!("{CALLS_MAX} calls wait for their replies"));
         }
         let Ok(sample) = Sample::new(CDR_LE, &message) else { return };
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
@@ -204,23 +198,15 @@ impl Desk {
 
     /// Hands replies over to those who have called here; others are for other bridges.
     fn reply(&mut self, Passed { creator, samples, .. }: &Passed) {
-        if !is_robot(creator, &self.robot) {
-            let meaning = format!("{}, role {}, has signed a reply of {}", creator.id(), creator.role, self.robot);
-            return self.refuse("not_the_robot", &meaning);
+        if self.account.refuses(creator, &self.robot) {
+            return;
         }
         for (id, message) in samples.iter().filter_map(split) {
             let call = self.ids.remove(&id).and_then(|number| self.waiting.take(&number));
             let Some(Call { caller, .. }) = call else { continue };
             match self.server.reply(&caller, &message) {
-                Ok(()) => {
-                    let mut counts = self.counters.lock();
-                    counts.summary.published += 1;
-                    counts.live.passed = Some(Instant::now());
-                }
-                Err(error) => {
-                    self.counters.lock().summary.unpublished += 1;
-                    tracing::warn!(service = self.service, %error, "a reply was not handed over");
-                }
+                Ok(()) => self.account.published(),
+                Err(error) => self.account.unpublished("a reply", &error),
             }
         }
     }
@@ -231,23 +217,7 @@ impl Desk {
             if let Some(id) = id {
                 self.ids.remove(&id);
             }
-            self.refuse("no_reply", "the robot has not replied in time");
+            self.account.refuse("no_reply", "the robot has not replied in time");
         }
     }
-
-    fn refuse(&mut self, name: &'static str, meaning: &str) {
-        let now = Instant::now();
-        let mut counts = self.counters.lock();
-        count(&mut counts.summary.gate, name, 1);
-        counts.live.refused = Some((name, meaning.to_owned(), now));
-        drop(counts);
-        if let Some(not_logged) = self.complaint.worth(name, now) {
-            tracing::warn!(service = self.service, reason = name, meaning, not_logged, "a call has no reply");
-        }
-    }
-}
-
-/// Is that the identity of the robot? The gate has checked that the organisation owns it.
-fn is_robot(creator: &Identity, robot: &str) -> bool {
-    creator.role == Signer::Robot && creator.name == robot
 }

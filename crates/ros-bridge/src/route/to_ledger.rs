@@ -4,7 +4,6 @@
 //! the newest samples replace the oldest that wait, and that is counted.
 
 mod latch;
-mod pace;
 mod publishing;
 
 use std::{
@@ -25,14 +24,14 @@ use tokio::{sync::mpsc, time::sleep_until};
 
 use self::{
     latch::{KEYS as LATCH_KEYS, Latch},
-    pace::Pace,
     publishing::Publishing,
 };
 use super::{
-    Clocks, RATE_HZ_MAX, Stop,
+    Clocks, Stop,
     calls::Told,
     kind::{Beside, Kind, Opened, Opening, Plan},
     local::Inlet,
+    pace::{Pace, RATE_KEY, read_rate},
     silence::{Cause, Facts, Silence, fault, pause},
     stopped,
 };
@@ -65,7 +64,7 @@ pub(super) static KIND: Kind = Kind {
     carries: Interface::Message,
     right: "publish",
     other_end: Role::Publisher,
-    keys: &["batch_max", "max_rate_hz", LATCH_KEYS[0], LATCH_KEYS[1]],
+    keys: &["batch_max", RATE_KEY, LATCH_KEYS[0], LATCH_KEYS[1]],
     read,
     discovered: Some(|terms| {
         let (max_rate_hz, latched) = (terms.max_rate_hz, latch::Terms::default());
@@ -89,17 +88,12 @@ struct Settings {
 }
 
 fn read(section: &mut Section<'_, '_>, _sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let (mut batch_max, mut max_rate_hz) = (1_u32, None);
+    let mut batch_max = 1_u32;
     section.integer("batch_max", 1..=u64::from(BATCH_SAMPLES_MAX), &mut batch_max);
-    section.integer("max_rate_hz", 1..=RATE_HZ_MAX, &mut max_rate_hz);
-    let max_rate_hz = max_rate_hz.and_then(|hz: u64| u32::try_from(hz).ok());
+    let max_rate_hz = read_rate(section);
     if let Some(hz) = max_rate_hz.filter(|_| batch_max > 1) {
         let found = format!("{batch_max} and {hz}");
-        section.conflict(
-            ["batch_max", "max_rate_hz"],
-            found,
-            "one of them: with a rate each sample goes alone".to_owned(),
-        );
+        section.conflict(["batch_max", RATE_KEY], found, "one of them: with a rate each sample goes alone".to_owned());
     }
     let (batch_max, latched) = (usize::try_from(batch_max).unwrap_or(1), latch::Terms::read(section));
     Arc::new(Settings { batch_max, max_rate_hz, latched, held_only: false })

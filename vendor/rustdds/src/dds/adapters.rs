@@ -142,6 +142,22 @@ pub mod no_key {
         .map(Self::transform_decoded)
     }
 
+    /// As `from_bytes_with`, with the options of the encapsulation header. In
+    /// XCDR2 they tell how many bytes at the end are padding.
+    fn from_payload_with<'de, S>(
+      input_bytes: &'de [u8],
+      encoding: RepresentationIdentifier,
+      options: [u8; 2],
+      decoder: S,
+    ) -> Result<D, S::Error>
+    where
+      S: Decode<'de, Self::Decoded>,
+    {
+      decoder
+        .decode_payload(input_bytes, encoding, options)
+        .map(Self::transform_decoded)
+    }
+
     /// Deserialize data from bytes to an object.
     /// `encoding` must be something given by `supported_encodings()`, or
     /// implementation may fail with Err or `panic!()`.
@@ -192,6 +208,20 @@ pub mod no_key {
       input_bytes: &'de [u8],
       encoding: RepresentationIdentifier,
     ) -> Result<Decoded, Self::Error>;
+
+    /// The same with the options of the encapsulation header, which most
+    /// decoders do not need.
+    fn decode_payload(
+      self,
+      input_bytes: &'de [u8],
+      encoding: RepresentationIdentifier,
+      _options: [u8; 2],
+    ) -> Result<Decoded, Self::Error>
+    where
+      Self: Sized,
+    {
+      self.decode_bytes(input_bytes, encoding)
+    }
   }
 
   /// trait for connecting a Serializer implementation and DataWriter
@@ -207,6 +237,11 @@ pub mod no_key {
     fn output_encoding() -> RepresentationIdentifier;
 
     fn to_bytes(value: &D) -> Result<Bytes, Self::Error>;
+
+    /// The options of the encapsulation header, for encodings that have some.
+    fn output_options(_value: &D) -> [u8; 2] {
+      [0, 0]
+    }
   }
 }
 

@@ -1240,6 +1240,16 @@ pub(crate) struct DomainParticipantInner {
   only_networks: Option<Arc<[IpAddr]>>,
 }
 
+impl DomainParticipant {
+  /// Ends the event loop, as a failure of its wait would. Readers and writers
+  /// notice that. For tests of whoever has to live on after that.
+  pub fn end_event_loop(&self) {
+    if let Ok(disc) = self.dpi.lock() {
+      let _ = disc.dpi.stop_poll_sender.send(EventLoopCommand::Stop);
+    }
+  }
+}
+
 impl Drop for DomainParticipantInner {
   fn drop(&mut self) {
     // if send has an error simply leave as we have lost control of the

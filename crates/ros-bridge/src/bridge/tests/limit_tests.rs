@@ -80,3 +80,40 @@ async fn a_route_with_a_highest_rate_submits_the_newest_samples_and_always_the_l
     assert!(summary.thinned > 0, "{summary:?}");
     assert_eq!(summary.samples_in, 20);
 }
+
+#[tokio::test]
+async fn a_feed_with_a_highest_rate_is_delivered_no_faster_and_its_newest_message_always() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let route = "direction = 'from_ledger'\nmax_rate_hz = 2\nqos = { durability = 'volatile' }";
+    let bench = bench("open", route, |fake| fake.set_direction("feed")).await;
+    let mut reader = bench.reader().await;
+    let robot = &bench.network.robot;
+    for number in 1..=100 {
+        bench.message_of(robot, 0, number, &forwards(number as f64));
+    }
+    let mut heard = Vec::new();
+    while heard.last() != Some(&forwards(100.0)) {
+        heard.push(reader.hear().await);
+    }
+    let summary = bench.bridge.stop().await.routes.pop().unwrap();
+    assert_eq!(summary.published, heard.len() as u64, "{summary:?}");
+    assert_eq!(summary.published + summary.thinned, 100, "{summary:?}");
+    assert!(summary.thinned > 0, "a hundred at once are more than two a second");
+}
+
+#[tokio::test]
+async fn a_highest_rate_for_commands_is_refused_where_they_would_reach_the_robot() {
+    if !network::isolated(&|| ()) {
+        return;
+    }
+    let network = Network::until(2900);
+    let route = "[[route]]\nservice = 'T/cmd_vel'\ntype = 'geometry_msgs/msg/Twist'\ndirection = 'from_ledger'";
+    let text = format!("domain_id = {DOMAIN}\nshared_memory = false\n{route}\nmax_rate_hz = 2");
+    let config = Config::parse(&text, Path::new(""), |_| ()).unwrap();
+    let refused = Bridge::start_with(config, Fake::new("open", &network), &context(&network)).await.unwrap_err();
+    assert_eq!(refused.code, Code::BadConfiguration);
+    assert!(refused.message.contains("commands are not thinned out"), "{refused}");
+    assert!(refused.found.contains("max_rate_hz = 2 for the commands of T/cmd_vel"), "{refused}");
+}

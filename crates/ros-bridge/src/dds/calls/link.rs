@@ -22,7 +22,7 @@ use tokio::{sync::mpsc, task::JoinHandle, time::interval};
 use super::{
     super::{
         ALIVE_EVERY, Matched, Participant, dds_error,
-        encoding::{AnyRaw, Raw},
+        encoding::{AnyRaw, Payload, Raw},
         graph::Role,
         intake::{Intake, Verdict},
         matched::Matches,
@@ -68,7 +68,7 @@ pub(super) struct Link {
     participant: Participant,
     arrivals: mpsc::Receiver<Arrival>,
     reader: GUID,
-    writer: DataWriter<Bytes, Raw<1>>,
+    writer: DataWriter<Payload, Raw<1>>,
     matched: Matched,
     unacknowledged: AtomicUsize,
     /// For messages.
@@ -96,7 +96,7 @@ impl Link {
         let source: SimpleDataReader<Sample, AnyRaw> =
             subscriber.create_simple_datareader_no_key(&reads, Some(announced(&ends.reads.1))).map_err(failed)?;
         let publisher = dds.create_publisher(&policies).map_err(failed)?;
-        let writer: DataWriter<Bytes, Raw<1>> =
+        let writer: DataWriter<Payload, Raw<1>> =
             publisher.create_datawriter_no_key(&writes, Some(announced(&ends.writes.1))).map_err(failed)?;
         let (matches, matched) = Matches::new(participant.guid_prefix());
         let (sender, arrivals) = mpsc::channel(WAITING_MAX);
@@ -155,7 +155,7 @@ impl Link {
         }
         let options =
             WriteOptionsBuilder::new().source_timestamp(Timestamp::now()).related_sample_identity_opt(related);
-        match self.writer.write_with_options(message, options.build()) {
+        match self.writer.write_with_options(Payload { options: [0, 0], body: message }, options.build()) {
             Ok(written) => {
                 self.unacknowledged.fetch_add(bytes, Ordering::Relaxed);
                 Ok(written)

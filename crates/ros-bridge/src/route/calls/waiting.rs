@@ -25,6 +25,11 @@ impl<K: Ord + Clone, V> Waiting<K, V> {
         self.calls.len() >= CALLS_MAX
     }
 
+    /// Does none wait?
+    pub(in crate::route) fn is_empty(&self) -> bool {
+        self.calls.is_empty()
+    }
+
     /// Lets a call wait from now on.
     pub(in crate::route) fn insert(&mut self, key: K, call: V, now: Instant) {
         self.calls.insert(key, (now + self.patience, call));

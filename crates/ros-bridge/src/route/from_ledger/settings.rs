@@ -3,21 +3,18 @@
 use std::{sync::Arc, time::Duration};
 
 use futures::{FutureExt, future::BoxFuture};
-use ledger_gate::{
-    gate::{Passed, Settings as GateSettings},
-    sample::Sample,
-    service::Service,
-};
-use ledger_rejection::Rejection;
+use ledger_gate::{gate::Settings as GateSettings, sample::Sample, service::Service};
+use ledger_rejection::{Code, Rejection};
 use ledger_settings::Section;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::watch;
 
 use super::{
     super::{
         Stop,
-        calls::REPLY_BYTES,
+        calls::{Hand, REPLY_BYTES},
         holder::{self, Holder},
-        kind::{Opened, Opening, Plan},
+        kind::{Opened, Opening, Plan, Terms},
+        pace::{RATE_KEY, read_rate},
         points::Topics,
         side_door::Treatment,
         stopping::command_timeout,
@@ -27,15 +24,19 @@ use super::{
 use crate::{
     config::{HEARTBEAT_MS, RouteConfig, stop_sample},
     count::Counters,
-    dds::Matched,
     names::TopicName,
 };
 
 /// Shortest `stale_after_ms`: one heartbeat may be late.
 const STALE_MS_MIN: u64 = 2 * HEARTBEAT_MS as u64;
 const STALE_MS_DEFAULT: u64 = 1_000;
+/// How long the ledger may be silent by default.
+pub(in crate::route) const STALE_AFTER: Duration = Duration::from_millis(STALE_MS_DEFAULT);
 /// Longest `stale_after_ms`, `command_timeout_ms` and `max_age_ms`.
 const WAIT_MS_MAX: u64 = 3_600_000;
+/// The setting of how long the ledger may be silent.
+pub(in crate::route) const STALE_KEY: &str = "stale_after_ms";
+
 /// The settings of this kind.
 #[derive(Debug, Clone)]
 pub(super) struct Settings {
@@ -52,37 +53,58 @@ pub(super) struct Settings {
     pub(super) points: Topics,
     /// Where it is shown who holds the service.
     pub(super) holder: Option<TopicName>,
+    /// Most samples of a feed a second; none = any number.
+    pub(super) max_rate_hz: Option<u32>,
     /// Is a feed read only while somebody listens to it?
     pub(super) on_demand: bool,
 }
 
-/// A discovered route has the defaults.
-pub(super) fn discovered() -> Arc<dyn Plan> {
-    Arc::new(Settings {
-        max_age: None,
-        stale_after: Duration::from_millis(STALE_MS_DEFAULT),
-        command_timeout: None,
-        side_door: Treatment::Warn,
-        stop: None,
-        points: Topics::default(),
-        holder: None,
-        on_demand: true,
-    })
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            max_age: None,
+            stale_after: STALE_AFTER,
+            command_timeout: None,
+            side_door: Treatment::Warn,
+            stop: None,
+            points: Topics::default(),
+            holder: None,
+            max_rate_hz: None,
+            on_demand: false,
+        }
+    }
+}
+
+/// A discovered route has the defaults, and a feed its highest rate.
+pub(super) fn discovered(terms: &Terms) -> Arc<dyn Plan> {
+    let max_rate_hz = terms.max_rate_hz.filter(|_| !terms.is_command);
+    Arc::new(Settings { on_demand: true, max_rate_hz, ..Settings::default() })
 }
 
 pub(super) fn read(section: &mut Section<'_, '_>, sample_bytes_max: usize) -> Arc<dyn Plan> {
-    let (mut max_age_ms, mut stale_after_ms, mut timeout_ms, mut stop) = (None, STALE_MS_DEFAULT, None, None);
+    let (mut max_age_ms, mut timeout_ms, mut stop) = (None, None, None);
     section.integer("max_age_ms", 1..=WAIT_MS_MAX, &mut max_age_ms);
-    section.integer("stale_after_ms", STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    let stale_after = stale_after(section);
     section.integer("command_timeout_ms", 0..=WAIT_MS_MAX, &mut timeout_ms);
     section.parsed("stop_hex", "CDR in hexadecimal digits", &mut stop, |text| {
         stop_sample(text, sample_bytes_max).map(Some)
     });
     let (points, side_door) = (Topics::read(section), Treatment::read(section));
-    let holder = holder::read(section);
-    let (max_age, stale_after) = (max_age_ms.map(Duration::from_millis), Duration::from_millis(stale_after_ms));
+    let (holder, max_rate_hz) = (holder::read(section), read_rate(section));
+    let max_age = max_age_ms.map(Duration::from_millis);
     let command_timeout = timeout_ms.map(Duration::from_millis);
-    Arc::new(Settings { max_age, stale_after, command_timeout, side_door, stop, points, holder, on_demand: false })
+    let on_demand = false;
+    Arc::new(Settings {
+        max_age,
+        stale_after,
+        command_timeout,
+        side_door,
+        stop,
+        points,
+        holder,
+        max_rate_hz,
+        on_demand,
+    })
 }
 
 impl Plan for Settings {
@@ -91,25 +113,16 @@ impl Plan for Settings {
     }
 }
 
-/// Opens the half of a route of calls that comes from the ledger: what passes the gate goes to `calls`. `matched` are those at its
-/// end of the graph.
+/// Opens the half of a route of calls that comes from the ledger: what passes the gate is handed over.
 pub(in crate::route) async fn half(
     opening: &Opening<'_>,
     service: Service,
-    (calls, matched): (mpsc::Sender<Passed>, Matched),
+    hand: Hand,
     counters: Counters,
 ) -> Result<impl FnOnce(Stop) -> BoxFuture<'static, ()> + use<>, Rejection> {
     let Opening { route, gateway, context, local, mark, asker, .. } = opening;
-    let settings = Settings {
-        max_age: None,
-        stale_after: Duration::from_millis(STALE_MS_DEFAULT),
-        command_timeout: None,
-        side_door: Treatment::default(),
-        stop: None,
-        points: Topics::default(),
-        holder: None,
-        on_demand: false,
-    };
+    let usual = Settings::default();
+    let settings = Settings { stale_after: hand.stale_after().unwrap_or(usual.stale_after), ..usual };
     let gate = GateSettings {
         network: context.network,
         sample_bytes_max: route.sample_bytes_max.saturating_add(REPLY_BYTES),
@@ -121,7 +134,7 @@ pub(in crate::route) async fn half(
     // Nobody follows anybody.
     let (_none, qos) = watch::channel(route.qos);
     let outlet = async {
-        let outlet = local.outlet_for_calls(calls, matched, *mark);
+        let outlet = local.outlet_for_calls(hand, *mark);
         let points = settings.points.open(local, opening.topic, *mark).await?;
         let holder = Holder::open(None, std::iter::empty(), local, *mark).await?;
         Ok(((outlet, qos), (points, holder), counters))
@@ -131,9 +144,22 @@ pub(in crate::route) async fn half(
     Ok(move |stop| opened.run(stop).boxed())
 }
 
+/// Reads `stale_after_ms`.
+pub(in crate::route) fn stale_after(section: &mut Section<'_, '_>) -> Duration {
+    let mut stale_after_ms = STALE_MS_DEFAULT;
+    section.integer(STALE_KEY, STALE_MS_MIN..=WAIT_MS_MAX, &mut stale_after_ms);
+    Duration::from_millis(stale_after_ms)
+}
+
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
         let Opening { route, gateway, context, local, service, topic, mark, asker, counters, mut qos, stop } = opening;
+        if let Some(hz) = self.max_rate_hz.filter(|_| service.is_command()) {
+            return Err(Rejection::new(Code::BadConfiguration, "commands are not thinned out on their way to a robot")
+                .found(format!("{RATE_KEY} = {hz} for the commands of {}", route.service))
+                .wanted(format!("{RATE_KEY} for feeds, or on the side of the users who send the commands"))
+                .next(format!("remove {RATE_KEY} here; a grant with limits bounds how often its holder may send")));
+        }
         let gate = GateSettings {
             network: context.network,
             sample_bytes_max: route.sample_bytes_max,

@@ -20,7 +20,7 @@ const GATHER: Duration = Duration::from_millis(100);
 const RETRY_PAUSE: Duration = Duration::from_secs(2);
 /// Most samples of a call.
 const SAMPLES_MAX: usize = 512;
-/// Most bytes of a call: a little less than nodes take by their default, `limits.payload_bytes_max`.
+/// Most bytes of a call: all publishers say theirs again with each change.
 const BYTES_MAX: usize = 1024 * 1024 - 64 * 1024;
 const DEPTH_MAX: u64 = 100;
 const AGAIN_S_MIN: u64 = 10;

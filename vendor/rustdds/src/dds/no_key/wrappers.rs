@@ -55,6 +55,10 @@ where
   fn to_bytes(value: &NoKeyWrapper<D>) -> Result<Bytes, SA::Error> {
     SA::to_bytes(&value.d)
   }
+
+  fn output_options(value: &NoKeyWrapper<D>) -> [u8; 2] {
+    SA::output_options(&value.d)
+  }
 }
 
 // This is the point of wrapping. Implement dummy key serialization
@@ -156,6 +160,15 @@ where
     encoding: RepresentationIdentifier,
   ) -> Result<Decoded, Self::Error> {
     self.no_key.decode_bytes(input_bytes, encoding)
+  }
+
+  fn decode_payload(
+    self,
+    input_bytes: &'de [u8],
+    encoding: RepresentationIdentifier,
+    options: [u8; 2],
+  ) -> Result<Decoded, Self::Error> {
+    self.no_key.decode_payload(input_bytes, encoding, options)
   }
 }
 

@@ -372,10 +372,9 @@ where
       }
     };
 
-    let ddsdata = DDSData::new(SerializedPayload::new_from_bytes(
-      SA::output_encoding(),
-      send_buffer,
-    ));
+    let mut payload = SerializedPayload::new_from_bytes(SA::output_encoding(), send_buffer);
+    payload.representation_options = SA::output_options(&data);
+    let ddsdata = DDSData::new(payload);
 
     // Admission allocates the sequence number and stores the sample only if the
     // reliable send window has room; otherwise it blocks up to
@@ -1037,10 +1036,9 @@ where
       }
     };
 
-    let dds_data = DDSData::new(SerializedPayload::new_from_bytes(
-      SA::output_encoding(),
-      send_buffer,
-    ));
+    let mut payload = SerializedPayload::new_from_bytes(SA::output_encoding(), send_buffer);
+    payload.representation_options = SA::output_options(&data);
+    let dds_data = DDSData::new(payload);
 
     let timeout = self.qos().reliable_max_blocking_time();
 

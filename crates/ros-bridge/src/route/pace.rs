@@ -2,6 +2,20 @@
 
 use std::time::{Duration, Instant};
 
+use ledger_settings::Section;
+
+use super::RATE_HZ_MAX;
+
+/// The setting of the highest rate.
+pub(super) const RATE_KEY: &str = "max_rate_hz";
+
+/// Reads the highest rate; none if it is not set.
+pub(super) fn read_rate(section: &mut Section<'_, '_>) -> Option<u32> {
+    let mut max_rate_hz = None;
+    section.integer(RATE_KEY, 1..=RATE_HZ_MAX, &mut max_rate_hz);
+    max_rate_hz.and_then(|hz: u64| u32::try_from(hz).ok())
+}
+
 /// Lets an item pass at most so often. Of those that come sooner the newest waits for its turn: the last one of a
 /// stream, such as the command to stop, always passes.
 #[derive(Debug)]

@@ -1,0 +1,378 @@
+//! The local server of a robot's action: goals go to the ledger, and what the robot says of them comes back.
+//!
+//! ROS 2 knows the answer no to a goal and to a cancelling. So whoever may not set a goal hears that at once.
+
+use std::{
+    collections::BTreeMap,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use bytes::Bytes;
+use futures::{FutureExt, future::BoxFuture};
+use ledger_contract::replies;
+use ledger_gate::{
+    gate::Passed,
+    sample::{CDR_LE, Sample},
+};
+use ledger_hash::Hash;
+use ledger_rejection::{Code, Rejection};
+use ledger_settings::Section;
+use tokio::{
+    sync::mpsc::{self, UnboundedReceiver},
+    time::{interval, sleep_until},
+};
+
+use super::{
+    Stop, actions,
+    actions::{
+        CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, STATUS, cancel_of,
+        goal_of, is_accepted, is_over, over_in, request_of, result_patience,
+    },
+    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Told, Waiting, patience, split},
+    kind::{self, Beside, Kind, Opened, Opening, Plan},
+    silence::{Cause, Facts, Silence, fault, pause},
+    stopped,
+};
+use crate::{
+    count::Counters,
+    dds::{Caller, Exchange, Request, Role, Server, Writer},
+    names::Interface,
+    queue::{Incoming, Limits, Queue},
+    service::ask_service,
+};
+
+/// The setting of how long a reply is waited for.
+const KEY: &str = "reply_timeout_ms";
+/// A sign of life is given so often within a lease, while goals run.
+const ALIVE_IN_LEASE: u32 = 3;
+/// Longest time between two signs of life.
+const ALIVE_EVERY_MAX: Duration = Duration::from_secs(1);
+/// Shortest time between two signs of life.
+const ALIVE_EVERY_MIN: Duration = Duration::from_millis(100);
+
+/// The local server of a robot's action.
+pub(super) static KIND: Kind = Kind {
+    name: "action_server",
+    carries: Interface::Action,
+    right: "publish",
+    other_end: Role::Publisher,
+    keys: &[KEY, RESULT_KEY],
+    read: |section: &mut Section<'_, '_>, _| {
+        Arc::new(Settings { patience: patience(section, KEY), results: result_patience(section) })
+    },
+    discovered: Some(|_terms| Arc::new(Settings { patience: PATIENCE, results: RESULT_PATIENCE })),
+    silence,
+    beside,
+};
+
+/// The settings of this kind.
+#[derive(Debug)]
+struct Settings {
+    /// How long a reply is waited for.
+    patience: Duration,
+    /// How long a result is waited for.
+    results: Duration,
+}
+
+impl Plan for Settings {
+    fn open<'a>(&'a self, opening: Opening<'a>) -> BoxFuture<'a, Result<Opened, Rejection>> {
+        self.join(opening).boxed()
+    }
+}
+
+impl Settings {
+    async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
+        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = &opening;
+        let (answers, _) = ask_service(&**gateway, 0, &replies(&route.service)).await.map_err(unanswered)?;
+        let participant = local.participant();
+        let server = |exchange: Exchange| participant.server(&exchange, *mark, route.sample_bytes_max);
+        let servers = Servers {
+            goals: server(Exchange::of_goals(topic, &route.message)?)?,
+            cancels: server(Exchange::of_cancels(topic)?)?,
+            results: server(Exchange::of_results(topic, &route.message)?)?,
+        };
+        let writer = |told: actions::Told| participant.marked_writer(&told.topic, &told.message, &told.qos, *mark);
+        let feedback = writer(actions::feedback(topic, &route.message)?)?;
+        let status = writer(actions::status(topic)?)?;
+        counters.opened(servers.goals.matched(), None);
+        counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
+        let requests = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
+        let (tell, told) = mpsc::unbounded_channel();
+        let to =
+            kind::submitted(Arc::clone(gateway), &route.service, Arc::clone(&requests), Some(tell), counters.clone());
+        let to = to.await?;
+        let (hand, handed) = Hand::new(servers.goals.matched().clone());
+        let from = kind::gated(&opening, answers, hand, Counters::new(route)).await?;
+        let lease = Duration::from_millis(service.lease_ms);
+        let desk = Desk {
+            robot: service.robot.clone(),
+            servers,
+            feedback,
+            status,
+            requests,
+            told,
+            handed,
+            waiting: Waiting::new(self.patience),
+            results: Waiting::new(self.results),
+            ids: BTreeMap::new(),
+            goals: Goals::new(None),
+            alive_every: (lease / ALIVE_IN_LEASE).clamp(ALIVE_EVERY_MIN, ALIVE_EVERY_MAX),
+            last: 0,
+            account: Account::new(&route.service, counters.clone()),
+        };
+        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
+        Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
+    }
+}
+
+/// An action without a service for what the robot says cannot be used.
+fn unanswered(refused: Rejection) -> Rejection {
+    if refused.code != Code::UnknownService {
+        return refused;
+    }
+    refused.next("the owner registers it with the action: ledgerctl robot add does so for types of actions")
+}
+
+/// The words for a cause of silence.
+fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
+    let Facts { service, topic, .. } = facts;
+    match cause {
+        Cause::Alone => pause("no_publisher", format!("nobody is there who sets goals on {topic}")),
+        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
+            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
+        }
+        Cause::Refused { line, .. } => fault("refused", format!("the last request has failed: {line}")),
+        Cause::NotHeld => pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}")),
+        Cause::NothingCame => pause("no_message", format!("nobody has set a goal on {topic} yet")),
+    }
+}
+
+/// The warning about another server.
+fn beside(Beside { topic, .. }: &Beside<'_>) -> Option<String> {
+    Some(format!("another node serves {topic} beside this bridge: a client hears both"))
+}
+
+/// The servers of the three services.
+struct Servers {
+    goals: Server,
+    cancels: Server,
+    results: Server,
+}
+
+impl Servers {
+    /// The next request. None if the middleware ended. Cancelling it loses nothing.
+    async fn next(&mut self) -> Option<(Part, Request)> {
+        let Self { goals, cancels, results } = self;
+        let (part, request) = tokio::select! {
+            request = goals.next() => (Part::Goal, request),
+            request = cancels.next() => (Part::Cancel, request),
+            request = results.next() => (Part::Result, request),
+        };
+        request.map(|request| (part, request))
+    }
+}
+
+/// A request of somebody in the local graph.
+struct Call {
+    part: Part,
+    goal: GoalId,
+    caller: Caller,
+    /// The transaction in which it goes to the ledger.
+    id: Option<Hash>,
+}
+
+/// Knows who has set which goal.
+struct Desk {
+    robot: String,
+    servers: Servers,
+    feedback: Writer,
+    status: Writer,
+    requests: Arc<Queue>,
+    told: UnboundedReceiver<Told>,
+    handed: mpsc::Receiver<Handed>,
+    waiting: Waiting<u64, Call>,
+    results: Waiting<u64, Call>,
+    /// The numbers of the requests by the ids of their transactions.
+    ids: BTreeMap<Hash, u64>,
+    goals: Goals,
+    alive_every: Duration,
+    /// The number of the last request.
+    last: u64,
+    account: Account,
+}
+
+impl Desk {
+    /// Runs until it is told to end, or the middleware ends.
+    async fn run(mut self, mut stop: Stop) {
+        let mut alive = interval(self.alive_every);
+        loop {
+            let due = [self.waiting.due(), self.results.due()].into_iter().flatten().min();
+            tokio::select! {
+                biased;
+                () = stopped(&mut stop) => break,
+                // Before replies: the id of a request is known before its reply can come.
+                Some(told) = self.told.recv() => self.hear(told),
+                Some(Handed::Passed(passed)) = self.handed.recv() => self.take(&passed),
+                () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => self.expire(),
+                _ = alive.tick() => self.live(),
+                request = self.servers.next() => match request {
+                    Some((part, request)) => self.request(part, request),
+                    None => break,
+                },
+            }
+        }
+        self.requests.close();
+    }
+
+    fn request(&mut self, part: Part, Request { message, caller }: Request) {
+        let Some(goal) = goal_of(&message) else {
+            return self.account.refuse("bad_payload", "a request of an action names a goal");
+        };
+        let call = Call { part, goal, caller, id: None };
+        let waiting = if part == Part::Result { &self.results } else { &self.waiting };
+        if waiting.is_full() || (part == Part::Goal && self.goals.is_full()) {
+            self.account.refuse(TOO_MANY, &format!("{CALLS_MAX} goals or requests have not ended"));
+            return self.say_no(&call);
+        }
+        if part == Part::Goal {
+            self.goals.ask(goal);
+        }
+        let sequence = self.submit(part, &message);
+        let waiting = if part == Part::Result { &mut self.results } else { &mut self.waiting };
+        waiting.insert(sequence, call, Instant::now());
+    }
+
+    /// A request goes to the ledger. Answers with its number.
+    fn submit(&mut self, part: Part, message: &[u8]) -> u64 {
+        let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
+        self.last = sequence;
+        if let Ok(sample) = request_of(part, message) {
+            self.requests.push(Incoming { sample, source: [0; 16], sequence, received });
+        }
+        sequence
+    }
+
+    /// While goals run, and somebody is there for whom they do, the grant is used.
+    fn live(&mut self) {
+        if !self.goals.is_empty() && self.servers.goals.matched().now().matched > 0 && self.account.may_call() {
+            self.submit(Part::Alive, &[]);
+        }
+    }
+
+    fn take_call(&mut self, number: u64) -> Option<Call> {
+        let call = self.waiting.take(&number).or_else(|| self.results.take(&number))?;
+        if let Some(id) = call.id {
+            self.ids.remove(&id);
+        }
+        Some(call)
+    }
+
+    fn hear(&mut self, told: Told) {
+        match told {
+            Told::Submitted(number, id) => {
+                let call = self.waiting.get_mut(&number).or_else(|| self.results.get_mut(&number));
+                if let Some(call) = call {
+                    call.id = Some(id);
+                    self.ids.insert(id, number);
+                }
+            }
+            Told::Refused(number) => {
+                if let Some(call) = self.take_call(number) {
+                    self.say_no(&call);
+                }
+            }
+        }
+    }
+
+    /// Tells a caller that the ledger does not let its request pass, as far as ROS 2 has words for that.
+    fn say_no(&mut self, call: &Call) {
+        match call.part {
+            Part::Goal => {
+                self.goals.answered(&call.goal, false, Instant::now());
+                self.reply(call, &GOAL_REFUSED);
+            }
+            Part::Cancel => self.reply(call, &CANCEL_REFUSED),
+            Part::Result | Part::Alive => {}
+        }
+    }
+
+    fn reply(&mut self, Call { part, caller, .. }: &Call, message: &[u8]) {
+        let server = match part {
+            Part::Goal => &self.servers.goals,
+            Part::Cancel | Part::Alive => &self.servers.cancels,
+            Part::Result => &self.servers.results,
+        };
+        match server.reply(caller, message) {
+            Ok(()) => self.account.published(),
+            Err(error) => self.account.unpublished("a reply", &error),
+        }
+    }
+
+    /// Takes what the robot says.
+    fn take(&mut self, Passed { creator, samples, .. }: &Passed) {
+        if self.account.refuses(creator, &self.robot) {
+            return;
+        }
+        for (id, message) in samples.iter().filter_map(split) {
+            match id {
+                FEEDBACK => {
+                    if goal_of(&message).is_some_and(|goal| self.goals.has(&goal)) {
+                        self.tell(&message, |desk| &desk.feedback);
+                    }
+                }
+                STATUS => {
+                    for goal in over_in(&message) {
+                        self.goals.ended(&goal);
+                    }
+                    self.tell(&message, |desk| &desk.status);
+                }
+                id => {
+                    // Replies to others are for other bridges.
+                    let Some(call) = self.ids.get(&id).copied().and_then(|number| self.take_call(number)) else {
+                        continue;
+                    };
+                    self.learn(&call, &message);
+                    self.reply(&call, &message);
+                }
+            }
+        }
+    }
+
+    /// Publishes what the robot says to all.
+    fn tell(&mut self, message: &Bytes, to: impl Fn(&Self) -> &Writer) {
+        let written = Sample::new(CDR_LE, message).map_err(crate::error::Error::sample);
+        match written.and_then(|sample| to(self).write(&sample)) {
+            Ok(()) => self.account.published(),
+            Err(error) => self.account.unpublished("feedback or a state", &error),
+        }
+    }
+
+    /// A reply tells how a goal stands.
+    fn learn(&mut self, call: &Call, message: &[u8]) {
+        match call.part {
+            Part::Goal => {
+                self.goals.answered(&call.goal, is_accepted(message), Instant::now());
+            }
+            Part::Result if message.first().is_some_and(|state| is_over(*state)) => {
+                self.goals.ended(&call.goal);
+            }
+            Part::Result | Part::Cancel | Part::Alive => {}
+        }
+    }
+
+    /// Gives up what nobody has answered. A goal of which its client hears that it is refused does not run: it is cancelled.
+    fn expire(&mut self) {
+        let now = Instant::now();
+        for call in self.waiting.expire(now).into_iter().chain(self.results.expire(now)) {
+            if let Some(id) = call.id {
+                self.ids.remove(&id);
+            }
+            self.account.refuse("no_reply", "the robot has not replied in time");
+            if call.part == Part::Goal {
+                self.submit(Part::Cancel, &cancel_of(call.goal));
+            }
+            self.say_no(&call);
+        }
+    }
+}
