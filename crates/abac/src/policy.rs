@@ -25,7 +25,7 @@ use cedar_policy::{
     Authorizer, Context, Decision, Entities, Entity, EntityId, EntityTypeName, EntityUid, PolicyId, PolicySet, Request,
     RestrictedExpression, Schema, ValidationMode, Validator,
 };
-use ledger_contract::Limits;
+use ledger_contract::{Attribute, Attributes, Limits};
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
@@ -97,6 +97,8 @@ pub(crate) struct Resource {
     pub(crate) trusted: Vec<String>,
     /// The attributes of the robot besides its name and owner, `trusted` among them; none before rules 3.
     pub(crate) of_robot: Option<TextAttributes>,
+    /// The owner's own attributes of the robot, and of the service besides them.
+    pub(crate) own: (Attributes, Attributes),
 }
 
 /// The decision of a set of policies.
@@ -366,6 +368,7 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     let trusted = ("trusted".to_owned(), RestrictedExpression::new_set(object.trusted.iter().map(|name| text(name))));
 
     let user_attributes = [pair("organisation", &user.organisation), pair("name", &user.name), pair("role", user.role)];
+    let (robots_own, own) = (&object.own.0, &object.own.1);
     let tags = user.attributes.iter().map(|(key, value)| pair(key, value));
     let mut robot_attributes = vec![pair("name", &object.robot), pair("owner", &object.owner)];
     if let Some(more) = &object.of_robot {
@@ -373,7 +376,8 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
     }
     let mut entities = vec![
         Entity::new_with_tags(principal.clone(), user_attributes, [home.clone()], tags).map_err(display)?,
-        Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], []).map_err(display)?,
+        Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], tags_of([robots_own]))
+            .map_err(display)?,
         Entity::new_no_attrs(home.clone(), HashSet::new()),
     ];
     if owner != home {
@@ -385,7 +389,8 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
             let service = uid("Service", id)?;
             let of_robot = [pair("robot", &object.robot), pair("owner", &object.owner), trusted];
             let attributes = texts.iter().map(|(key, value)| pair(key, value)).chain(of_robot);
-            entities.push(Entity::new_with_tags(service.clone(), attributes, [robot.clone()], []).map_err(display)?);
+            let tags = tags_of([robots_own, own]);
+            entities.push(Entity::new_with_tags(service.clone(), attributes, [robot.clone()], tags).map_err(display)?);
             service
         }
     };
@@ -430,6 +435,21 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
         }
         None => Verdict::NotPermitted,
     })
+}
+
+/// The owner's attributes as the schema has them: those that come later take the place of those before.
+fn tags_of<const N: usize>(own: [&Attributes; N]) -> Vec<(String, RestrictedExpression)> {
+    let all: BTreeMap<&String, &Attribute> = own.into_iter().flatten().collect();
+    let text = |text: &String| RestrictedExpression::new_string(text.clone());
+    let tag = |(name, value): (&String, &Attribute)| {
+        let field = match value {
+            Attribute::Text(value) => ("text".to_owned(), text(value)),
+            Attribute::Number(value) => ("number".to_owned(), RestrictedExpression::new_long(*value)),
+            Attribute::Set(values) => ("set".to_owned(), RestrictedExpression::new_set(values.iter().map(text))),
+        };
+        RestrictedExpression::new_record([field]).ok().map(|record| (name.clone(), record))
+    };
+    all.into_iter().filter_map(tag).collect()
 }
 
 fn uid(kind: &str, id: &str) -> Result<EntityUid, String> {

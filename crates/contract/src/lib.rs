@@ -13,6 +13,7 @@
 //! # Ok::<(), serde_json::Error>(())
 //! ```
 
+mod attribute;
 mod capability;
 mod confirmation;
 mod delegation;
@@ -29,6 +30,7 @@ mod sharing;
 mod task;
 mod word;
 
+pub use attribute::{Attribute, AttributeChanges, Attributes};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};

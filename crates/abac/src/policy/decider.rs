@@ -12,7 +12,7 @@ use crate::records::service::Target;
 use crate::records::sharing;
 use crate::rules::Table;
 use ledger::Context;
-use ledger_contract::Limits;
+use ledger_contract::{Attributes, Limits};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use quick_cache::unsync::Cache;
@@ -262,6 +262,10 @@ impl Decider {
                 owner: robot.organisation.clone(),
                 trusted: robot.trusted.clone(),
                 of_robot: sharing::known(ctx).then(|| required.to_vec()),
+                own: match object {
+                    Object::Service(target, _) => (robot.attributes.clone(), target.service.attributes.clone()),
+                    Object::Robot(..) => (robot.attributes.clone(), Attributes::new()),
+                },
             },
             time_ms: i64::try_from(ctx.block_time() / 1000).unwrap_or(i64::MAX),
             doubted,

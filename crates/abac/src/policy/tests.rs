@@ -30,6 +30,7 @@ fn question(user: &str, robot: &str, action: &'static str) -> Question {
             owner: "Org2".to_owned(),
             trusted: vec!["Org1".to_owned()],
             of_robot: None,
+            own: Default::default(),
         },
         time_ms: 0,
         doubted: false,

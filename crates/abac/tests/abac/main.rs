@@ -9,6 +9,7 @@
 
 mod agreements;
 mod arguments;
+mod attributes;
 mod bad_input;
 mod budgets;
 mod bytes;
