@@ -5,6 +5,7 @@
 pub(crate) mod acquire;
 mod attributes;
 pub(crate) mod authorize;
+pub(crate) mod can;
 pub(crate) mod confirm;
 pub(crate) mod contest;
 pub(crate) mod delegate;

@@ -8,6 +8,7 @@ pub(crate) mod message;
 pub(crate) mod moment;
 pub(crate) mod number;
 pub(crate) mod points;
+pub(crate) mod policies;
 pub(crate) mod remap;
 pub(crate) mod service;
 pub(crate) mod setting;

@@ -14,6 +14,7 @@
 //! ```
 
 mod attribute;
+mod can;
 mod capability;
 mod confirmation;
 mod delegation;
@@ -31,6 +32,7 @@ mod task;
 mod word;
 
 pub use attribute::{Attribute, AttributeChanges, Attributes};
+pub use can::{Ask, Can, Condition, Could, PolicyFault, PolicyText};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};

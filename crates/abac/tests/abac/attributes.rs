@@ -17,7 +17,7 @@ const SMALL_CRANES: &str = r#"permit (principal, action, resource) when {
 fn policies_speak_of_the_attributes_of_a_robot() {
     let mut fleet = Fleet::of_the_paper();
     fleet.ok(&owner(), "policy", &["put", "cranes", SMALL_CRANES]);
-    fleet.refused(&farhad(), Code::MissingAttribute, "acquire", &[HUSKY]);
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
     fleet.ok(&owner(), "configure", &["Husky", CRANE]);
     fleet.ok(&farhad(), "acquire", &[HUSKY]);
     fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[TURTLEBOT]);
@@ -35,7 +35,7 @@ fn an_attribute_of_a_service_takes_the_place_of_the_one_of_its_robot() {
     fleet.ok(&owner(), "policy", &["put", "cranes", SMALL_CRANES]);
     fleet.ok(&owner(), "configure", &["Husky", CRANE]);
     fleet.ok(&owner(), "configure", &[HUSKY, r#"{"attributes":{"zones":["c"]}}"#]);
-    fleet.refused(&farhad(), Code::MissingAttribute, "acquire", &[HUSKY]);
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
     let asset: RobotAsset = fleet.get(&salma(), "robot", &["Husky"]);
     assert_eq!(asset.attributes["zones"], Attribute::Set(vec!["a".into(), "b".into()]), "sorted, each once");
     assert_eq!(asset.services[0].attributes["zones"], Attribute::Set(vec!["c".into()]));
@@ -54,7 +54,7 @@ fn a_policy_that_asks_for_another_type_is_refused_or_finds_nothing() {
     fleet.ok(&owner(), "policy", &["put", "cranes", SMALL_CRANES]);
     let text = r#"{"attributes":{"kind":"crane","payload_kg":"20","zones":["a"]}}"#;
     fleet.ok(&owner(), "configure", &["Husky", text]);
-    fleet.refused(&farhad(), Code::MissingAttribute, "acquire", &[HUSKY]);
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
 }
 
 #[test]
