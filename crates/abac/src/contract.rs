@@ -38,6 +38,7 @@ use std::sync::Arc;
 /// | `can ASK_JSON` of [`crate::Ask`] | anybody | [`crate::Can`] |
 /// | `could ASK_JSON PAGE_JSON` | an admin, about their organisation | page of [`crate::Could`] |
 /// | `check TEXT` | anybody | [`crate::PolicyFault`]s of a policy |
+/// | `diff POLICIES_JSON` of [`crate::PolicyText`] | anybody, about the robots of their organisation | [`crate::PolicyDiff`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
 /// | `declare ROBOT` | anybody | [`crate::Declaration`], certified |
@@ -62,7 +63,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 36] = [
+const FUNCTIONS: [&str; 37] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
@@ -75,6 +76,7 @@ const FUNCTIONS: [&str; 36] = [
     "could",
     "declare",
     "delegate",
+    "diff",
     "fail",
     "grants",
     "handover",
@@ -105,12 +107,13 @@ const FUNCTIONS: [&str; 36] = [
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 14] = [
+const READS: [&str; 15] = [
     "GetSubmittingClientIdentity",
     "authorize",
     "can",
     "check",
     "could",
+    "diff",
     "grants",
     "latest",
     "line",
@@ -227,6 +230,7 @@ impl Chaincode for AccessControl {
             "can" if sharing::known(ctx) => can::can(ctx, decider, args),
             "could" if sharing::known(ctx) => can::could(ctx, decider, args),
             "check" if sharing::known(ctx) => can::check(ctx, decider, args),
+            "diff" if sharing::known(ctx) => can::diff(ctx, decider, args),
             "release" => release::release(ctx, decider, args),
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Ask {
-    /// Who would do it, `Org1/Farhad`; the caller without. `could` asks about everybody of the caller's organisation.
+    /// The person, `Org1/Farhad`; the caller without. `could` asks about everybody of the caller's organisation.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub who: Option<String>,
     /// `acquire`, `publish`, `subscribe`, `override`, `confirm`; of a robot `stop` or `resume`.
@@ -34,11 +34,11 @@ pub struct PolicyText {
 /// The answer of `can`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Can {
-    /// Who was asked about.
+    /// The person.
     pub who: String,
-    /// What they would do.
+    /// The action.
     pub action: String,
-    /// With what.
+    /// The service, or the robot.
     pub service: String,
     /// May they?
     pub allowed: bool,
@@ -48,11 +48,11 @@ pub struct Can {
     pub name: String,
     /// The refusal in words; empty if allowed, as the next three are.
     pub reason: String,
-    /// What was found.
+    /// The facts that were found.
     pub found: String,
-    /// What is wanted.
+    /// The facts that are wanted.
     pub wanted: String,
-    /// What the caller could do.
+    /// A next step for the caller.
     pub next: String,
     /// The policies that decided; none if none permits it, or if an admin of the owner may always.
     pub policies: Vec<String>,
@@ -69,14 +69,14 @@ pub struct Condition {
     pub condition: String,
     /// The values found.
     pub found: String,
-    /// What is wanted for it to hold.
+    /// The values with which it would hold.
     pub wanted: String,
 }
 
 /// An element of the answer of `could`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Could {
-    /// Who was asked about.
+    /// The person.
     pub who: String,
     /// May they?
     pub allowed: bool,
@@ -100,4 +100,40 @@ pub struct PolicyFault {
     pub length: u64,
     /// The text of the line.
     pub text: String,
+}
+
+/// The answer of `diff`: how a set of policies differs from the one in force.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PolicyDiff {
+    /// The organisation whose policies they are to be.
+    pub organisation: String,
+    /// Policies that it does not have yet.
+    pub added: Vec<String>,
+    /// Policies that have another text.
+    pub changed: Vec<String>,
+    /// Policies that it has and the set has not.
+    pub removed: Vec<String>,
+    /// How many grants of its robots were decided about.
+    pub grants: u64,
+    /// Those of them that the set would end. Beyond 256 only their number is told.
+    pub ends: Vec<WouldEnd>,
+    /// How many it would end.
+    pub ended: u64,
+}
+
+/// A grant that a set of policies would end.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WouldEnd {
+    /// The service.
+    pub service: String,
+    /// Its holder.
+    pub holder: String,
+    /// Its epoch.
+    pub epoch: u64,
+    /// The refusal: of the holder, or of one who passed the grant on.
+    pub reason: String,
+    /// The facts that were found.
+    pub found: String,
+    /// The facts that are wanted.
+    pub wanted: String,
 }

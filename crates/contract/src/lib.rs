@@ -32,7 +32,7 @@ mod task;
 mod word;
 
 pub use attribute::{Attribute, AttributeChanges, Attributes};
-pub use can::{Ask, Can, Condition, Could, PolicyFault, PolicyText};
+pub use can::{Ask, Can, Condition, Could, PolicyDiff, PolicyFault, PolicyText, WouldEnd};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};

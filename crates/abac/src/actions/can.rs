@@ -1,4 +1,4 @@
-//! May somebody do something, and why: `can`, `could` and `check`. They only read, and change nothing.
+//! May somebody do something, and why: `can`, `could`, `check` and `diff`. They only read, and change nothing.
 //!
 //! They ask for permission alone: whether the service is free, is another question.
 
@@ -10,10 +10,10 @@ use crate::policy::limits::{self, POLICY_BYTES_MAX};
 use crate::policy::{Texts, Verdict, refusal, texts};
 use crate::records::principal::Principal;
 use crate::records::service::Target;
-use crate::records::{robot, service, store};
+use crate::records::{grant, robot, service, store};
 use bytes::Bytes;
 use ledger::{Context, Page};
-use ledger_contract::{Ask, Can, Could, PolicyText};
+use ledger_contract::{Ask, Can, Could, Grant, PolicyDiff, PolicyText, WouldEnd};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
@@ -106,11 +106,7 @@ impl Case {
             Asked::Robot(robot::find(ctx, robot)?, action)
         } else if let Some(action) = OF_SERVICE.into_iter().find(|action| action.name() == name) {
             let target = service::resolve(ctx, &ask.service)?;
-            let needed = match action {
-                Action::Acquire if target.is_for_readers() => vec![Action::Subscribe],
-                Action::Acquire => vec![Action::Acquire, Action::Publish],
-                action => vec![action],
-            };
+            let needed = needed(&target, action);
             Asked::Service(target, needed)
         } else {
             let names = OF_SERVICE.map(Action::name).into_iter().chain(OF_ROBOT.map(RobotAction::name));
@@ -199,6 +195,67 @@ impl Asked {
             Self::Service(target, _) => &target.id,
             Self::Robot(robot, _) => &robot.name,
         }
+    }
+}
+
+/// Most grants that `diff` tells one by one.
+const ENDS_MAX: usize = 256;
+
+/// `diff POLICIES_JSON`: which grants of the caller's organisation would a set of policies end?
+pub(crate) fn diff(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("diff POLICIES_JSON", args, 1, 1)?;
+    let wanted = r#"JSON of policies: [{"id": "night", "text": "permit …;"}]"#;
+    let policies: Vec<PolicyText> = serde_json::from_str(args.document(0, "POLICIES_JSON", ASK_BYTES_MAX)?)
+        .map_err(|fault| args.bad(0, "POLICIES_JSON", fault.to_string(), wanted))?;
+    let organisation = &ctx.submitter()?.organisation;
+    let texts = checked(ctx, decider, &policies)?;
+    let own = texts::own(ctx, organisation)?;
+    let text_of = |texts: &Texts, id: &str| texts.iter().find(|(known, _)| known == id).map(|(_, text)| text.clone());
+    let ids = |of: &Texts, keep: &dyn Fn(&str) -> bool| {
+        of.iter().map(|(id, _)| id.clone()).filter(|id| keep(id)).collect::<Vec<_>>()
+    };
+    let mut diff = PolicyDiff {
+        organisation: organisation.clone(),
+        added: ids(&texts, &|id| !policies.is_empty() && text_of(&own, id).is_none()),
+        changed: ids(&texts, &|id| text_of(&own, id).is_some_and(|text| text_of(&texts, id) != Some(text))),
+        removed: ids(&own, &|id| text_of(&texts, id).is_none()),
+        grants: 0,
+        ends: Vec::new(),
+        ended: 0,
+    };
+    let steps = limits::steps_of_all(&texts)?;
+    let of_owner = robot::all(ctx)?.into_iter().filter(|robot| robot.organisation == *organisation);
+    for target in of_owner.flat_map(|robot| Target::all_of(&robot).collect::<Vec<_>>()) {
+        for holding in grant::live(ctx, &target.id)? {
+            diff.grants += 1;
+            let action = if holding.grant.taken.is_some() { Action::Override } else { Action::Acquire };
+            let asked = Asked::Service(target.clone(), needed(&target, action));
+            let time = ctx.block_time();
+            let case = Case { action: action.name().to_owned(), asked, texts: texts.clone(), steps, time };
+            let people = std::iter::once(&holding.principal).chain(holding.givers.iter().map(|giver| &giver.principal));
+            for principal in people {
+                let Can { allowed, reason, found, wanted, .. } = case.judge(ctx, decider, principal)?;
+                if allowed {
+                    continue;
+                }
+                diff.ended += 1;
+                if diff.ends.len() < ENDS_MAX {
+                    let Grant { service, holder, epoch, .. } = holding.grant;
+                    diff.ends.push(WouldEnd { service, holder, epoch, reason, found, wanted });
+                }
+                break;
+            }
+        }
+    }
+    store::json(&diff)
+}
+
+/// The rights that an action needs.
+fn needed(target: &Target, action: Action) -> Vec<Action> {
+    match action {
+        Action::Acquire if target.is_for_readers() => vec![Action::Subscribe],
+        Action::Acquire => vec![Action::Acquire, Action::Publish],
+        action => vec![action],
     }
 }
 

@@ -19,7 +19,7 @@ pub(super) struct Asked {
 /// The request and its entities: the user, the robot, the service, and the organisations of both.
 ///
 /// # Errors
-/// What Cedar says of a name or a value.
+/// The fault of a name or a value, in Cedar's words.
 pub(super) fn asked(question: &Question) -> Result<Asked, String> {
     let (user, object) = (&question.user, &question.resource);
     let principal = uid("User", &format!("{}/{}", user.organisation, user.name))?;

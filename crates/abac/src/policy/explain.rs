@@ -55,7 +55,7 @@ struct Weighed {
 /// Explains the decision of a set of policies.
 ///
 /// # Errors
-/// What Cedar says of a question that it cannot read.
+/// The fault of a question, in Cedar's words.
 pub(super) fn explain(policies: &Index, question: &Question, work: usize) -> Result<Explanation, String> {
     let asked = asked(question)?;
     let deciding = deciding(policies, question, &asked)?;

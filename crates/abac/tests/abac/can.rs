@@ -3,7 +3,7 @@
 use crate::fleet::{Fleet, HUSKY, SECOND, START, TURTLEBOT, admin1, bytes, farhad, owner, salma};
 use bytes::Bytes;
 use ledger::{Page, Rules};
-use ledger_abac::{Ask, Can, Could, PolicyFault, PolicyText};
+use ledger_abac::{Ask, Can, Could, DEFAULT_POLICY, PolicyChange, PolicyDiff, PolicyFault, PolicyText};
 use ledger_rejection::Code;
 
 fn ask(who: &str, action: &str, service: &str) -> Ask {
@@ -185,6 +185,39 @@ fn who_of_an_organisation_could_do_it_is_told_in_pages() {
 }
 
 #[test]
+fn the_grants_that_a_set_would_end_are_told_and_putting_it_ends_exactly_those() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&salma(), "acquire", &[HUSKY]);
+    fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
+    fleet.ok(&owner(), "policy", &["put", "old", DEFAULT_POLICY]);
+    let text = r#"permit (principal, action, resource) when { principal.name == "Salma" };"#;
+    let set = serde_json::to_string(&[PolicyText { id: "new".to_owned(), text: text.to_owned() }]).unwrap();
+    let diff: PolicyDiff = fleet.get(&owner(), "diff", &[&set]);
+    assert_eq!((diff.grants, diff.ended, diff.ends.len()), (2, 1, 1));
+    assert_eq!((diff.added, diff.changed, diff.removed), (vec!["new".to_owned()], vec![], vec!["old".to_owned()]));
+    assert_eq!((diff.ends[0].service.as_str(), diff.ends[0].holder.as_str()), (TURTLEBOT, "Org1/Farhad"));
+    assert_eq!(diff.ends[0].found, r#"principal.name is "Farhad""#);
+    let others: PolicyDiff = fleet.get(&admin1(), "diff", &[&set]);
+    assert_eq!(others.grants, 0, "Org1 has no robots");
+    fleet.ok(&owner(), "policy", &["put", "new", text]);
+    let change: PolicyChange = fleet.get(&owner(), "policy", &["remove", "old"]);
+    assert_eq!(change.ended.iter().map(|ended| ended.holder.as_str()).collect::<Vec<_>>(), ["Org1/Farhad"]);
+    fleet.refused(&owner(), Code::BadArgument, "diff", &["{}"]);
+}
+
+#[test]
+fn no_policy_takes_from_the_owners_admins_the_right_to_change_policies() {
+    let mut fleet = Fleet::of_the_paper();
+    fleet.ok(&owner(), "policy", &["put", "nothing", "forbid (principal, action, resource);"]);
+    let erring = r#"forbid (principal, action, resource) when { principal.name.contains("x") };"#;
+    fleet.refused(&owner(), Code::PolicyInvalid, "policy", &["put", "erring", erring]);
+    fleet.ok(&owner(), "policy", &["put", "more", r#"forbid (principal in Organisation::"Org2", action, resource);"#]);
+    fleet.ok(&owner(), "policy", &["remove", "nothing"]);
+    fleet.ok(&owner(), "policy", &["remove", "more"]);
+    fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
+}
+
+#[test]
 fn the_faults_of_a_policy_are_told_with_line_and_column() {
     let mut fleet = Fleet::of_the_paper();
     let mut faults = |text: &str| -> Vec<PolicyFault> { fleet.get(&salma(), "check", &[text]) };
@@ -225,7 +258,7 @@ fn hostile_policies_are_explained_within_bounds() {
 #[test]
 fn older_rules_have_no_such_functions() {
     let mut fleet = Fleet::of_the_paper_under(Rules::FIRST);
-    for function in ["can", "could", "check"] {
+    for function in ["can", "could", "check", "diff"] {
         let refused = fleet.call(&salma(), function, &[Bytes::from_static(b"{}")]).unwrap_err();
         assert_eq!(refused.code, Code::UnknownFunction, "{refused}");
     }

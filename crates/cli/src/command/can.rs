@@ -34,10 +34,10 @@ Example:
   ledgerctl can Org1/Salma publish Turtlebot4/cmd_vel --at 2027-05-01T22:00:00+02:00 --policy night.cedar
   ledgerctl can --matrix")]
 pub(crate) struct Can {
-    /// Who would do it, such as Org1/Farhad; a name alone is of your organisation
+    /// The person, such as Org1/Farhad; a name alone is of your organisation
     #[arg(required_unless_present = "matrix")]
     who: Option<String>,
-    /// What they would do
+    /// An action, such as acquire
     #[arg(required_unless_present = "matrix")]
     action: Option<String>,
     /// The service, or the robot
@@ -113,7 +113,7 @@ async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
     }
 }
 
-/// Who of the organisation may do what with every service.
+/// The rights of everybody of the organisation to every service.
 async fn matrix(session: &Session, ask: impl Fn(&str, &str) -> Ask) -> Result<Matrix, Rejection> {
     let robots: Vec<RobotAsset> = session.list(ABAC, "robots").await?;
     let mut may: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();

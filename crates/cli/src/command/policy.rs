@@ -1,6 +1,7 @@
-//! `policy list|show|check|test|put|remove`: the Cedar policies by which an organisation decides about its robots.
+//! `policy list|show|check|test|diff|put|remove`: the Cedar policies by which an organisation decides about its robots.
 
 mod check;
+mod diff;
 mod test;
 
 use crate::answer;
@@ -23,6 +24,7 @@ pub(crate) enum Policy {
     Show(Show),
     Check(check::Check),
     Test(test::Test),
+    Diff(diff::Diff),
     Put(Put),
     Remove(Remove),
 }
@@ -84,6 +86,7 @@ impl Policy {
             }
             Self::Show(show) => return show.run(global, output).await,
             Self::Check(check) => return check.run(global, output).await,
+            Self::Diff(diff) => return diff.run(global, output).await,
             Self::Test(test) => return test.run(global, output).await,
             Self::Put(put) => vec!["put".into(), Bytes::from(put.id), text(&put.policy)?],
             Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],
