@@ -55,6 +55,9 @@ const STOP_US: u64 = 60_000_000;
 /// How often memory is looked at beside a reader that stands still.
 const LOOKS: u32 = 10;
 
+/// A part of this bench, which takes so long at each of its steps.
+type Part = fn(&Site, Duration) -> Value;
+
 /// Robots, people, nodes and the directory of the bridges.
 struct Site {
     network: Network,
@@ -81,7 +84,7 @@ fn main() {
     let time = Duration::from_secs_f64(if smoke { 1.0 } else { seconds });
     let runtime = Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
     let site = runtime.block_on(Site::start());
-    let parts: [(&str, fn(&Site, Duration) -> Value); 3] = [("idle", idle), ("passing", passing), ("stalled", stalled)];
+    let parts: [(&str, Part); 3] = [("idle", idle), ("passing", passing), ("stalled", stalled)];
     let named = |name: &str| std::env::args().any(|argument| argument == name);
     let all = !parts.iter().any(|(name, _)| named(name));
     let chosen = parts.into_iter().filter(|(name, _)| all || named(name));

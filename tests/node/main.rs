@@ -37,6 +37,7 @@ mod network;
 mod older;
 mod overload;
 mod passing;
+mod policies;
 mod power;
 mod readers;
 mod rebuild;

@@ -6,7 +6,7 @@ use crate::sources::{files, read, root};
 const CRATES: [&str; 4] = ["api", "contract", "identity", "rejection"];
 
 /// Enums that are matched without a wildcard on purpose: whoever adds a variant must look at each match.
-const EXHAUSTIVE: [&str; 10] = [
+const EXHAUSTIVE: [&str; 11] = [
     // What to do about a refusal, and the exit code.
     "Class",
     // Rights.
@@ -14,6 +14,8 @@ const EXHAUSTIVE: [&str; 10] = [
     "Usage",
     // Cryptography.
     "KeyKind",
+    // The types of values in the schema of policies.
+    "Attribute",
     // What a caller chooses.
     "JoinKind",
     "RenewalRule",

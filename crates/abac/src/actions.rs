@@ -3,7 +3,9 @@
 //! An action reads its arguments, asks the policies who may and the rules who wins, and changes the records.
 
 pub(crate) mod acquire;
+mod attributes;
 pub(crate) mod authorize;
+pub(crate) mod can;
 pub(crate) mod confirm;
 pub(crate) mod contest;
 pub(crate) mod delegate;

@@ -1,7 +1,7 @@
 //! The function table of the chaincode, and its hooks.
 
 use crate::actions::{
-    NAME, acquire, authorize, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
+    NAME, acquire, authorize, can, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
     renew, robots, settings, show, task_list, tasks, together,
 };
 use crate::policy::decider::Decider;
@@ -35,6 +35,10 @@ use std::sync::Arc;
 /// | `release SERVICE [HOLDER]` | the holder, who waits in line, an admin of the owner | the grants it ended |
 /// | `set SERVICE EPOCH FIRST_SEQ PAYLOAD...` | the holder; in open mode whom policies permit | [`crate::Published`] |
 /// | `authorize SERVICE [ACTION]` | anybody | [`crate::Authorization`] |
+/// | `can ASK_JSON` of [`crate::Ask`] | anybody | [`crate::Can`] |
+/// | `could ASK_JSON PAGE_JSON` | an admin, about their organisation | page of [`crate::Could`] |
+/// | `check TEXT` | anybody | [`crate::PolicyFault`]s of a policy |
+/// | `diff POLICIES_JSON` of [`crate::PolicyText`] | anybody, about the robots of their organisation | [`crate::PolicyDiff`] |
 /// | `GetSubmittingClientIdentity` | anybody | [`crate::Caller`] |
 /// | `robots [PAGE_JSON]`, `robot NAME` | anybody | [`crate::RobotAsset`]s |
 /// | `declare ROBOT` | anybody | [`crate::Declaration`], certified |
@@ -59,16 +63,20 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 33] = [
+const FUNCTIONS: [&str; 37] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
     "authorize",
+    "can",
     "cancel",
+    "check",
     "configure",
     "confirm",
+    "could",
     "declare",
     "delegate",
+    "diff",
     "fail",
     "grants",
     "handover",
@@ -99,9 +107,13 @@ const FUNCTIONS: [&str; 33] = [
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 11] = [
+const READS: [&str; 15] = [
     "GetSubmittingClientIdentity",
     "authorize",
+    "can",
+    "check",
+    "could",
+    "diff",
     "grants",
     "latest",
     "line",
@@ -215,6 +227,10 @@ impl Chaincode for AccessControl {
             "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
             "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
             "task" if sharing::known(ctx) => task_list::task(ctx, args),
+            "can" if sharing::known(ctx) => can::can(ctx, decider, args),
+            "could" if sharing::known(ctx) => can::could(ctx, decider, args),
+            "check" if sharing::known(ctx) => can::check(ctx, decider, args),
+            "diff" if sharing::known(ctx) => can::diff(ctx, decider, args),
             "release" => release::release(ctx, decider, args),
             "authorize" => authorize::authorize(ctx, decider, args),
             "GetSubmittingClientIdentity" => authorize::caller(ctx, args),

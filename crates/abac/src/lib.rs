@@ -52,11 +52,12 @@ pub use actions::authorize::{Authorization, Caller};
 pub use actions::publish::MESSAGES_PER_CALL_MAX;
 pub use contract::AccessControl;
 pub use ledger_contract::{
-    AcquireOptions, Acquired, Capabilities, Confirmation, Declaration, Delegated, Direction, Emergency,
-    EmergencyAnswer, Fencing, Grant, Latest, Left, LeftReason, Limits, LineState, LineTold, MessageEvent, Mode,
-    OnConflict, PassOptions, Pending, Place, Point, PolicyChange, PolicyEntry, Published, Publishing, Reason, Released,
-    RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange,
-    Sharing, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
+    AcquireOptions, Acquired, Ask, Attribute, AttributeChanges, Attributes, Can, Capabilities, Condition, Confirmation,
+    Could, Declaration, Delegated, Direction, Emergency, EmergencyAnswer, Fencing, Grant, Latest, Left, LeftReason,
+    Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, PassOptions, Pending, Place, Point, PolicyChange,
+    PolicyDiff, PolicyEntry, PolicyFault, PolicyText, Published, Publishing, Reason, Released, RobotAsset, RobotChange,
+    RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Sharing, Stopped,
+    Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
 pub use policy::limits::POLICY_BYTES_MAX;

@@ -6,32 +6,33 @@
 //! that is left, so stacks of different sizes would decide differently on different nodes.
 
 mod annotation;
+mod asked;
 pub(crate) mod decider;
 pub(crate) mod defaults;
+mod diagnose;
+pub(crate) mod explain;
 mod index;
 pub(crate) mod limits;
-mod refusal;
+pub(crate) mod refusal;
 #[cfg(test)]
 mod tests;
 pub(crate) mod texts;
 mod window;
 
 use self::annotation::Said;
+use self::asked::{Asked, asked};
 use self::defaults::schemas;
+use self::explain::Explanation;
 use self::index::Index;
 use self::limits::{CHAIN_MAX, NESTING_MAX};
-use crate::arguments::shown;
-use cedar_policy::{
-    Authorizer, Context, Decision, Entities, Entity, EntityId, EntityTypeName, EntityUid, PolicyId, PolicySet, Request,
-    RestrictedExpression, Schema, ValidationMode, Validator,
-};
-use ledger_contract::Limits;
+use cedar_policy::{Authorizer, Decision, Policy, PolicyId, PolicySet, Schema, ValidationMode, Validator};
+use ledger_contract::{Attributes, Limits, PolicyFault};
 use ledger_hash::Hash;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use quick_cache::Weighter;
 use quick_cache::unsync::Cache;
-use std::collections::{BTreeMap, HashSet};
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 
@@ -45,6 +46,8 @@ const PARSED_SETS_MAX: usize = 64;
 const PARSED_BYTES_MAX: usize = 4 * 1024 * 1024;
 /// Most questions that wait for the thread; more wait for their turn to wait.
 const QUEUE_MAX: usize = 64;
+/// The fault of Cedar that denies.
+const PANICKED: &str = "Cedar panicked on the policies";
 /// Most faults of a policy that are reported at once.
 const FAULTS_SHOWN_MAX: usize = 3;
 
@@ -70,8 +73,12 @@ pub(crate) struct Question {
 impl Question {
     /// The word of a policy that matches. Older rules look at no annotation.
     fn said(&self, policies: &PolicySet, id: &PolicyId) -> Result<Said, String> {
+        policies.policy(id).map_or(Ok(Said::Permits(Permit::default())), |policy| self.said_by(policy))
+    }
+
+    fn said_by(&self, policy: &Policy) -> Result<Said, String> {
         match self.resource.of_robot {
-            Some(_) => annotation::said(policies, id, self.time_ms),
+            Some(_) => annotation::said(policy, self.time_ms),
             None => Ok(Said::Permits(Permit::default())),
         }
     }
@@ -97,6 +104,8 @@ pub(crate) struct Resource {
     pub(crate) trusted: Vec<String>,
     /// The attributes of the robot besides its name and owner, `trusted` among them; none before rules 3.
     pub(crate) of_robot: Option<TextAttributes>,
+    /// The owner's own attributes of the robot, and of the service besides them.
+    pub(crate) own: (Attributes, Attributes),
 }
 
 /// The decision of a set of policies.
@@ -105,7 +114,10 @@ pub(crate) enum Verdict {
     /// A policy permits it and none forbids it.
     Permit(Permit),
     /// No policy permits it.
-    NotPermitted,
+    NotPermitted {
+        /// Do the policies speak of the attribute that the robot requires?
+        of_required: bool,
+    },
     /// Policies permit it within these windows of time only.
     Closed(Vec<String>),
     /// These policies forbid it.
@@ -153,9 +165,16 @@ pub(crate) struct Answer {
 enum Job {
     /// By the schema that comes first. Are annotations to be known ones?
     Check(&'static str, bool, String, SyncSender<Result<(), Vec<String>>>),
+    /// The faults with their places.
+    Diagnose(&'static str, bool, String, SyncSender<Vec<PolicyFault>>),
     /// With the texts of the set, if they were asked for.
     Decide(Box<Question>, Option<Texts>, SyncSender<Decided>),
+    /// By these texts, with the reasons.
+    Explain(Box<Question>, Option<Texts>, usize, SyncSender<Explained>),
 }
+
+/// A decision with its reasons, or the question back.
+type Explained = Result<(Verdict, Explanation), Box<Question>>;
 
 /// An answer, or the question back, because the texts of the set are needed first.
 type Decided = Result<Answer, Box<Question>>;
@@ -209,6 +228,25 @@ impl Engine {
         Err(invalid("policy is not acceptable", faults.join("; "), "Cedar policies that validate against the schema"))
     }
 
+    /// The faults of this text as a policy under that schema, with their places.
+    ///
+    /// # Errors
+    /// [`Code::Internal`] if they cannot be found.
+    pub(crate) fn diagnose(
+        &self,
+        schema: &'static str,
+        known: bool,
+        text: &str,
+    ) -> Result<Vec<PolicyFault>, Rejection> {
+        let (reply, answer) = sync_channel(1);
+        let asked = self.jobs.send(Job::Diagnose(schema, known, text.to_owned(), reply)).ok();
+        asked.and_then(|()| answer.recv().ok()).ok_or_else(|| {
+            Rejection::new(Code::Internal, "the policy cannot be looked at")
+                .found("no answer of the policy thread")
+                .wanted("its faults, or none")
+        })
+    }
+
     /// What do these policies decide? A fault of the machinery denies. `texts` gives the policies, and is asked only if
     /// the set is not known: reading many takes longer than the decision.
     ///
@@ -224,6 +262,29 @@ impl Engine {
             decided => decided,
         };
         Ok(decided.and_then(Result::ok).unwrap_or_else(|| fault("the policy thread is gone".to_owned())))
+    }
+
+    /// What do these policies decide, and why? As [`Engine::decide`], with so much work for the reasons.
+    ///
+    /// # Errors
+    /// The content of `texts`.
+    pub(crate) fn explain(
+        &self,
+        question: Question,
+        work: usize,
+        texts: impl FnOnce() -> Result<Texts, Rejection>,
+    ) -> Result<(Verdict, Explanation), Rejection> {
+        let ask = |question, texts| -> Option<Explained> {
+            let (reply, answer) = sync_channel(1);
+            self.jobs.send(Job::Explain(question, texts, work, reply)).ok()?;
+            answer.recv().ok()
+        };
+        let explained = match ask(Box::new(question), None) {
+            Some(Err(question)) => ask(question, Some(texts()?)),
+            explained => explained,
+        };
+        let gone = || (Verdict::Fault("the policy thread is gone".to_owned()), Explanation::default());
+        Ok(explained.and_then(Result::ok).unwrap_or_else(gone))
     }
 
     fn ask(&self, question: Box<Question>, texts: Option<Texts>) -> Option<Decided> {
@@ -248,6 +309,8 @@ fn invalid(message: &str, found: String, wanted: &str) -> Rejection {
 struct Parsed {
     policies: Result<Index, String>,
     timeless: bool,
+    /// Do the texts speak of the attribute that the robot requires?
+    of_required: bool,
     /// Length of the texts.
     bytes: usize,
 }
@@ -266,25 +329,45 @@ fn serve(queue: &Receiver<Job>, validators: &Validators) {
                 let fault = || Err(vec!["Cedar panicked on it, or knows no such schema".to_owned()]);
                 let _ = reply.send(outcome.and_then(Result::ok).unwrap_or_else(fault));
             }
-            Job::Decide(question, texts, reply) => {
-                let outcome = catch_unwind(AssertUnwindSafe(|| {
-                    let Some(texts) = texts else {
-                        return parsed.get(&question.version).map(|set| decide(set, &question));
-                    };
-                    let set = if question.doubted { parse_doubted(&texts) } else { parse_all(&texts) };
-                    let answer = decide(&set, &question);
-                    parsed.insert(question.version, set);
-                    Some(answer)
+            Job::Diagnose(schema, annotated, text, reply) => {
+                let validator = validators.get(schema);
+                let faults =
+                    validator.and_then(|known| catch_unwind(|| diagnose::diagnose(known, annotated, &text)).ok());
+                // Without an answer the caller hears that there is none.
+                if let Some(faults) = faults {
+                    let _ = reply.send(faults);
+                }
+            }
+            Job::Explain(question, texts, work, reply) => {
+                let explained = catch_unwind(AssertUnwindSafe(|| {
+                    with_set(&mut parsed, &question, texts, |set| explained(set, &question, work))
                 }));
-                let decided = match outcome {
-                    Ok(Some(answer)) => Ok(answer),
-                    Ok(None) => Err(question),
-                    Err(_) => Ok(fault("Cedar panicked on the policies".to_owned())),
-                };
-                let _ = reply.send(decided);
+                let fault = |_| Some((Verdict::Fault(PANICKED.to_owned()), Explanation::default()));
+                let _ = reply.send(explained.unwrap_or_else(fault).ok_or(question));
+            }
+            Job::Decide(question, texts, reply) => {
+                let decided = catch_unwind(AssertUnwindSafe(|| {
+                    with_set(&mut parsed, &question, texts, |set| decide(set, &question))
+                }));
+                let fault = |_| Some(fault(PANICKED.to_owned()));
+                let _ = reply.send(decided.unwrap_or_else(fault).ok_or(question));
             }
         }
     }
+}
+
+/// Does something with the set of a question, parsed now or before; nothing if the texts are needed first.
+fn with_set<T>(
+    parsed: &mut Cache<Hash, Parsed, ByText>,
+    question: &Question,
+    texts: Option<Texts>,
+    body: impl FnOnce(&Parsed) -> T,
+) -> Option<T> {
+    let Some(texts) = texts else { return parsed.get(&question.version).map(body) };
+    let set = if question.doubted { parse_doubted(&texts) } else { parse_all(&texts) };
+    let done = body(&set);
+    parsed.insert(question.version, set);
+    Some(done)
 }
 
 /// A set weighs as much as its texts, at least its share of the room, and at most half of it: every set can be kept.
@@ -319,7 +402,8 @@ fn validate(validator: &Validator, annotated: bool, text: &str) -> Result<(), Ve
 fn parse_all(texts: &[(String, String)]) -> Parsed {
     let timeless = !texts.iter().any(|(_, text)| text.contains("context") || annotation::may_have_window(text));
     let bytes = texts.iter().map(|(_, text)| text.len()).sum();
-    Parsed { policies: index_all(texts), timeless, bytes }
+    let of_required = texts.iter().any(|(_, text)| text.contains("requiredAttribute"));
+    Parsed { policies: index_all(texts), timeless, of_required, bytes }
 }
 
 /// A set whose steps nobody has counted yet.
@@ -329,6 +413,7 @@ fn parse_doubted(texts: &[(String, String)]) -> Parsed {
         Err(refused) => Parsed {
             policies: Err(format!("{}: {}, wanted {}", refused.message, refused.found, refused.wanted)),
             timeless: true,
+            of_required: false,
             bytes: 0,
         },
     }
@@ -350,56 +435,30 @@ fn index_all(texts: &[(String, String)]) -> Result<Index, String> {
 fn decide(set: &Parsed, question: &Question) -> Answer {
     let timeless = set.timeless;
     let verdict = match &set.policies {
-        Ok(policies) => evaluate(policies, question).unwrap_or_else(Verdict::Fault),
+        Ok(policies) => match evaluate(policies, question).unwrap_or_else(Verdict::Fault) {
+            Verdict::NotPermitted { .. } => {
+                Verdict::NotPermitted { of_required: set.of_required || question.resource.of_robot.is_none() }
+            }
+            verdict => verdict,
+        },
         Err(fault) => Verdict::Fault(fault.clone()),
     };
     Answer { verdict, timeless }
 }
 
+/// A decision with its reasons. Without reasons it is still the decision.
+fn explained(set: &Parsed, question: &Question, work: usize) -> (Verdict, Explanation) {
+    let reasons = set.policies.as_ref().ok().and_then(|policies| explain::explain(policies, question, work).ok());
+    let explanation = Explanation { timeless: set.timeless, ..reasons.unwrap_or_default() };
+    (decide(set, question).verdict, explanation)
+}
+
 fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
-    let (user, object) = (&question.user, &question.resource);
-    let principal = uid("User", &format!("{}/{}", user.organisation, user.name))?;
-    let robot = uid("Robot", &object.robot)?;
-    let (home, owner) = (uid("Organisation", &user.organisation)?, uid("Organisation", &object.owner)?);
-    let text = |value: &str| RestrictedExpression::new_string(value.to_owned());
-    let pair = |key: &str, value: &str| (key.to_owned(), text(value));
-    let trusted = ("trusted".to_owned(), RestrictedExpression::new_set(object.trusted.iter().map(|name| text(name))));
-
-    let user_attributes = [pair("organisation", &user.organisation), pair("name", &user.name), pair("role", user.role)];
-    let tags = user.attributes.iter().map(|(key, value)| pair(key, value));
-    let mut robot_attributes = vec![pair("name", &object.robot), pair("owner", &object.owner)];
-    if let Some(more) = &object.of_robot {
-        robot_attributes.extend(more.iter().map(|(key, value)| pair(key, value)).chain([trusted.clone()]));
-    }
-    let mut entities = vec![
-        Entity::new_with_tags(principal.clone(), user_attributes, [home.clone()], tags).map_err(display)?,
-        Entity::new_with_tags(robot.clone(), robot_attributes, [owner.clone()], []).map_err(display)?,
-        Entity::new_no_attrs(home.clone(), HashSet::new()),
-    ];
-    if owner != home {
-        entities.push(Entity::new_no_attrs(owner.clone(), HashSet::new()));
-    }
-    let resource = match &object.service {
-        None => robot.clone(),
-        Some((id, texts)) => {
-            let service = uid("Service", id)?;
-            let of_robot = [pair("robot", &object.robot), pair("owner", &object.owner), trusted];
-            let attributes = texts.iter().map(|(key, value)| pair(key, value)).chain(of_robot);
-            entities.push(Entity::new_with_tags(service.clone(), attributes, [robot.clone()], []).map_err(display)?);
-            service
-        }
-    };
-    let entities = Entities::from_entities(entities, None).map_err(display)?;
-    let context = Context::from_pairs([("time".to_owned(), RestrictedExpression::new_long(question.time_ms))])
-        .map_err(display)?;
-    let action = uid("Action", question.action)?;
-    let request = Request::new(principal.clone(), action, resource.clone(), context, None).map_err(display)?;
-
+    let Asked { request, entities, principals, resources } = &asked(question)?;
     // Each set by itself, put together as Cedar would: what one forbids no other permits.
-    let (principals, resources) = ([&principal, &home], [&resource, &robot, &owner]);
     let (mut faults, mut forbidding, mut closed, mut permitted) = (Vec::new(), Vec::new(), Vec::new(), None);
-    for set in policies.candidates(&principals, &resources) {
-        let response = Authorizer::new().is_authorized(&request, set, &entities);
+    for set in policies.candidates(principals, resources) {
+        let response = Authorizer::new().is_authorized(request, set, entities);
         faults.extend(response.diagnostics().errors().map(ToString::to_string));
         match response.decision() {
             Decision::Allow => {
@@ -428,13 +487,8 @@ fn evaluate(policies: &Index, question: &Question) -> Result<Verdict, String> {
             closed.sort();
             Verdict::Closed(closed)
         }
-        None => Verdict::NotPermitted,
+        None => Verdict::NotPermitted { of_required: true },
     })
-}
-
-fn uid(kind: &str, id: &str) -> Result<EntityUid, String> {
-    let kind: EntityTypeName = kind.parse().map_err(|fault| format!("{}: {fault}", shown(kind)))?;
-    Ok(EntityUid::from_type_name_and_id(kind, EntityId::new(id)))
 }
 
 fn display(fault: impl std::fmt::Display) -> String {

@@ -2,11 +2,13 @@
 
 pub(crate) mod attribute;
 pub(crate) mod bytes;
+pub(crate) mod capability;
 pub(crate) mod destination;
 pub(crate) mod message;
 pub(crate) mod moment;
 pub(crate) mod number;
 pub(crate) mod points;
+pub(crate) mod policies;
 pub(crate) mod remap;
 pub(crate) mod service;
 pub(crate) mod setting;

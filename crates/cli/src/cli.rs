@@ -2,8 +2,8 @@
 
 use crate::argument::destination::{self, Destination};
 use crate::command::{
-    ca, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger, light, message,
-    network, policy, record, replay, robot, task, whoami,
+    ca, can, chaincode, completions, context, denials, emergency, enroll, explain, grant, identity, ledger, light,
+    message, network, policy, record, replay, robot, task, whoami,
 };
 use crate::failure::Failure;
 use crate::output::{Format, Output};
@@ -88,6 +88,7 @@ enum Command {
     Replay(replay::Replay),
     #[command(subcommand)]
     Policy(policy::Policy),
+    Can(can::Can),
     Invoke(chaincode::Invoke),
     Query(chaincode::Query),
     Light(light::Light),
@@ -142,6 +143,7 @@ impl Cli {
             Command::Record(command) => command.run(global, output).await,
             Command::Replay(command) => command.run(output).await,
             Command::Policy(command) => command.run(global, output).await,
+            Command::Can(command) => command.run(global, output).await,
             Command::Invoke(command) => command.run(global, output).await,
             Command::Query(command) => command.run(global, output).await,
             Command::Light(command) => command.run(global, output).await,

@@ -1,6 +1,7 @@
 //! The commands, one file per group. Each is a struct of its arguments and a `run`.
 
 pub(crate) mod ca;
+pub(crate) mod can;
 pub(crate) mod chaincode;
 pub(crate) mod completions;
 pub(crate) mod context;

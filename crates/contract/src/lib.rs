@@ -13,6 +13,8 @@
 //! # Ok::<(), serde_json::Error>(())
 //! ```
 
+mod attribute;
+mod can;
 mod capability;
 mod confirmation;
 mod delegation;
@@ -29,6 +31,8 @@ mod sharing;
 mod task;
 mod word;
 
+pub use attribute::{Attribute, AttributeChanges, Attributes};
+pub use can::{Ask, Can, Condition, Could, PolicyDiff, PolicyFault, PolicyText, WouldEnd};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};

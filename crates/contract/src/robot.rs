@@ -1,5 +1,6 @@
 //! Robots: how their owner describes them, and how everybody sees them.
 
+use crate::attribute::{Attributes, named};
 use crate::emergency::Stopped;
 use crate::grant::Grant;
 use crate::service::{ServiceSpec, ServiceState};
@@ -20,6 +21,9 @@ pub struct RobotSpec {
     pub trusted: Option<Vec<String>>,
     /// Its services.
     pub services: Vec<ServiceSpec>,
+    /// Facts for policies; none by default.
+    #[serde(default, deserialize_with = "named", skip_serializing_if = "Option::is_none")]
+    pub attributes: Option<Attributes>,
 }
 
 /// The asset of the paper, with its field names, and what we know beyond it.
@@ -48,6 +52,9 @@ pub struct RobotAsset {
     pub trusted: Vec<String>,
     /// Its services and their holders.
     pub services: Vec<ServiceState>,
+    /// Facts for policies.
+    #[serde(default, skip_serializing_if = "Attributes::is_empty")]
+    pub attributes: Attributes,
     /// The stop that holds, if the robot is stopped.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub stopped: Option<Stopped>,

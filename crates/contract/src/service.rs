@@ -1,5 +1,6 @@
 //! Services: the right to publish or subscribe on one topic of a robot.
 
+use crate::attribute::{Attributes, named};
 use crate::capability::{Capabilities, ToldCapabilities, UnknownRule};
 use crate::sharing::{Mode, Sharing};
 use crate::word::{Told, words};
@@ -48,6 +49,9 @@ pub struct ServiceSpec {
     /// The settings of its rule.
     #[serde(default, skip_serializing_if = "Sharing::is_default")]
     pub sharing: Sharing,
+    /// Facts for policies besides those of the robot, which they take the place of; none by default.
+    #[serde(default, deserialize_with = "named", skip_serializing_if = "Option::is_none")]
+    pub attributes: Option<Attributes>,
 }
 
 /// The last part of the topic on which a robot replies to calls.
@@ -85,6 +89,7 @@ impl ServiceSpec {
             lease_ms_max: None,
             stop_hex: None,
             sharing: Sharing::default(),
+            attributes: None,
         })
     }
 }
@@ -118,6 +123,9 @@ pub struct ServiceState {
     /// The settings of its rule.
     #[serde(default, skip_serializing_if = "Sharing::is_default")]
     pub sharing: Sharing,
+    /// Facts for policies besides those of the robot.
+    #[serde(default, skip_serializing_if = "Attributes::is_empty")]
+    pub attributes: Attributes,
     /// The oldest holder, e.g. `Org1/Salma`; empty if there is none.
     pub holder: String,
     /// All holders, oldest grant first.

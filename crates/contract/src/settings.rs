@@ -1,5 +1,6 @@
 //! Changing a robot: what is asked for, and what changed and ended.
 
+use crate::attribute::{AttributeChanges, named};
 use crate::grant::Released;
 use crate::robot::RobotAsset;
 use crate::service::Direction;
@@ -44,6 +45,9 @@ pub struct RobotSettings {
     /// Keys of [`Sharing`] that get their defaults again.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub clear: Vec<String>,
+    /// Facts for policies: of the robot, or of the service if one is named.
+    #[serde(default, deserialize_with = "named", skip_serializing_if = "Option::is_none")]
+    pub attributes: Option<AttributeChanges>,
 }
 
 /// Answer of `configure` and, for each robot, of `replace`.
@@ -62,7 +66,7 @@ pub struct RobotChange {
 pub struct SettingChange {
     /// The topic of the service; empty for a setting of the robot.
     pub topic: String,
-    /// Its name as in [`RobotSettings`], or `service` for a whole one.
+    /// Its name as in [`RobotSettings`], `service` for a whole one, or `attribute NAME`.
     pub setting: String,
     /// The value before; empty if there was none.
     pub before: String,

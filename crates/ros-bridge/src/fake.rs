@@ -130,6 +130,7 @@ impl Fake {
             attribute_required: String::new(),
             trusted: Vec::new(),
             services: vec![serde_json::from_value(self.service.lock().unwrap().clone()).unwrap()],
+            attributes: Default::default(),
             stopped: None,
         }
     }

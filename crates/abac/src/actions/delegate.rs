@@ -212,7 +212,7 @@ fn check_has_none(ctx: &Context<'_>, target: &Target, to: &str) -> Result<(), Re
 }
 
 /// The person behind a name, by its certificate on the ledger.
-fn certified(ctx: &mut Context<'_>, id: &str) -> Result<Principal, Rejection> {
+pub(super) fn certified(ctx: &mut Context<'_>, id: &str) -> Result<Principal, Rejection> {
     let answer = ctx.call("msp", "holder", &[Bytes::copy_from_slice(id.as_bytes())])?;
     let holder: CertifiedHolder = store::parse(b"msp holder", &answer)?;
     let CertifiedHolder { organisation, name, role, attributes, issuer, serial, fingerprint, not_after } = holder;

@@ -1,5 +1,6 @@
 //! Descriptions of robots: what an owner may say, and what holds where the owner says nothing.
 
+use super::attributes;
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::Decider;
 use crate::records::robot::{NAME_BYTES_MAX, Robot, SERVICES_MAX};
@@ -40,11 +41,14 @@ const _: () = assert!(LEASE_MS_MIN < LEASE_MS_DEFAULT && LEASE_MS_DEFAULT < LEAS
 const _: () = assert!(LEASE_MS_MAX_DEFAULT < LEASE_MS_MAX && AGE_MS_DEFAULT < AGE_MS_MAX);
 
 /// Reads a description from one argument.
-pub(crate) fn read_spec(args: Arguments<'_>, index: usize) -> Result<RobotSpec, Rejection> {
+pub(crate) fn read_spec(ctx: &Context<'_>, args: Arguments<'_>, index: usize) -> Result<RobotSpec, Rejection> {
     let text = args.document(index, "ROBOT_JSON", SPEC_BYTES_MAX)?;
-    serde_json::from_str(text).map_err(|fault| {
+    let spec: RobotSpec = serde_json::from_str(text).map_err(|fault| {
         args.bad(index, "ROBOT_JSON", fault.to_string(), "JSON of a robot: name, attribute_required, services")
-    })
+    })?;
+    let of_service = spec.services.iter().any(|service| service.attributes.is_some());
+    attributes::check_known(ctx, of_service || spec.attributes.is_some())?;
+    Ok(spec)
 }
 
 /// Checks a description and fills in what it leaves out. Without another word a robot trusts whom it trusted before.
@@ -61,12 +65,14 @@ pub(crate) fn describe(
         (None, Some(robot)) => robot.trusted.clone(),
         (None, None) => organisations(ctx)?,
     };
+    let attributes = attributes::described(spec.attributes, attributes::OF_ROBOT_BYTES_MAX)?;
     Ok(Robot {
         name: spec.name,
         organisation: organisation.to_owned(),
         attribute_required: check_attribute(&spec.attribute_required)?,
         trusted,
         services,
+        attributes,
         version: Hash::ZERO,
     })
 }
@@ -102,6 +108,7 @@ pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceS
     }
     let mode = spec.mode.unwrap_or_else(|| rules::default_mode(spec.direction));
     check_sharing(ctx, decider, &mode, &spec.sharing, topic)?;
+    let attributes = attributes::described(spec.attributes, attributes::OF_SERVICE_BYTES_MAX)?;
     Ok(Service {
         topic: spec.topic,
         type_name: spec.type_name,
@@ -112,6 +119,7 @@ pub(crate) fn check_service(ctx: &Context<'_>, decider: &Decider, spec: ServiceS
         lease_ms_max,
         stop_hex: spec.stop_hex,
         sharing: spec.sharing,
+        attributes,
     })
 }
 

@@ -16,7 +16,7 @@ use ledger_rejection::{Code, Rejection};
 /// Most policies that `policies` lists as a transaction, which it was before rules 3.
 const LISTED_MAX: usize = 4096;
 /// Longest id of a policy, in bytes.
-const ID_BYTES_MAX: usize = 64;
+pub(super) const ID_BYTES_MAX: usize = 64;
 /// Longest argument that is read as a policy at all, in bytes; the limit of a policy itself is smaller and says so.
 const DOCUMENT_BYTES_MAX: usize = 1024 * 1024;
 const _: () = assert!(POLICY_BYTES_MAX < DOCUMENT_BYTES_MAX);

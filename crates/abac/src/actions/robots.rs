@@ -23,7 +23,7 @@ pub(crate) fn setup(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) ->
     let admin = admin(ctx, "register robots")?;
     let mut assets = Vec::new();
     for index in 0..args.rest(0).len() {
-        let spec = describe::read_spec(args, index)?;
+        let spec = describe::read_spec(ctx, args, index)?;
         if let Some(existing) = registered(ctx, &spec.name)? {
             let owned = check_owner(&existing, admin);
             owned.map_err(|refused| refused.next("choose another name for your robot"))?;

@@ -2,7 +2,7 @@
 //! and what ended; a grant that the new settings still allow goes on.
 
 use super::robots::{self, ROBOTS_PER_SETUP_MAX};
-use super::{describe, end, show};
+use super::{attributes, describe, end, show};
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
@@ -39,6 +39,7 @@ fn is_of_service(settings: &RobotSettings) -> bool {
     let of_robot = RobotSettings {
         attribute_required: settings.attribute_required.clone(),
         trusted: settings.trusted.clone(),
+        attributes: settings.attributes.clone(),
         ..RobotSettings::default()
     };
     *settings != of_robot
@@ -46,8 +47,8 @@ fn is_of_service(settings: &RobotSettings) -> bool {
 
 /// The service as it is to be.
 fn apply(settings: &RobotSettings, service: Service) -> Result<ServiceSpec, Rejection> {
-    let Service { topic, type_name, mode, direction, max_age_ms, lease_ms, lease_ms_max, stop_hex, mut sharing } =
-        service;
+    let Service { topic, type_name, mode, direction, max_age_ms, lease_ms, lease_ms_max, stop_hex, .. } = service;
+    let (mut sharing, attributes) = (service.sharing, service.attributes);
     for key in &settings.clear {
         if !sharing.clear(key) {
             let keys: Vec<&str> = Sharing::keys().collect();
@@ -68,6 +69,7 @@ fn apply(settings: &RobotSettings, service: Service) -> Result<ServiceSpec, Reje
         lease_ms_max: Some(settings.lease_ms_max.unwrap_or(lease_ms_max)),
         stop_hex: settings.stop_hex.clone().or(stop_hex).filter(|digits| !digits.is_empty()),
         sharing,
+        attributes: (!attributes.is_empty()).then_some(attributes),
     })
 }
 
@@ -77,10 +79,11 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
     let admin = robots::admin(ctx, "change robots")?;
     let id = args.text(0, "ROBOT[/TOPIC]")?;
     let wanted = "JSON of some of attribute_required, trusted, type, mode, direction, max_age_ms, lease_ms, lease_ms_max, \
-                  stop_hex, sharing, clear";
+                  stop_hex, sharing, clear, attributes";
     let bad = |found: String| args.bad(1, "SETTINGS_JSON", found, wanted);
     let settings: RobotSettings = serde_json::from_str(args.document(1, "SETTINGS_JSON", SETTINGS_BYTES_MAX)?)
         .map_err(|fault| bad(fault.to_string()))?;
+    attributes::check_known(ctx, settings.attributes.is_some())?;
     if settings == RobotSettings::default() {
         return Err(bad("nothing to change".to_owned()));
     }
@@ -101,8 +104,14 @@ pub(crate) fn configure(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]
             .next(format!("set those of the service: ledgerctl robot set {service} KEY=VALUE")));
         }
         for service in after.services.iter_mut().filter(|service| service.topic == target.service.topic) {
+            if let (Some(changes), false) = (&settings.attributes, topic.is_empty()) {
+                attributes::change(&mut service.attributes, changes, attributes::OF_SERVICE_BYTES_MAX)?;
+            }
             *service = describe::check_service(ctx, decider, apply(&settings, service.clone())?)?;
         }
+    }
+    if let (Some(changes), true) = (&settings.attributes, topic.is_empty()) {
+        attributes::change(&mut after.attributes, changes, attributes::OF_ROBOT_BYTES_MAX)?;
     }
     if let Some(required) = &settings.attribute_required {
         after.attribute_required = describe::check_attribute(required)?;
@@ -119,7 +128,7 @@ pub(crate) fn replace(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
     let admin = robots::admin(ctx, "change robots")?;
     let mut changes = Vec::new();
     for index in 0..args.rest(0).len() {
-        let spec = describe::read_spec(args, index)?;
+        let spec = describe::read_spec(ctx, args, index)?;
         let before = robots::registered(ctx, &spec.name)?;
         if let Some(robot) = &before {
             robots::check_owner(robot, admin)?;
@@ -156,6 +165,7 @@ fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
     for (setting, value) in OF_ROBOT {
         note("", setting, value(before), value(after));
     }
+    attributes::differences(&before.attributes, &after.attributes, |name, before, after| note("", name, before, after));
     let same = |services: &[Service], topic: &str| services.iter().find(|service| service.topic == topic).cloned();
     for service in &before.services {
         match same(&after.services, &service.topic) {
@@ -166,6 +176,9 @@ fn differences(before: &Robot, after: &Robot) -> Vec<SettingChange> {
                 for key in Sharing::keys() {
                     note(&service.topic, key, service.sharing.shown(key), now.sharing.shown(key));
                 }
+                attributes::differences(&service.attributes, &now.attributes, |name, before, after| {
+                    note(&service.topic, name, before, after);
+                });
             }
             None => note(&service.topic, "service", service.type_name.clone(), String::new()),
         }

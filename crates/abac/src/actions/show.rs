@@ -103,6 +103,7 @@ fn described(ctx: &Context<'_>, decider: &Decider, robot: &Robot, capable: bool)
         attribute_required: robot.attribute_required.clone(),
         trusted: robot.trusted.clone(),
         services,
+        attributes: robot.attributes.clone(),
         stopped: if sharing::known(ctx) { stopped::of(ctx, &robot.name)? } else { None },
     })
 }
@@ -129,6 +130,7 @@ fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) ->
         lease_ms_max: service.lease_ms_max,
         stop_hex: service.stop_hex,
         sharing: service.sharing,
+        attributes: service.attributes,
         waiting,
         holder: grants.first().map(|grant| grant.holder.clone()).unwrap_or_default(),
         epoch,

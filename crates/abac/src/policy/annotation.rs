@@ -6,7 +6,7 @@ use super::Permit;
 use super::window::{self, State, Window};
 use crate::arguments::shown;
 use crate::rules::priority;
-use cedar_policy::{Effect, Policy, PolicyId, PolicySet};
+use cedar_policy::{Effect, Policy, PolicySet};
 use ledger_contract::Limits;
 use nearest::did_you_mean;
 
@@ -64,11 +64,11 @@ pub(super) enum Said {
 ///
 /// # Errors
 /// The annotation that cannot be read: it was put under rules that did not look at it.
-pub(super) fn said(policies: &PolicySet, id: &PolicyId, time_ms: i64) -> Result<Said, String> {
+pub(super) fn said(policy: &Policy, time_ms: i64) -> Result<Said, String> {
     let mut permit = Permit::default();
-    for (name, value) in policies.policy(id).into_iter().flat_map(Policy::annotations) {
+    for (name, value) in policy.annotations() {
         read(name, value, &mut permit)
-            .map_err(|wanted| format!("@{name}({}) of {id}: wanted {wanted}", shown(value)))?;
+            .map_err(|wanted| format!("@{name}({}) of {}: wanted {wanted}", shown(value), policy.id()))?;
     }
     let Some((text, window)) = permit.limits.between.first().and_then(|text| Some((text, Window::parse(text)?))) else {
         return Ok(Said::Permits(permit));

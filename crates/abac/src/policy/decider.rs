@@ -1,9 +1,10 @@
 //! Permission: asks the owner's policies and remembers the answers.
 
 use super::defaults::Defaults;
+use super::explain::{Explanation, WORK_OF_QUESTION, WORK_OF_REFUSAL};
 use super::limits::{self, STEPS_MAX};
 use super::texts::{self, Version};
-use super::{Answer, Engine, Permit, Question, Resource, User, Verdict, refusal};
+use super::{Answer, Engine, Permit, Question, Resource, Texts, User, Verdict, refusal};
 use crate::records::Records;
 use crate::records::grant::Holding;
 use crate::records::principal::Principal;
@@ -12,15 +13,17 @@ use crate::records::service::Target;
 use crate::records::sharing;
 use crate::rules::Table;
 use ledger::Context;
-use ledger_contract::Limits;
+use ledger_contract::{Attributes, Limits, PolicyFault};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use quick_cache::unsync::Cache;
 use std::hash::Hasher;
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, OnceLock, PoisonError};
 
 /// Most decisions that are remembered.
 const DECISIONS_MAX: usize = 16 * 1024;
+/// Most reasons of denials that are remembered.
+const REASONS_MAX: usize = 1024;
 
 /// A use of a service; each is an action of the schema.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -43,7 +46,7 @@ pub(crate) enum RobotAction {
 
 /// The object of a question.
 #[derive(Clone, Copy)]
-enum Object<'a> {
+pub(crate) enum Object<'a> {
     Service(&'a Target, Action),
     Robot(&'a Robot, RobotAction),
 }
@@ -56,7 +59,8 @@ impl<'a> Object<'a> {
         }
     }
 
-    fn action(self) -> &'static str {
+    /// The action as policies name it.
+    pub(crate) fn action(self) -> &'static str {
         match self {
             Self::Service(_, action) => action.name(),
             Self::Robot(_, action) => action.name(),
@@ -66,7 +70,7 @@ impl<'a> Object<'a> {
 
 /// All that a decision depends on besides the time. Policies and robots go by hashes of their contents, so an
 /// answer stays true for ever, and one learned in a simulated call is true in an executed one.
-#[derive(PartialEq, Eq)]
+#[derive(Clone, PartialEq, Eq)]
 struct Key {
     fingerprint: Hash,
     principal: String,
@@ -102,7 +106,11 @@ impl Key {
 /// Asks policies. The memory saves time and never changes an answer.
 pub(crate) struct Decider {
     engine: Engine,
+    /// For long questions, from the first one on.
+    aside: OnceLock<Result<Engine, Rejection>>,
     decisions: Mutex<Cache<Key, Verdict>>,
+    /// The reasons of denials.
+    reasons: Mutex<Cache<Key, Explanation>>,
     /// The objects of the questions, parsed before.
     pub(crate) records: Records,
     /// The rules that decide between those who may.
@@ -112,6 +120,11 @@ pub(crate) struct Decider {
 impl Action {
     /// The uses that need a decision again and again.
     pub(crate) const ALL: [Self; 3] = [Self::Acquire, Self::Publish, Self::Subscribe];
+
+    /// May an admin of the owner do it always, without a policy?
+    pub(crate) const fn is_of_owner(&self) -> bool {
+        matches!(self, Self::Override | Self::Confirm)
+    }
 
     /// As policies name it.
     pub(crate) const fn name(self) -> &'static str {
@@ -142,7 +155,9 @@ impl Decider {
         Ok(Self {
             rules,
             engine: Engine::start()?,
+            aside: OnceLock::new(),
             decisions: Mutex::new(Cache::new(DECISIONS_MAX)),
+            reasons: Mutex::new(Cache::new(REASONS_MAX)),
             records: Records::default(),
         })
     }
@@ -153,6 +168,23 @@ impl Decider {
             limits::steps(text)?;
         }
         self.engine.check(Defaults::of(ctx.rules()).schema, sharing::known(ctx), text)
+    }
+
+    /// The faults of a text as a policy, with their places.
+    pub(crate) fn diagnose(&self, ctx: &Context<'_>, text: &str) -> Vec<PolicyFault> {
+        let whole = |refused: Rejection| {
+            let message = format!("{}: found {}, wanted {}", refused.message, refused.found, refused.wanted);
+            vec![PolicyFault { message, help: String::new(), line: 0, column: 0, length: 0, text: String::new() }]
+        };
+        let bounded = || if texts::bounded(ctx) { limits::steps(text).map(drop) } else { Ok(()) };
+        match limits::check(text).and_then(|()| bounded()) {
+            Ok(()) => {
+                let (schema, known) = (Defaults::of(ctx.rules()).schema, sharing::known(ctx));
+                let told = self.aside().and_then(|engine| engine.diagnose(schema, known, text));
+                told.unwrap_or_else(whole)
+            }
+            Err(refused) => whole(refused),
+        }
     }
 
     /// May this principal do that, says the owner of the robot?
@@ -168,7 +200,10 @@ impl Decider {
     ) -> Result<Permit, Rejection> {
         match self.verdict(ctx, principal, Object::Service(target, action))? {
             Verdict::Permit(permit) => Ok(permit),
-            denial => Err(refusal::explain(principal, target, action, denial)),
+            denial => {
+                let why = || self.explanation(ctx, principal, Object::Service(target, action));
+                Err(refusal::explain(principal, target, action, denial, why))
+            }
         }
     }
 
@@ -188,7 +223,10 @@ impl Decider {
         }
         match self.verdict(ctx, principal, Object::Robot(robot, action))? {
             Verdict::Permit(_) => Ok(()),
-            denial => Err(refusal::explain_robot(principal, robot, action, denial)),
+            denial => {
+                let why = || self.explanation(ctx, principal, Object::Robot(robot, action));
+                Err(refusal::explain_robot(principal, robot, action, denial, why))
+            }
         }
     }
 
@@ -199,18 +237,7 @@ impl Decider {
         // A set from before steps were counted may be larger than it may be now: then it decides otherwise.
         let doubted = steps.is_none() && texts::bounded(ctx);
         let version = if doubted { Hash::of(&[b"doubted\0", &hash.0]) } else { hash };
-        let key = Key {
-            fingerprint: principal.fingerprint,
-            principal: principal.id(),
-            policies: version,
-            robot: robot.version,
-            service: match object {
-                Object::Service(target, _) => target.service_id().to_owned(),
-                Object::Robot(..) => String::new(),
-            },
-            action: object.action(),
-            of_robot: sharing::known(ctx),
-        };
+        let key = key(ctx, principal, object, version);
         ctx.charge_steps(owner, steps.unwrap_or(STEPS_MAX), || key.question());
         let known = self.decisions.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
         if let Some(verdict) = known {
@@ -230,47 +257,121 @@ impl Decider {
         object: Object<'_>,
         (version, doubted): (Hash, bool),
     ) -> Result<Answer, Rejection> {
-        let robot = object.robot();
-        let (attribute, value) = robot.required();
-        let required = [("requiredAttribute", attribute.to_owned()), ("requiredValue", value.to_owned())];
-        let of_service = |target: &Target| {
-            let service = &target.service;
-            let mut texts = vec![
-                ("topic", service.topic.clone()),
-                ("type", service.type_name.clone()),
-                ("mode", service.mode.to_string()),
-                ("direction", service.direction.to_string()),
-            ];
-            texts.extend(required.clone());
-            (target.service_id().to_owned(), texts)
-        };
-        let question = Question {
-            version,
-            user: User {
-                organisation: principal.organisation.clone(),
-                name: principal.name.clone(),
-                role: principal.role.as_str(),
-                attributes: principal.attributes.clone(),
-            },
-            action: object.action(),
-            resource: Resource {
-                service: match object {
-                    Object::Service(target, _) => Some(of_service(target)),
-                    Object::Robot(..) => None,
-                },
-                robot: robot.name.clone(),
-                owner: robot.organisation.clone(),
-                trusted: robot.trusted.clone(),
-                of_robot: sharing::known(ctx).then(|| required.to_vec()),
-            },
-            time_ms: i64::try_from(ctx.block_time() / 1000).unwrap_or(i64::MAX),
-            doubted,
-        };
-        self.engine.decide(question, || ctx.remembered(|| texts::in_force(ctx, &robot.organisation)))
+        let question = question(ctx, principal, object, (version, doubted), milliseconds(ctx.block_time()));
+        self.engine.decide(question, || ctx.remembered(|| texts::in_force(ctx, &object.robot().organisation)))
+    }
+
+    /// The reasons of a denial by the policies in force; none before rules 3, whose refusals stay as they are.
+    fn explanation(&self, ctx: &Context<'_>, principal: &Principal, object: Object<'_>) -> Explanation {
+        let owner = &object.robot().organisation;
+        // A set that nobody has measured is explained to nobody.
+        let version = texts::version(ctx, owner).ok().filter(|version| version.steps.is_some() && sharing::known(ctx));
+        let Some(Version { hash, .. }) = version else { return Explanation::default() };
+        let key = key(ctx, principal, object, hash);
+        let known = self.reasons.lock().unwrap_or_else(PoisonError::into_inner).get(&key).cloned();
+        if let Some(why) = known {
+            return why;
+        }
+        let question = question(ctx, principal, object, (hash, false), milliseconds(ctx.block_time()));
+        let texts = || ctx.remembered(|| texts::in_force(ctx, owner));
+        let why = self.engine.explain(question, WORK_OF_REFUSAL, texts).map(|(_, why)| why).unwrap_or_default();
+        if why.timeless {
+            self.reasons.lock().unwrap_or_else(PoisonError::into_inner).insert(key, why.clone());
+        }
+        why
+    }
+
+    /// What do these policies decide at a time (microseconds), and why? On a thread of its own, because it takes long.
+    pub(crate) fn explain(
+        &self,
+        ctx: &Context<'_>,
+        principal: &Principal,
+        object: Object<'_>,
+        texts: &Texts,
+        time: u64,
+    ) -> Result<(Verdict, Explanation), Rejection> {
+        let question = question(ctx, principal, object, (texts::hash(texts), false), milliseconds(time));
+        self.aside()?.explain(question, WORK_OF_QUESTION, || Ok(texts.clone()))
+    }
+
+    /// The engine for questions that no block waits for.
+    fn aside(&self) -> Result<&Engine, Rejection> {
+        self.aside.get_or_init(Engine::start).as_ref().map_err(Clone::clone)
     }
 
     fn remember(&self, key: Key, verdict: Verdict) {
         self.decisions.lock().unwrap_or_else(PoisonError::into_inner).insert(key, verdict);
+    }
+}
+
+/// All that a decision depends on besides the time.
+fn key(ctx: &Context<'_>, principal: &Principal, object: Object<'_>, policies: Hash) -> Key {
+    Key {
+        fingerprint: principal.fingerprint,
+        principal: principal.id(),
+        policies,
+        robot: object.robot().version,
+        service: match object {
+            Object::Service(target, _) => target.service_id().to_owned(),
+            Object::Robot(..) => String::new(),
+        },
+        action: object.action(),
+        of_robot: sharing::known(ctx),
+    }
+}
+
+/// A time of the ledger (microseconds) in milliseconds, as policies have it.
+fn milliseconds(time: u64) -> i64 {
+    i64::try_from(time / 1000).unwrap_or(i64::MAX)
+}
+
+/// The question to the policies of the owner.
+fn question(
+    ctx: &Context<'_>,
+    principal: &Principal,
+    object: Object<'_>,
+    (version, doubted): (Hash, bool),
+    time_ms: i64,
+) -> Question {
+    let robot = object.robot();
+    let (attribute, value) = robot.required();
+    let required = [("requiredAttribute", attribute.to_owned()), ("requiredValue", value.to_owned())];
+    let of_service = |target: &Target| {
+        let service = &target.service;
+        let mut texts = vec![
+            ("topic", service.topic.clone()),
+            ("type", service.type_name.clone()),
+            ("mode", service.mode.to_string()),
+            ("direction", service.direction.to_string()),
+        ];
+        texts.extend(required.clone());
+        (target.service_id().to_owned(), texts)
+    };
+    Question {
+        version,
+        user: User {
+            organisation: principal.organisation.clone(),
+            name: principal.name.clone(),
+            role: principal.role.as_str(),
+            attributes: principal.attributes.clone(),
+        },
+        action: object.action(),
+        resource: Resource {
+            service: match object {
+                Object::Service(target, _) => Some(of_service(target)),
+                Object::Robot(..) => None,
+            },
+            robot: robot.name.clone(),
+            owner: robot.organisation.clone(),
+            trusted: robot.trusted.clone(),
+            of_robot: sharing::known(ctx).then(|| required.to_vec()),
+            own: match object {
+                Object::Service(target, _) => (robot.attributes.clone(), target.service.attributes.clone()),
+                Object::Robot(..) => (robot.attributes.clone(), Attributes::new()),
+            },
+        },
+        time_ms,
+        doubted,
     }
 }
 

@@ -34,15 +34,21 @@ impl Index {
         set.add(policy).map_err(|fault| fault.to_string())
     }
 
+    /// All of them, in no order.
+    pub(super) fn all(&self) -> impl Iterator<Item = &Policy> {
+        let sets = std::iter::once(&self.any).chain(self.resources.values()).chain(self.principals.values());
+        sets.flat_map(PolicySet::policies)
+    }
+
     /// Every set with policies that can apply. `principals` and `resources` are each the entity itself and all that it
     /// is in.
     pub(super) fn candidates<'a>(
         &'a self,
-        principals: &'a [&EntityUid],
-        resources: &'a [&EntityUid],
+        principals: &'a [EntityUid],
+        resources: &'a [EntityUid],
     ) -> impl Iterator<Item = &'a PolicySet> {
-        let by_principal = principals.iter().filter_map(|entity| self.principals.get(*entity));
-        let by_resource = resources.iter().filter_map(|entity| self.resources.get(*entity));
+        let by_principal = principals.iter().filter_map(|entity| self.principals.get(entity));
+        let by_resource = resources.iter().filter_map(|entity| self.resources.get(entity));
         std::iter::once(&self.any).chain(by_principal).chain(by_resource)
     }
 }

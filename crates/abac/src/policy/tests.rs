@@ -1,9 +1,10 @@
 //! That few policies are looked at, and that this changes nothing.
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
+use super::asked::uid;
 use super::{
     Engine, Hash, Index, Parsed, Permit, Question, Rejection, Resource, Texts, User, Verdict, decide, evaluate,
-    parse_all, uid,
+    parse_all,
 };
 use cedar_policy::{Policy, PolicySet};
 use proptest::prelude::*;
@@ -30,6 +31,7 @@ fn question(user: &str, robot: &str, action: &'static str) -> Question {
             owner: "Org2".to_owned(),
             trusted: vec!["Org1".to_owned()],
             of_robot: None,
+            own: Default::default(),
         },
         time_ms: 0,
         doubted: false,
@@ -83,7 +85,7 @@ proptest! {
     #[test]
     fn looking_at_candidates_only_changes_no_decision(texts in policies()) {
         let indexed = parse_all(&texts);
-        let all = Parsed { policies: Ok(Index::of_all(unordered(&texts))), timeless: true, bytes: 0 };
+        let all = Parsed { policies: Ok(Index::of_all(unordered(&texts))), timeless: true, of_required: false, bytes: 0 };
         for user in ["Salma", "Farhad", "Nobody"] {
             for robot in ["T", "H", "U"] {
                 let question = question(user, robot, "publish");
@@ -107,7 +109,7 @@ fn policies_about_other_robots_and_other_people_are_not_looked_at() {
     add("general".to_owned(), "principal, action, resource");
     let entities = [("User", "Org1/U7"), ("Organisation", "Org1"), ("Service", "R7/cmd_vel"), ("Robot", "R7")];
     let [user, home, service, robot] = entities.map(|(kind, id)| uid(kind, id).unwrap());
-    let (principals, resources) = ([&user, &home], [&service, &robot]);
+    let (principals, resources) = ([user, home], [service, robot]);
     let found = index.candidates(&principals, &resources).flat_map(PolicySet::policies);
     let mut found: Vec<String> = found.map(|policy| policy.id().to_string()).collect();
     found.sort();

@@ -17,8 +17,12 @@ pub(crate) const DEFAULT_ID: &str = "default";
 /// The policies that decide about the robots of an organisation.
 pub(crate) fn in_force(ctx: &Context<'_>, organisation: &str) -> Result<Texts, Rejection> {
     let own = own(ctx, organisation)?;
-    let default = || (DEFAULT_ID.to_owned(), Defaults::of(ctx.rules()).policy.to_owned());
-    Ok(if own.is_empty() { vec![default()] } else { own })
+    Ok(if own.is_empty() { built_in(ctx) } else { own })
+}
+
+/// The policies of an organisation that has put none.
+pub(crate) fn built_in(ctx: &Context<'_>) -> Texts {
+    vec![(DEFAULT_ID.to_owned(), Defaults::of(ctx.rules()).policy.to_owned())]
 }
 
 /// Are the steps of policies counted and bounded under these rules?

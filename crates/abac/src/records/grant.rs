@@ -299,6 +299,7 @@ mod tests {
             lease_ms_max: 1,
             stop_hex: None,
             sharing: Sharing::default(),
+            attributes: Default::default(),
         };
         let mut robot = Robot {
             name: "Turtlebot4".to_owned(),
@@ -306,6 +307,7 @@ mod tests {
             attribute_required: String::new(),
             trusted: Vec::new(),
             services: vec![service],
+            attributes: Default::default(),
             version: Hash::ZERO,
         };
         robot::write(ctx, &mut robot).unwrap();

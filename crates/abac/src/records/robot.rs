@@ -5,6 +5,7 @@ use super::store;
 use crate::arguments::shown;
 use bytes::Bytes;
 use ledger::Context;
+use ledger_contract::Attributes;
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
@@ -33,6 +34,9 @@ pub(crate) struct Robot {
     pub(crate) trusted: Vec<String>,
     /// In the order of the owner's description.
     pub(crate) services: Vec<Service>,
+    /// Facts for policies; since rules 3.
+    #[serde(default, skip_serializing_if = "Attributes::is_empty")]
+    pub(crate) attributes: Attributes,
     /// Hash over all of the above: names this state of the robot in caches.
     pub(crate) version: Hash,
 }

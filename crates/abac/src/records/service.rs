@@ -7,7 +7,7 @@ use super::robot::{self, Robot};
 use super::{sharing, store};
 use crate::arguments::shown;
 use ledger::Context;
-use ledger_contract::{Direction, Mode, Sharing, read_from, readers};
+use ledger_contract::{Attributes, Direction, Mode, Sharing, read_from, readers};
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
@@ -29,6 +29,9 @@ pub(crate) struct Service {
     /// The settings of its rule; since rules 3.
     #[serde(default, skip_serializing_if = "Sharing::is_default")]
     pub(crate) sharing: Sharing,
+    /// Facts for policies besides those of the robot; since rules 3.
+    #[serde(default, skip_serializing_if = "Attributes::is_empty")]
+    pub(crate) attributes: Attributes,
 }
 
 /// A service with the robot that offers it.

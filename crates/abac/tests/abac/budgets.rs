@@ -96,7 +96,7 @@ fn a_decision_costs_steps_of_the_owners_policies_only() {
     fleet.ok(&farhad(), "acquire", &[TURTLEBOT]);
     assert_eq!(fleet.meter.used().steps, plain, "the policies of another owner are not evaluated");
     fleet.ok(&admin1(), "setup", &[&robot("Spot", "open")]);
-    fleet.refused(&farhad(), Code::MissingAttribute, "acquire", &["Spot/cmd_vel"]);
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &["Spot/cmd_vel"]);
     let costly = fleet.meter.used().steps;
     assert!(costly > plain && costly <= 2 * 1024 * 1024 && costly < CALL_BUDGET.steps, "{costly}");
 }

@@ -34,9 +34,10 @@ impl Chaincode for Members {
         "msp"
     }
 
-    fn invoke(&self, _ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match function {
             "holder" => self.holder(&args[0]),
+            "identities" => self.identities(&ctx.submitter()?.organisation),
             "quotas" => Ok(serde_json::to_vec(&QUOTAS).unwrap().into()),
             _ => Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into()),
         }
@@ -44,6 +45,15 @@ impl Chaincode for Members {
 }
 
 impl Members {
+    fn identities(&self, organisation: &str) -> Result<Bytes, Rejection> {
+        let known = self.1.lock().unwrap();
+        let mut names: Vec<&str> =
+            known.iter().filter(|known| known.organisation == organisation).map(|known| known.name.as_str()).collect();
+        names.sort_unstable();
+        let items = names.iter().map(|name| serde_json::json!({"organisation": organisation, "name": name}));
+        Ok(serde_json::json!({"items": items.collect::<Vec<_>>()}).to_string().into())
+    }
+
     fn holder(&self, id: &[u8]) -> Result<Bytes, Rejection> {
         let known = self.1.lock().unwrap();
         let found = known.iter().rev().find(|known| known.id().as_bytes() == id);

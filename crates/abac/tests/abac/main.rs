@@ -9,12 +9,15 @@
 
 mod agreements;
 mod arguments;
+mod attributes;
 mod bad_input;
 mod budgets;
 mod bytes;
+mod can;
 mod confirmation;
 mod delegation;
 mod emergency;
+mod examples;
 mod fleet;
 mod following;
 mod grants;

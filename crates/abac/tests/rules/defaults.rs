@@ -8,7 +8,7 @@ const POLICY_OF_2: &str = "72a547fb3e5c8e2dbeae2e79333f414015bf103dcac3da5da3ec0
 const SCHEMA_OF_2: &str = "c10da142de09974cdfc6e4d7c3d82650e57d1ea749c74aaac851c3adb3925185";
 
 const POLICY_OF_3: &str = "3053678ecd77babfc42d918b8105d8bebc621c141aa0ea6ae1df1a9c2d229921";
-const SCHEMA_OF_3: &str = "30b75b5aebb710555e993fd90d70eed49add76590de0befe30f6bcedba6c4305";
+const SCHEMA_OF_3: &str = "cec4631e1ecdea6b109974c5974b3ff627c86e37284e88292acde2af9c5a8fe8";
 
 /// For each rules number: SHA-256 of its default policy and of its schema. A line of a released number stays as it is.
 const RECORDED: [(u32, &str, &str); 2] = [(2, POLICY_OF_2, SCHEMA_OF_2), (3, POLICY_OF_3, SCHEMA_OF_3)];

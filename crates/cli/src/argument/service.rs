@@ -36,6 +36,7 @@ pub(crate) fn parse(text: &str) -> Result<ServiceSpec, String> {
         lease_ms_max: settings.lease_ms_max,
         stop_hex: settings.stop_hex,
         sharing: settings.sharing,
+        attributes: None,
     })
 }
 

@@ -1,4 +1,8 @@
-//! `policy list|put|remove`: the Cedar policies by which an organisation decides about its robots.
+//! `policy list|show|check|test|diff|put|remove`: the Cedar policies by which an organisation decides about its robots.
+
+mod check;
+mod diff;
+mod test;
 
 use crate::answer;
 use crate::argument::bytes;
@@ -9,7 +13,7 @@ use crate::session::{ABAC, Session};
 use crate::words::Words;
 use ::bytes::Bytes;
 use ledger_contract::{PolicyChange, PolicyEntry};
-use ledger_rejection::Rejection;
+use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
 
@@ -17,6 +21,10 @@ use std::io::{self, Write};
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Policy {
     List(List),
+    Show(Show),
+    Check(check::Check),
+    Test(test::Test),
+    Diff(diff::Diff),
     Put(Put),
     Remove(Remove),
 }
@@ -25,6 +33,14 @@ pub(crate) enum Policy {
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Example:\n  ledgerctl policy list")]
 pub(crate) struct List {}
+
+/// Show one policy.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl policy show night\n  ledgerctl policy show Org2/night")]
+pub(crate) struct Show {
+    /// Name of the policy within your organisation, ORG/NAME, or `default` for the built-in one
+    id: String,
+}
 
 /// Put a policy of your organisation in force, or replace it; for admins.
 ///
@@ -68,12 +84,52 @@ impl Policy {
             Self::List(_) => {
                 return output.show(&Policies(Session::open(global).await?.list(ABAC, "policies").await?));
             }
+            Self::Show(show) => return show.run(global, output).await,
+            Self::Check(check) => return check.run(global, output).await,
+            Self::Diff(diff) => return diff.run(global, output).await,
+            Self::Test(test) => return test.run(global, output).await,
             Self::Put(put) => vec!["put".into(), Bytes::from(put.id), text(&put.policy)?],
             Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],
         };
         let done =
             Session::open(global).await?.call(ABAC, "policy", args).await.map_err(|refused| WORDS.told(refused))?;
         output.show(&Changed(answer::parse(&done.response, "a change of policies")?))
+    }
+}
+
+impl Show {
+    async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let mut all: Vec<PolicyEntry> = session.list(ABAC, "policies").await?;
+        let home = session.identity()?.organisation;
+        let wanted = |entry: &PolicyEntry| match self.id.split_once('/') {
+            Some((organisation, id)) => entry.organisation == organisation && entry.id == id,
+            None => entry.id == self.id && (entry.organisation == home || entry.organisation.is_empty()),
+        };
+        // The organisation's own one stands behind the built-in one.
+        match all.iter().rposition(wanted) {
+            Some(at) => output.show(&One(all.swap_remove(at))),
+            None => Err(not_found(&self.id, &home, &all).into()),
+        }
+    }
+}
+
+fn not_found(id: &str, home: &str, all: &[PolicyEntry]) -> Rejection {
+    let known = all.iter().filter(|entry| entry.organisation == home || entry.organisation.is_empty());
+    let known: Vec<&str> = known.map(|entry| entry.id.as_str()).collect();
+    let near = nearest::did_you_mean(id, known.iter().copied(), "ledgerctl policy list");
+    Rejection::new(Code::NotFound, "there is no policy of this name")
+        .found(id)
+        .wanted(format!("one of {}, or ORG/NAME of another organisation", known.join(", ")))
+        .next(near)
+}
+
+#[derive(Serialize)]
+struct One(PolicyEntry);
+
+impl Facts for One {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        writeln!(out, "{}", printable_lines(self.0.text.trim()))
     }
 }
 

@@ -3,6 +3,7 @@
 mod change;
 
 use crate::answer;
+use crate::argument::capability::{self, Capability};
 use crate::argument::service;
 use crate::cli::Global;
 use crate::failure::Failure;
@@ -12,6 +13,7 @@ use crate::words::Words;
 use crate::{json, time};
 use bytes::Bytes;
 use ledger_contract::{Direction, OnConflict, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
+use ledger_rejection::Rejection;
 use serde::Serialize;
 use serde_json::value::RawValue;
 use std::io::{self, Write};
@@ -36,6 +38,7 @@ Example:
   ledgerctl robot add OptiTrack --attr-required OptiTrack --service /pose=geometry_msgs/msg/PoseStamped,direction=feed
   ledgerctl robot add Husky --attr-required level=3 --service /cmd_vel=geometry_msgs/msg/Twist,lease=10s --trust Org1
   ledgerctl robot add Spot --attr-required Spot --service /cmd_vel=geometry_msgs/msg/Twist,on-conflict=queue
+  ledgerctl robot add Crane --attr-required Crane --service /hook=std_msgs/msg/Float64 --attribute kind=crane --attribute zones=a,b
   ledgerctl robot add Arm --attr-required Arm --service /home=std_srvs/srv/Trigger
   ledgerctl robot add Nav --attr-required Nav --service /navigate_to_pose=nav2_msgs/action/NavigateToPose
 
@@ -58,6 +61,9 @@ pub(crate) struct Add {
     /// An organisation whose attributes count; otherwise all that are members now
     #[arg(long = "trust", value_name = "ORG")]
     trusted: Vec<String>,
+    /// A fact for policies: kind=crane is a text, payload_kg=20 a number, zones=a,b a set; give it once for each
+    #[arg(long = "attribute", value_name = "NAME=VALUE")]
+    attributes: Vec<Capability>,
     /// Put this description in the place of the robot's present one; grants that it does not allow end
     #[arg(long)]
     replace: bool,
@@ -96,7 +102,7 @@ impl Robot {
         match self {
             Self::Add(add) => {
                 let (name, replace) = (add.name.clone(), add.replace);
-                let spec = session::argument(&add.into_spec())?;
+                let spec = session::argument(&add.into_spec()?)?;
                 if replace {
                     return change::replace(&session, &name, spec, output).await;
                 }
@@ -122,13 +128,15 @@ impl Robot {
 }
 
 impl Add {
-    fn into_spec(self) -> RobotSpec {
-        RobotSpec {
+    fn into_spec(self) -> Result<RobotSpec, Rejection> {
+        let attributes = capability::attributes(&self.attributes).map_err(change::unreadable_attributes)?;
+        Ok(RobotSpec {
             name: self.name,
             attribute_required: self.attr_required,
             trusted: (!self.trusted.is_empty()).then_some(self.trusted),
             services: with_replies(self.services),
-        }
+            attributes: (!attributes.is_empty()).then_some(attributes),
+        })
     }
 }
 

@@ -1,6 +1,7 @@
 //! `robot set`, `robot add --replace`: changing what is registered, with a summary of what changed and what ended.
 
 use crate::answer;
+use crate::argument::capability::{self, Capability};
 use crate::argument::setting::{self, KEYS, Setting};
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
@@ -27,18 +28,25 @@ Who wins when several want a service (docs/conflict.md); `default` as the value 
   priority=attribute:NAME|policy|fixed:N, aging=30s, min-hold=5s, idle-release=1m
 Settings of the robot:
   attr-required=KEY[=VALUE], trust=ORG[,ORG]
+Attributes for policies, of the robot, or of the service if one is named (docs/policies.md):
+  --attribute kind=crane (a text), --attribute payload_kg=20 (a number), --attribute zones=a,b (a set),
+  --attribute kind= (removes it)
 
 Example:
   ledgerctl robot set Turtlebot4/cmd_vel mode=open max-age=500ms
   ledgerctl robot set Turtlebot4/cmd_vel on-conflict=preempt priority=attribute:rank min-hold=5s
+  ledgerctl robot set Husky --attribute payload_kg=75 --attribute zones=
   ledgerctl robot set Husky trust=Org1,Org2 --dry-run")]
 pub(crate) struct Set {
     /// The service; the robot alone is enough if it offers exactly one, and for the robot's own settings
     #[arg(value_name = "ROBOT[/TOPIC]")]
     target: String,
     /// Settings to change, such as mode=open
-    #[arg(value_name = "KEY=VALUE", required = true)]
+    #[arg(value_name = "KEY=VALUE", required_unless_present = "attributes")]
     settings: Vec<Setting>,
+    /// An attribute that gets this value; without a value it is removed
+    #[arg(long = "attribute", value_name = "NAME=[VALUE]")]
+    attributes: Vec<Capability>,
     /// Only tell what would change and which grants would end
     #[arg(long)]
     dry_run: bool,
@@ -46,12 +54,15 @@ pub(crate) struct Set {
 
 impl Set {
     pub(super) async fn run(self, session: &Session, output: &mut Output) -> Result<(), Failure> {
-        let settings = setting::collect(&self.settings).map_err(|problem| {
+        let mut settings = setting::collect(&self.settings).map_err(|problem| {
             Rejection::new(Code::BadArgument, "the settings cannot be read")
                 .found(problem)
                 .wanted(format!("each of these at most once: {}", setting::listed(|_| true)))
                 .next("ledgerctl robot set --help")
         })?;
+        if !self.attributes.is_empty() {
+            settings.attributes = Some(capability::changes(&self.attributes).map_err(unreadable_attributes)?);
+        }
         let args = vec![Bytes::from(self.target.clone()), session::argument(&settings)?];
         let response = match self.dry_run {
             true => session.ask(ABAC, "configure", args).await,
@@ -61,6 +72,14 @@ impl Set {
         let change = answer::parse(&response, "a change of a robot")?;
         output.show(&Changed { name: self.target, change, dry_run: self.dry_run })
     }
+}
+
+/// The refusal of attributes that contradict each other.
+pub(super) fn unreadable_attributes(problem: String) -> Rejection {
+    Rejection::new(Code::BadArgument, "the attributes cannot be read")
+        .found(problem)
+        .wanted("each name once: kind=crane for a text, payload_kg=20 for a number, zones=a,b for a set")
+        .next("ledgerctl robot set --help")
 }
 
 /// Puts a whole description in the place of a robot's present one.

@@ -1,0 +1,260 @@
+//! `can`: may somebody do something, why, and who could instead.
+
+use crate::answer;
+use crate::argument::policies;
+use crate::argument::when::When;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table, printable};
+use crate::session::{self, ABAC, Session};
+use crate::time;
+use crate::words::Words;
+use bytes::Bytes;
+use ledger::Page;
+use ledger_contract::{Ask, Can as Answer, Could, Direction, RobotAsset};
+use ledger_rejection::{Class, Rejection};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+/// Most names of a page: each is decided about.
+const PAGE: usize = 32;
+
+/// Ask whether somebody may do something, and why.
+///
+/// A yes names the policies that decided. A no names the conditions that failed, with the values found and wanted, and ends
+/// with exit code 2. It is about permission alone: whether the service is free, `robot list` shows.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Actions: acquire, publish, subscribe, override, confirm; of a robot stop and resume.
+
+Example:
+  ledgerctl can Org1/Farhad acquire Husky/cmd_vel --who-could
+  ledgerctl can Org1/Salma publish Turtlebot4/cmd_vel --at 2027-05-01T22:00:00+02:00 --policy night.cedar
+  ledgerctl can --matrix")]
+pub(crate) struct Can {
+    /// The person, such as Org1/Farhad; a name alone is of your organisation
+    #[arg(required_unless_present = "matrix")]
+    who: Option<String>,
+    /// An action, such as acquire
+    #[arg(required_unless_present = "matrix")]
+    action: Option<String>,
+    /// The service, or the robot
+    #[arg(value_name = "ROBOT[/TOPIC]", required_unless_present = "matrix")]
+    service: Option<String>,
+    /// At this time instead of now: 10m from now, or a time such as 2027-05-01T22:00:00+02:00
+    #[arg(long, value_name = "TIME")]
+    at: Option<When>,
+    /// Decide by these policies instead of those in force
+    #[arg(long = "policy", value_name = "FILE", num_args = 1..)]
+    policies: Vec<PathBuf>,
+    /// Also tell who of your organisation could do it; for its admins
+    #[arg(long)]
+    who_could: bool,
+    /// Tell who of your organisation may acquire or read which service; for its admins
+    #[arg(long, conflicts_with_all = ["who", "action", "service", "who_could"])]
+    matrix: bool,
+}
+
+/// The words of the command line where the chaincode has other names.
+const WORDS: Words = Words { arguments: &[("ASK_JSON", "the question")], help: "ledgerctl can" };
+
+impl Can {
+    pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let policies = policies::read(&self.policies)?;
+        let at = self.at.map(|when| when.micros(time::now()));
+        let session = Session::open(global).await?;
+        let ask = |action: &str, service: &str| Ask {
+            who: None,
+            action: action.to_owned(),
+            service: service.to_owned(),
+            at,
+            policies: policies.clone(),
+        };
+        let (Some(who), Some(action), Some(service)) = (self.who, self.action, self.service) else {
+            return output.show(&matrix(&session, ask).await?);
+        };
+        let who = if who.contains('/') { who } else { format!("{}/{who}", session.identity()?.organisation) };
+        let ask = ask(&action, &service);
+        let answer = asked(&session, &Ask { who: Some(who), ..ask.clone() }).await?;
+        let who_could = match self.who_could {
+            true => {
+                Some(could(&session, &ask).await?.into_iter().filter(|one| one.allowed).map(|one| one.who).collect())
+            }
+            false => None,
+        };
+        let allowed = answer.allowed;
+        output.show(&Told { answer, who_could })?;
+        if allowed { Ok(()) } else { Err(Failure::Told(Class::Denied.exit_code())) }
+    }
+}
+
+/// The answer to one question.
+pub(super) async fn asked(session: &Session, ask: &Ask) -> Result<Answer, Rejection> {
+    let response = session.ask(ABAC, "can", vec![session::argument(ask)?]).await;
+    answer::parse(&response.map_err(|refused| WORDS.told(refused))?, "whether somebody may")
+}
+
+/// Everybody of the caller's organisation, and whether they may.
+async fn could(session: &Session, ask: &Ask) -> Result<Vec<Could>, Rejection> {
+    let ask = session::argument(ask)?;
+    let (mut all, mut after): (Vec<Could>, Option<String>) = (Vec::new(), None);
+    loop {
+        let page = serde_json::json!({"after": after, "most": PAGE});
+        let args: Vec<Bytes> = vec![ask.clone(), session::argument(&page)?];
+        let response = session.ask(ABAC, "could", args).await.map_err(|refused| WORDS.told(refused))?;
+        let page: Page<Could> = answer::parse(&response, "who may")?;
+        all.extend(page.items);
+        after = page.next;
+        if after.is_none() {
+            return Ok(all);
+        }
+    }
+}
+
+/// The rights of everybody of the organisation to every service.
+async fn matrix(session: &Session, ask: impl Fn(&str, &str) -> Ask) -> Result<Matrix, Rejection> {
+    let robots: Vec<RobotAsset> = session.list(ABAC, "robots").await?;
+    let mut may: BTreeMap<(String, String), Vec<String>> = BTreeMap::new();
+    for service in robots.iter().flat_map(|robot| &robot.services) {
+        let actions: &[&str] = match service.direction.known() {
+            Some(Direction::Feed) => &["subscribe"],
+            _ => &["acquire", "subscribe"],
+        };
+        for action in actions {
+            for Could { who, allowed, .. } in could(session, &ask(action, &service.service)).await? {
+                let actions = may.entry((who, service.service.clone())).or_default();
+                actions.extend(allowed.then(|| (*action).to_owned()));
+            }
+        }
+    }
+    let row = |((who, service), actions)| Row { who, service, actions };
+    Ok(Matrix(may.into_iter().map(row).collect()))
+}
+
+#[derive(Serialize)]
+struct Told {
+    #[serde(flatten)]
+    answer: Answer,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    who_could: Option<Vec<String>>,
+}
+
+impl Facts for Told {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let Answer { who, action, service, allowed, policies, conditions, .. } = &self.answer;
+        let by = if policies.is_empty() { String::new() } else { format!(", by policy {}", policies.join(", ")) };
+        if *allowed {
+            let by = if by.is_empty() { ", as an admin of the owner: no policy is asked".to_owned() } else { by };
+            writeln!(out, "yes: {} may {action} {service}{}", printable(who), printable(&by))?;
+        } else {
+            writeln!(out, "no: {} [{}]", printable(&self.answer.reason), self.answer.code)?;
+            let mut table = Table::pairs();
+            table.pair("found", &self.answer.found).pair("wanted", &self.answer.wanted).pair("try", &self.answer.next);
+            table.write(out, 2)?;
+            for failed in conditions {
+                writeln!(
+                    out,
+                    "  policy {}: {}",
+                    printable(&failed.policy),
+                    printable(&failed.condition.replace('\n', " "))
+                )?;
+                writeln!(out, "    found {}; wanted {}", printable(&failed.found), printable(&failed.wanted))?;
+            }
+        }
+        match self.who_could.as_deref() {
+            None => Ok(()),
+            Some([]) => writeln!(out, "nobody of your organisation could"),
+            Some(names) => writeln!(out, "of your organisation {} could", printable(&names.join(", "))),
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Matrix(Vec<Row>);
+
+#[derive(Serialize)]
+struct Row {
+    who: String,
+    service: String,
+    actions: Vec<String>,
+}
+
+impl Facts for Matrix {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::new(["WHO", "SERVICE", "MAY"]);
+        for Row { who, service, actions } in &self.0 {
+            let may = if actions.is_empty() { "-".to_owned() } else { actions.join(", ") };
+            table.row([who.clone(), service.clone(), may]);
+        }
+        table.write(out, 0)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use ledger_contract::Condition;
+
+    fn text(facts: &impl Facts) -> String {
+        let mut out = Vec::new();
+        facts.text(&mut out).unwrap();
+        String::from_utf8(out).unwrap()
+    }
+
+    fn told(allowed: bool, policies: &[&str], conditions: Vec<Condition>) -> Told {
+        let (code, name) = if allowed { ("LGR-0000", "OK") } else { ("LGR-3002", "DENIED_BY_POLICY") };
+        let answer = Answer {
+            who: "Org1/Farhad".into(),
+            action: "acquire".into(),
+            service: "Husky/cmd_vel".into(),
+            allowed,
+            code: code.into(),
+            name: name.into(),
+            reason: if allowed { "" } else { "Org1/Farhad may not" }.into(),
+            found: String::new(),
+            wanted: String::new(),
+            next: String::new(),
+            policies: policies.iter().map(|&id| id.to_owned()).collect(),
+            conditions,
+        };
+        Told { answer, who_could: None }
+    }
+
+    #[test]
+    fn a_yes_names_the_policy_and_a_no_the_conditions() {
+        assert_eq!(
+            text(&told(true, &["night"], vec![])),
+            "yes: Org1/Farhad may acquire Husky/cmd_vel, by policy night\n"
+        );
+        let failed = Condition {
+            policy: "night".into(),
+            condition: "principal.role == \"admin\"".into(),
+            found: "principal.role is \"member\"".into(),
+            wanted: "principal.role == \"admin\"".into(),
+        };
+        let mut no = told(false, &[], vec![failed]);
+        no.who_could = Some(vec!["Org1/Salma".into()]);
+        assert_eq!(
+            text(&no),
+            "no: Org1/Farhad may not [LGR-3002]\n  policy night: principal.role == \"admin\"\n    \
+             found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
+             of your organisation Org1/Salma could\n"
+        );
+    }
+
+    #[test]
+    fn the_matrix_has_a_line_for_each_user_and_service() {
+        let row = |who: &str, actions: &[&str]| Row {
+            who: who.into(),
+            service: "Husky/cmd_vel".into(),
+            actions: actions.iter().map(|&action| action.into()).collect(),
+        };
+        let matrix = Matrix(vec![row("Org1/Farhad", &[]), row("Org1/Salma", &["acquire", "subscribe"])]);
+        let wanted = "WHO          SERVICE        MAY\nOrg1/Farhad  Husky/cmd_vel  -\n\
+                      Org1/Salma   Husky/cmd_vel  acquire, subscribe\n";
+        assert_eq!(text(&matrix), wanted);
+    }
+}

@@ -1,0 +1,84 @@
+//! `policy diff`: the grants that a set of policies would end.
+
+use crate::answer;
+use crate::argument::policies;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, printable};
+use crate::session::{self, ABAC, Session};
+use ledger_contract::{PolicyDiff, WouldEnd};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+/// Tell which grants of today policies in files would end, before they are put.
+///
+/// The files are taken as the whole set of your organisation, each with the name of its file. Nothing is changed.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl policy diff night.cedar guests.cedar")]
+pub(crate) struct Diff {
+    /// Files with policies in Cedar
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+}
+
+impl Diff {
+    pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let policies = session::argument(&policies::read(&self.files)?.unwrap_or_default())?;
+        let response = Session::open(global).await?.ask(ABAC, "diff", vec![policies]).await?;
+        output.show(&Told(answer::parse(&response, "a difference of policies")?))
+    }
+}
+
+#[derive(Serialize)]
+struct Told(PolicyDiff);
+
+impl Facts for Told {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended } = &self.0;
+        for (what, ids) in [("added", added), ("changed", changed), ("removed", removed)] {
+            if !ids.is_empty() {
+                writeln!(out, "{what}: {}", printable(&ids.join(", ")))?;
+            }
+        }
+        writeln!(out, "of {grants} grants of robots of {organisation} this set would end {ended}")?;
+        for WouldEnd { service, holder, epoch, reason, found, wanted } in ends {
+            writeln!(out, "  {service}, held by {} (epoch {epoch}): {}", printable(holder), printable(reason))?;
+            writeln!(out, "    found {}; wanted {}", printable(found), printable(wanted))?;
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_changes_and_what_would_end_is_told() {
+        let end = WouldEnd {
+            service: "Husky/cmd_vel".into(),
+            holder: "Org1/Salma".into(),
+            epoch: 3,
+            reason: "no policy of Org2 permits it".into(),
+            found: "principal.role is \"member\"".into(),
+            wanted: "principal.role == \"admin\"".into(),
+        };
+        let diff = PolicyDiff {
+            organisation: "Org2".into(),
+            added: vec!["night".into()],
+            changed: vec![],
+            removed: vec!["day".into(), "noon".into()],
+            grants: 2,
+            ends: vec![end],
+            ended: 1,
+        };
+        let mut out = Vec::new();
+        Told(diff).text(&mut out).unwrap();
+        let wanted = "added: night\nremoved: day, noon\nof 2 grants of robots of Org2 this set would end 1\n  \
+                      Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
+                      found principal.role is \"member\"; wanted principal.role == \"admin\"\n";
+        assert_eq!(String::from_utf8(out).unwrap(), wanted);
+    }
+}

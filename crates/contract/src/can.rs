@@ -1,0 +1,139 @@
+//! May somebody do something, and why: the question `can`, and its answer.
+
+use serde::{Deserialize, Serialize};
+
+/// The argument of `can` and `could`.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Ask {
+    /// The person, `Org1/Farhad`; the caller without. `could` asks about everybody of the caller's organisation.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub who: Option<String>,
+    /// `acquire`, `publish`, `subscribe`, `override`, `confirm`; of a robot `stop` or `resume`.
+    pub action: String,
+    /// The service, or the robot.
+    pub service: String,
+    /// When (microseconds since the UNIX epoch); now without.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at: Option<u64>,
+    /// Policies to decide by instead of those in force.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub policies: Option<Vec<PolicyText>>,
+}
+
+/// A policy that is not on the ledger.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PolicyText {
+    /// Its name.
+    pub id: String,
+    /// Cedar.
+    pub text: String,
+}
+
+/// The answer of `can`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Can {
+    /// The person.
+    pub who: String,
+    /// The action.
+    pub action: String,
+    /// The service, or the robot.
+    pub service: String,
+    /// May they?
+    pub allowed: bool,
+    /// The stable code of the refusal, e.g. `LGR-3001`; `LGR-0000` if allowed.
+    pub code: String,
+    /// Its name, e.g. `MISSING_ATTRIBUTE`.
+    pub name: String,
+    /// The refusal in words; empty if allowed, as the next three are.
+    pub reason: String,
+    /// The facts that were found.
+    pub found: String,
+    /// The facts that are wanted.
+    pub wanted: String,
+    /// A next step for the caller.
+    pub next: String,
+    /// The policies that decided; none if none permits it, or if an admin of the owner may always.
+    pub policies: Vec<String>,
+    /// For a denial, what the nearest policies miss, or what makes policies forbid it.
+    pub conditions: Vec<Condition>,
+}
+
+/// A condition of a policy, with the values that decided it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Condition {
+    /// The policy.
+    pub policy: String,
+    /// The condition, in Cedar.
+    pub condition: String,
+    /// The values found.
+    pub found: String,
+    /// The values with which it would hold.
+    pub wanted: String,
+}
+
+/// An element of the answer of `could`.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Could {
+    /// The person.
+    pub who: String,
+    /// May they?
+    pub allowed: bool,
+    /// The policies that decided, as in [`Can::policies`].
+    pub policies: Vec<String>,
+}
+
+/// A fault of a policy, as `check` tells it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PolicyFault {
+    /// The fault.
+    pub message: String,
+    /// How to correct it, if Cedar has an idea.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub help: String,
+    /// The line, from 1 on; 0 if the fault has no place, as the three fields behind it.
+    pub line: u64,
+    /// The character in the line, from 1 on.
+    pub column: u64,
+    /// How many characters are meant.
+    pub length: u64,
+    /// The text of the line.
+    pub text: String,
+}
+
+/// The answer of `diff`: how a set of policies differs from the one in force.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PolicyDiff {
+    /// The organisation whose policies they are to be.
+    pub organisation: String,
+    /// Policies that it does not have yet.
+    pub added: Vec<String>,
+    /// Policies that have another text.
+    pub changed: Vec<String>,
+    /// Policies that it has and the set has not.
+    pub removed: Vec<String>,
+    /// How many grants of its robots were decided about.
+    pub grants: u64,
+    /// Those of them that the set would end. Beyond 256 only their number is told.
+    pub ends: Vec<WouldEnd>,
+    /// How many it would end.
+    pub ended: u64,
+}
+
+/// A grant that a set of policies would end.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WouldEnd {
+    /// The service.
+    pub service: String,
+    /// Its holder.
+    pub holder: String,
+    /// Its epoch.
+    pub epoch: u64,
+    /// The refusal: of the holder, or of one who passed the grant on.
+    pub reason: String,
+    /// The facts that were found.
+    pub found: String,
+    /// The facts that are wanted.
+    pub wanted: String,
+}
