@@ -1,5 +1,5 @@
-//! The cost of a bridge: processor and memory of a process with one route, ten and a hundred; for each sample that passes; and over
-//! a long time beside a reader that stands still.
+//! The cost of a bridge in processor and memory: of a process with one route, ten and a hundred, and of each sample that passes. Also
+//! its memory over a long time beside a reader that stands still.
 //!
 //! Nodes, bridges and the ends over Fast DDS are processes of their own. A driver's bridge takes samples to the ledger, a
 //! second bridge delivers them.
@@ -42,7 +42,7 @@ use tokio::runtime::Builder;
 
 /// Routes of one bridge.
 const ROUTES: [usize; 3] = [1, 10, 100];
-/// What passes: the name, Hz, bytes of an image, or 0 for a Twist.
+/// Streams: the name, Hz, bytes of an image, or 0 for a Twist.
 const STREAMS: [(&str, f64, usize); 3] = [("Twist", 50.0, 0), ("Twist", 1000.0, 0), ("Image of 1 MB", 30.0, 1_000_000)];
 /// ROS domains of the driver and of the robot.
 const DOMAINS: [u16; 2] = [221, 222];
@@ -116,7 +116,7 @@ impl Site {
         site
     }
 
-    /// Who drives, and who has the other bridge.
+    /// The driver, and the owner of the other bridge.
     fn people(&self) -> [&Context; 2] {
         let Founding { drivers, .. } = self.network.founding();
         [&drivers[0], &drivers[1]]

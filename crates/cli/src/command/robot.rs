@@ -12,7 +12,7 @@ use crate::session::{self, ABAC, Session};
 use crate::words::Words;
 use crate::{json, time};
 use bytes::Bytes;
-use ledger_contract::{Direction, OnConflict, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
+use ledger_contract::{Direction, Released, RobotAsset, RobotSpec, ServiceSpec, ServiceState};
 use ledger_rejection::Rejection;
 use serde::Serialize;
 use serde_json::value::RawValue;
@@ -195,12 +195,10 @@ impl Facts for Robots {
     }
 }
 
-/// The mode of a service, and the treatment of a contender without a free place if it is not simply refused.
+/// The mode of a service, and the treatment of a contender without a free place, if its owner has set one.
 fn rule(service: &ServiceState) -> String {
-    match &service.sharing.on_conflict {
-        Some(on_conflict) if *on_conflict != OnConflict::Deny => format!("{}, {on_conflict}", service.mode),
-        _ => service.mode.to_string(),
-    }
+    let on_conflict = service.sharing.on_conflict.as_ref().map(|on_conflict| format!(", {on_conflict}"));
+    format!("{}{}", service.mode, on_conflict.unwrap_or_default())
 }
 
 /// The holders of a service; of a stopped robot, who stopped it.
@@ -283,7 +281,7 @@ Turtlebot4/cmd_vel  geometry_msgs/msg/Twist  exclusive  Org2   Turtlebot4=true  
         assert_eq!(text(&robots), wanted);
         let json: serde_json::Value = serde_json::to_value(&robots).unwrap();
         assert_eq!(json.as_array().unwrap().len(), 1);
-        for (on_conflict, rule) in [("queue", "  exclusive, queue  "), ("deny", "  exclusive  ")] {
+        for (on_conflict, rule) in [("queue", "  exclusive, queue  "), ("deny", "  exclusive, deny  ")] {
             let sharing = format!(r#""sharing":{{"on_conflict":"{on_conflict}"}},"holder":"#);
             let robots =
                 Robots(vec![serde_json::from_str(&ASSET.replace(r#""holder":"#, &sharing)).unwrap()], 1_000_000);

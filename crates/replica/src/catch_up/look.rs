@@ -4,8 +4,8 @@
 //! elect a leader that lacks what was promised. It cannot tell by itself; the others can.
 //!
 //! **Its proof.** One node that lies must not keep voters from starting. So a claim counts with a [`Receipt`] that the
-//! starting node itself has made, or if more than half of the voters, of two organisations if there are so many, say it.
-//! Any other claim is logged.
+//! starting node itself has made. It also counts if more than half of the voters say it, of two organisations if there are so
+//! many. Any other claim is logged.
 //!
 //! **How long it takes.** A node that refuses a connection has answered. The node waits for silent ones until
 //! [`ASK_TIME_MAX`] as long as a majority of the voters has not been heard, for then nothing can be ordered anyway. So it
