@@ -20,7 +20,7 @@ use std::cell::Cell;
 /// Work for somebody who asks for an explanation, in parts of expressions that Cedar reads.
 pub(crate) const WORK_OF_QUESTION: usize = 8192;
 /// Work for a refusal, which everybody can cause.
-pub(crate) const WORK_OF_REFUSAL: usize = 256;
+pub(crate) const WORK_OF_REFUSAL: usize = 1024;
 /// Work of reading an expression, however small it is, and of reading a policy.
 const WORK_OF_READING: usize = 8;
 const WORK_OF_POLICY: usize = 16;
@@ -142,16 +142,17 @@ fn weigh(policy: &Policy, question: &Question, work: &Work) -> Result<Option<Wei
         }
     }
     let name = policy.id().to_string();
+    let permits = policy.effect() == Effect::Permit;
     let (mut failed, mut held) = (Vec::new(), Vec::new());
     for part in &parts {
         match value(part, work) {
-            Some(EvalResult::Bool(false)) => failed.push(condition(&name, part, work)),
-            Some(EvalResult::Bool(true)) => held.push(condition(&name, part, work)),
+            Some(EvalResult::Bool(false)) if permits => failed.push(condition(&name, part, work)),
+            Some(EvalResult::Bool(true)) if !permits => held.push(condition(&name, part, work)),
             _ => {}
         }
     }
     if failed.is_empty()
-        && policy.effect() == Effect::Permit
+        && permits
         && let Said::Closed(window) = question.said_by(policy)?
     {
         failed.push(Condition {

@@ -130,6 +130,28 @@ fn a_refusal_carries_the_same_explanation() {
 }
 
 #[test]
+fn a_refusal_by_a_policy_of_some_length_is_explained_as_well() {
+    let mut fleet = Fleet::of_the_paper();
+    let long = r#"permit (principal, action, resource is Service) when {
+        resource.trusted.contains(principal.organisation) && principal.hasTag("trained") &&
+        resource.hasTag("payload_kg") && resource.getTag("payload_kg") has number &&
+        resource.getTag("payload_kg").number <= 50 };"#;
+    fleet.ok(&owner(), "configure", &["Husky", r#"{"attributes":{"payload_kg":20}}"#]);
+    fleet.ok(
+        &owner(),
+        "policy",
+        &[
+            "put",
+            "admins",
+            r#"permit (principal, action, resource) when { principal.role == "admin" && principal.name == "x" };"#,
+        ],
+    );
+    fleet.ok(&owner(), "policy", &["put", "trained", long]);
+    let refused = fleet.refused(&salma(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
+    assert_eq!(refused.found, r#"principal has no "trained""#);
+}
+
+#[test]
 fn the_answer_is_that_of_the_call_itself() {
     let mut fleet = Fleet::of_the_paper();
     for who in [salma(), farhad(), admin1(), owner()] {
