@@ -82,7 +82,10 @@ impl Delivered {
 
     /// The hash of a payload, without the options in its header: a relay on another middleware writes others.
     fn hash(&self, payload: &[u8]) -> u64 {
-        self.hasher.hash_one((payload.get(..2), payload.get(HEADER_BYTES..)))
+        match payload.split_at_checked(HEADER_BYTES) {
+            Some(([first, second, ..], body)) => self.hasher.hash_one(([*first, *second], body)),
+            _ => self.hasher.hash_one(payload),
+        }
     }
 
     /// A payload was, or is about to be, delivered to the graph.

@@ -1,6 +1,10 @@
 //! Shared memory between two nodes, and between two processes.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+#[path = "../examples/shared_memory.rs"]
+#[expect(dead_code, reason = "an example, run as a program")]
+mod example;
+
 use std::{
     env,
     process::{Child, Command},
@@ -8,7 +12,12 @@ use std::{
     time::Duration,
 };
 
-use iceoryx2::{node::NodeBuilder, prelude::ServiceName, service::ipc_threadsafe};
+use iceoryx2::{
+    config::Config,
+    node::{NodeBuilder, NodeState, NodeView},
+    prelude::{CallbackProgression, ServiceName},
+    service::ipc_threadsafe,
+};
 use ledger_gate::sample::{CDR_LE, Sample};
 use ledger_hash::Hash;
 use ros_bridge::{
@@ -69,6 +78,38 @@ async fn a_service_that_an_application_opened_with_smaller_limits_is_used_as_it_
     assert_eq!(reached, [1, 0, 0]);
     assert_eq!(stalled.receive().unwrap().unwrap().payload(), sample(0, 48).wire().as_ref());
     let _heard = here.subscriber(&topic, Limits::default()).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_program_with_nothing_but_iceoryx2_speaks_and_listens_as_the_example_does() {
+    let (said, heard) = (topic("said"), topic("heard"));
+    let node = Node::open(0, "here", [1; 16]).await.unwrap();
+    let mut subscriber = node.subscriber(&said, Limits::default()).await.unwrap();
+    let message = sample(7, 48);
+    let wire = message.wire().clone();
+    let saying =
+        tokio::task::spawn_blocking(move || example::say(said.as_str(), &wire, 50).map_err(|error| error.to_string()));
+    for sequence in 1..=50 {
+        let incoming = next(&mut subscriber).await;
+        assert_eq!((incoming.sample, incoming.sequence), (message.clone(), sequence));
+    }
+    saying.await.unwrap().unwrap();
+
+    let publisher = node.publisher(&heard).await.unwrap();
+    let listening = tokio::task::spawn_blocking(move || {
+        let mut found = Vec::new();
+        let take = |message: &[u8]| {
+            found.push(message.to_vec());
+            found.len() < 3
+        };
+        example::hear(heard.as_str(), take).map_err(|error| error.to_string()).map(|()| found)
+    });
+    let mut pause = tokio::time::interval(Duration::from_millis(5));
+    while !listening.is_finished() {
+        pause.tick().await;
+        publisher.write(&message).unwrap();
+    }
+    assert_eq!(listening.await.unwrap().unwrap(), vec![message.wire().to_vec(); 3]);
 }
 
 #[tokio::test]
@@ -160,9 +201,51 @@ async fn a_killed_process_does_not_stand_in_the_way_of_the_next() {
     }
 }
 
+#[tokio::test]
+async fn killed_subscribers_take_nothing_from_another_one_and_leave_no_node_behind() {
+    let topic = topic("deaf");
+    let node = Node::open(0, "here", [1; 16]).await.unwrap();
+    let publisher = node.publisher(&topic).await.unwrap();
+    let mut subscriber =
+        Node::open(0, "there", [2; 16]).await.unwrap().subscriber(&topic, Limits::default()).await.unwrap();
+    let mut killed = Vec::new();
+    // More often than there are places for subscribers.
+    for number in 0..u8::try_from(ros_bridge::shm::SUBSCRIBERS_MAX + 2).unwrap() {
+        let mut child = start(&topic, "child_listens_until_it_is_killed");
+        let mut pause = tokio::time::interval(Duration::from_millis(5));
+        let both = async {
+            while publisher.subscribers() < 2 {
+                pause.tick().await;
+            }
+        };
+        tokio::time::timeout(DEADLINE, both).await.unwrap();
+        child.kill().unwrap();
+        child.wait().unwrap();
+        killed.push(child.id());
+        publisher.write(&sample(number, 52)).unwrap();
+        assert_eq!(next(&mut subscriber).await.sample, sample(number, 52));
+    }
+    // The next node to start takes away what is left of them.
+    let _next = Node::open(0, "next", [4; 16]).await.unwrap();
+    let mut left = Vec::new();
+    iceoryx2::node::Node::<ipc_threadsafe::Service>::list(Config::global_config(), |state| {
+        if let NodeState::Dead(view) = state {
+            left.push(view.id().pid::<ipc_threadsafe::Service>().unwrap().value().cast_unsigned());
+        }
+        CallbackProgression::Continue
+    })
+    .unwrap();
+    left.retain(|pid| killed.contains(pid));
+    assert_eq!(left, [0; 0]);
+}
+
 fn start_child(topic: &TopicName) -> Child {
+    start(topic, "child_publishes_until_it_is_killed")
+}
+
+fn start(topic: &TopicName, child: &str) -> Child {
     Command::new(env::current_exe().unwrap())
-        .args(["--exact", "child_publishes_until_it_is_killed"])
+        .args(["--exact", child])
         .env(CHILD_TOPIC, topic.as_str())
         .stdout(std::process::Stdio::null())
         .spawn()
@@ -180,4 +263,13 @@ async fn child_publishes_until_it_is_killed() {
         pause.tick().await;
         publisher.write(&sample(9, 52)).unwrap();
     }
+}
+
+/// As above, for a subscriber.
+#[tokio::test]
+async fn child_listens_until_it_is_killed() {
+    let Ok(topic) = env::var(CHILD_TOPIC) else { return };
+    let node = Node::open(0, "child", [3; 16]).await.unwrap();
+    let mut subscriber = node.subscriber(&TopicName::parse(&topic).unwrap(), Limits::default()).await.unwrap();
+    while subscriber.next().await.is_some() {}
 }
