@@ -33,7 +33,7 @@ pub(crate) fn read(paths: &[PathBuf]) -> Result<Option<Vec<PolicyText>>, Rejecti
 }
 
 #[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
+#[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
 
