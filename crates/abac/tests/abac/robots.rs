@@ -145,7 +145,7 @@ fn what_is_no_ros_name_or_out_of_range_is_refused() {
         (good.replace("/cmd_vel", "/größe"), Code::BadName),
         (good.replace("/cmd_vel", &format!("/{}", "x".repeat(255))), Code::BadName),
         (good.replace("geometry_msgs/msg/Twist", "geometry_msgs/Twist"), Code::BadName),
-        (good.replace("geometry_msgs/msg/Twist", "geometry_msgs/action/Twist"), Code::BadName),
+        (good.replace("geometry_msgs/msg/Twist", "geometry_msgs/idl/Twist"), Code::BadName),
         (good.replace("\"Husky\",\n", "\"\",\n"), Code::BadArgument),
         (good.replace("\"Husky\",\n", "\"=x\",\n"), Code::BadArgument),
         (good.replace(mode, r#""mode":"limited""#), Code::BadArgument),
