@@ -21,6 +21,8 @@ use tracing_subscriber::filter::LevelFilter;
 pub use ledger_settings::Fault;
 
 /// How `storage.retention` is written.
+/// Bytes of the unit of `storage.segment_mib`.
+const SEGMENT_UNIT: u64 = 1024 * 1024;
 const RETENTION: &str =
     "forever, an age of at least 10min such as 30d or 12h, or a size of at least 64MiB such as 20GiB";
 
@@ -238,15 +240,17 @@ impl Config {
             let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
             s.text("address", "HOST:PORT as the others use it", &mut member.address, address);
         });
-        root.section("limits", |s| {
-            s.integer("payload_bytes_max", 1024..=TRANSACTION_BYTES_MAX as u64, &mut limits.payload_bytes_max);
-            s.integer("in_flight_max", 1..=1_000_000, &mut limits.in_flight_max);
-            s.integer("subscribers_max", 1..=100_000, &mut limits.subscribers_max);
-        });
         root.section("storage", |s| {
             s.integer("segment_mib", 1..=1024, &mut storage.segment_mib);
             s.text("retention", RETENTION, &mut storage.retention, |text| text.parse().ok());
             s.text("archive", "a path", &mut storage.archive, |text| Some(text.into()));
+        });
+        // Where nobody sets it, the largest transaction is one of which a segment holds two.
+        limits.payload_bytes_max = limits.payload_bytes_max.min(storage.segment_mib.saturating_mul(SEGMENT_UNIT / 2));
+        root.section("limits", |s| {
+            s.integer("payload_bytes_max", 1024..=TRANSACTION_BYTES_MAX as u64, &mut limits.payload_bytes_max);
+            s.integer("in_flight_max", 1..=1_000_000, &mut limits.in_flight_max);
+            s.integer("subscribers_max", 1..=100_000, &mut limits.subscribers_max);
         });
         root.section("order", |s| {
             s.integer("tick_ms", 1..=10_000, &mut order.tick_ms);
@@ -273,7 +277,7 @@ impl Config {
             );
         }
         let (payload, segment_mib) = (limits.payload_bytes_max, storage.segment_mib);
-        if payload.saturating_mul(2) > segment_mib.saturating_mul(1024 * 1024) {
+        if payload > segment_mib.saturating_mul(SEGMENT_UNIT / 2) {
             root.conflict(
                 ["limits.payload_bytes_max", "storage.segment_mib"],
                 format!("transactions of up to {payload} bytes and segments of {segment_mib} MiB"),

@@ -159,6 +159,16 @@ fn settings_that_do_not_go_together_are_both_named() {
 }
 
 #[test]
+fn the_largest_transaction_fits_a_small_segment_where_nobody_has_set_it() {
+    for (settings, bytes) in
+        [("", 4 << 20), ("[storage]\nsegment_mib = 8", 4 << 20), ("[storage]\nsegment_mib = 1", 512 << 10)]
+    {
+        let config = parse(&format!("data = '/var/lib/ledgerd'\nlisten = '[::]:0'\n{settings}"));
+        assert_eq!(config.unwrap().limits.payload_bytes_max, bytes, "{settings}");
+    }
+}
+
+#[test]
 fn what_is_not_toml_is_told_with_its_line_and_the_rest_is_still_read() {
     let told = faults("data = \n[limits]\nin_flight = 5\n");
     assert!(told[0].starts_with("ledgerd.toml:1: this is not TOML"), "{told:#?}");

@@ -27,11 +27,17 @@ impl Model {
             Err(Code::DeniedByPolicy)
         } else if said.contains(&Says::Permit) {
             Ok(())
-        } else if asked.trusted && !asked.attribute {
+        } else if asked.trusted && !asked.attribute && self.ask_for_the_attribute(robot) {
             Err(Code::MissingAttribute)
         } else {
             Err(Code::DeniedByPolicy)
         }
+    }
+
+    /// Do the owner's policies look at the attribute that the robot requires? Older rules said so whatever the policies were.
+    fn ask_for_the_attribute(&self, robot: &Robot) -> bool {
+        let mut own = self.policies.iter().filter(|((organisation, _), _)| *organisation == robot.owner).peekable();
+        !self.has_contests() || own.peek().is_none() || own.any(|(_, policy)| *policy == Policy::Attribute)
     }
 
     /// May they do to a robot what its owner's admins always may, and others only by a policy?
