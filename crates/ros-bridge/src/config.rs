@@ -415,7 +415,7 @@ mod tests {
     fn a_bridge_has_a_route() {
         for text in ["", "route = []", "route = 5", "route = [5]"] {
             let faults = parse(text).unwrap_err();
-            assert!(faults[0].rejection.wanted.contains("1 to 64 sections [[route]]"), "{faults:?}");
+            assert!(faults[0].rejection.wanted.contains("1 to 128 sections [[route]]"), "{faults:?}");
         }
         assert!(parse(&format!("{ROUTE}direction = 'to_ledger'\n").repeat(ROUTES_MAX + 1)).is_err());
     }
