@@ -70,6 +70,17 @@ struct Side {
     cpu: Duration,
 }
 
+/// The answers to the questions of people.
+struct People {
+    /// From the decision until the first command is heard.
+    new_to_sros2: Duration,
+    new_to_the_ledger: Duration,
+    /// Commands that arrived in [`LISTENED`] after the publisher's permissions had expired.
+    after_expiry: usize,
+    /// From the call that revoked until the last command; none if none arrived after it.
+    revoked: Option<Duration>,
+}
+
 impl Side {
     fn new(name: &'static str) -> Self {
         Self { name, latency: histogram(std::iter::empty()), cpu: Duration::ZERO }
@@ -102,17 +113,17 @@ fn main() {
         sides[2].latency.add(latency).unwrap();
         sides[2].cpu += usage::cpu(&site.processes()) - before;
     }
-    let new = [newcomer_to_sros2(&keystore, &secured[1]), {
-        let revoked = revoked_on_the_ledger(&runtime, &site, &mut ends);
-        drop(ends);
-        let newcomer = newcomer_to_the_ledger(&runtime, &mut site);
-        println!("\nledger: revoked, the last command passed after {revoked:.1?}");
-        newcomer
-    }];
-    let after = after_the_end_with_sros2(&keystore, &secured[1]);
-    print(&sides, new, after);
+    let revoked = revoked_on_the_ledger(&runtime, &site, &mut ends);
+    drop(ends);
+    let people = People {
+        new_to_sros2: newcomer_to_sros2(&keystore, &secured[1]),
+        new_to_the_ledger: newcomer_to_the_ledger(&runtime, &mut site),
+        after_expiry: after_the_end_with_sros2(&keystore, &secured[1]),
+        revoked,
+    };
+    print(&sides, &people);
     if !smoke {
-        report::write("sros2", &results(&sides, new, after));
+        report::write("sros2", &results(&sides, &people));
     }
 }
 
@@ -157,8 +168,9 @@ fn after_the_end_with_sros2(keystore: &Keystore, robot: &Path) -> usize {
     subscriber.arrivals().into_iter().filter(|at| (after..after + LISTENED).contains(at)).count()
 }
 
-/// From the call that revokes a driver's certificate until its last command reaches the robot, while it publishes on.
-fn revoked_on_the_ledger(runtime: &Runtime, site: &Site, ends: &mut Ends) -> Duration {
+/// From the call that revokes a driver's certificate until its last command reaches the robot, while it publishes on. None if
+/// no command arrives after the call.
+fn revoked_on_the_ledger(runtime: &Runtime, site: &Site, ends: &mut Ends) -> Option<Duration> {
     let founding = site.network.founding();
     let certificate = Certificate::parse(&founding.salma.chain[0]).unwrap();
     let issuer = hex::encode(Hash::of(&[&certificate.issuer_name]).0);
@@ -176,7 +188,7 @@ fn revoked_on_the_ledger(runtime: &Runtime, site: &Site, ends: &mut Ends) -> Dur
     runtime.block_on(revoking.unwrap()).unwrap();
     let (before, newest) = ends.arrivals();
     assert!(before > 20, "the driver drove before: {before} commands arrived");
-    newest.saturating_duration_since(called)
+    newest.checked_duration_since(called)
 }
 
 async fn revoke(admin: ledger_api::Client, args: Vec<Bytes>) {
@@ -211,20 +223,27 @@ fn root(context: &ledger_api::Context) -> Hash {
     Hash::of(&[msp.roots().next().unwrap()])
 }
 
-fn print(sides: &[Side], [sros2, ledger]: [Duration; 2], after: usize) {
+fn print(sides: &[Side], people: &People) {
     println!("\nms, from publishing to receiving at {HZ} Hz; CPU of all processes for each sample, µs");
     for side in sides {
         let at = |quantile| side.latency.value_at_quantile(quantile) as f64 / 1e6;
         println!("{:8} p50 {:6.3}  p99 {:6.3}  CPU {:6.0}", side.name, at(0.5), at(0.99), side.cpu_us());
     }
-    println!("\nuntil somebody new drives: SROS2 {sros2:.1?}, ledger {ledger:.1?}");
-    println!("SROS2: {after} commands arrived in {LISTENED:?} after the publisher's permissions had expired");
+    let People { new_to_sros2, new_to_the_ledger, after_expiry, revoked } = people;
+    println!("\nuntil somebody new drives: SROS2 {new_to_sros2:.1?}, ledger {new_to_the_ledger:.1?}");
+    println!("SROS2: {after_expiry} commands arrived in {LISTENED:?} after the publisher's permissions had expired");
+    match revoked {
+        Some(last) => println!("ledger: the last command arrived {last:.1?} after the call that revoked"),
+        None => println!("ledger: no command arrived after the call that revoked"),
+    }
 }
 
-fn results(sides: &[Side], [sros2, ledger]: [Duration; 2], after: usize) -> Value {
+fn results(sides: &[Side], people: &People) -> Value {
     let side = |side: &Side| json!({ "name": side.name, "latency_ms": report::percentiles(&side.latency), "cpu_us": side.cpu_us() });
     json!({
-        "hz": HZ, "sides": sides.iter().map(side).collect::<Vec<_>>(), "new_with_sros2_s": sros2.as_secs_f64(),
-        "new_with_the_ledger_s": ledger.as_secs_f64(), "commands_after_expiry_with_sros2": after,
+        "hz": HZ, "sides": sides.iter().map(side).collect::<Vec<_>>(), "new_with_sros2_s": people.new_to_sros2.as_secs_f64(),
+        "new_with_the_ledger_s": people.new_to_the_ledger.as_secs_f64(),
+        "commands_after_expiry_with_sros2": people.after_expiry,
+        "last_after_revocation_s": people.revoked.map(|last| last.as_secs_f64()),
     })
 }

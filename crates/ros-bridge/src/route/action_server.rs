@@ -10,18 +10,14 @@ use std::{
 
 use bytes::Bytes;
 use futures::{FutureExt, future::BoxFuture};
-use ledger_contract::replies;
 use ledger_gate::{
     gate::Passed,
     sample::{CDR_LE, Sample},
 };
 use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_rejection::Rejection;
 use ledger_settings::Section;
-use tokio::{
-    sync::mpsc::{self, UnboundedReceiver},
-    time::{interval, sleep_until},
-};
+use tokio::time::{interval, sleep_until};
 
 use super::{
     Stop, actions,
@@ -29,17 +25,15 @@ use super::{
         CANCEL_REFUSED, FEEDBACK, GOAL_REFUSED, GoalId, Goals, Part, RESULT_KEY, RESULT_PATIENCE, STATUS, cancel_of,
         goal_of, is_accepted, is_over, over_in, request_of, result_patience,
     },
-    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Told, Waiting, patience, split},
-    kind::{self, Beside, Kind, Opened, Opening, Plan},
-    silence::{Cause, Facts, Silence, fault, pause},
+    calls::{Account, CALLS_MAX, Handed, PATIENCE, TOO_MANY, Told, Waiting, Ways, answers_of, patience, split},
+    kind::{Beside, Kind, Opened, Opening, Plan},
+    silence::{self, Cause, Facts, Silence, pause},
     stopped,
 };
 use crate::{
-    count::Counters,
     dds::{Caller, Exchange, Request, Role, Server, Writer},
     names::Interface,
-    queue::{Incoming, Limits, Queue},
-    service::ask_service,
+    queue::Incoming,
 };
 
 /// The setting of how long a reply is waited for.
@@ -83,8 +77,8 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = &opening;
-        let (answers, _) = ask_service(&**gateway, 0, &replies(&route.service)).await.map_err(unanswered)?;
+        let answers = answers_of(&opening, "action").await?;
+        let Opening { route, local, service, topic, mark, counters, stop, .. } = &opening;
         let participant = local.participant();
         let server = |exchange: Exchange| participant.server(&exchange, *mark, route.sample_bytes_max);
         let servers = Servers {
@@ -95,24 +89,14 @@ impl Settings {
         let writer = |told: actions::Told| participant.marked_writer(&told.topic, &told.message, &told.qos, *mark);
         let feedback = writer(actions::feedback(topic, &route.message)?)?;
         let status = writer(actions::status(topic)?)?;
-        counters.opened(servers.goals.matched(), None);
-        counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
-        let requests = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
-        let (tell, told) = mpsc::unbounded_channel();
-        let to =
-            kind::submitted(Arc::clone(gateway), &route.service, Arc::clone(&requests), Some(tell), counters.clone());
-        let to = to.await?;
-        let (hand, handed) = Hand::new(servers.goals.matched().clone());
-        let from = kind::gated(&opening, answers, hand, Counters::new(route)).await?;
+        let (ways, carry) = Ways::open(&opening, answers, servers.goals.matched()).await?;
         let lease = Duration::from_millis(service.lease_ms);
         let desk = Desk {
             robot: service.robot.clone(),
             servers,
             feedback,
             status,
-            requests,
-            told,
-            handed,
+            ways,
             waiting: Waiting::new(self.patience),
             results: Waiting::new(self.results),
             ids: BTreeMap::new(),
@@ -121,31 +105,17 @@ impl Settings {
             last: 0,
             account: Account::new(&route.service, counters.clone()),
         };
-        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
+        let running = futures::future::join(carry(stop.clone()), desk.run(stop.clone()));
         Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
     }
 }
 
-/// An action without a service for what the robot says cannot be used.
-fn unanswered(refused: Rejection) -> Rejection {
-    if refused.code != Code::UnknownService {
-        return refused;
-    }
-    refused.next("the owner registers it with the action: ledgerctl robot add does so for types of actions")
-}
-
 /// The words for a cause of silence.
 fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
-    let Facts { service, topic, .. } = facts;
-    match cause {
-        Cause::Alone => pause("no_publisher", format!("nobody is there who sets goals on {topic}")),
-        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
-            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
-        }
-        Cause::Refused { line, .. } => fault("refused", format!("the last request has failed: {line}")),
-        Cause::NotHeld => pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}")),
-        Cause::NothingCame => pause("no_message", format!("nobody has set a goal on {topic} yet")),
-    }
+    let topic = facts.topic;
+    let alone = pause("no_publisher", format!("nobody is there who sets goals on {topic}"));
+    let nothing = format!("nobody has set a goal on {topic} yet");
+    silence::to_ledger(facts, cause, (alone, "the last request has failed", nothing))
 }
 
 /// The warning about another server.
@@ -188,9 +158,7 @@ struct Desk {
     servers: Servers,
     feedback: Writer,
     status: Writer,
-    requests: Arc<Queue>,
-    told: UnboundedReceiver<Told>,
-    handed: mpsc::Receiver<Handed>,
+    ways: Ways,
     waiting: Waiting<u64, Call>,
     results: Waiting<u64, Call>,
     /// The numbers of the requests by the ids of their transactions.
@@ -212,8 +180,8 @@ impl Desk {
                 biased;
                 () = stopped(&mut stop) => break,
                 // Before replies: the id of a request is known before its reply can come.
-                Some(told) = self.told.recv() => self.hear(told),
-                Some(Handed::Passed(passed)) = self.handed.recv() => self.take(&passed),
+                Some(told) = self.ways.told.recv() => self.hear(told),
+                Some(Handed::Passed(passed)) = self.ways.handed.recv() => self.take(&passed),
                 () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => self.expire(),
                 _ = alive.tick() => self.live(),
                 request = self.servers.next() => match request {
@@ -222,7 +190,7 @@ impl Desk {
                 },
             }
         }
-        self.requests.close();
+        self.ways.requests.close();
     }
 
     fn request(&mut self, part: Part, Request { message, caller }: Request) {
@@ -248,7 +216,7 @@ impl Desk {
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
         if let Ok(sample) = request_of(part, message) {
-            self.requests.push(Incoming { sample, source: [0; 16], sequence, received });
+            self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received });
         }
         sequence
     }

@@ -11,6 +11,7 @@ mod account;
 mod frame;
 mod hand;
 mod waiting;
+mod ways;
 
 use std::time::Duration;
 
@@ -22,6 +23,7 @@ pub(super) use self::{
     frame::{REPLY_BYTES, message_of, reply_to, split},
     hand::{Hand, Handed},
     waiting::Waiting,
+    ways::{Ways, answers_of},
 };
 
 /// Most calls of a route without a reply, and most that wait to be handed over.

@@ -11,32 +11,26 @@ use std::{
 };
 
 use futures::{FutureExt, future::BoxFuture};
-use ledger_contract::replies;
 use ledger_gate::{
     gate::Passed,
     sample::{CDR_LE, Sample},
 };
 use ledger_hash::Hash;
-use ledger_rejection::{Code, Rejection};
+use ledger_rejection::Rejection;
 use ledger_settings::Section;
-use tokio::{
-    sync::mpsc::{self, UnboundedReceiver},
-    time::sleep_until,
-};
+use tokio::time::sleep_until;
 
 use super::{
     Stop,
-    calls::{Account, CALLS_MAX, Hand, Handed, PATIENCE, TOO_MANY, Told, Waiting, patience, split},
-    kind::{self, Beside, Kind, Opened, Opening, Plan},
-    silence::{Cause, Facts, Silence, fault, pause},
+    calls::{Account, CALLS_MAX, Handed, PATIENCE, TOO_MANY, Told, Waiting, Ways, answers_of, patience, split},
+    kind::{Beside, Kind, Opened, Opening, Plan},
+    silence::{self, Cause, Facts, Silence, pause},
     stopped,
 };
 use crate::{
-    count::Counters,
     dds::{Caller, Exchange, Request, Role, Server},
     names::Interface,
-    queue::{Incoming, Limits, Queue},
-    service::ask_service,
+    queue::Incoming,
 };
 
 /// The setting of how long a reply is waited for.
@@ -70,55 +64,30 @@ impl Plan for Settings {
 
 impl Settings {
     async fn join(&self, opening: Opening<'_>) -> Result<Opened, Rejection> {
-        let Opening { route, gateway, local, service, topic, mark, counters, stop, .. } = &opening;
-        let (answers, _) = ask_service(&**gateway, 0, &replies(&route.service)).await.map_err(unanswered)?;
+        let answers = answers_of(&opening, "service").await?;
+        let Opening { route, local, service, topic, mark, counters, stop, .. } = &opening;
         let exchange = Exchange::new(topic, &route.message);
         let server = local.participant().server(&exchange, *mark, route.sample_bytes_max)?;
-        counters.opened(server.matched(), None);
-        counters.lock().live.needs_grant = service.needs_grant() && service.is_command();
-        let requests = Queue::new(&Limits { queue_samples_max: CALLS_MAX, ..route.limits() });
-        let (tell, told) = mpsc::unbounded_channel();
-        let to =
-            kind::submitted(Arc::clone(gateway), &route.service, Arc::clone(&requests), Some(tell), counters.clone());
-        let to = to.await?;
-        let (hand, handed) = Hand::new(server.matched().clone());
-        let from = kind::gated(&opening, answers, hand, Counters::new(route)).await?;
+        let (ways, carry) = Ways::open(&opening, answers, server.matched()).await?;
         let desk = Desk {
             robot: service.robot.clone(),
             server,
-            requests,
-            told,
-            handed,
+            ways,
             waiting: Waiting::new(self.patience),
             ids: BTreeMap::new(),
             last: 0,
             account: Account::new(&route.service, counters.clone()),
         };
-        let running = futures::future::join3(to(stop.clone()), from(stop.clone()), desk.run(stop.clone()));
+        let running = futures::future::join(carry(stop.clone()), desk.run(stop.clone()));
         Ok(Opened { in_memory: None, running: running.map(drop).boxed() })
     }
 }
 
-/// A service without one for its replies cannot be called.
-fn unanswered(refused: Rejection) -> Rejection {
-    if refused.code != Code::UnknownService {
-        return refused;
-    }
-    refused.next("the owner registers it with the service: ledgerctl robot add does so for types of services")
-}
-
 /// The words for a cause of silence.
 fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
-    let Facts { service, topic, .. } = facts;
-    match cause {
-        Cause::Alone => pause("no_publisher", format!("nobody is there who calls {topic}")),
-        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
-            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
-        }
-        Cause::Refused { line, .. } => fault("refused", format!("the last call has failed: {line}")),
-        Cause::NotHeld => pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}")),
-        Cause::NothingCame => pause("no_message", format!("nobody has called {topic} yet")),
-    }
+    let topic = facts.topic;
+    let alone = pause("no_publisher", format!("nobody is there who calls {topic}"));
+    silence::to_ledger(facts, cause, (alone, "the last call has failed", format!("nobody has called {topic} yet")))
 }
 
 /// The warning about another server.
@@ -137,9 +106,7 @@ struct Call {
 struct Desk {
     robot: String,
     server: Server,
-    requests: Arc<Queue>,
-    told: UnboundedReceiver<Told>,
-    handed: mpsc::Receiver<Handed>,
+    ways: Ways,
     waiting: Waiting<u64, Call>,
     /// The numbers of the calls by the ids of their transactions.
     ids: BTreeMap<Hash, u64>,
@@ -157,8 +124,8 @@ impl Desk {
                 biased;
                 () = stopped(&mut stop) => break,
                 // Before replies: the id of a request is known before its reply can come.
-                Some(told) = self.told.recv() => self.hear(told),
-                Some(Handed::Passed(passed)) = self.handed.recv() => self.reply(&passed),
+                Some(told) = self.ways.told.recv() => self.hear(told),
+                Some(Handed::Passed(passed)) = self.ways.handed.recv() => self.reply(&passed),
                 () = sleep_until(due.unwrap_or_else(Instant::now).into()), if due.is_some() => self.expire(),
                 request = self.server.next() => match request {
                     Some(request) => self.request(request),
@@ -166,7 +133,7 @@ impl Desk {
                 },
             }
         }
-        self.requests.close();
+        self.ways.requests.close();
     }
 
     fn request(&mut self, Request { message, caller }: Request) {
@@ -177,7 +144,7 @@ impl Desk {
         let (received, sequence) = (Instant::now(), self.last.saturating_add(1));
         self.last = sequence;
         self.waiting.insert(sequence, Call { caller, id: None }, received);
-        self.requests.push(Incoming { sample, source: [0; 16], sequence, received });
+        self.ways.requests.push(Incoming { sample, source: [0; 16], sequence, received });
     }
 
     fn hear(&mut self, told: Told) {

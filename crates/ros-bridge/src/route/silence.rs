@@ -2,6 +2,8 @@
 
 use std::time::{Duration, Instant};
 
+use ledger_rejection::Code;
+
 use super::kind::Kind;
 use crate::{count::Live, dds::Neighbour, names::quoted};
 
@@ -85,6 +87,24 @@ pub(super) fn fault(name: &'static str, reason: String) -> Silence {
 /// All is in order.
 pub(super) fn pause(name: &'static str, reason: String) -> Silence {
     Silence { name, reason, is_fault: false }
+}
+
+/// The words of a route to the ledger: where nobody is there, the beginning of the line of a refusal, and where nothing came.
+pub(super) fn to_ledger(
+    facts: &Facts<'_>,
+    cause: Cause<'_>,
+    (alone, refused, nothing): (Silence, &str, String),
+) -> Silence {
+    let acquire = format!("ledgerctl acquire {}", facts.service);
+    match cause {
+        Cause::Alone => alone,
+        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
+            fault("no_grant", format!("refused, because you do not hold it: {acquire}"))
+        }
+        Cause::Refused { line, .. } => fault("refused", format!("{refused}: {line}")),
+        Cause::NotHeld => pause("no_grant", format!("you do not hold it: {acquire}")),
+        Cause::NothingCame => pause("no_message", nothing),
+    }
 }
 
 /// Why nothing passes; none if something does, or if there is just nothing to carry now.

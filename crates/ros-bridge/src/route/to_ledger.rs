@@ -32,7 +32,7 @@ use super::{
     kind::{Beside, Kind, Opened, Opening, Plan},
     local::Inlet,
     pace::{Pace, RATE_KEY, read_rate},
-    silence::{Cause, Facts, Silence, fault, pause},
+    silence::{self, Cause, Facts, Silence, fault, pause},
     stopped,
 };
 use crate::{
@@ -139,20 +139,15 @@ pub(super) async fn half(
 
 /// The words for a cause of silence.
 fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
-    let Facts { service, topic, .. } = facts;
-    match cause {
-        Cause::Alone if facts.surroundings.bridges > 0 => {
-            let reason = format!("only a bridge publishes on {topic}, and what came from the ledger is not taken in");
-            fault("only_bridges", reason)
-        }
-        Cause::Alone => pause("no_publisher", format!("nobody publishes on {topic}")),
-        Cause::Refused { name, is_held: false, .. } if name == Code::NotHolder.name() => {
-            fault("no_grant", format!("refused, because you do not hold it: ledgerctl acquire {service}"))
-        }
-        Cause::Refused { line, .. } => fault("refused", format!("the ledger refuses: {line}")),
-        Cause::NotHeld => pause("no_grant", format!("you do not hold it: ledgerctl acquire {service}")),
-        Cause::NothingCame => pause("no_message", format!("the publisher on {topic} has sent nothing yet")),
-    }
+    let topic = facts.topic;
+    let alone = if facts.surroundings.bridges > 0 {
+        let reason = format!("only a bridge publishes on {topic}, and what came from the ledger is not taken in");
+        fault("only_bridges", reason)
+    } else {
+        pause("no_publisher", format!("nobody publishes on {topic}"))
+    };
+    let nothing = format!("the publisher on {topic} has sent nothing yet");
+    silence::to_ledger(facts, cause, (alone, "the ledger refuses", nothing))
 }
 
 /// The warning about another that takes samples in.

@@ -41,7 +41,7 @@ impl Facts for Told {
                 writeln!(out, "{what}: {}", printable(&ids.join(", ")))?;
             }
         }
-        writeln!(out, "of {grants} grants of robots of {organisation} this set would end {ended}")?;
+        writeln!(out, "grants of robots of {organisation} that this set would end: {ended} of {grants}")?;
         for WouldEnd { service, holder, epoch, reason, found, wanted } in ends {
             writeln!(out, "  {service}, held by {} (epoch {epoch}): {}", printable(holder), printable(reason))?;
             writeln!(out, "    found {}; wanted {}", printable(found), printable(wanted))?;
@@ -76,7 +76,7 @@ mod tests {
         };
         let mut out = Vec::new();
         Told(diff).text(&mut out).unwrap();
-        let wanted = "added: night\nremoved: day, noon\nof 2 grants of robots of Org2 this set would end 1\n  \
+        let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
