@@ -115,7 +115,7 @@ fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
     let topic = facts.topic;
     let alone = pause("no_publisher", format!("nobody is there who sets goals on {topic}"));
     let nothing = format!("nobody has set a goal on {topic} yet");
-    silence::to_ledger(facts, cause, (alone, "the last request has failed", nothing))
+    silence::of_sending(facts, cause, (alone, "the last request has failed", nothing))
 }
 
 /// The warning about another server.

@@ -87,7 +87,7 @@ impl Settings {
 fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
     let topic = facts.topic;
     let alone = pause("no_publisher", format!("nobody is there who calls {topic}"));
-    silence::to_ledger(facts, cause, (alone, "the last call has failed", format!("nobody has called {topic} yet")))
+    silence::of_sending(facts, cause, (alone, "the last call has failed", format!("nobody has called {topic} yet")))
 }
 
 /// The warning about another server.

@@ -90,7 +90,7 @@ pub(super) fn pause(name: &'static str, reason: String) -> Silence {
 }
 
 /// The words of a route to the ledger: where nobody is there, the beginning of the line of a refusal, and where nothing came.
-pub(super) fn to_ledger(
+pub(super) fn of_sending(
     facts: &Facts<'_>,
     cause: Cause<'_>,
     (alone, refused, nothing): (Silence, &str, String),

@@ -147,7 +147,7 @@ fn silence(facts: &Facts<'_>, cause: Cause<'_>) -> Silence {
         pause("no_publisher", format!("nobody publishes on {topic}"))
     };
     let nothing = format!("the publisher on {topic} has sent nothing yet");
-    silence::to_ledger(facts, cause, (alone, "the ledger refuses", nothing))
+    silence::of_sending(facts, cause, (alone, "the ledger refuses", nothing))
 }
 
 /// The warning about another that takes samples in.

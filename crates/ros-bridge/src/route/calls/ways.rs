@@ -27,9 +27,9 @@ use crate::{
 pub(in crate::route) struct Ways {
     /// Requests that go to the ledger.
     pub(in crate::route) requests: Arc<Queue>,
-    /// What became of them there.
+    /// The fate of each at the ledger.
     pub(in crate::route) told: UnboundedReceiver<Told>,
-    /// What the robot says.
+    /// The robot's answers.
     pub(in crate::route) handed: mpsc::Receiver<Handed>,
 }
 
@@ -53,7 +53,7 @@ impl Ways {
     /// Opens both. They carry while the second value runs. `callers`: those in the local graph.
     ///
     /// # Errors
-    /// What keeps a half from opening.
+    /// The cause that keeps a half from opening.
     pub(in crate::route) async fn open(
         opening: &Opening<'_>,
         answers: Service,
