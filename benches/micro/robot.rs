@@ -73,6 +73,7 @@ pub(crate) fn gate(criterion: &mut Criterion) {
         may_delegate: false,
         follows: None,
         task: None,
+        policy_version: 0,
     };
     let standing = Standing {
         services: Vec::new(),

@@ -62,7 +62,9 @@ fn an_owner_checks_tests_compares_and_puts_policies_and_everybody_learns_why_not
     farhad.run(&["acquire", "Husky"]).ok();
     let diff = owner.json(&["policy", "diff", trained]);
     assert_eq!((&diff["added"][0], &diff["ends"][0]["holder"]), (&"trained".into(), &"Org1/Farhad".into()));
-    owner.run(&["policy", "put", "trained", &format!("@{trained}")]).ok();
+    let put = ["policy", "put", "trained", &format!("@{trained}")];
+    owner.run(&put).refused(5, &["LGR-3024", "Turtlebot4", "--i-mean-it"]);
+    owner.run(&[&put[..], &["--i-mean-it"]].concat()).ok();
     assert_eq!(owner.run(&["policy", "show", "trained"]).ok().stdout.trim(), TRAINED.trim());
     owner.run(&["policy", "test", cases]).ok();
 
@@ -79,4 +81,51 @@ fn an_owner_checks_tests_compares_and_puts_policies_and_everybody_learns_why_not
     let salmas = matrix.lines().find(|line| line.contains("Org1/Salma") && line.contains("Husky/cmd_vel")).unwrap();
     assert!(salmas.contains("acquire, subscribe"), "{matrix}");
     farhad.run(&["can", "Farhad", "acquire", "Husky", "--who-could"]).refused(2, &["read the registered identities"]);
+}
+
+#[test]
+fn sets_of_policies_have_numbers_are_rolled_back_and_need_the_agreement_that_they_ask_for() {
+    let dev = Dev::start();
+    let (owner, salma) = (dev.owner(), dev.user("Salma", &["Husky"], "ed25519"));
+    let directory = tempfile::tempdir().unwrap();
+    let file = |name: &str, text: &str| -> String {
+        let path = directory.path().join(name);
+        std::fs::write(&path, text).unwrap();
+        path.to_str().unwrap().to_owned()
+    };
+    let default = owner.run(&["policy", "show", "default"]).ok().stdout;
+    let (open, closed) = (file("open.cedar", &default), file("closed.cedar", "forbid (principal, action, resource);"));
+
+    let applied = owner.json(&["policy", "apply", &open, "-m", "as it was"]);
+    assert_eq!((&applied["version"], &applied["message"]), (&1.into(), &"as it was".into()));
+    let grant = salma.json(&["acquire", "Husky"]);
+    assert_eq!(grant["policy_version"], 1, "{grant}");
+    owner.run(&["policy", "apply", &open, &closed]).refused(5, &["LGR-3024", "Husky", "Turtlebot4"]);
+    let ended = owner.json(&["policy", "apply", &open, &closed, "--i-mean-it"]);
+    assert_eq!(ended["ended"][0]["holder"], "Org1/Salma", "{ended}");
+    salma.run(&["acquire", "Husky"]).refused(2, &["LGR-3002", "(policies of Org2, version 2)"]);
+    owner.run(&["policy", "rollback", "1", "--base", "1"]).refused(5, &["LGR-3023", "version 2 in force"]);
+    owner.run(&["policy", "rollback", "1", "-m", "too strict"]).ok();
+    salma.run(&["acquire", "Husky"]).ok();
+    let history = owner.run(&["policy", "history"]).ok().stdout;
+    assert!(history.contains("version 1 again: too strict"), "{history}");
+    let text = owner.run(&["policy", "show", "closed", "--version", "2"]).ok().stdout;
+    assert_eq!(text.trim(), "forbid (principal, action, resource);");
+
+    // From here on two organisations must agree.
+    owner.run(&["policy", "apply", &open, "--approvals", "organisations = 2"]).ok();
+    owner.run(&["policy", "put", "closed", &format!("@{closed}"), "--i-mean-it"]).refused(2, &["LGR-3018", "1 more"]);
+    let proposed = owner.json(&["policy", "propose", &closed, "--i-mean-it", "-m", "closed for works"]);
+    let id = proposed["id"].as_str().unwrap();
+    owner.run(&["policy", "apply", "--proposal", &id[..8]]).refused(2, &["LGR-3018", "policy approve"]);
+    owner.run(&["policy", "apply", "--proposal", id, "--break-glass"]).refused(2, &["LGR-3018", "72 hours more"]);
+    let shown = dev.admin().run(&["policy", "proposals", &id[..8]]).ok().stdout;
+    assert!(shown.contains("closed for works") && shown.contains("forbid (principal"), "{shown}");
+    salma.run(&["policy", "approve", id]).refused(2, &["LGR-3010"]);
+    dev.admin().run(&["policy", "apply", "--proposal", id]).refused(2, &["LGR-3009"]);
+    dev.admin().run(&["policy", "approve", &id[..8]]).ok();
+    let applied = owner.json(&["policy", "apply", "--proposal", &id[..8]]);
+    assert_eq!((&applied["version"], &applied["ended"][0]["holder"]), (&5.into(), &"Org1/Salma".into()), "{applied}");
+    let rules = owner.run(&["policy", "approvals"]).ok().stdout;
+    assert!(rules.contains("Org2") && rules.contains("organisations = 2"), "{rules}");
 }

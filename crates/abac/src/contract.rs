@@ -1,14 +1,14 @@
 //! The function table of the chaincode, and its hooks.
 
 use crate::actions::{
-    NAME, acquire, authorize, can, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
-    renew, robots, settings, show, task_list, tasks, together,
+    NAME, acquire, authorize, can, confirm, delegate, emergency, end, follow, hold, policies, policy_proposals,
+    policy_rules, policy_sets, publish, queue, release, renew, robots, settings, show, task_list, tasks, together,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
 use crate::rules::{Rule, Table};
 use bytes::Bytes;
-use ledger::{Chaincode, Context, Foretold, Revocation};
+use ledger::{Chaincode, Context, Foretold, Quorum, Revocation};
 use ledger_rejection::Rejection;
 use ledger_storage::result::Event;
 use nearest::did_you_mean;
@@ -50,7 +50,16 @@ use std::sync::Arc;
 /// | `progress ID REACHED`, `fail ID REASON` | the submitter of the task, the robot itself | [`crate::Task`] |
 /// | `cancel ID` | the submitter of the task, an admin of the owner | [`crate::Task`] |
 /// | `tasks [PAGE_JSON]`, `task ID` | anybody | [`crate::Task`]s |
-/// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
+/// | `policy put ID TEXT [i-mean-it]`, `policy remove ID [i-mean-it]` | an admin, for their robots | [`crate::PolicyChange`] |
+/// | `policy apply SET_JSON` of [`crate::PolicyDraft`] | an admin, for their robots, where nobody else must agree | [`crate::PolicyChange`] |
+/// | `policy propose SET_JSON` of [`crate::PolicyDraft`] | an admin, for their robots | [`crate::PolicyProposal`] |
+/// | `policy approve ID`, `policy withdraw ID` | an admin | [`crate::PolicyProposal`] |
+/// | `policy enact ID [break-glass]` | an admin of the proposal's organisation | [`crate::PolicyChange`] |
+/// | `policy_history ORGANISATION` | anybody | [`crate::PolicySet`]s, the newest first |
+/// | `policy_set ORGANISATION VERSION` | anybody | [`crate::PolicySetTexts`] |
+/// | `policy_proposals [PAGE_JSON]`, `policy_proposal ID` | anybody | [`crate::PolicyProposal`]s, [`crate::PolicyProposalTexts`] |
+/// | `policy_approvals ORGANISATION` | anybody | [`crate::PolicyApprovals`] |
+/// | `set_policy_approvals QUORUM\|none` | an admin, with approval of the network | the quorum |
 /// | `policies [PAGE_JSON]` | anybody | [`crate::PolicyEntry`]s |
 ///
 /// `PAGE_JSON` is [`ledger::Paging`]: the answer is then a [`ledger::Page`].
@@ -63,7 +72,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 37] = [
+const FUNCTIONS: [&str; 43] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
@@ -84,6 +93,11 @@ const FUNCTIONS: [&str; 37] = [
     "line",
     "policies",
     "policy",
+    "policy_approvals",
+    "policy_history",
+    "policy_proposal",
+    "policy_proposals",
+    "policy_set",
     "progress",
     "recall",
     "release",
@@ -95,6 +109,7 @@ const FUNCTIONS: [&str; 37] = [
     "robots",
     "service",
     "set",
+    policy_rules::SET,
     "setup",
     "stop",
     "submit",
@@ -107,7 +122,7 @@ const FUNCTIONS: [&str; 37] = [
 const DECLARED_SINCE: u32 = 3;
 
 /// Those of them that only read.
-const READS: [&str; 15] = [
+const READS: [&str; 20] = [
     "GetSubmittingClientIdentity",
     "authorize",
     "can",
@@ -118,6 +133,11 @@ const READS: [&str; 15] = [
     "latest",
     "line",
     "policies",
+    "policy_approvals",
+    "policy_history",
+    "policy_proposal",
+    "policy_proposals",
+    "policy_set",
     "robot",
     "robots",
     "service",
@@ -147,8 +167,11 @@ const URGENT: [&str; 18] = [
     "take",
 ];
 
+/// Those that the network decides together.
+static NEEDS_APPROVAL: [(&str, Quorum); 1] = [(policy_rules::SET, Quorum::Majority)];
+
 /// The names of its events.
-const EVENTS: [&str; 15] = [
+const EVENTS: [&str; 19] = [
     "confirmed",
     "pending",
     "delegated",
@@ -157,6 +180,10 @@ const EVENTS: [&str; 15] = [
     "line",
     "message",
     "policy",
+    "policy_approvals",
+    "policy_approved",
+    "policy_proposed",
+    "policy_withdrawn",
     "queued",
     "released",
     "renewed",
@@ -245,6 +272,12 @@ impl Chaincode for AccessControl {
             "grants" => hold::list(ctx, decider, args),
             "policy" => policies::change(ctx, decider, args),
             "policies" => policies::list(ctx, args),
+            "policy_approvals" if sharing::known(ctx) => policy_rules::show(ctx, args),
+            "policy_history" if sharing::known(ctx) => policy_sets::history(ctx, args),
+            "policy_proposal" if sharing::known(ctx) => policy_proposals::show(ctx, args),
+            "policy_proposals" if sharing::known(ctx) => policy_proposals::list(ctx, args),
+            "policy_set" if sharing::known(ctx) => policy_sets::show(ctx, args),
+            policy_rules::SET if sharing::known(ctx) => policy_rules::set(ctx, args),
             _ => Err(Rejection::unknown_function(self.name(), function, &FUNCTIONS)
                 .next(did_you_mean(function, FUNCTIONS, ""))),
         }
@@ -252,6 +285,10 @@ impl Chaincode for AccessControl {
 
     fn reads(&self) -> &'static [&'static str] {
         &READS
+    }
+
+    fn needs_approval(&self) -> &'static [(&'static str, Quorum)] {
+        &NEEDS_APPROVAL
     }
 
     fn foretell(&self, function: &str, args: &[Bytes]) -> Option<Foretold> {

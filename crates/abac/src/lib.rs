@@ -54,10 +54,11 @@ pub use contract::AccessControl;
 pub use ledger_contract::{
     AcquireOptions, Acquired, Ask, Attribute, AttributeChanges, Attributes, Can, Capabilities, Condition, Confirmation,
     Could, Declaration, Delegated, Direction, Emergency, EmergencyAnswer, Fencing, Grant, Latest, Left, LeftReason,
-    Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, PassOptions, Pending, Place, Point, PolicyChange,
-    PolicyDiff, PolicyEntry, PolicyFault, PolicyText, Published, Publishing, Reason, Released, RobotAsset, RobotChange,
-    RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Sharing, Stopped,
-    Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
+    Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, PassOptions, Pending, Place, Point, PolicyApproval,
+    PolicyApprovals, PolicyChange, PolicyDiff, PolicyDigest, PolicyDraft, PolicyEntry, PolicyFault, PolicyNeed,
+    PolicyProposal, PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText, Published, Publishing, Reason,
+    Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState,
+    SettingChange, Sharing, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
 pub use policy::limits::POLICY_BYTES_MAX;

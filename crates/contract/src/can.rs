@@ -1,5 +1,6 @@
 //! May somebody do something, and why: the question `can`, and its answer.
 
+use crate::policy::PolicyText;
 use serde::{Deserialize, Serialize};
 
 /// The argument of `can` and `could`.
@@ -19,16 +20,6 @@ pub struct Ask {
     /// Policies to decide by instead of those in force.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub policies: Option<Vec<PolicyText>>,
-}
-
-/// A policy that is not on the ledger.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct PolicyText {
-    /// Its name.
-    pub id: String,
-    /// Cedar.
-    pub text: String,
 }
 
 /// The answer of `can`.
@@ -58,6 +49,9 @@ pub struct Can {
     pub policies: Vec<String>,
     /// For a denial, what the nearest policies miss, or what makes policies forbid it.
     pub conditions: Vec<Condition>,
+    /// The number of the set in force that was asked; 0 for policies of the question, and for an owner who has never had any.
+    #[serde(default)]
+    pub policy_version: u64,
 }
 
 /// A condition of a policy, with the values that decided it.
@@ -119,6 +113,9 @@ pub struct PolicyDiff {
     pub ends: Vec<WouldEnd>,
     /// How many it would end.
     pub ended: u64,
+    /// Robots to which nobody whom the ledger knows could publish.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unreachable: Vec<String>,
 }
 
 /// A grant that a set of policies would end.

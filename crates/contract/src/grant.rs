@@ -42,6 +42,13 @@ pub struct Grant {
     /// The task that it serves, if it does.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub task: Option<u64>,
+    /// The number of the owner's set of policies under which it was given or renewed; 0 if the owner has never had any.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub policy_version: u64,
+}
+
+fn is_zero(number: &u64) -> bool {
+    *number == 0
 }
 
 fn is_false(value: &bool) -> bool {

@@ -32,7 +32,7 @@ mod task;
 mod word;
 
 pub use attribute::{Attribute, AttributeChanges, Attributes};
-pub use can::{Ask, Can, Condition, Could, PolicyDiff, PolicyFault, PolicyText, WouldEnd};
+pub use can::{Ask, Can, Condition, Could, PolicyDiff, PolicyFault, WouldEnd};
 pub use capability::{Capabilities, Fencing, Publishing, Sequence, ToldCapabilities, UnknownRule};
 pub use confirmation::{Confirmation, Pending};
 pub use delegation::{Delegated, PassOptions};
@@ -41,7 +41,10 @@ pub use grant::{Grant, Reason, Released};
 pub use limits::Limits;
 pub use line::{AcquireOptions, Acquired, Left, LeftReason, LineState, LineTold, Place};
 pub use message::{Latest, MessageEvent, Published};
-pub use policy::{PolicyChange, PolicyEntry};
+pub use policy::{
+    PolicyApproval, PolicyApprovals, PolicyChange, PolicyDigest, PolicyDraft, PolicyEntry, PolicyNeed, PolicyProposal,
+    PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText,
+};
 pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, ServiceSpec, ServiceState, is_called, replies};
 pub use settings::{RobotChange, RobotSettings, SettingChange};

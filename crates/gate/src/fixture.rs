@@ -219,6 +219,7 @@ pub fn grant(holder: &str, epoch: u64) -> Grant {
         may_delegate: false,
         follows: None,
         task: None,
+        policy_version: 0,
     }
 }
 

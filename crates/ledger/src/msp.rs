@@ -32,6 +32,7 @@
 //! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
 //! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
 //! | `cancel_registration {name}` | an admin | nothing |
+//! | `enrolled [{after?, most?}]` | other chaincodes, since rules 3 | page of `ORGANISATION/NAME` |
 //! | `holder ORGANISATION/NAME` | everybody, since rules 3 | [`CertifiedHolder`] |
 //! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
 //! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
@@ -112,6 +113,7 @@ pub const NAME: &str = "msp";
 
 const ACTIVATE_RULES: &str = "activate_rules";
 const ALLOW_NODES: &str = "allow_nodes";
+const ENROLLED: &str = "enrolled";
 const HOLDER: &str = "holder";
 const INVITE_ORGANISATION: &str = "invite_organisation";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
@@ -132,7 +134,7 @@ static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 36] = [
+const FUNCTIONS: [(&str, &str); 37] = [
     ("activate_rules", "RULES_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
     ("approve", "ID"),
@@ -142,6 +144,7 @@ const FUNCTIONS: [(&str, &str); 36] = [
     ("cancel_registration", "NAME_JSON"),
     ("carriers", "none"),
     ("carry_ca", "CARRY_JSON"),
+    (ENROLLED, "PAGE_JSON, from another chaincode"),
     (HOLDER, "ORGANISATION/NAME"),
     ("identities", "PAGE_JSON, NAME_JSON or none"),
     ("invitations", "none"),
@@ -172,9 +175,10 @@ const FUNCTIONS: [(&str, &str); 36] = [
 ];
 
 /// Those of them that only read.
-const READS: [&str; 13] = [
+const READS: [&str; 14] = [
     "attestations",
     "carriers",
+    ENROLLED,
     HOLDER,
     "identities",
     "invitations",
@@ -201,7 +205,7 @@ const URGENT: [&str; 8] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 7] = [ALLOW_NODES, HOLDER, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
+const SINCE_RULES_3: [&str; 8] = [ALLOW_NODES, ENROLLED, HOLDER, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
 
 /// The names of its events.
 const EVENTS: [&str; 25] = [
@@ -272,6 +276,7 @@ impl Chaincode for MspChaincode {
         match (function, args) {
             ("attest", [attest]) => attestations::attest(ctx, attest),
             ("attestations", []) => attestations::list(ctx),
+            (ENROLLED, [page]) if ctx.is_inner() => identities::enrolled(ctx, page),
             (HOLDER, [id]) => identities::holder(ctx, id),
             ("identities", [wanted]) if !ctx.is_query() => identities::executed(ctx, wanted),
             ("identities", [] | [_]) => identities::list(ctx, args),

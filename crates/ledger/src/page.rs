@@ -42,6 +42,11 @@ pub struct Page<T> {
 }
 
 impl Paging {
+    /// The page that begins at a place; the first one without.
+    pub fn at(after: Option<String>) -> Self {
+        Self { after, ..Self::default() }
+    }
+
     /// Is this the argument of a query for a page?
     pub(crate) fn is_asked(ctx: &Context<'_>, argument: &Bytes) -> bool {
         ctx.is_query() && argument.starts_with(b"{")

@@ -182,6 +182,10 @@ codes! {
     LineFull = 3021 "LINE_FULL" Conflict;
     /// The grant cannot be passed on.
     NotDelegable = 3022 "NOT_DELEGABLE" Conflict;
+    /// Another set of policies is in force than the one that this was made from.
+    PoliciesChanged = 3023 "POLICIES_CHANGED" Conflict;
+    /// Under these policies nobody could publish to a robot.
+    NobodyMayPublish = 3024 "NOBODY_MAY_PUBLISH" Conflict;
 
     /// No node answered.
     Unreachable = 4001 "UNREACHABLE" Unreachable;

@@ -7,6 +7,7 @@ use super::{confirm, emergency, end, publish, queue, renew, task_turns};
 use crate::arguments::Arguments;
 use crate::policy::Permit;
 use crate::policy::decider::{self, Decider};
+use crate::policy::texts;
 use crate::records::grant::{self, Giver, HOLDERS_MAX, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
@@ -237,6 +238,7 @@ pub(crate) fn give(
             may_delegate,
             follows,
             task,
+            policy_version: texts::version(ctx, &target.robot.organisation)?.number,
         },
         principal,
         priority,

@@ -2,11 +2,11 @@
 //!
 //! They ask for permission alone: whether the service is free, is another question.
 
-use super::delegate;
+use super::{delegate, policy_sets, reachable};
 use crate::arguments::{Arguments, shown};
 use crate::policy::decider::{Action, Decider, Object, RobotAction};
 use crate::policy::explain::Explanation;
-use crate::policy::limits::{self, POLICY_BYTES_MAX};
+use crate::policy::limits;
 use crate::policy::{Texts, Verdict, refusal, texts};
 use crate::records::principal::Principal;
 use crate::records::service::Target;
@@ -93,6 +93,8 @@ struct Case {
     action: String,
     asked: Asked,
     texts: Texts,
+    /// The number of the set in force; 0 for policies of the question.
+    version: u64,
     steps: u64,
     /// Microseconds since the UNIX epoch.
     time: u64,
@@ -116,12 +118,14 @@ impl Case {
                 .wanted(names.join(", "))
                 .next(did_you_mean(name, names, "")));
         };
-        let texts = match &ask.policies {
-            Some(policies) => checked(ctx, decider, policies)?,
-            None => texts::in_force(ctx, &asked.robot().organisation)?,
+        let owner = &asked.robot().organisation;
+        let (texts, version) = match &ask.policies {
+            Some(policies) => (given(ctx, decider, policies)?, 0),
+            None => (texts::in_force(ctx, owner)?, texts::version(ctx, owner)?.number),
         };
         let steps = limits::steps_of_all(&texts)?;
-        Ok(Self { action: name.to_owned(), asked, texts, steps, time: ask.at.unwrap_or(ctx.block_time()) })
+        let time = ask.at.unwrap_or(ctx.block_time());
+        Ok(Self { action: name.to_owned(), asked, texts, version, steps, time })
     }
 
     fn judge(&self, ctx: &Context<'_>, decider: &Decider, principal: &Principal) -> Result<Can, Rejection> {
@@ -174,6 +178,7 @@ impl Case {
             next: refused.next,
             policies: if allowed { deciding } else { why.deciding },
             conditions: why.conditions,
+            policy_version: self.version,
         })
     }
 
@@ -202,13 +207,13 @@ impl Asked {
 const ENDS_MAX: usize = 256;
 
 /// `diff POLICIES_JSON`: which grants of the caller's organisation would a set of policies end?
-pub(crate) fn diff(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
+pub(crate) fn diff(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> Result<Bytes, Rejection> {
     let args = Arguments::new("diff POLICIES_JSON", args, 1, 1)?;
     let wanted = r#"JSON of policies: [{"id": "night", "text": "permit …;"}]"#;
     let policies: Vec<PolicyText> = serde_json::from_str(args.document(0, "POLICIES_JSON", ASK_BYTES_MAX)?)
         .map_err(|fault| args.bad(0, "POLICIES_JSON", fault.to_string(), wanted))?;
     let organisation = &ctx.submitter()?.organisation;
-    let texts = checked(ctx, decider, &policies)?;
+    let texts = given(ctx, decider, &policies)?;
     let own = texts::own(ctx, organisation)?;
     let text_of = |texts: &Texts, id: &str| texts.iter().find(|(known, _)| known == id).map(|(_, text)| text.clone());
     let ids = |of: &Texts, keep: &dyn Fn(&str) -> bool| {
@@ -222,6 +227,7 @@ pub(crate) fn diff(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Resu
         grants: 0,
         ends: Vec::new(),
         ended: 0,
+        unreachable: reachable::unreachable(ctx, decider, organisation, &texts)?,
     };
     let steps = limits::steps_of_all(&texts)?;
     let of_owner = robot::all(ctx)?.into_iter().filter(|robot| robot.organisation == *organisation);
@@ -231,7 +237,8 @@ pub(crate) fn diff(ctx: &Context<'_>, decider: &Decider, args: &[Bytes]) -> Resu
             let action = if holding.grant.taken.is_some() { Action::Override } else { Action::Acquire };
             let asked = Asked::Service(Box::new(target.clone()), needed(&target, action));
             let time = ctx.block_time();
-            let case = Case { action: action.name().to_owned(), asked, texts: texts.clone(), steps, time };
+            let (action, texts) = (action.name().to_owned(), texts.clone());
+            let case = Case { action, asked, texts, version: 0, steps, time };
             let people = std::iter::once(&holding.principal).chain(holding.givers.iter().map(|giver| &giver.principal));
             for principal in people {
                 let Can { allowed, reason, found, wanted, .. } = case.judge(ctx, decider, principal)?;
@@ -259,24 +266,8 @@ fn needed(target: &Target, action: Action) -> Vec<Action> {
     }
 }
 
-/// Policies that are not on the ledger, each acceptable there.
-fn checked(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Result<Texts, Rejection> {
-    let mut texts = Texts::new();
-    for PolicyText { id, text } in policies {
-        if id.is_empty() || id.len() > super::policies::ID_BYTES_MAX || texts.iter().any(|(known, _)| known == id) {
-            return Err(Rejection::new(Code::BadArgument, "the name of a policy is not usable")
-                .found(shown(id))
-                .wanted(format!("a name of its own of at most {} bytes for each", super::policies::ID_BYTES_MAX))
-                .next("name each policy file differently"));
-        }
-        decider.check(ctx, text).map_err(|mut refused| {
-            refused.message = format!("{} ({id})", refused.message);
-            refused.next =
-                format!("its places: ledgerctl policy check FILE; a policy has at most {POLICY_BYTES_MAX} bytes");
-            refused
-        })?;
-        texts.push((id.clone(), text.clone()));
-    }
-    texts.sort();
+/// The policies of a question; the built-in one if there are none.
+fn given(ctx: &Context<'_>, decider: &Decider, policies: &[PolicyText]) -> Result<Texts, Rejection> {
+    let texts = policy_sets::checked(ctx, decider, policies)?;
     Ok(if texts.is_empty() { texts::built_in(ctx) } else { texts })
 }

@@ -6,11 +6,12 @@
 
 use super::{contest, queue, robots, task_turns, undecided};
 use crate::policy::decider::{self, Decider};
+use crate::policy::texts;
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Target;
-use crate::records::{store, used};
+use crate::records::{policy_set, proposed, sharing, store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_contract::{Grant, Reason, Released};
@@ -145,6 +146,9 @@ pub(crate) fn identity_revoked(
         }
     }
     end_all(ctx, ending)?;
+    if sharing::known(ctx) {
+        proposed::revoked(ctx, &revoked.issuer, &revoked.serial)?;
+    }
     queue::revoked(ctx, decider, &revoked.issuer, &revoked.serial)
 }
 
@@ -154,6 +158,10 @@ pub(crate) fn organisation_removed(
     decider: &Decider,
     organisation: &str,
 ) -> Result<(), Rejection> {
+    if sharing::known(ctx) {
+        policy_set::forget_all(ctx, organisation)?;
+        texts::forget(ctx, organisation)?;
+    }
     let (mut ending, mut told) = (Vec::new(), 0);
     for robot in robot::all(ctx)? {
         if robot.organisation == organisation {

@@ -3,8 +3,8 @@
 use super::acquire::lease;
 use super::{hold, publish};
 use crate::arguments::Arguments;
-use crate::policy::Permit;
 use crate::policy::decider::{self, Decider};
+use crate::policy::{Permit, texts};
 use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::service::{self, Target};
@@ -37,6 +37,7 @@ pub(crate) fn renewed(
     after.grant.lease_ms = lease_ms.unwrap_or(before.grant.lease_ms).min(target.service.lease_ms_max);
     after.grant.next_seq = publish::next_sequence(ctx, decider, target, before.grant.epoch, &before.grant.holder)?;
     after.bind(&target.service, &permit.limits, permit.closes);
+    after.grant.policy_version = texts::version(ctx, &target.robot.organisation)?.number;
     after.extend(ctx.block_time());
     grant::replace(ctx, &before, &after)?;
     let told = store::json(&after.grant)?;
@@ -60,6 +61,7 @@ pub(crate) fn used(
     let Ok(permit) = decider::may_keep(ctx, decider, before, target) else { return Ok(()) };
     let mut after = before.clone();
     after.bind(&target.service, &permit.limits, permit.closes);
+    after.grant.policy_version = texts::version(ctx, &target.robot.organisation)?.number;
     after.extend(now);
     grant::replace(ctx, before, &after)
 }

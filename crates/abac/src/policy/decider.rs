@@ -202,7 +202,8 @@ impl Decider {
             Verdict::Permit(permit) => Ok(permit),
             denial => {
                 let why = || self.explanation(ctx, principal, Object::Service(target, action));
-                Err(refusal::explain(principal, target, action, denial, why))
+                let refused = refusal::explain(principal, target, action, denial, why);
+                Err(by_version(ctx, &target.robot.organisation, refused))
             }
         }
     }
@@ -225,7 +226,8 @@ impl Decider {
             Verdict::Permit(_) => Ok(()),
             denial => {
                 let why = || self.explanation(ctx, principal, Object::Robot(robot, action));
-                Err(refusal::explain_robot(principal, robot, action, denial, why))
+                let refused = refusal::explain_robot(principal, robot, action, denial, why);
+                Err(by_version(ctx, &robot.organisation, refused))
             }
         }
     }
@@ -233,7 +235,7 @@ impl Decider {
     fn verdict(&self, ctx: &Context<'_>, principal: &Principal, object: Object<'_>) -> Result<Verdict, Rejection> {
         let robot = object.robot();
         let owner = &robot.organisation;
-        let Version { hash, steps } = texts::version(ctx, owner)?;
+        let Version { hash, steps, .. } = texts::version(ctx, owner)?;
         // A set from before steps were counted may be larger than it may be now: then it decides otherwise.
         let doubted = steps.is_none() && texts::bounded(ctx);
         let version = if doubted { Hash::of(&[b"doubted\0", &hash.0]) } else { hash };
@@ -294,6 +296,21 @@ impl Decider {
         self.aside()?.explain(question, WORK_OF_QUESTION, || Ok(texts.clone()))
     }
 
+    /// Would these policies permit it, now or when a window opens?
+    pub(crate) fn could(
+        &self,
+        ctx: &Context<'_>,
+        principal: &Principal,
+        target: &Target,
+        action: Action,
+        texts: &Texts,
+    ) -> bool {
+        let (object, time) = (Object::Service(target, action), milliseconds(ctx.block_time()));
+        let question = question(ctx, principal, object, (texts::hash(texts), false), time);
+        let answer = self.engine.decide(question, || Ok(texts.clone()));
+        answer.is_ok_and(|answer| matches!(answer.verdict, Verdict::Permit(_) | Verdict::Closed(_)))
+    }
+
     /// The engine for questions that no block waits for.
     fn aside(&self) -> Result<&Engine, Rejection> {
         self.aside.get_or_init(Engine::start).as_ref().map_err(Clone::clone)
@@ -302,6 +319,15 @@ impl Decider {
     fn remember(&self, key: Key, verdict: Verdict) {
         self.decisions.lock().unwrap_or_else(PoisonError::into_inner).insert(key, verdict);
     }
+}
+
+/// A refusal names the set of policies that decided, if it has a number.
+fn by_version(ctx: &Context<'_>, owner: &str, mut refused: Rejection) -> Rejection {
+    let number = texts::version(ctx, owner).map_or(0, |version| version.number);
+    if number > 0 {
+        refused.message = format!("{} (policies of {owner}, version {number})", refused.message);
+    }
+    refused
 }
 
 /// All that a decision depends on besides the time.

@@ -30,62 +30,111 @@ pub(crate) fn bounded(ctx: &Context<'_>) -> bool {
     ctx.rules().number() >= BOUNDED_SINCE
 }
 
-/// A set of policies: the hash that names it, and what a decision by it costs.
+/// Stands for the steps of a set that takes more than any may.
+const TOO_MANY: u64 = u64::MAX;
+
+/// The set of policies that decides about the robots of an organisation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Version {
     /// Over the texts.
     pub(crate) hash: Hash,
     /// Steps of a decision; none if the set was put before they were counted.
     pub(crate) steps: Option<u64>,
+    /// Its number; 0 if the organisation has never had a policy, or not since sets are numbered.
+    pub(crate) number: u64,
 }
 
-impl Version {
-    /// As it stands on the ledger: the hash; since rules 3 followed by the steps (`u64` BE).
-    fn to_bytes(self) -> Vec<u8> {
-        let steps = self.steps.map(u64::to_be_bytes);
-        [&self.hash.0[..], steps.as_ref().map_or(&[][..], |steps| &steps[..])].concat()
+/// As a set stands on the ledger: of policies of the organisation's own the hash, since rules 3 followed by the steps and the
+/// number (`u64` BE each); the number alone if it has none any more.
+enum Stored {
+    Own(Version),
+    BuiltIn(u64),
+}
+
+impl Stored {
+    fn to_bytes(&self) -> Vec<u8> {
+        match self {
+            Self::BuiltIn(number) => number.to_be_bytes().to_vec(),
+            Self::Own(Version { hash, steps: None, number: 0 }) => hash.0.to_vec(),
+            Self::Own(Version { hash, steps, number }) => {
+                [&hash.0[..], &steps.unwrap_or(TOO_MANY).to_be_bytes(), &number.to_be_bytes()].concat()
+            }
+        }
     }
 
     fn parse(bytes: &[u8]) -> Option<Self> {
-        let (hash, steps) = bytes.split_first_chunk::<32>()?;
-        let steps = if steps.is_empty() { None } else { Some(u64::from_be_bytes(steps.try_into().ok()?)) };
-        Some(Self { hash: Hash(*hash), steps })
+        if let Ok(number) = bytes.try_into() {
+            return Some(Self::BuiltIn(u64::from_be_bytes(number)));
+        }
+        let (hash, rest) = bytes.split_first_chunk::<32>()?;
+        let hash = Hash(*hash);
+        if rest.is_empty() {
+            return Some(Self::Own(Version { hash, steps: None, number: 0 }));
+        }
+        let (steps, number) = rest.split_first_chunk::<8>()?;
+        let (steps, number) = (u64::from_be_bytes(*steps), u64::from_be_bytes(number.try_into().ok()?));
+        Some(Self::Own(Version { hash, steps: Some(steps).filter(|steps| *steps != TOO_MANY), number }))
     }
 }
 
-/// The policies of an organisation have changed: writes down what names them now.
+/// The policies of an organisation have changed: writes down what names them now. Answers with the number of the set: the one after
+/// `newest` since rules 3, and 0 before. `put` says whether any of them is new.
 ///
 /// # Errors
 /// [`Code::PolicyInvalid`] if one was put and a decision by all would take too many steps. To remove one from such a set,
 /// which older rules allowed, is no error; the set goes on denying.
-pub(crate) fn changed(ctx: &mut Context<'_>, organisation: &str, own: &Texts, put: bool) -> Result<(), Rejection> {
+pub(crate) fn changed(
+    ctx: &mut Context<'_>,
+    organisation: &str,
+    own: &Texts,
+    (newest, put): (u64, bool),
+) -> Result<u64, Rejection> {
     let key = store::version_key(organisation);
-    if own.is_empty() {
+    let number = if bounded(ctx) { newest.saturating_add(1) } else { 0 };
+    if own.is_empty() && number == 0 {
         ctx.delete(&key);
-        return Ok(());
+        return Ok(number);
+    }
+    if own.is_empty() {
+        ctx.put(&key, Stored::BuiltIn(number).to_bytes());
+        return Ok(number);
     }
     let steps = match limits::steps_of_all(own) {
         _ if !bounded(ctx) => None,
         Err(refused) if put => return Err(refused),
         steps => steps.ok(),
     };
-    ctx.put(&key, Version { hash: hash(own), steps }.to_bytes());
-    Ok(())
+    ctx.put(&key, Stored::Own(Version { hash: hash(own), steps, number }).to_bytes());
+    Ok(number)
 }
 
 /// The version of the policies that decide about the robots of an organisation.
 pub(crate) fn version(ctx: &Context<'_>, organisation: &str) -> Result<Version, Rejection> {
-    match ctx.get(&store::version_key(organisation)) {
-        None => {
-            let Defaults { version, policy, .. } = Defaults::of(ctx.rules());
-            Ok(Version { hash: *version, steps: Some(policy.len() as u64) })
-        }
-        Some(value) => Version::parse(&value).ok_or_else(|| {
-            Rejection::new(Code::Corrupt, format!("policy version of {organisation} is not readable"))
-                .found(format!("{} bytes", value.len()))
-                .wanted("32 or 40 bytes")
-        }),
+    let built_in = |number| {
+        let Defaults { version, policy, .. } = Defaults::of(ctx.rules());
+        Version { hash: *version, steps: Some(policy.len() as u64), number }
+    };
+    let Some(value) = ctx.get(&store::version_key(organisation)) else { return Ok(built_in(0)) };
+    match Stored::parse(&value) {
+        Some(Stored::Own(version)) => Ok(version),
+        Some(Stored::BuiltIn(number)) => Ok(built_in(number)),
+        None => Err(Rejection::new(Code::Corrupt, format!("policy version of {organisation} is not readable"))
+            .found(format!("{} bytes", value.len()))
+            .wanted("8, 32 or 48 bytes")),
     }
+}
+
+/// Forgets the policies of an organisation that leaves. Their number goes on if it comes back.
+pub(crate) fn forget(ctx: &mut Context<'_>, organisation: &str) -> Result<(), Rejection> {
+    let number = version(ctx, organisation)?.number;
+    for (id, _) in own(ctx, organisation)? {
+        ctx.delete(&store::policy_key(organisation, &id));
+    }
+    match number {
+        0 => ctx.delete(&store::version_key(organisation)),
+        _ => ctx.put(&store::version_key(organisation), Stored::BuiltIn(number).to_bytes()),
+    }
+    Ok(())
 }
 
 /// The policies that an organisation has put itself.
@@ -107,8 +156,8 @@ pub(crate) fn own(ctx: &Context<'_>, organisation: &str) -> Result<Texts, Reject
 /// names other policies would keep an old decision in force.
 pub(crate) fn check(ctx: &mut Context<'_>, organisation: &str, own: &Texts) {
     let wanted = (!own.is_empty()).then(|| hash(own).0.to_vec());
-    let found =
-        ctx.get(&store::version_key(organisation)).map(|version| version.get(..32).unwrap_or(&version).to_vec());
+    let stored = ctx.get(&store::version_key(organisation)).filter(|version| version.len() != size_of::<u64>());
+    let found = stored.map(|version| version.get(..32).unwrap_or(&version).to_vec());
     if found != wanted {
         let shown = |version: Option<Vec<u8>>| version.map_or_else(|| "none".to_owned(), hex::encode);
         ctx.contradicted(

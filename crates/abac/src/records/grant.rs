@@ -263,6 +263,7 @@ mod tests {
             may_delegate: false,
             follows: None,
             task: None,
+            policy_version: 0,
         };
         let principal = Principal {
             organisation: "Org1".to_owned(),

@@ -29,7 +29,11 @@
 //! | `last/<service>` | last message of a service whose sequences count by epoch |
 //! | `last/<service>␀<publisher>` | last message of a publisher of any other |
 //! | `policy/<organisation>/<id>` | Cedar text |
-//! | `version/<organisation>` | hash over the organisation's policies; absent while it has none of its own |
+//! | `version/<organisation>` | hash over the organisation's policies, their steps, and the number of the set; absent while it has never had any |
+//! | `set/<organisation>/<version, 16 hex digits>` | a numbered set of policies, without its texts; the newest are kept |
+//! | `text/<organisation>/<SHA-256>` | Cedar text of a policy in a kept set, or in a proposal |
+//! | `proposed/<id>` | a set that waits for approvals, or to be applied |
+//! | `approvals/` | the network's rule for who must agree to a set |
 //!
 //! ␀ is a NUL byte: topics and identities contain `/`, so a `/` could not tell where one ends.
 
@@ -255,6 +259,37 @@ pub(crate) fn policy_key(organisation: &str, id: &str) -> Vec<u8> {
 pub(crate) fn version_key(organisation: &str) -> Vec<u8> {
     format!("version/{organisation}").into_bytes()
 }
+
+/// The prefix of the numbered sets of an organisation.
+pub(crate) fn sets_prefix(organisation: &str) -> Vec<u8> {
+    format!("set/{organisation}/").into_bytes()
+}
+
+/// The key of a numbered set.
+pub(crate) fn set_key(organisation: &str, version: u64) -> Vec<u8> {
+    format!("set/{organisation}/{version:016x}").into_bytes()
+}
+
+/// The prefix of the texts of an organisation.
+pub(crate) fn texts_prefix(organisation: &str) -> Vec<u8> {
+    format!("text/{organisation}/").into_bytes()
+}
+
+/// The key of a text by its SHA-256 in hexadecimal digits.
+pub(crate) fn text_key(organisation: &str, sha256: &str) -> Vec<u8> {
+    format!("text/{organisation}/{sha256}").into_bytes()
+}
+
+/// The prefix of [`proposed_key`].
+pub(crate) const PROPOSED: &[u8] = b"proposed/";
+
+/// The key of a proposed set.
+pub(crate) fn proposed_key(id: &str) -> Vec<u8> {
+    format!("proposed/{id}").into_bytes()
+}
+
+/// The key of the network's rule for who must agree to a set.
+pub(crate) const APPROVALS: &[u8] = b"approvals/";
 
 /// JSON of a response, an event or a value.
 pub(crate) fn json(value: &impl Serialize) -> Result<Bytes, Rejection> {

@@ -46,12 +46,12 @@ fn story(rules: Rules) -> Fleet {
 
 const OF_RULES_2: [&str; 2] = [
     "7d4913a4df1dd0a9a4b14548131ea22f2bfed74f738fb4206b2ceabba3be6778",
-    "82a50de3ff171b82e01a9a975708dfcf5c6a4ee84207f9a3a4d1d4cb86f90043",
+    "d5c4c2cd9da249daac1bd0613f7c1772c4217d3f85128f2dfc05e94744484e98",
 ];
 /// Robots have an index by owner, versions of policies their steps, and what is decided again is marked meanwhile.
 const OF_RULES_3: [&str; 2] = [
-    "ac83d46f7db519435cab228ae4b79d9898e6e3e19fcb54af650ede352fa7fd0e",
-    "82a50de3ff171b82e01a9a975708dfcf5c6a4ee84207f9a3a4d1d4cb86f90043",
+    "064c07172b7af1af3e5ce3eb04836d4898bdc125a8f5db084ee3d62896e952ad",
+    "d5c4c2cd9da249daac1bd0613f7c1772c4217d3f85128f2dfc05e94744484e98",
 ];
 
 #[test]

@@ -27,7 +27,12 @@ pub(crate) const TWIST: [u8; 52] = {
 };
 
 /// Stands in for the membership chaincode: knows the names of the organisations, and certificates.
-pub(crate) struct Members(pub(crate) Mutex<Vec<&'static str>>, pub(crate) Mutex<Vec<Identity>>);
+/// Whom the CAs of the network have certified, it tells only in tests that ask for it: most put policies that few may use.
+pub(crate) struct Members(
+    pub(crate) Mutex<Vec<&'static str>>,
+    pub(crate) Mutex<Vec<Identity>>,
+    pub(crate) Mutex<Vec<&'static str>>,
+);
 
 impl Chaincode for Members {
     fn name(&self) -> &'static str {
@@ -37,6 +42,7 @@ impl Chaincode for Members {
     fn invoke(&self, ctx: &mut Context<'_>, function: &str, args: &[Bytes]) -> Result<Bytes, Rejection> {
         match function {
             "holder" => self.holder(&args[0]),
+            "enrolled" => Ok(serde_json::json!({"items": *self.2.lock().unwrap()}).to_string().into()),
             "identities" => self.identities(&ctx.submitter()?.organisation),
             "quotas" => Ok(serde_json::to_vec(&QUOTAS).unwrap().into()),
             _ => Ok(serde_json::to_vec(&*self.0.lock().unwrap()).unwrap().into()),
@@ -172,6 +178,7 @@ impl Fleet {
             members: Arc::new(Members(
                 Mutex::new(vec!["Org1", "Org2"]),
                 Mutex::new(vec![salma(), farhad(), admin1(), owner(), camera()]),
+                Mutex::default(),
             )),
             registry: Registry::new(),
             state: Arc::new(MemoryState::default()),
@@ -272,6 +279,15 @@ impl Fleet {
             let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
             fleet.abac.identity_revoked(&mut ctx, &revoked);
             Ok(Bytes::new())
+        })
+        .unwrap();
+    }
+
+    /// A block with a call that the network has approved.
+    pub(crate) fn approved(&mut self, function: &str, args: &[&str]) {
+        self.block(|fleet, overlay, events| {
+            let mut ctx = Context::new(fleet.environment(None), "abac", overlay, events);
+            fleet.abac.invoke(&mut ctx, function, &bytes(args))
         })
         .unwrap();
     }

@@ -8,6 +8,7 @@
 )]
 
 mod agreements;
+mod approvals;
 mod arguments;
 mod attributes;
 mod bad_input;
@@ -39,3 +40,4 @@ mod task_ends;
 mod tasks;
 mod together;
 mod upgrade;
+mod versions;

@@ -145,11 +145,14 @@ impl Facts for Told {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let Answer { who, action, service, allowed, policies, conditions, .. } = &self.answer;
         let by = if policies.is_empty() { String::new() } else { format!(", by policy {}", policies.join(", ")) };
+        let version = self.answer.policy_version;
+        let by = if version == 0 || by.is_empty() { by } else { format!("{by} (version {version})") };
         if *allowed {
             let by = if by.is_empty() { ", as an admin of the owner: no policy is asked".to_owned() } else { by };
             writeln!(out, "yes: {} may {action} {service}{}", printable(who), printable(&by))?;
         } else {
-            writeln!(out, "no: {} [{}]", printable(&self.answer.reason), self.answer.code)?;
+            let by = if version == 0 { String::new() } else { format!(" (version {version})") };
+            writeln!(out, "no: {}{by} [{}]", printable(&self.answer.reason), self.answer.code)?;
             let mut table = Table::pairs();
             table.pair("found", &self.answer.found).pair("wanted", &self.answer.wanted).pair("try", &self.answer.next);
             table.write(out, 2)?;
@@ -219,6 +222,7 @@ mod tests {
             next: String::new(),
             policies: policies.iter().map(|&id| id.to_owned()).collect(),
             conditions,
+            policy_version: 0,
         };
         Told { answer, who_could: None }
     }

@@ -331,6 +331,7 @@ mod tests {
             may_delegate: false,
             follows: None,
             task: None,
+            policy_version: 0,
         };
         let transaction = ledger_hash::Hash::ZERO;
         Granted { grant, time: 1_700_000_000_000_000, height: 9, transaction, renewed, passed_on: false }

@@ -1,7 +1,10 @@
-//! `policy list|show|check|test|diff|put|remove`: the Cedar policies by which an organisation decides about its robots.
+//! `policy …`: the Cedar policies by which an organisation decides about its robots, and the numbered sets that they form.
 
+mod apply;
 mod check;
 mod diff;
+mod history;
+mod propose;
 mod test;
 
 use crate::answer;
@@ -27,6 +30,14 @@ pub(crate) enum Policy {
     Diff(diff::Diff),
     Put(Put),
     Remove(Remove),
+    Apply(apply::Apply),
+    History(history::History),
+    Rollback(apply::Rollback),
+    Propose(propose::Propose),
+    Proposals(propose::Proposals),
+    Approve(propose::Approve),
+    Withdraw(propose::Withdraw),
+    Approvals(propose::Approvals),
 }
 
 /// List the policies of every organisation, and the built-in one.
@@ -36,10 +47,16 @@ pub(crate) struct List {}
 
 /// Show one policy.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl policy show night\n  ledgerctl policy show Org2/night")]
+#[command(after_help = "\
+Example:
+  ledgerctl policy show night
+  ledgerctl policy show Org2/night --version 3")]
 pub(crate) struct Show {
     /// Name of the policy within your organisation, ORG/NAME, or `default` for the built-in one
     id: String,
+    /// As it was in an earlier set (see `ledgerctl policy history`)
+    #[arg(long, value_name = "NUMBER")]
+    version: Option<u64>,
 }
 
 /// Put a policy of your organisation in force, or replace it; for admins.
@@ -56,6 +73,9 @@ pub(crate) struct Put {
     id: String,
     /// The policy in Cedar: text, @FILE, or - for standard input
     policy: String,
+    /// Also if nobody may publish to some robot then
+    #[arg(long)]
+    i_mean_it: bool,
 }
 
 /// Remove a policy of your organisation; for admins.
@@ -64,6 +84,9 @@ pub(crate) struct Put {
 pub(crate) struct Remove {
     /// Name of the policy within your organisation
     id: String,
+    /// Also if nobody may publish to some robot then
+    #[arg(long)]
+    i_mean_it: bool,
 }
 
 /// The words of the command line where the chaincode has other names.
@@ -78,6 +101,11 @@ fn text(policy: &str) -> Result<Bytes, Rejection> {
     bytes::argument(policy)
 }
 
+/// The last argument of a change that is meant, even if nobody may publish to some robot then.
+fn meant(means_it: bool) -> Option<Bytes> {
+    means_it.then(|| "i-mean-it".into())
+}
+
 impl Policy {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let args = match self {
@@ -88,8 +116,22 @@ impl Policy {
             Self::Check(check) => return check.run(global, output).await,
             Self::Diff(diff) => return diff.run(global, output).await,
             Self::Test(test) => return test.run(global, output).await,
-            Self::Put(put) => vec!["put".into(), Bytes::from(put.id), text(&put.policy)?],
-            Self::Remove(remove) => vec!["remove".into(), Bytes::from(remove.id)],
+            Self::Apply(apply) => return apply.run(global, output).await,
+            Self::Rollback(rollback) => return rollback.run(global, output).await,
+            Self::History(history) => return history.run(global, output).await,
+            Self::Propose(propose) => return propose.run(global, output).await,
+            Self::Proposals(proposals) => return proposals.run(global, output).await,
+            Self::Approve(approve) => return approve.run(global, output).await,
+            Self::Withdraw(withdraw) => return withdraw.run(global, output).await,
+            Self::Approvals(approvals) => return approvals.run(global, output).await,
+            Self::Put(put) => {
+                let args = vec!["put".into(), Bytes::from(put.id), text(&put.policy)?];
+                args.into_iter().chain(meant(put.i_mean_it)).collect()
+            }
+            Self::Remove(remove) => {
+                let args = vec!["remove".into(), Bytes::from(remove.id)];
+                args.into_iter().chain(meant(remove.i_mean_it)).collect()
+            }
         };
         let done =
             Session::open(global).await?.call(ABAC, "policy", args).await.map_err(|refused| WORDS.told(refused))?;
@@ -100,8 +142,11 @@ impl Policy {
 impl Show {
     async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         let session = Session::open(global).await?;
-        let mut all: Vec<PolicyEntry> = session.list(ABAC, "policies").await?;
         let home = session.identity()?.organisation;
+        if let Some(version) = self.version {
+            return output.show(&One(history::entry(&session, &home, &self.id, version).await?));
+        }
+        let mut all: Vec<PolicyEntry> = session.list(ABAC, "policies").await?;
         let wanted = |entry: &PolicyEntry| match self.id.split_once('/') {
             Some((organisation, id)) => entry.organisation == organisation && entry.id == id,
             None => entry.id == self.id && (entry.organisation == home || entry.organisation.is_empty()),
@@ -151,9 +196,14 @@ struct Changed(PolicyChange);
 
 impl Facts for Changed {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let PolicyChange { organisation, id, change, default_in_force, ended } = &self.0;
-        let done = if change == "put" { "in force" } else { change.as_str() };
-        writeln!(out, "policy {id} of {organisation} is {done}")?;
+        let PolicyChange { organisation, id, change, default_in_force, ended, version, .. } = &self.0;
+        let set = if *version == 0 { String::new() } else { format!(", version {version} of its policies") };
+        match (change.as_str(), id.as_str()) {
+            ("put", id) => writeln!(out, "policy {id} of {organisation} is in force{set}")?,
+            ("unchanged", _) => writeln!(out, "nothing to change: version {version} of {organisation} is this set")?,
+            (done, "") => writeln!(out, "the policies of {organisation} are {done}{set}")?,
+            (done, id) => writeln!(out, "policy {id} of {organisation} is {done}{set}")?,
+        }
         if *default_in_force {
             writeln!(out, "  {organisation} has no policy of its own now: the built-in one decides")?;
         }

@@ -45,7 +45,7 @@ pub enum Quorum {
 
 impl Quorum {
     /// How many approvals are missing, if these are the organisations of the network.
-    pub(crate) fn missing(&self, approved: &ApprovedBy, organisations: &[String]) -> usize {
+    pub fn missing(&self, approved: &ApprovedBy, organisations: &[String]) -> usize {
         let agreed = organisations.iter().filter(|name| approved.admins.contains_key(*name)).count();
         let (wanted, found) = match self {
             Self::Majority => (organisations.len() / 2 + 1, agreed),

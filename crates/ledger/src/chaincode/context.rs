@@ -225,6 +225,11 @@ impl<'a> Context<'a> {
         self.environment.submitter.is_some() && self.environment.transaction == Hash::ZERO
     }
 
+    /// Does another chaincode ask, and not the submitter itself?
+    pub fn is_inner(&self) -> bool {
+        self.depth > 0
+    }
+
     /// Tells subscribers that something happened. Kept only if the call succeeds.
     pub fn emit(&mut self, name: &str, subject: &str, payload: impl Into<Bytes>) {
         let payload = payload.into();

@@ -21,7 +21,7 @@ pub use revocation::{RevokeIdentity, RevokedIdentity};
 pub(super) use certificates::{adopt, record};
 pub(super) use holder::holder;
 use list::shown;
-pub(super) use list::{executed, list};
+pub(super) use list::{enrolled, executed, list};
 pub(super) use registration::{cancel, register};
 pub(super) use revocation::revoke;
 

@@ -45,6 +45,7 @@ pub(crate) const CHANGE_KEYS: &[u8] = b"msp\0governed/";
 
 pub(super) const ORGANISATIONS: &str = "organisation/";
 pub(super) const NODES: &str = "node/";
+pub(super) const IDENTITIES: &str = "identity/";
 pub(super) const PROPOSALS: &str = "proposal/";
 pub(super) const QUORUMS: &str = "quorum/";
 pub(super) const INVITATIONS: &str = "invitation/";
@@ -111,7 +112,7 @@ pub(super) fn attestation_key(organisation: &str, node: &str) -> String {
 }
 
 pub(super) fn identity_key(organisation: &str, name: &str) -> String {
-    format!("identity/{organisation}/{name}")
+    format!("{IDENTITIES}{organisation}/{name}")
 }
 
 pub(super) fn registered_key(organisation: &str) -> String {

@@ -275,6 +275,9 @@ impl Model {
             _ => drop(self.policies.remove(&key).ok_or(Code::NotFound)?),
         }
         let organisation = &who.identity.organisation;
+        if self.has_contests() && self.leaves_nobody(organisation, time) {
+            return Err(Code::NobodyMayPublish);
+        }
         let has_own = self.policies.keys().any(|(owner, _)| owner == organisation);
         if has_own && !self.has_contests() {
             self.uncounted.insert(organisation.clone());

@@ -35,7 +35,7 @@ struct Told(PolicyDiff);
 
 impl Facts for Told {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended } = &self.0;
+        let PolicyDiff { organisation, added, changed, removed, grants, ends, ended, unreachable } = &self.0;
         for (what, ids) in [("added", added), ("changed", changed), ("removed", removed)] {
             if !ids.is_empty() {
                 writeln!(out, "{what}: {}", printable(&ids.join(", ")))?;
@@ -45,6 +45,9 @@ impl Facts for Told {
         for WouldEnd { service, holder, epoch, reason, found, wanted } in ends {
             writeln!(out, "  {service}, held by {} (epoch {epoch}): {}", printable(holder), printable(reason))?;
             writeln!(out, "    found {}; wanted {}", printable(found), printable(wanted))?;
+        }
+        for robot in unreachable {
+            writeln!(out, "nobody whom the ledger knows could publish to {}", printable(robot))?;
         }
         Ok(())
     }
@@ -73,12 +76,14 @@ mod tests {
             grants: 2,
             ends: vec![end],
             ended: 1,
+            unreachable: vec!["Husky".into()],
         };
         let mut out = Vec::new();
         Told(diff).text(&mut out).unwrap();
         let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
-                      found principal.role is \"member\"; wanted principal.role == \"admin\"\n";
+                      found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
+                      nobody whom the ledger knows could publish to Husky\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

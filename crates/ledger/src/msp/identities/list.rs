@@ -1,7 +1,7 @@
 //! `identities`: the registry of an organisation, for its admins.
 
 use super::super::caller::{admin, bad, object};
-use super::super::store::{self, identity_key, json};
+use super::super::store::{self, IDENTITIES, identity_key, json};
 use super::{IdentityRecord, find, is_revoked};
 use crate::chaincode::Context;
 use crate::page::{Page, Paging};
@@ -73,6 +73,17 @@ pub(in super::super) fn executed(ctx: &Context<'_>, argument: &Bytes) -> Result<
     let identities =
         listed.map(|(key, value)| Ok(shown(ctx, store::parse(key, value)?))).collect::<Result<_, Rejection>>()?;
     json(&Listed { identities, more: names.len() > EXECUTED_MAX })
+}
+
+/// `enrolled PAGE_JSON`: the names of all to whom a CA of the network has issued a certificate, for a chaincode that asks about
+/// everybody. It must not tell them on: people outside of an organisation do not learn whom it registers.
+pub(in super::super) fn enrolled(ctx: &Context<'_>, page: &Bytes) -> Result<Bytes, Rejection> {
+    let paging: Paging = object("enrolled", page, "JSON of a page")?;
+    let name = |key: &[u8], value: &[u8]| {
+        let record: IdentityRecord = store::parse(key, value)?;
+        Ok(if record.certificates.is_empty() { None } else { Some(record.id()) })
+    };
+    json(&paging.page(ctx, IDENTITIES.as_bytes(), name)?)
 }
 
 /// The record for readers: without the hash of the secret, and with what was revoked.

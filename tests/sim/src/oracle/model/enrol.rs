@@ -4,6 +4,7 @@ use super::{Model, Person, Verdict};
 use ledger_identity::Role;
 use ledger_rejection::Code;
 use serde::Deserialize;
+use std::collections::BTreeSet;
 
 /// The nodes that may record, and the certificates that they recorded.
 #[derive(Clone, Default)]
@@ -53,6 +54,13 @@ impl Model {
             return Err(Code::EnrolmentRefused);
         }
         Ok(Code::Ok.into())
+    }
+
+    /// Everybody with a certificate that counts.
+    pub(super) fn certified(&self, time: u64) -> impl Iterator<Item = &Person> {
+        let recorded = self.enrolled.recorded.iter().filter_map(|at| self.people.all.get(*at));
+        let names: BTreeSet<String> = recorded.map(Person::id).collect();
+        names.into_iter().filter_map(move |name| self.people.all.get(self.newest_of(&name, time)?))
     }
 
     /// The newest certificate of a name that counts.

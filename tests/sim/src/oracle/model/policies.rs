@@ -76,6 +76,19 @@ impl Model {
         if carries || has_place { Ok(()) } else { Err(Code::NotHolder) }
     }
 
+    /// Is there a robot of this owner to which nobody with a certificate of a CA of the network may publish?
+    pub(super) fn leaves_nobody(&self, owner: &str, time: u64) -> bool {
+        let people: Vec<&Person> = self.certified(time).collect();
+        let may = |robot: &Robot, service: &Service| {
+            people.iter().any(|who| self.permits(who, robot, service, time).is_ok())
+        };
+        let unreachable = |robot: &Robot| {
+            let mut commands = robot.services.iter().filter(|service| !service.reads).peekable();
+            commands.peek().is_some() && !commands.any(|service| may(robot, service))
+        };
+        !people.is_empty() && self.robots.values().any(|robot| robot.owner == owner && unreachable(robot))
+    }
+
     /// The word of the owner's own policies to anything that they want to do with a robot.
     fn said(&self, who: &Person, robot: &Robot, act: Act, time: u64) -> Vec<Says> {
         let name = who.id();

@@ -1,0 +1,118 @@
+//! Rules that say who must agree to a set of policies: of the network for every organisation, and stricter of one itself.
+
+use super::policy_sets::NO_RULE;
+use crate::arguments::{Arguments, shown};
+use crate::policy::texts;
+use crate::records::{policy_set, store};
+use bytes::Bytes;
+use ledger::{ApprovedBy, Context, Quorum};
+use ledger_contract::{PolicyApprovals, PolicyNeed};
+use ledger_identity::Identity;
+use ledger_rejection::{Code, Rejection};
+
+/// The function that sets the rule of the network. It needs approval.
+pub(crate) const SET: &str = "set_policy_approvals";
+/// The name of the network's rule among those that must be met.
+pub(super) const OF_NETWORK: &str = "network";
+
+/// The rule of an organisation itself. It stands in its newest set, so that whoever changes it must meet it.
+pub(super) fn own(ctx: &Context<'_>, organisation: &str) -> Result<Option<Quorum>, Rejection> {
+    let version = texts::version(ctx, organisation)?.number;
+    let set = policy_set::of(ctx, organisation, version)?;
+    parse(set.and_then(|set| set.approvals).as_deref())
+}
+
+/// Reads a rule as the state holds it.
+pub(super) fn parse(text: Option<&str>) -> Result<Option<Quorum>, Rejection> {
+    let read = |text: &str| {
+        text.parse().map_err(|_| {
+            Rejection::new(Code::Corrupt, "a rule of approvals is not readable")
+                .found(text.to_owned())
+                .wanted("a quorum")
+        })
+    };
+    text.map(read).transpose()
+}
+
+fn network(ctx: &Context<'_>) -> Result<Option<Quorum>, Rejection> {
+    parse(store::read::<String>(ctx, store::APPROVALS)?.as_deref())
+}
+
+/// The rules for a set of an organisation, with how many approvals are missing. `admins` are those who agree.
+pub(super) fn needs<'a>(
+    ctx: &mut Context<'_>,
+    organisation: &str,
+    admins: impl Iterator<Item = (&'a str, &'a str)>,
+) -> Result<Vec<PolicyNeed>, Rejection> {
+    let mut approved = ApprovedBy { proposer: organisation.to_owned(), ..ApprovedBy::default() };
+    for (of, name) in admins {
+        approved.admins.entry(of.to_owned()).or_default().insert(name.to_owned());
+    }
+    let organisations: Vec<String> = store::parse(b"msp organisations", &ctx.call("msp", "organisations", &[])?)?;
+    let rules = [(OF_NETWORK, network(ctx)?), (organisation, own(ctx, organisation)?)];
+    let need = |(of, quorum): (&str, Option<Quorum>)| {
+        let quorum = quorum?;
+        let missing = quorum.missing(&approved, &organisations) as u64;
+        Some(PolicyNeed { of: of.to_owned(), quorum: quorum.to_string(), missing })
+    };
+    Ok(rules.into_iter().filter_map(need).collect())
+}
+
+/// Refuses who may not change policies alone.
+pub(super) fn check_alone(ctx: &mut Context<'_>, caller: &Identity) -> Result<(), Rejection> {
+    let alone = [(caller.organisation.as_str(), caller.name.as_str())];
+    let needs = needs(ctx, &caller.organisation, alone.into_iter())?;
+    match needs.iter().find(|need| need.missing > 0) {
+        None => Ok(()),
+        Some(need) => Err(not_agreed(&caller.organisation, need)
+            .found(format!("{} alone", caller.id()))
+            .next("ledgerctl policy propose FILE..., then the others: ledgerctl policy approve ID")),
+    }
+}
+
+/// The refusal of a set to which too few agree.
+pub(super) fn not_agreed(organisation: &str, PolicyNeed { of, quorum, missing }: &PolicyNeed) -> Rejection {
+    let whose = if of == OF_NETWORK { "the network".to_owned() } else { of.clone() };
+    let message = format!("others must agree before the policies of {organisation} change");
+    Rejection::new(Code::NeedsApproval, message).wanted(format!("{quorum}, as {whose} demands: {missing} more"))
+}
+
+/// Reads the rule that an organisation gives itself.
+pub(super) fn quorum(ctx: &mut Context<'_>, args: Arguments<'_>, text: &str) -> Result<Quorum, Rejection> {
+    let quorum: Quorum = text.parse().map_err(|wanted: ledger::NotAQuorum| {
+        args.bad(0, "approvals", shown(text), &format!("{wanted}; or \"{NO_RULE}\""))
+    })?;
+    if let Quorum::Admins { of: Some(named), .. } = &quorum {
+        let known: Vec<String> = store::parse(b"msp organisations", &ctx.call("msp", "organisations", &[])?)?;
+        if !known.contains(named) {
+            return Err(args.bad(0, "approvals", shown(named), &format!("one of {}", known.join(", "))));
+        }
+    }
+    Ok(quorum)
+}
+
+/// `set_policy_approvals QUORUM|none`: the rule of the network, by a proposal.
+pub(crate) fn set(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("set_policy_approvals QUORUM|none", args, 1, 1)?;
+    let text = args.text(0, "QUORUM")?;
+    let quorum = match text {
+        NO_RULE => None,
+        text => Some(quorum(ctx, args, text)?.to_string()),
+    };
+    match &quorum {
+        Some(quorum) => store::write(ctx, store::APPROVALS, quorum)?,
+        None => ctx.delete(store::APPROVALS),
+    }
+    let told = store::json(&quorum)?;
+    ctx.emit("policy_approvals", OF_NETWORK, told.clone());
+    Ok(told)
+}
+
+/// `policy_approvals ORGANISATION`: who must agree to its policies.
+pub(crate) fn show(ctx: &Context<'_>, args: &[Bytes]) -> Result<Bytes, Rejection> {
+    let args = Arguments::new("policy_approvals ORGANISATION", args, 1, 1)?;
+    let organisation = args.text(0, "ORGANISATION")?.to_owned();
+    let text = |quorum: Option<Quorum>| quorum.map(|quorum| quorum.to_string());
+    let (network, own) = (text(network(ctx)?), text(own(ctx, &organisation)?));
+    store::json(&PolicyApprovals { organisation, network, own })
+}

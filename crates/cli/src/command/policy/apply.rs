@@ -1,0 +1,121 @@
+//! `policy apply`, `policy rollback`: a whole set takes the place of the one in force.
+
+use super::propose::{self, resolve};
+use super::{Changed, WORDS};
+use crate::answer;
+use crate::argument::policies;
+use crate::cli::Global;
+use crate::failure::Failure;
+use crate::output::Output;
+use crate::session::{ABAC, Session};
+use bytes::Bytes;
+use ledger_contract::PolicyDraft;
+use ledger_rejection::Rejection;
+use std::path::PathBuf;
+
+/// Put a whole set of policies in force; for admins.
+///
+/// The set takes the place of all policies of your organisation, and has a number. Grants that it no longer permits end in the
+/// same block. Where others must agree, propose it first, and apply the proposal once they have.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl policy apply night.cedar guests.cedar -m 'guests until Friday'
+  ledgerctl policy apply night.cedar --approvals 'admins = 2'
+  ledgerctl policy apply --proposal 3f9a0c77")]
+pub(crate) struct Apply {
+    #[command(flatten)]
+    set: Set,
+    /// Apply a proposal: its id, or the first 8 digits or more
+    #[arg(long, value_name = "ID", conflicts_with_all = ["files", "built_in", "message", "base", "approvals", "i_mean_it"])]
+    proposal: Option<String>,
+    /// Apply a proposal that has stood for three days without the approvals that your organisation asks for
+    #[arg(long, requires = "proposal")]
+    break_glass: bool,
+}
+
+/// A set in files.
+#[derive(Debug, clap::Args)]
+pub(super) struct Set {
+    /// Files with policies in Cedar: night.cedar is the policy `night`
+    #[arg(value_name = "FILE", required_unless_present_any = ["proposal", "built_in", "restore"])]
+    files: Vec<PathBuf>,
+    /// No policy of your own: the built-in one decides
+    #[arg(long, conflicts_with = "files")]
+    built_in: bool,
+    #[command(flatten)]
+    about: About,
+    /// Who must agree to the next set: a quorum such as 'admins = 2', or none
+    #[arg(long, value_name = "QUORUM")]
+    approvals: Option<String>,
+}
+
+/// The circumstances of a set.
+#[derive(Debug, clap::Args)]
+pub(super) struct About {
+    /// Why, for those who read the history
+    #[arg(long, short, default_value = "", hide_default_value = true)]
+    message: String,
+    /// The version that the set was made from: if another one is in force, nothing is changed
+    #[arg(long, value_name = "VERSION")]
+    base: Option<u64>,
+    /// Also if nobody may publish to some robot then
+    #[arg(long)]
+    i_mean_it: bool,
+}
+
+/// Bring the policies of an earlier version back; for admins.
+///
+/// They come in force as a new version. Grants that they do not permit end in the same block.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:\n  ledgerctl policy rollback 3 -m 'guests could not drive'")]
+pub(crate) struct Rollback {
+    /// The version, as `ledgerctl policy history` shows it
+    version: u64,
+    #[command(flatten)]
+    about: About,
+}
+
+impl Set {
+    /// The set as an argument.
+    pub(super) fn draft(self, restores: Option<u64>) -> Result<PolicyDraft, Rejection> {
+        let policies = match restores {
+            Some(_) => None,
+            None => Some(policies::read(&self.files)?.unwrap_or_default()),
+        };
+        Ok(self.about.draft(PolicyDraft { policies, restores, approvals: self.approvals, ..PolicyDraft::default() }))
+    }
+}
+
+impl About {
+    fn draft(self, draft: PolicyDraft) -> PolicyDraft {
+        PolicyDraft { message: self.message, base: self.base, means_it: self.i_mean_it, ..draft }
+    }
+}
+
+impl Apply {
+    pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let session = Session::open(global).await?;
+        let args = match self.proposal {
+            Some(id) => {
+                let id = Bytes::from(resolve(&session, &id).await?);
+                let break_glass = self.break_glass.then(|| Bytes::from_static(b"break-glass"));
+                [Bytes::from_static(b"enact"), id].into_iter().chain(break_glass).collect()
+            }
+            None => propose::arguments("apply", &self.set.draft(None)?)?,
+        };
+        change(&session, output, args).await
+    }
+}
+
+impl Rollback {
+    pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let draft = self.about.draft(PolicyDraft { restores: Some(self.version), ..PolicyDraft::default() });
+        change(&Session::open(global).await?, output, propose::arguments("apply", &draft)?).await
+    }
+}
+
+async fn change(session: &Session, output: &mut Output, args: Vec<Bytes>) -> Result<(), Failure> {
+    let done = session.call(ABAC, "policy", args).await.map_err(|refused| WORDS.told(refused))?;
+    output.show(&Changed(answer::parse(&done.response, "a change of policies")?))
+}
