@@ -113,7 +113,7 @@ pub struct PolicyDiff {
     pub ends: Vec<WouldEnd>,
     /// How many it would end.
     pub ended: u64,
-    /// Robots to which nobody whom the ledger knows could publish.
+    /// Robots to which nobody whom the ledger knows could publish any more.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub unreachable: Vec<String>,
 }

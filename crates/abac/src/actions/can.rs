@@ -227,7 +227,7 @@ pub(crate) fn diff(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) -> 
         grants: 0,
         ends: Vec::new(),
         ended: 0,
-        unreachable: reachable::unreachable(ctx, decider, organisation, &texts)?,
+        unreachable: reachable::cut_off(ctx, decider, organisation, &texts)?,
     };
     let steps = limits::steps_of_all(&texts)?;
     let of_owner = robot::all(ctx)?.into_iter().filter(|robot| robot.organisation == *organisation);

@@ -1,4 +1,4 @@
-//! Robots to which nobody may publish: a set of policies that makes one is put only by who says that it is meant.
+//! Robots to which nobody may publish any more: a set of policies that makes one is put only by who says that it is meant.
 
 use super::delegate;
 use crate::policy::decider::{Action, Decider};
@@ -20,7 +20,7 @@ const STEPS_MAX: u64 = 16 * 1024 * 1024;
 /// Most robots that a refusal names.
 const NAMED_MAX: usize = 8;
 
-/// Refuses a set under which nobody whom the ledger knows may publish to some robot, unless it is meant.
+/// Refuses a set under which nobody whom the ledger knows may publish to some robot any more, unless it is meant.
 ///
 /// # Errors
 /// [`Code::NobodyMayPublish`] with the robots.
@@ -34,7 +34,7 @@ pub(super) fn check(
     if means_it {
         return Ok(());
     }
-    let robots = unreachable(ctx, decider, organisation, set)?;
+    let robots = cut_off(ctx, decider, organisation, set)?;
     if robots.is_empty() {
         return Ok(());
     }
@@ -43,26 +43,42 @@ pub(super) fn check(
     if more > 0 {
         names = format!("{names} and {more} more");
     }
-    Err(Rejection::new(Code::NobodyMayPublish, "nobody whom the ledger knows may publish to a robot then")
+    Err(Rejection::new(Code::NobodyMayPublish, "nobody whom the ledger knows may publish to a robot any more")
         .found(names)
         .wanted("somebody who may acquire one of its services and publish on it")
         .next("ledgerctl can --who-could shows who may; if it is meant, the same command with --i-mean-it"))
 }
 
-/// The robots of an organisation to which nobody with a certificate of a CA of the network may publish under a set, at any time of
-/// the day. None where that takes too many questions to tell, and where no CA of the network has issued a certificate.
-pub(super) fn unreachable(
+/// The robots of an organisation to which nobody with a certificate of a CA of the network may publish any more under a set, at
+/// any time of the day. None where that takes too many questions to tell, and where no CA of the network has issued a certificate.
+pub(super) fn cut_off(
     ctx: &mut Context<'_>,
     decider: &Decider,
     organisation: &str,
     set: &Texts,
 ) -> Result<Vec<String>, Rejection> {
+    let names = robot::names_of(ctx, organisation)?;
     let set = if set.is_empty() { texts::built_in(ctx) } else { set.clone() };
+    let mut robots = unreachable(ctx, decider, (organisation, names), &set)?;
+    if !robots.is_empty() {
+        let in_force = texts::in_force(ctx, organisation)?;
+        let before = unreachable(ctx, decider, (organisation, robots.clone()), &in_force)?;
+        robots.retain(|robot| !before.contains(robot));
+    }
+    Ok(robots)
+}
+
+fn unreachable(
+    ctx: &mut Context<'_>,
+    decider: &Decider,
+    (organisation, names): (&str, Vec<String>),
+    set: &Texts,
+) -> Result<Vec<String>, Rejection> {
     // A set of older rules may be larger than any may be now; it denies everything as it is.
-    let Ok(steps) = limits::steps_of_all(&set) else { return Ok(Vec::new()) };
+    let Ok(steps) = limits::steps_of_all(set) else { return Ok(Vec::new()) };
     let most = (STEPS_MAX / steps.max(1)).min(QUESTIONS_MAX);
     let mut robots = Vec::new();
-    for name in robot::names_of(ctx, organisation)? {
+    for name in names {
         let robot = robot::find(ctx, &name)?;
         let commands = Target::all_of(&robot).filter(|target| target.service.direction == Direction::Command);
         robots.push((name, commands.filter(|target| !target.is_for_readers()).collect::<Vec<_>>()));
@@ -78,7 +94,7 @@ pub(super) fn unreachable(
             robots.retain(|(_, commands)| {
                 !commands.iter().any(|target| {
                     asked += 2;
-                    let may = |action| decider.could(ctx, &principal, target, action, &set);
+                    let may = |action| decider.could(ctx, &principal, target, action, set);
                     asked <= most && may(Action::Acquire) && may(Action::Publish)
                 })
             });
@@ -91,7 +107,7 @@ pub(super) fn unreachable(
             break;
         }
     }
-    let question = || Hash::of(&[b"reachable\0", &texts::hash(&set).0]);
+    let question = || Hash::of(&[b"reachable\0", &texts::hash(set).0]);
     ctx.charge_steps(organisation, steps.saturating_mul(asked.min(most)), question);
     if people == 0 {
         robots.clear();

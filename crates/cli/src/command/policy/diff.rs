@@ -47,7 +47,7 @@ impl Facts for Told {
             writeln!(out, "    found {}; wanted {}", printable(found), printable(wanted))?;
         }
         for robot in unreachable {
-            writeln!(out, "nobody whom the ledger knows could publish to {}", printable(robot))?;
+            writeln!(out, "nobody whom the ledger knows could publish to {} any more", printable(robot))?;
         }
         Ok(())
     }
@@ -83,7 +83,7 @@ mod tests {
         let wanted = "added: night\nremoved: day, noon\ngrants of robots of Org2 that this set would end: 1 of 2\n  \
                       Husky/cmd_vel, held by Org1/Salma (epoch 3): no policy of Org2 permits it\n    \
                       found principal.role is \"member\"; wanted principal.role == \"admin\"\n\
-                      nobody whom the ledger knows could publish to Husky\n";
+                      nobody whom the ledger knows could publish to Husky any more\n";
         assert_eq!(String::from_utf8(out).unwrap(), wanted);
     }
 }

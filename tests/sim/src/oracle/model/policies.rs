@@ -5,6 +5,7 @@ use super::{Model, Person};
 use crate::policy::{Act, Asked, Policy, Says};
 use ledger_identity::Role;
 use ledger_rejection::Code;
+use std::collections::BTreeSet;
 
 impl Model {
     /// Do the policies let them hold a service, or publish on it? From a place of a subscriber one reads.
@@ -76,17 +77,17 @@ impl Model {
         if carries || has_place { Ok(()) } else { Err(Code::NotHolder) }
     }
 
-    /// Is there a robot of this owner to which nobody with a certificate of a CA of the network may publish?
-    pub(super) fn leaves_nobody(&self, owner: &str, time: u64) -> bool {
+    /// The robots of this owner to which nobody with a certificate of a CA of the network may publish.
+    pub(super) fn unreachable(&self, owner: &str, time: u64) -> BTreeSet<String> {
         let people: Vec<&Person> = self.certified(time).collect();
-        let may = |robot: &Robot, service: &Service| {
-            people.iter().any(|who| self.permits(who, robot, service, time).is_ok())
-        };
+        let may =
+            |robot: &Robot, service: &Service| people.iter().any(|who| self.permits(who, robot, service, time).is_ok());
         let unreachable = |robot: &Robot| {
             let mut commands = robot.services.iter().filter(|service| !service.reads).peekable();
             commands.peek().is_some() && !commands.any(|service| may(robot, service))
         };
-        !people.is_empty() && self.robots.values().any(|robot| robot.owner == owner && unreachable(robot))
+        let robots = self.robots.values().filter(|robot| robot.owner == owner && !people.is_empty());
+        robots.filter(|robot| unreachable(robot)).map(|robot| robot.name.clone()).collect()
     }
 
     /// The word of the owner's own policies to anything that they want to do with a robot.
