@@ -2,7 +2,7 @@
 
 use crate::actions::{
     NAME, acquire, authorize, can, confirm, delegate, emergency, end, follow, hold, policies, publish, queue, release,
-    renew, robots, settings, show, task_list, tasks, together,
+    renew, robots, settings, show, side_door, task_list, tasks, together,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
@@ -50,6 +50,7 @@ use std::sync::Arc;
 /// | `progress ID REACHED`, `fail ID REASON` | the submitter of the task, the robot itself | [`crate::Task`] |
 /// | `cancel ID` | the submitter of the task, an admin of the owner | [`crate::Task`] |
 /// | `tasks [PAGE_JSON]`, `task ID` | anybody | [`crate::Task`]s |
+/// | `report_side_door SERVICE TOPIC PUBLISHERS` | the robot itself, a node of its owner; once in a minute | [`crate::SideDoor`] |
 /// | `policy put ID TEXT`, `policy remove ID` | an admin, for their robots | [`crate::PolicyChange`] |
 /// | `policies [PAGE_JSON]` | anybody | [`crate::PolicyEntry`]s |
 ///
@@ -63,7 +64,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 37] = [
+const FUNCTIONS: [&str; 38] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
@@ -90,6 +91,7 @@ const FUNCTIONS: [&str; 37] = [
     "remove",
     "renew",
     "replace",
+    "report_side_door",
     "resume",
     "robot",
     "robots",
@@ -148,7 +150,7 @@ const URGENT: [&str; 18] = [
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 15] = [
+const EVENTS: [&str; 16] = [
     "confirmed",
     "pending",
     "delegated",
@@ -162,6 +164,7 @@ const EVENTS: [&str; 15] = [
     "renewed",
     "resumed",
     "robot",
+    "side_door",
     "stopped",
     "task",
 ];
@@ -225,6 +228,7 @@ impl Chaincode for AccessControl {
             "progress" if sharing::known(ctx) => tasks::progress(ctx, decider, args),
             "fail" if sharing::known(ctx) => tasks::fail(ctx, args),
             "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
+            "report_side_door" if sharing::known(ctx) => side_door::report(ctx, args),
             "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
             "task" if sharing::known(ctx) => task_list::task(ctx, args),
             "can" if sharing::known(ctx) => can::can(ctx, decider, args),

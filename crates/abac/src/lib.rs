@@ -56,8 +56,8 @@ pub use ledger_contract::{
     Could, Declaration, Delegated, Direction, Emergency, EmergencyAnswer, Fencing, Grant, Latest, Left, LeftReason,
     Limits, LineState, LineTold, MessageEvent, Mode, OnConflict, PassOptions, Pending, Place, Point, PolicyChange,
     PolicyDiff, PolicyEntry, PolicyFault, PolicyText, Published, Publishing, Reason, Released, RobotAsset, RobotChange,
-    RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Sharing, Stopped,
-    Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
+    RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState, SettingChange, Sharing, SideDoor,
+    Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
 pub use policy::limits::POLICY_BYTES_MAX;

@@ -10,6 +10,7 @@ pub(crate) mod principal;
 pub(crate) mod robot;
 pub(crate) mod service;
 pub(crate) mod sharing;
+pub(crate) mod side_door;
 pub(crate) mod stopped;
 pub(crate) mod store;
 pub(crate) mod task;

@@ -10,7 +10,7 @@ use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Target;
-use crate::records::{store, used};
+use crate::records::{side_door, store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_contract::{Grant, Reason, Released};
@@ -218,6 +218,7 @@ pub(crate) fn robot_changed(
             }
         }
     }
+    side_door::forget(ctx, before, Some(after));
     let mut released = end_all(ctx, ending)?;
     if later {
         undecided::mark(ctx, &after.organisation, &after.name);
