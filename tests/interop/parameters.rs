@@ -59,7 +59,7 @@ fn parameters_of_a_robots_node_are_set_and_read_by_its_holder_and_by_nobody_else
         let of_both = reports[0].as_array().unwrap().iter().zip(reports[1].as_array().unwrap());
         for (asked, answered) in of_both {
             assert!(asked["published"].as_u64().unwrap() >= 2, "{asked}");
-            assert!(answered["committed"].as_u64() >= asked["published"].as_u64(), "{asked}\n{answered}");
+            assert!(answered["published"].as_u64() >= asked["published"].as_u64(), "{asked}\n{answered}");
         }
 
         // Nobody sets a parameter around the grant.
