@@ -163,6 +163,7 @@ fn execute(command: Command, builder: &NodeBuilder) -> Result<(), Rejection> {
             let mut log = Log::default();
             let config = parsed(ros_bridge::Config::load(&path, |root| log.read(root)))?;
             telemetry::start(&log);
+            let _known = memory::keep();
             block_on_with(1, async move {
                 let changes = read_again(|| ros_bridge::Config::load(&path, |root| Log::default().read(root)));
                 ros_bridge::run(config, changes, stop_signal()).await

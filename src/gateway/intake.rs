@@ -5,6 +5,7 @@ use crate::awake::Awake;
 use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::early::Early;
+use crate::memory;
 use crate::orderer::Seat;
 use crate::space::Space;
 use crate::waiters::{Client, Waiters, refused};
@@ -63,6 +64,7 @@ impl Intake {
         let SubmitRequest { transaction: encoded, min_height, first_attempt } = request;
         let Bounds { payload_bytes_max, ref space, .. } = self.bounds;
         let elapsed = self.clock.elapsed();
+        memory::has_carried(encoded.len());
         let entrance = Entrance { ledger: &self.ledger, payload_bytes_max, elapsed };
         let client = |place| Client { answers: answers.clone(), place };
         let call = Call { encoded, min_height, first_attempt };

@@ -3,6 +3,7 @@
 use super::{Member, Peers};
 use crate::catch_up::{Reader, Source};
 use crate::host::Caller;
+use crate::memory;
 use ledger_api::v1::peer_server::Peer;
 use ledger_api::v1::{self, PeerClosed, PeerFrame};
 use ledger_identity::Role;
@@ -90,6 +91,7 @@ impl<D: Fn(u64, PeerMessage) -> bool + Send + Sync + 'static> Peer for PeerServi
                 frame = frames.message() => frame?,
             };
             let Some(PeerFrame { message }) = frame else { return Ok(Response::new(PeerClosed {})) };
+            memory::has_carried(message.len());
             let message = PeerMessage::decode(message).map_err(|error| {
                 tracing::warn!(peer = %member.full_name(), %error, "the peer sent an unusable message; closing the stream");
                 Status::invalid_argument(error.to_string())

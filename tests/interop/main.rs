@@ -17,13 +17,17 @@ mod calls;
 mod codec;
 mod demo;
 mod discovering;
+mod keyed;
 mod latched;
 mod liar;
 mod loops;
+mod lost_graph;
 #[path = "../support/own_network.rs"]
 mod network;
 mod nodes_die;
+mod parameters;
 mod passing;
+mod peer;
 mod python;
 mod readers;
 mod readme;
@@ -31,6 +35,7 @@ mod recording;
 mod reloading;
 mod robot_stands;
 mod sharing;
+mod side_door;
 mod stop_early;
 #[path = "../support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "shared with the tests of single nodes")]

@@ -1,7 +1,7 @@
 """Reads a recording as others do, and prints what they find as JSON: FILE [cut].
 
 With `mcap`: profile, channels, messages in order of log time, metadata. With `rosbags`, as a bag of one file: the fields of every
-message. `cut` reads a file that has no end, from its beginning, as far as it goes.
+message; so with `mcap_ros2`, Foxglove's own decoder, by the definitions in the file. `cut` reads a file that has no end, from its beginning, as far as it goes.
 """
 
 import json
@@ -13,6 +13,7 @@ from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message, Schema
 from mcap.stream_reader import StreamReader
+from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
 path = Path(sys.argv[1])
@@ -123,8 +124,24 @@ def decoded(found):
         return messages
 
 
+def decoded_by_foxglove(found):
+    """The fields of the messages whose definition is in the file, by topic."""
+
+    def plain(value):
+        if isinstance(value, (list, tuple)):
+            return [plain(item) for item in value]
+        names = getattr(value, "__slots__", None)
+        return value if names is None else {name: plain(getattr(value, name)) for name in names}
+
+    topics = [topic for topic, channel in found["channels"].items() if channel["schema_encoding"] == "ros2msg"]
+    messages = {}
+    for message in read_ros2_messages(path, topics=topics):
+        messages.setdefault(message.channel.topic, []).append(plain(message.ros_msg))
+    return messages
+
+
 if sys.argv[2:] == ["cut"]:
     print(json.dumps(cut()))
 else:
     found = whole()
-    print(json.dumps(found | {"decoded": decoded(found)}))
+    print(json.dumps(found | {"decoded": decoded(found), "foxglove": decoded_by_foxglove(found)}))

@@ -86,6 +86,13 @@ fn a_recording_tells_others_every_message_with_its_sender_and_its_place_on_the_l
     }
     assert_eq!(found["decoded"]["/Turtlebot4/cmd_vel"][1]["message"]["linear"]["x"], -0.25);
 
+    // Foxglove's own decoder reads the same by the definitions in the file.
+    for topic in ["/Turtlebot4/cmd_vel", "/ledger/records", "/ledger/events"] {
+        let [rosbags, foxglove] = ["decoded", "foxglove"].map(|reader| found[reader][topic].as_array().unwrap());
+        let rosbags: Vec<_> = rosbags.iter().map(|row| &row["message"]).collect();
+        assert!(!rosbags.is_empty() && foxglove.iter().eq(rosbags), "{topic}: {foxglove:?}");
+    }
+
     // Who held the robot.
     let events = found["decoded"]["/ledger/events"].as_array().unwrap();
     let of_robot = events.iter().map(|row| &row["message"]).filter(|row| row["subject"] == "Turtlebot4/cmd_vel");

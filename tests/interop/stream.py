@@ -2,9 +2,10 @@
 
 stream.py pub DOMAIN TOPIC COUNT RATE_HZ SIZE [best_effort|transient_local|keep_all]...
     Waits for a reader, prints "matched", then publishes COUNT samples.
-stream.py sub DOMAIN TOPIC COUNT SECONDS SIZE [best_effort|transient_local|keep_all]...
+stream.py sub DOMAIN TOPIC COUNT SECONDS SIZE [best_effort|transient_local|keep_all|until_left]...
     Prints "ready", "matched" when a writer is found, then for each sample its number and how long it was under way, in
-    microseconds. Ends with 0 after COUNT samples, and with 3 after SECONDS; COUNT 0 receives until then.
+    microseconds. Ends with 0 after COUNT samples, and with 3 after SECONDS; COUNT 0 receives until then. With
+    "until_left" it prints "left" and ends with 0 as soon as no writer is there any more.
 
 SIZE 0 is geometry_msgs/msg/Twist, more is sensor_msgs/msg/Image with so many bytes of data. The number stands in the time
 stamp of an image, and in the first value of a Twist; the time of publishing (nanoseconds of the monotonic clock) in the
@@ -103,6 +104,9 @@ def subscribe(domain, topic, count, seconds, size, *words):
         if not matched and reader.get_matched_publications():
             matched = True
             print("matched", flush=True)
+        if matched and "until_left" in words and not reader.get_matched_publications():
+            print("left", flush=True)
+            return
         news.wait(duration(milliseconds=100 if matched else 10))
         for sample in reader.take(N=10):
             if not isinstance(sample, Raw):

@@ -26,6 +26,7 @@ pub(crate) mod renew;
 pub(crate) mod robots;
 pub(crate) mod settings;
 pub(crate) mod show;
+pub(crate) mod side_door;
 pub(crate) mod task_list;
 pub(crate) mod task_turns;
 pub(crate) mod tasks;

@@ -2,7 +2,8 @@
 
 use crate::actions::{
     NAME, acquire, authorize, can, confirm, delegate, emergency, end, follow, hold, policies, policy_proposals,
-    policy_rules, policy_sets, publish, queue, release, renew, robots, settings, show, task_list, tasks, together,
+    policy_rules, policy_sets, publish, queue, release, renew, robots, settings, show, side_door, task_list, tasks,
+    together,
 };
 use crate::policy::decider::Decider;
 use crate::records::sharing;
@@ -50,6 +51,7 @@ use std::sync::Arc;
 /// | `progress ID REACHED`, `fail ID REASON` | the submitter of the task, the robot itself | [`crate::Task`] |
 /// | `cancel ID` | the submitter of the task, an admin of the owner | [`crate::Task`] |
 /// | `tasks [PAGE_JSON]`, `task ID` | anybody | [`crate::Task`]s |
+/// | `report_side_door SERVICE TOPIC PUBLISHERS` | the robot itself, a node of its owner; once in a minute | [`crate::SideDoor`] |
 /// | `policy put ID TEXT [i-mean-it]`, `policy remove ID [i-mean-it]` | an admin, for their robots | [`crate::PolicyChange`] |
 /// | `policy apply SET_JSON` of [`crate::PolicyDraft`] | an admin, for their robots, where nobody else must agree | [`crate::PolicyChange`] |
 /// | `policy propose SET_JSON` of [`crate::PolicyDraft`] | an admin, for their robots | [`crate::PolicyProposal`] |
@@ -72,7 +74,7 @@ pub struct AccessControl {
 }
 
 /// Every function, for whoever mistypes one.
-const FUNCTIONS: [&str; 43] = [
+const FUNCTIONS: [&str; 44] = [
     "GetSubmittingClientIdentity",
     "acquire",
     "acquire_all",
@@ -104,6 +106,7 @@ const FUNCTIONS: [&str; 43] = [
     "remove",
     "renew",
     "replace",
+    "report_side_door",
     "resume",
     "robot",
     "robots",
@@ -171,7 +174,7 @@ const URGENT: [&str; 18] = [
 static NEEDS_APPROVAL: [(&str, Quorum); 1] = [(policy_rules::SET, Quorum::Majority)];
 
 /// The names of its events.
-const EVENTS: [&str; 19] = [
+const EVENTS: [&str; 20] = [
     "confirmed",
     "pending",
     "delegated",
@@ -189,6 +192,7 @@ const EVENTS: [&str; 19] = [
     "renewed",
     "resumed",
     "robot",
+    "side_door",
     "stopped",
     "task",
 ];
@@ -252,6 +256,7 @@ impl Chaincode for AccessControl {
             "progress" if sharing::known(ctx) => tasks::progress(ctx, decider, args),
             "fail" if sharing::known(ctx) => tasks::fail(ctx, args),
             "cancel" if sharing::known(ctx) => tasks::cancel(ctx, decider, args),
+            "report_side_door" if sharing::known(ctx) => side_door::report(ctx, args),
             "tasks" if sharing::known(ctx) => task_list::tasks(ctx, args),
             "task" if sharing::known(ctx) => task_list::task(ctx, args),
             "can" if sharing::known(ctx) => can::can(ctx, decider, args),

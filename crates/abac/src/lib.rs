@@ -58,7 +58,7 @@ pub use ledger_contract::{
     PolicyApprovals, PolicyChange, PolicyDiff, PolicyDigest, PolicyDraft, PolicyEntry, PolicyFault, PolicyNeed,
     PolicyProposal, PolicyProposalTexts, PolicySet, PolicySetTexts, PolicyText, Published, Publishing, Reason,
     Released, RobotAsset, RobotChange, RobotEvent, RobotSettings, RobotSpec, Sequence, ServiceSpec, ServiceState,
-    SettingChange, Sharing, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
+    SettingChange, Sharing, SideDoor, Stopped, Submitted, Task, TaskSpec, TaskState, TaskTold, Told,
 };
 pub use policy::defaults::{DEFAULT_POLICY, default_policy, schema};
 pub use policy::limits::POLICY_BYTES_MAX;

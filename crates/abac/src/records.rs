@@ -12,6 +12,7 @@ pub(crate) mod proposed;
 pub(crate) mod robot;
 pub(crate) mod service;
 pub(crate) mod sharing;
+pub(crate) mod side_door;
 pub(crate) mod stopped;
 pub(crate) mod store;
 pub(crate) mod task;

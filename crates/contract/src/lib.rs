@@ -28,6 +28,7 @@ mod robot;
 mod service;
 mod settings;
 mod sharing;
+mod side_door;
 mod task;
 mod word;
 
@@ -49,6 +50,7 @@ pub use robot::{Declaration, RobotAsset, RobotEvent, RobotSpec};
 pub use service::{Direction, ServiceSpec, ServiceState, is_called, replies};
 pub use settings::{RobotChange, RobotSettings, SettingChange};
 pub use sharing::{Mode, OnConflict, Sharing, read_from, readers};
+pub use side_door::SideDoor;
 pub use task::{
     COORDINATE_UM_MAX, FRAME_DEFAULT, NEXT_MAX, POINTS_MAX, Point, RunningTask, Submitted, Task, TaskSpec, TaskState,
     TaskTold, YAW_URAD_MAX,

@@ -3,6 +3,7 @@
 use crate::attribute::{Attributes, named};
 use crate::capability::{Capabilities, ToldCapabilities, UnknownRule};
 use crate::sharing::{Mode, Sharing};
+use crate::side_door::SideDoor;
 use crate::word::{Told, words};
 use serde::{Deserialize, Serialize};
 
@@ -140,6 +141,9 @@ pub struct ServiceState {
     /// All that hold a place of a subscriber, if their number is limited.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub readers: Vec<String>,
+    /// The last report that somebody publishes on the robot's own topic, around the ledger.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub side_door: Option<SideDoor>,
     /// The consequences of its rule; see [`ServiceState::capabilities`]. Nodes before them do not tell, and no node
     /// does in the answer of a transaction, which stays as it always was.
     #[serde(default, skip_serializing_if = "Option::is_none")]

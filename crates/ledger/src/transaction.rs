@@ -80,9 +80,12 @@ impl Transaction {
     /// # Errors
     /// A transaction that [`Transaction::decode`] would refuse.
     pub fn sign(body: &Body, key: &SigningKey) -> Result<Self, Rejection> {
-        let encoded_body = Bytes::from(body.encode_to_vec());
-        let signature = key.sign(&signed_bytes(&encoded_body));
-        Self::from_envelope(Envelope { body: encoded_body, signature: signature.into(), certificate: Bytes::new() })
+        let mut signed = Vec::with_capacity(SIGNATURE_DOMAIN.len().saturating_add(body.encoded_len()));
+        signed.extend_from_slice(SIGNATURE_DOMAIN);
+        body.encode_raw(&mut signed);
+        let signature = key.sign(&signed).into();
+        let body = Bytes::from(signed).slice(SIGNATURE_DOMAIN.len()..);
+        Self::from_envelope(Envelope { body, signature, certificate: Bytes::new() })
     }
 
     /// The same transaction, carrying its creator's certificate.

@@ -404,7 +404,12 @@ mod tests {
     fn quality_of_service_is_read_by_the_names_of_ros() {
         let qos = "qos = { reliability = 'best_effort', durability = 'transient_local', depth = 5 }";
         let config = parse(&format!("{ROUTE}direction = 'to_ledger'\n{qos}")).unwrap();
-        let wanted = Qos { reliability: Reliability::BestEffort, durability: Durability::TransientLocal, depth: 5 };
+        let wanted = Qos {
+            reliability: Reliability::BestEffort,
+            durability: Durability::TransientLocal,
+            depth: 5,
+            keyed: false,
+        };
         assert_eq!(config.routes[0].qos, wanted);
         for bad in ["reliabilty = 'reliable'", "reliability = 'maybe'", "depth = -1"] {
             assert!(parse(&format!("{ROUTE}direction = 'to_ledger'\nqos = {{ {bad} }}")).is_err(), "{bad}");

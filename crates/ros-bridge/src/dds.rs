@@ -170,8 +170,9 @@ impl Participant {
 
     fn topic(&self, topic: &TopicName, message: &TypeName, qos: &Qos) -> Result<Topic> {
         qos.validate()?;
+        let kind = if qos.keyed { TopicKind::WithKey } else { TopicKind::NoKey };
         self.dds
-            .create_topic(topic.dds(), message.dds(), &qos.policies(), TopicKind::NoKey)
+            .create_topic(topic.dds(), message.dds(), &qos.policies(), kind)
             .map_err(|error| dds_error(&format!("cannot open topic {topic} [{message}]"), &error))
     }
 }

@@ -76,11 +76,15 @@ pub struct Qos {
     /// Samples kept, counted per topic on the reading side. Default 100; smaller loses bursts,
     /// larger costs memory with large messages (they are counted, not weighed).
     pub depth: u32,
+    /// Is the topic declared with keys? DDS connects no endpoint with keys to one without. Default: without, as ROS 2's
+    /// topics are.
+    pub keyed: bool,
 }
 
 impl Default for Qos {
     fn default() -> Self {
-        Self { reliability: Reliability::default(), durability: Durability::default(), depth: DEPTH_SAMPLES_DEFAULT }
+        let (reliability, durability) = (Reliability::default(), Durability::default());
+        Self { reliability, durability, depth: DEPTH_SAMPLES_DEFAULT, keyed: false }
     }
 }
 
@@ -170,7 +174,12 @@ mod tests {
 
     #[test]
     fn settings_become_policies_of_dds() {
-        let qos = Qos { reliability: Reliability::BestEffort, durability: Durability::TransientLocal, depth: 5 };
+        let qos = Qos {
+            reliability: Reliability::BestEffort,
+            durability: Durability::TransientLocal,
+            depth: 5,
+            keyed: false,
+        };
         let policies = qos.policies();
         assert!(!policies.is_reliable());
         assert_eq!(policies.durability(), Some(policy::Durability::TransientLocal));
@@ -187,7 +196,7 @@ mod tests {
 
     #[test]
     fn a_route_meets_the_endpoints_on_its_topic_where_nobody_has_set_how() {
-        let of = |reliability, durability| Qos { reliability, durability, depth: 1 }.policies();
+        let of = |reliability, durability| Qos { reliability, durability, depth: 1, keyed: false }.policies();
         let (latched, plain) =
             (of(Reliability::Reliable, Durability::TransientLocal), of(Reliability::BestEffort, Durability::Volatile));
         let meet = |reads, is_command, others: &[&QosPolicies]| {

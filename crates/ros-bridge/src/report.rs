@@ -6,6 +6,7 @@
 
 mod diagnostics;
 mod neighbourhood;
+mod side_doors;
 mod silent;
 
 use std::{
@@ -23,6 +24,7 @@ use tokio::{
 use self::{
     diagnostics::{Diagnostics, Level, State, Status},
     neighbourhood::Neighbourhood,
+    side_doors::SideDoors,
     silent::Teller,
 };
 use crate::{
@@ -125,6 +127,7 @@ impl Reporter {
         let follow = participant.follow(self.roster.topics(), |change| drop(tell.send(change)));
         let mut follow = std::pin::pin!(follow);
         let mut neighbourhood = Neighbourhood::new(self.local.clone(), Arc::clone(&self.roster));
+        let mut doors = SideDoors::new(Arc::clone(&self.gateway));
         let mut look = interval(LOOK_EVERY);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
         let mut count = interval(self.every);
@@ -133,17 +136,27 @@ impl Reporter {
             tokio::select! {
                 biased;
                 () = stopped(&mut stop) => return,
-                Some(change) = changes.recv() => neighbourhood.note(change, Instant::now()),
+                Some(change) = changes.recv() => {
+                    let now = Instant::now();
+                    neighbourhood.note(change, now);
+                    self.look_at_doors(&mut doors, now);
+                }
+                () = doors.step() => {}
                 _ = count.tick() => self.count(),
                 _ = look.tick() => {
                     let now = Instant::now();
                     neighbourhood.look(now);
+                    self.look_at_doors(&mut doors, now);
                     self.look_at_node(now);
                     self.look_at_routes(&neighbourhood, now);
                 }
                 () = &mut follow => {}
             }
         }
+    }
+
+    fn look_at_doors(&self, doors: &mut SideDoors, now: Instant) {
+        self.roster.open().for_each(|watched| doors.look(&watched, now));
     }
 
     fn look_at_node(&mut self, now: Instant) {

@@ -17,7 +17,7 @@ use tokio::sync::watch;
 use crate::{
     config::{RouteConfig, circle},
     count::{Counters, RouteSummary, line},
-    dds::Exchange,
+    dds::{Exchange, Neighbour},
     mark::Mark,
     names::{Interface, TopicName},
     qos::Qos,
@@ -120,12 +120,14 @@ impl Watched {
 
     /// These are the endpoints at the other end now. Answers the quality of service that meets them, if that is another than
     /// before.
-    pub(crate) fn meet(&self, others: &[&QosPolicies]) -> Option<Qos> {
+    pub(crate) fn meet(&self, others: &[&Neighbour]) -> Option<Qos> {
         if others.is_empty() {
             return None;
         }
         let RouteConfig { qos, copied, kind, .. } = &self.route;
-        let met = qos.meeting(*copied, kind.takes_in(), self.is_command, others);
+        let keyed = others.iter().all(|other| other.is_keyed());
+        let policies: Vec<&QosPolicies> = others.iter().map(|other| &other.qos).collect();
+        let met = Qos { keyed, ..qos.meeting(*copied, kind.takes_in(), self.is_command, &policies) };
         let is_news = self.qos.send_if_modified(|known| std::mem::replace(known, met) != met);
         is_news.then_some(met)
     }

@@ -2,9 +2,10 @@
 //
 // stream pub DOMAIN TOPIC COUNT RATE_HZ SIZE [best_effort|transient_local|keep_all]...
 //     Waits for a reader, prints "matched", then publishes COUNT samples.
-// stream sub DOMAIN TOPIC COUNT SECONDS SIZE [best_effort|transient_local|keep_all]...
+// stream sub DOMAIN TOPIC COUNT SECONDS SIZE [best_effort|transient_local|keep_all|until_left]...
 //     Prints "ready", "matched" when a writer is found, then for each sample its number and how long it was under way,
-//     in microseconds. Ends with 0 after COUNT samples, and with 3 after SECONDS; COUNT 0 receives until then.
+//     in microseconds. Ends with 0 after COUNT samples, and with 3 after SECONDS; COUNT 0 receives until then. With
+//     "until_left" it prints "left" and ends with 0 as soon as no writer is there any more.
 //
 // SIZE 0 is geometry_msgs/msg/Twist, more is sensor_msgs/msg/Image with so many bytes of data. Samples are those of
 // stream.py. A transient-local publisher does not wait for a reader, and stays for 30 s. QoS is as ROS 2 has it by default: reliable, the last 10.
@@ -185,7 +186,7 @@ int publish(DataWriter* writer, uint32_t count, double rate, size_t size, const 
     return 0;
 }
 
-int subscribe(DataReader* reader, uint32_t count, double seconds, size_t size) {
+int subscribe(DataReader* reader, uint32_t count, double seconds, size_t size, const std::set<std::string>& words) {
     std::cout << "ready" << std::endl;
     const auto deadline = Clock::now() + std::chrono::duration<double>(seconds);
     uint32_t received = 0;
@@ -198,6 +199,11 @@ int subscribe(DataReader* reader, uint32_t count, double seconds, size_t size) {
         if (!matched && (reader->get_subscription_matched_status(status), status.current_count > 0)) {
             matched = true;
             std::cout << "matched" << std::endl;
+        }
+        if (matched && words.count("until_left") != 0 &&
+            (reader->get_subscription_matched_status(status), status.current_count == 0)) {
+            std::cout << "left" << std::endl;
+            return 0;
         }
         if (!reader->wait_for_unread_message(Duration_t(0, 10'000'000))) {
             continue;
@@ -264,5 +270,5 @@ int main(int argc, char** argv) {
     DataReaderQos reader_qos = DATAREADER_QOS_DEFAULT;
     demand(reader_qos, words);
     auto* reader = participant->create_subscriber(SUBSCRIBER_QOS_DEFAULT)->create_datareader(topic, reader_qos);
-    return subscribe(reader, count, rate_or_seconds, size);
+    return subscribe(reader, count, rate_or_seconds, size, words);
 }

@@ -210,7 +210,7 @@ fn organisations(ctx: &mut Context<'_>) -> Result<Vec<String>, Rejection> {
     Ok(names.into_iter().collect())
 }
 
-fn check_topic(topic: &str) -> Result<(), Rejection> {
+pub(crate) fn check_topic(topic: &str) -> Result<(), Rejection> {
     let valid =
         topic.len() <= TOPIC_BYTES_MAX && topic.strip_prefix('/').is_some_and(|rest| rest.split('/').all(is_ros_name));
     if valid {

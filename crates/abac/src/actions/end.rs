@@ -11,7 +11,7 @@ use crate::records::grant::{self, Holding};
 use crate::records::principal::Principal;
 use crate::records::robot::{self, ROBOTS_MAX, Robot, SERVICES_MAX};
 use crate::records::service::Target;
-use crate::records::{policy_set, proposed, sharing, store, used};
+use crate::records::{policy_set, proposed, sharing, side_door, store, used};
 use crate::rules::{Claim, Decision, Situation};
 use ledger::{Context, Revocation};
 use ledger_contract::{Grant, Reason, Released};
@@ -226,6 +226,7 @@ pub(crate) fn robot_changed(
             }
         }
     }
+    side_door::forget(ctx, before, Some(after));
     let mut released = end_all(ctx, ending)?;
     if later {
         undecided::mark(ctx, &after.organisation, &after.name);

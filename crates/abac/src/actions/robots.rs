@@ -6,7 +6,7 @@ use crate::policy::decider::Decider;
 use crate::records::grant::{self, Holding};
 use crate::records::robot::{self, ROBOTS_MAX, Robot};
 use crate::records::service::Target;
-use crate::records::store;
+use crate::records::{side_door, store};
 use bytes::Bytes;
 use ledger::Context;
 use ledger::msp::{Quotas, quota_reached};
@@ -73,6 +73,7 @@ pub(crate) fn take_out(ctx: &mut Context<'_>, robot: &Robot) -> Result<Vec<(Hold
         ending.extend(grant::live(ctx, &id)?.into_iter().map(|holding| (holding, Reason::RobotRemoved)));
     }
     robot::remove(ctx, robot)?;
+    side_door::forget(ctx, robot, None);
     Ok(ending)
 }
 

@@ -6,7 +6,7 @@ use crate::arguments::Arguments;
 use crate::policy::decider::Decider;
 use crate::records::robot::{self, Robot};
 use crate::records::service::{self, Target};
-use crate::records::{grant, last, line, pending, sharing, stopped, store};
+use crate::records::{grant, last, line, pending, sharing, side_door, stopped, store};
 use bytes::Bytes;
 use ledger::{Context, Paging};
 use ledger_contract::{Declaration, Direction, Grant, RobotAsset, ServiceState};
@@ -116,6 +116,7 @@ fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) ->
     let readers = Target::of_readers(&target.robot, &target.service);
     let readers = readers.map_or(Ok(Vec::new()), |places| grant::live(ctx, &places.id))?;
     let waiting = if sharing::known(ctx) { line::all(ctx, &target.id)?.len() as u64 } else { 0 };
+    let side_door = if sharing::known(ctx) { side_door::of(ctx, &target.id)? } else { None };
     let Target { robot, service, id } = target;
     Ok(ServiceState {
         service: id,
@@ -137,6 +138,7 @@ fn state(ctx: &Context<'_>, decider: &Decider, target: Target, capable: bool) ->
         expires: grants.first().map_or(0, |grant| grant.expires),
         holders: grants.into_iter().map(|grant| grant.holder).collect(),
         readers: readers.into_iter().map(|holding| holding.grant.holder).collect(),
+        side_door,
         capabilities,
     })
 }

@@ -19,7 +19,6 @@ use ledger::Context;
 use ledger_contract::{
     COORDINATE_UM_MAX, Direction, POINTS_MAX, Place, Reason, Submitted, Task, TaskSpec, TaskState, YAW_URAD_MAX,
 };
-use ledger_identity::Role;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 
@@ -242,12 +241,9 @@ pub(crate) fn find(ctx: &Context<'_>, id: u64) -> Result<Kept, Rejection> {
 /// The running task that the caller reports about, with its service.
 fn reported(ctx: &Context<'_>, id: u64) -> Result<Kept, Rejection> {
     let (kept, submitter) = (find(ctx, id)?, ctx.submitter()?);
-    let is_robot = |robot: &Robot| {
-        submitter.role == Role::Robot && submitter.organisation == robot.organisation && submitter.name == robot.name
-    };
     let name = service::split(&kept.task.service).0;
     let robot: Option<Robot> = store::read(ctx, &store::robot_key(name))?;
-    if submitter.id() != kept.task.submitter && !robot.as_ref().is_some_and(is_robot) {
+    if submitter.id() != kept.task.submitter && !robot.as_ref().is_some_and(|robot| robot.is(submitter)) {
         return Err(Rejection::new(Code::NotOwner, format!("{} may not report about task {id}", submitter.id()))
             .found(format!("role {} of {}", submitter.role, submitter.organisation))
             .wanted(format!("its submitter {}, or the robot {name} itself", kept.task.submitter))

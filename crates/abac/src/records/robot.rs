@@ -7,6 +7,7 @@ use bytes::Bytes;
 use ledger::Context;
 use ledger_contract::Attributes;
 use ledger_hash::Hash;
+use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use nearest::did_you_mean;
 use serde::{Deserialize, Serialize};
@@ -45,6 +46,11 @@ impl Robot {
     /// The id of one of its services.
     pub(crate) fn service_id(&self, service: &Service) -> String {
         format!("{}{}", self.name, service.topic)
+    }
+
+    /// Is it the robot itself who calls?
+    pub(crate) fn is(&self, caller: &Identity) -> bool {
+        caller.role == Role::Robot && caller.organisation == self.organisation && caller.name == self.name
     }
 
     /// Name and value of the required attribute.

@@ -26,6 +26,7 @@
 //! | `times/<service>␀<time, 16 hex digits>/<task>` | nothing: orders tasks by the time at which they join the line or expire |
 //! | `ended/<service>␀<time>/<task>` | nothing: orders the tasks of a service that have ended; the newest 16 are kept |
 //! | `stopped/<robot>` | who stopped the robot, and why; while it is stopped |
+//! | `door/<service>` | the last report of a side door of the service; since rules 3 |
 //! | `last/<service>` | last message of a service whose sequences count by epoch |
 //! | `last/<service>␀<publisher>` | last message of a publisher of any other |
 //! | `policy/<organisation>/<id>` | Cedar text |
@@ -238,6 +239,11 @@ pub(crate) fn parse_task(key: &[u8], prefix: &[u8]) -> Option<(u64, u64)> {
 /// The key of the stop of a robot.
 pub(crate) fn stopped_key(robot: &str) -> Vec<u8> {
     ["stopped/", robot].concat().into_bytes()
+}
+
+/// The key of the last report of a side door of a service.
+pub(crate) fn side_door_key(service: &str) -> Vec<u8> {
+    ["door/", service].concat().into_bytes()
 }
 
 /// The key of the last message of a service, or of one of its publishers (see [`super::last`]).

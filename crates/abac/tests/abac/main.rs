@@ -35,6 +35,7 @@ mod reads;
 mod robots;
 mod settings;
 mod sharing;
+mod side_door;
 mod starving;
 mod task_ends;
 mod tasks;

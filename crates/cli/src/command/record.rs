@@ -34,7 +34,8 @@ const HEARTBEAT_MS: u32 = 1_000;
 /// So much of a recording is lost at most if this process is killed.
 const FLUSH_EVERY: Duration = Duration::from_secs(1);
 /// The events that tell who held what, and the messages.
-const EVENTS: [&str; 8] = ["delegated", "granted", "message", "released", "renewed", "resumed", "robot", "stopped"];
+const EVENTS: [&str; 9] =
+    ["delegated", "granted", "message", "released", "renewed", "resumed", "robot", "side_door", "stopped"];
 
 /// Record the messages of services into an MCAP file, as `ros2 bag play` and Foxglove read it.
 ///

@@ -22,6 +22,10 @@ const LOOK_EVERY: Duration = Duration::from_secs(5);
 /// Most endpoints that are followed; more are not told of.
 const NEIGHBOURS_MAX: usize = 4096;
 
+/// The kinds of endpoints of applications on topics with keys (DDSI-RTPS 9.3.1.2).
+const WRITER_WITH_KEY: u8 = 0x02;
+const READER_WITH_KEY: u8 = 0x07;
+
 /// Does an endpoint publish or subscribe?
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
@@ -63,6 +67,11 @@ impl Neighbour {
         let mark = Mark::of(qos.lifespan());
         let (topic, type_name) = (topic.to_owned(), type_name.to_owned());
         Self { guid: guid.to_bytes(), role, topic, type_name, qos, mark }
+    }
+
+    /// Is its topic declared with keys? The last byte of a GUID says so.
+    pub(crate) fn is_keyed(&self) -> bool {
+        matches!(self.guid, [.., WRITER_WITH_KEY | READER_WITH_KEY])
     }
 }
 
@@ -163,6 +172,16 @@ fn type_hash(user_data: &[u8]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn endpoints_with_keys_are_told_by_their_guid() {
+        let of = |kind| {
+            let mut guid = [7; 16];
+            guid[15] = kind;
+            Neighbour::new(GUID::from_bytes(guid), Role::Publisher, "rt/x", "X_", QosPolicies::default()).is_keyed()
+        };
+        assert_eq!([0x02, 0x03, 0x04, 0x07].map(of), [true, false, false, true]);
+    }
 
     #[test]
     fn the_hash_of_a_type_stands_in_the_user_data_of_an_endpoint() {

@@ -136,11 +136,12 @@ impl Neighbourhood {
                 && neighbour.role == watched.route.kind.other_end
                 && !is_bridge(neighbour, watched.mark)
         });
-        let others: Vec<&QosPolicies> = others.map(|neighbour| &neighbour.qos).collect();
+        let others: Vec<&Neighbour> = others.collect();
         if let Some(met) = watched.meet(&others) {
             let (service, topic) = (&watched.route.service, watched.topic.as_str());
             let (reliability, durability) = (met.reliability.name(), met.durability.name());
-            tracing::info!(service, topic, "{reliability}, {durability}: as the others on {topic}");
+            let keys = if met.keyed { ", with keys" } else { "" };
+            tracing::info!(service, topic, "{reliability}, {durability}{keys}: as the others on {topic}");
         }
     }
 
@@ -249,9 +250,13 @@ fn is_bridge(neighbour: &Neighbour, own: Mark) -> bool {
     neighbour.mark.is_some_and(|mark| mark.is_of_network_of(own))
 }
 
-/// The policy by which DDS keeps both apart.
+/// The reason for which DDS keeps both apart: a policy, or that one of them alone has keys.
 fn misfit(watched: &Watched, neighbour: &Neighbour) -> Option<String> {
-    let ours: QosPolicies = watched.qos.borrow().policies();
+    let qos = *watched.qos.borrow();
+    if qos.keyed != neighbour.is_keyed() {
+        return Some("keys".to_owned());
+    }
+    let ours: QosPolicies = qos.policies();
     let accepts = ours.clone().with_data_representation(accepted());
     let (offered, requested) = match neighbour.role {
         Role::Publisher => (&neighbour.qos, &accepts),

@@ -52,7 +52,12 @@ pub(super) struct Told {
 /// # Errors
 /// The name of the action is too long for it.
 pub(super) fn feedback(action: &TopicName, of: &TypeName) -> Result<Told> {
-    let qos = Qos { reliability: Reliability::Reliable, durability: Durability::Volatile, depth: FEEDBACK_DEPTH };
+    let qos = Qos {
+        reliability: Reliability::Reliable,
+        durability: Durability::Volatile,
+        depth: FEEDBACK_DEPTH,
+        keyed: false,
+    };
     Ok(Told { topic: action.below("/_action/feedback")?, message: of.part("_FeedbackMessage"), qos })
 }
 
@@ -61,7 +66,8 @@ pub(super) fn feedback(action: &TopicName, of: &TypeName) -> Result<Told> {
 /// # Errors
 /// As [`feedback`].
 pub(super) fn status(action: &TopicName) -> Result<Told> {
-    let qos = Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1 };
+    let qos =
+        Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1, keyed: false };
     let message = TypeName::parse("action_msgs/msg/GoalStatusArray")?;
     Ok(Told { topic: action.below("/_action/status")?, message, qos })
 }

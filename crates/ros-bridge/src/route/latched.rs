@@ -12,7 +12,8 @@ use crate::{
     typed,
 };
 
-const QOS: Qos = Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1 };
+const QOS: Qos =
+    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 1, keyed: false };
 
 /// The topic.
 pub(super) struct Latched {

@@ -174,7 +174,7 @@ impl Publisher {
   {
     self
       .inner_lock()
-      .create_datawriter(self, None, topic, qos, false)
+      .create_datawriter(self, None, topic, qos, false, false)
   }
 
   /// Shorthand for crate_datawriter with Common Data Representation Little
@@ -256,7 +256,7 @@ impl Publisher {
   {
     self
       .inner_lock()
-      .create_datawriter(self, Some(entity_id), topic, qos, writer_like_stateless)
+      .create_datawriter(self, Some(entity_id), topic, qos, writer_like_stateless, false)
   }
 
   #[cfg(feature = "security")] // to avoid "never used" warning
@@ -474,6 +474,7 @@ impl InnerPublisher {
     topic: &Topic,
     optional_qos: Option<QosPolicies>,
     writer_like_stateless: bool, // Create a stateless-like RTPS writer? Usually false
+    one_history: bool,           // Does the depth count for all instances together?
   ) -> CreateResult<WithKeyDataWriter<D, SA>>
   where
     D: Keyed,
@@ -547,11 +548,11 @@ impl InnerPublisher {
       policy::Durability::Volatile
     );
     // With keys, the depth counts for each instance, which the send buffer does not
-    // know.
+    // know. A writer that does not know the keys of its samples has one history.
     let keep_last = matches!(
       writer_qos.history(),
       Some(policy::History::KeepLast { .. })
-    ) && entity_id.entity_kind == EntityKind::WRITER_NO_KEY_USER_DEFINED;
+    ) && one_history;
     let send_buffer = WriterSendBuffer::new(
       guid,
       topic.name(),
@@ -730,14 +731,20 @@ impl InnerPublisher {
   where
     SA: adapters::no_key::SerializerAdapter<D>,
   {
-    let entity_id =
-      self.unwrap_or_new_entity_id(entity_id_opt, EntityKind::WRITER_NO_KEY_USER_DEFINED)?;
+    // Samples whose keys nobody looks at may be written to a topic with keys, too.
+    let kind = match topic.kind() {
+      TopicKind::NoKey => EntityKind::WRITER_NO_KEY_USER_DEFINED,
+      TopicKind::WithKey => EntityKind::WRITER_WITH_KEY_USER_DEFINED,
+    };
+    let entity_id = self.unwrap_or_new_entity_id(entity_id_opt, kind)?;
+    let one_history = !entity_id.entity_kind.is_built_in();
     let d = self.create_datawriter::<NoKeyWrapper<D>, SAWrapper<SA>>(
       outer,
       Some(entity_id),
       topic,
       qos,
       writer_like_stateless,
+      one_history,
     )?;
     Ok(NoKeyDataWriter::<D, SA>::from_keyed(d))
   }
@@ -1394,12 +1401,12 @@ impl InnerSubscriber {
   where
     SA: adapters::no_key::DeserializerAdapter<D> + 'static,
   {
-    if topic.kind() != TopicKind::NoKey {
-      return Err(CreateError::TopicKind(TopicKind::NoKey));
-    }
-
-    let entity_id =
-      self.unwrap_or_new_entity_id(entity_id_opt, EntityKind::READER_NO_KEY_USER_DEFINED)?;
+    // Samples whose keys nobody looks at may be read from a topic with keys, too.
+    let kind = match topic.kind() {
+      TopicKind::NoKey => EntityKind::READER_NO_KEY_USER_DEFINED,
+      TopicKind::WithKey => EntityKind::READER_WITH_KEY_USER_DEFINED,
+    };
+    let entity_id = self.unwrap_or_new_entity_id(entity_id_opt, kind)?;
 
     let d = self.create_simple_datareader_internal::<NoKeyWrapper<D>, DAWrapper<SA>>(
       outer,

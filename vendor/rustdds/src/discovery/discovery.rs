@@ -1091,12 +1091,10 @@ impl Discovery {
         );
       }
 
-      // This may be a rediscovery of a previously seen participant that
-      // was temporarily lost due to network outage. Process the SEDP samples
-      // (topics, readers, writers) that are already pending in our discovery
-      // readers, so that we know what it has. Reading takes the samples out of
-      // the readers, so this processes the pending samples of all participants,
-      // not only those of this one.
+      // Process the SEDP samples (topics, readers, writers) that are already
+      // pending in our discovery readers, so that we know what it has. Reading
+      // takes the samples out of the readers, so this processes the pending samples
+      // of all participants, not only those of this one.
       debug!("Participant rediscovery start");
       self.sedp_receive_topic_data(Some(guid_prefix));
       self.sedp_receive_subscription(Some(guid_prefix));
@@ -1106,7 +1104,8 @@ impl Discovery {
   }
 
   fn process_participant_dispose(&mut self, participant_guidp: GuidPrefix) {
-    discovery_db_write(&self.discovery_db).remove_participant(participant_guidp, true); // true = actively removed
+    discovery_db_write(&self.discovery_db).remove_participant(participant_guidp);
+    self.forget_writers_of(participant_guidp);
     self.send_discovery_notification(DiscoveryNotificationType::ParticipantLost {
       guid_prefix: participant_guidp,
     });
@@ -1770,12 +1769,27 @@ impl Discovery {
     let removed = discovery_db_write(&self.discovery_db).participant_cleanup();
     for (guid_prefix, reason) in removed {
       debug!("participant cleanup - timeout for {guid_prefix:?}");
+      self.forget_writers_of(guid_prefix);
       self.send_discovery_notification(DiscoveryNotificationType::ParticipantLost { guid_prefix });
       self.send_participant_status(DomainParticipantStatusEvent::ParticipantLost {
         id: guid_prefix,
         reason,
       });
     }
+  }
+
+  // A participant that was lost may come back, as after a network outage. Many
+  // (Cyclone DDS, Fast DDS) then announce themselves and their endpoints under
+  // the sequence numbers that they had before.
+  fn forget_writers_of(&self, participant: GuidPrefix) {
+    self.dcps_participant.reader.forget_writers_of(participant);
+    self.dcps_subscription.reader.forget_writers_of(participant);
+    self.dcps_publication.reader.forget_writers_of(participant);
+    self.dcps_topic.reader.forget_writers_of(participant);
+    self
+      .dcps_participant_message
+      .reader
+      .forget_writers_of(participant);
   }
 
   pub fn topic_cleanup(&self) {

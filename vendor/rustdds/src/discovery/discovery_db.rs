@@ -65,11 +65,6 @@ pub(crate) struct DiscoveryDB {
   external_topic_readers: BTreeMap<GUID, DiscoveredReaderData>,
   external_topic_writers: BTreeMap<GUID, DiscoveredWriterData>,
 
-  // These are "attic" storages for readers and writers whose participant
-  // was lost due to time-out. If we have a
-  external_topic_readers_attic: BTreeMap<GUID, DiscoveredReaderData>,
-  external_topic_writers_attic: BTreeMap<GUID, DiscoveredWriterData>,
-
   // Database of topic updates:
   // Outer level key is topic name
   // Inner key is topic data sender.
@@ -88,17 +83,6 @@ pub(crate) enum DiscoveredVia {
   Publication,  // we discovered there is a writer on this topic
   Subscription, // we discovered a reader on this topic
   SelfDefined,  // not discovered, but defined by the local DomainParticipant
-}
-
-fn move_by_guid_prefix<D>(
-  guid_prefix: GuidPrefix,
-  from: &mut BTreeMap<GUID, D>,
-  to: &mut BTreeMap<GUID, D>,
-) {
-  let to_move: Vec<GUID> = from.range(guid_prefix.range()).map(|(g, _)| *g).collect();
-  for guid in to_move {
-    from.remove(&guid).map(|d| to.insert(guid, d));
-  }
 }
 
 pub(crate) fn discovery_db_read(
@@ -135,8 +119,6 @@ impl DiscoveryDB {
       local_topic_readers: BTreeMap::new(),
       external_topic_readers: BTreeMap::new(),
       external_topic_writers: BTreeMap::new(),
-      external_topic_readers_attic: BTreeMap::new(),
-      external_topic_writers_attic: BTreeMap::new(),
       topics: BTreeMap::new(),
       topic_updated_sender,
       participant_status_sender,
@@ -180,20 +162,6 @@ impl DiscoveryDB {
         info!("Remote participant {guid:?} is myself, but some reflection is good.");
         new_participant = false;
       }
-
-      // This may be a rediscovery: Participant lease time timed out, but then
-      // came back, e.g. by network outage. We then restore readers/writers from
-      // attic to discovery DB.
-      move_by_guid_prefix(
-        guid.prefix,
-        &mut self.external_topic_readers_attic,
-        &mut self.external_topic_readers,
-      );
-      move_by_guid_prefix(
-        guid.prefix,
-        &mut self.external_topic_writers_attic,
-        &mut self.external_topic_writers,
-      );
     }
 
     // In any case:
@@ -222,32 +190,17 @@ impl DiscoveryDB {
     }
   }
 
-  // active_disposal means that we received a discovery message announcing the
-  // disposal of the participant. active_disposal=false means that the
-  // participant timed out.
-  pub fn remove_participant(&mut self, guid_prefix: GuidPrefix, active_disposal: bool) {
+  // The participant said that it leaves, or it timed out. Should it come back, it
+  // tells of its endpoints again.
+  pub fn remove_participant(&mut self, guid_prefix: GuidPrefix) {
     info!("removing participant {guid_prefix:?}");
     self.participant_proxies.remove(&guid_prefix);
     self.participant_last_life_signs.remove(&guid_prefix);
     #[cfg(feature = "security")]
     self.authentication_statuses.remove(&guid_prefix);
 
-    if active_disposal {
-      self.remove_topic_reader_with_prefix(guid_prefix);
-      self.remove_topic_writer_with_prefix(guid_prefix);
-    } else {
-      // move to attic
-      move_by_guid_prefix(
-        guid_prefix,
-        &mut self.external_topic_readers,
-        &mut self.external_topic_readers_attic,
-      );
-      move_by_guid_prefix(
-        guid_prefix,
-        &mut self.external_topic_writers,
-        &mut self.external_topic_writers_attic,
-      );
-    }
+    self.remove_topic_reader_with_prefix(guid_prefix);
+    self.remove_topic_writer_with_prefix(guid_prefix);
   }
 
   pub fn find_participant_proxy(
@@ -342,7 +295,7 @@ impl DiscoveryDB {
     } // for
 
     for (guid, _) in &to_remove {
-      self.remove_participant(*guid, false); // false = removed due to timeout
+      self.remove_participant(*guid);
     }
 
     to_remove

@@ -20,7 +20,7 @@ use crate::{
     CreateError, CreateResult,
   },
   rtps::constant::MAX_WITHHELD_BYTES_PER_TOPIC,
-  structure::{sequence_number::SequenceNumber, time::Timestamp},
+  structure::{guid::GuidPrefix, sequence_number::SequenceNumber, time::Timestamp},
   GUID,
 };
 use super::cache_change::CacheChange;
@@ -384,6 +384,20 @@ impl TopicCache {
       .get(&cc.writer_guid)
       .and_then(|snm| snm.get(&cc.sequence_number))
       .copied()
+  }
+
+  // The writers of this participant are gone. Should they come back, they send what
+  // they sent before, under the same sequence numbers.
+  pub fn forget_writers_of(&mut self, participant: GuidPrefix) {
+    self
+      .changes
+      .retain(|_, change| change.writer_guid.prefix != participant);
+    self
+      .sequence_numbers
+      .retain(|writer, _| writer.prefix != participant);
+    self
+      .received_reliably_before
+      .retain(|writer, _| writer.prefix != participant);
   }
 
   fn insert_sn(&mut self, instant: Timestamp, cc: &CacheChange) {

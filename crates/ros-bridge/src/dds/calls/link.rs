@@ -42,8 +42,12 @@ const UNACKNOWLEDGED_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Most writers whose mark is remembered; beyond it all are looked up again.
 const MARKS_MAX: usize = 256;
 /// As the middlewares of ROS 2 have it for services, but deeper for bursts.
-const QOS: Qos =
-    Qos { reliability: crate::qos::Reliability::Reliable, durability: crate::qos::Durability::Volatile, depth: 100 };
+const QOS: Qos = Qos {
+    reliability: crate::qos::Reliability::Reliable,
+    durability: crate::qos::Durability::Volatile,
+    depth: 100,
+    keyed: false,
+};
 
 /// The two topics of a link, and how it is announced.
 pub(super) struct Ends {

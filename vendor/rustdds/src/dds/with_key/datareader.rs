@@ -23,7 +23,7 @@ use crate::{
   },
   discovery::sedp_messages::PublicationBuiltinTopicData,
   serialization::CDRDeserializerAdapter,
-  structure::{duration::Duration, entity::RTPSEntity, guid::GUID, time::Timestamp},
+  structure::{duration::Duration, entity::RTPSEntity, guid::{GuidPrefix, GUID}, time::Timestamp},
 };
 
 /// Simplified type for CDR encoding
@@ -97,6 +97,11 @@ where
   // Gets all unseen cache_changes from the TopicCache. Deserializes
   // the serialized payload and stores the DataSamples (the actual data and the
   // samplestate) to local container, datasample_cache.
+  // As [`SimpleDataReader::forget_writers_of`]
+  pub(crate) fn forget_writers_of(&self, participant: GuidPrefix) {
+    self.simple_data_reader.forget_writers_of(participant);
+  }
+
   fn fill_and_lock_local_datasample_cache(&mut self) -> ReadResult<()> {
     while let Some(dcc) = self.simple_data_reader.try_take_one()? {
       self

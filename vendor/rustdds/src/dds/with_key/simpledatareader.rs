@@ -33,7 +33,7 @@ use crate::{
     cache_change::CacheChange,
     dds_cache::TopicCache,
     entity::RTPSEntity,
-    guid::{EntityId, GUID},
+    guid::{EntityId, GuidPrefix, GUID},
     sequence_number::SequenceNumber,
     time::Timestamp,
   },
@@ -400,6 +400,19 @@ where
         return result.map(Some);
       }
     }
+  }
+
+  // Forgets what came from the writers of this participant, so that it is taken in
+  // when they send it again.
+  pub(crate) fn forget_writers_of(&self, participant: GuidPrefix) {
+    let mut topic_cache = self.acquire_the_topic_cache_guard();
+    topic_cache.forget_writers_of(participant);
+    self
+      .read_state
+      .lock()
+      .unwrap()
+      .last_read_sn
+      .retain(|writer, _| writer.prefix != participant);
   }
 
   pub fn qos(&self) -> &QosPolicies {
