@@ -13,7 +13,7 @@ use ledger_identity::Identity;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
 use ledger_rejection::{Code, Rejection};
-use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
+use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ECDSA_P384_SHA384, PKCS_ED25519};
 use ring::rand::SystemRandom;
 use rustls::ClientConfig;
 use rustls_pki_types::{CertificateDer, PrivatePkcs8KeyDer};
@@ -230,6 +230,7 @@ pub(crate) fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> 
     let algorithm = match key.kind() {
         KeyKind::Ed25519 => &PKCS_ED25519,
         KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
+        KeyKind::P384 => &PKCS_ECDSA_P384_SHA384,
     };
     let pair = KeyPair::from_pkcs8_der_and_sign_algo(&PrivatePkcs8KeyDer::from(key.to_pkcs8_der()), algorithm);
     let mut parameters = CertificateParams::default();

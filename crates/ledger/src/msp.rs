@@ -15,6 +15,7 @@
 //! | `invite_organisation {name, key, expires}` | an admin, with approval | [`Decision`] |
 //! | `join_organisation {...}` ([`JoinOrganisation`]) | any node, for the newcomer | [`Organisation`] |
 //! | `update_organisation {roots, intermediates}` | an admin, for their own | [`Organisation`] |
+//! | `add_organisation {...}` ([`AddOrganisation`]) | an admin, with approval | [`Decision`] |
 //! | `remove_organisation {name}` | an admin, with approval | [`Decision`] |
 //! | `rules` | | [`RulesOverview`] |
 //! | `speak {newest, release}` | a node, for itself | [`NodeRecord`] |
@@ -28,6 +29,9 @@
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
 //! | `revoke ISSUER SERIAL [REASON]` | an admin of the issuing organisation | [`RevocationRecord`] |
+//! | `record_revocation_list {list, ended?}` ([`RecordList`]) | an admin, of an authority of their own | [`RecordedList`] |
+//! | `revocation_lists` | | array of [`KnownList`] |
+//! | `set_stale_lists {stale}` ([`SetStale`]) | an admin, for their own | [`SetStale`] |
 //! | `invitations` | | array of [`Invitation`] |
 //! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
 //! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
@@ -45,13 +49,15 @@
 //! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `quota_changed` with the [`SetQuota`] and `nodes_allowed` with the
 //! [`AllowNodes`], both with the organisation; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
-//! name; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
+//! name; `revocation_list` with the [`RecordedList`] and the authority's name; `stale_lists_set` with the [`SetStale`] and the
+//! organisation; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
 //! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
 //! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
 //! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
 //! the [`crate::Activation`] and the number.
 
 mod action;
+mod addition;
 mod address;
 mod allowance;
 mod attestations;
@@ -66,11 +72,13 @@ mod proposals;
 mod quorums;
 mod quotas;
 mod read;
+mod revocation_lists;
 mod revocations;
 mod rules;
 mod store;
 
 pub use action::Action;
+pub use addition::AddOrganisation;
 pub use address::never_dialled;
 pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
@@ -92,11 +100,17 @@ pub use proposals::{
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
 pub use read::{attestations, changes, invitation, members, nodes, organisations, voters};
+pub use revocation_lists::{
+    ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
+};
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
 pub(crate) use read::{activations, members_record};
-pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_key, change_key, revoked_key};
+pub(crate) use revocation_lists::{Due, due, publishes_list};
+pub(crate) use store::{
+    LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, end_of, revoked_key,
+};
 
 use crate::chaincode::{Chaincode, Context, Quorum};
 use crate::members::Membership;
@@ -111,17 +125,22 @@ use store::{full, json};
 pub const NAME: &str = "msp";
 
 const ACTIVATE_RULES: &str = "activate_rules";
+const ADD_ORGANISATION: &str = "add_organisation";
 const ALLOW_NODES: &str = "allow_nodes";
 const HOLDER: &str = "holder";
 const INVITE_ORGANISATION: &str = "invite_organisation";
+const RECORD_LIST: &str = "record_revocation_list";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
 const SET_NODE_ROLE: &str = "set_node_role";
 const SET_QUORUM: &str = "set_quorum";
 const SET_QUOTA: &str = "set_quota";
+const SET_STALE: &str = "set_stale_lists";
+const LISTS: &str = "revocation_lists";
 
 /// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
 /// quorum it sets.
-static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
+static NEEDS_APPROVAL: [(&str, Quorum); 8] = [
+    (ADD_ORGANISATION, Quorum::Majority),
     (ACTIVATE_RULES, Quorum::Majority),
     (ALLOW_NODES, Quorum::Majority),
     (INVITE_ORGANISATION, Quorum::Majority),
@@ -132,8 +151,9 @@ static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 36] = [
+const FUNCTIONS: [(&str, &str); 40] = [
     ("activate_rules", "RULES_JSON"),
+    (ADD_ORGANISATION, "ORGANISATION_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
     ("approve", "ID"),
     ("attest", "ATTEST_JSON"),
@@ -156,8 +176,10 @@ const FUNCTIONS: [(&str, &str); 36] = [
     ("quorums", "none"),
     ("quotas", "ORGANISATION"),
     ("record_certificate", "CERTIFICATE_JSON"),
+    (RECORD_LIST, "LIST_JSON"),
     ("register", "REGISTER_JSON"),
     ("remove_organisation", "NAME_JSON"),
+    (LISTS, "none"),
     ("revocations", "PAGE_JSON or none"),
     ("revoke", "ISSUER SERIAL [REASON]"),
     ("revoke_identity", "REVOKE_JSON"),
@@ -165,6 +187,7 @@ const FUNCTIONS: [(&str, &str); 36] = [
     ("set_node_role", "ROLE_JSON"),
     ("set_quorum", "QUORUM_JSON"),
     ("set_quota", "QUOTA_JSON"),
+    (SET_STALE, "STALE_JSON"),
     ("speak", "SPEAKS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
@@ -172,7 +195,7 @@ const FUNCTIONS: [(&str, &str); 36] = [
 ];
 
 /// Those of them that only read.
-const READS: [&str; 13] = [
+const READS: [&str; 14] = [
     "attestations",
     "carriers",
     HOLDER,
@@ -184,15 +207,17 @@ const READS: [&str; 13] = [
     "proposals",
     "quorums",
     "quotas",
+    LISTS,
     "revocations",
     "rules",
 ];
 
 /// Those of them that end rights, or an invitation to rights.
-const URGENT: [&str; 8] = [
+const URGENT: [&str; 9] = [
     "approve",
     "cancel_invitation",
     "cancel_registration",
+    RECORD_LIST,
     REMOVE_ORGANISATION,
     "revoke",
     "revoke_identity",
@@ -201,10 +226,22 @@ const URGENT: [&str; 8] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 7] = [ALLOW_NODES, HOLDER, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
+const SINCE_RULES_3: [&str; 11] = [
+    ADD_ORGANISATION,
+    ALLOW_NODES,
+    HOLDER,
+    "propose",
+    "quorums",
+    "quotas",
+    RECORD_LIST,
+    LISTS,
+    SET_QUORUM,
+    SET_QUOTA,
+    SET_STALE,
+];
 
 /// The names of its events.
-const EVENTS: [&str; 25] = [
+const EVENTS: [&str; 27] = [
     "approved",
     "attested",
     "ca_carried",
@@ -225,10 +262,12 @@ const EVENTS: [&str; 25] = [
     "quota_changed",
     "registered",
     "registration_cancelled",
+    "revocation_list",
     "revoked",
     "role_changed",
     "rules_activated",
     "speaks",
+    "stale_lists_set",
     "withdrawn",
 ];
 
@@ -254,7 +293,7 @@ impl Chaincode for MspChaincode {
 
     /// Functions that take rights away; for admins only.
     fn ends(&self, function: &str) -> bool {
-        matches!(function, "revoke" | "set_node_role" | "remove_organisation" | "approve")
+        matches!(function, "revoke" | RECORD_LIST | "set_node_role" | "remove_organisation" | "approve")
     }
 
     fn control_keys(&self) -> &'static [&'static str] {
@@ -308,6 +347,10 @@ impl Chaincode for MspChaincode {
             ("withdraw", [id]) => proposals::withdraw(ctx, id),
             ("revocations", []) => revocations::list(ctx, args),
             ("revocations", [page]) if Paging::is_asked(ctx, page) => revocations::list(ctx, args),
+            (LISTS, []) => revocation_lists::list(ctx),
+            (RECORD_LIST, [list]) => revocation_lists::record(ctx, list),
+            (SET_STALE, [stale]) => revocation_lists::set_stale(ctx, stale),
+            (ADD_ORGANISATION, [add]) => addition::add(ctx, add),
             ("revoke", [issuer, serial]) => revocations::revoke(ctx, issuer, serial, b""),
             ("revoke", [issuer, serial, reason]) => revocations::revoke(ctx, issuer, serial, reason),
             _ => Err(unknown_call(function, args.len())),

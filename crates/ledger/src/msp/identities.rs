@@ -18,7 +18,7 @@ pub use holder::CertifiedHolder;
 pub use registration::{CancelRegistration, Register};
 pub use revocation::{RevokeIdentity, RevokedIdentity};
 
-pub(super) use certificates::{adopt, record};
+pub(super) use certificates::{adopt, record, verified};
 pub(super) use holder::holder;
 use list::shown;
 pub(super) use list::{executed, list};

@@ -17,7 +17,7 @@ use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
-use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::msp::Msps;
 use ledger_identity::{Identity, Role, check_name};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -120,11 +120,14 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
 
 /// The owner of this certificate, by the authorities of that organisation alone. Whether it is valid at the moment is
 /// not asked: clocks differ, and those who see it used look at that.
-pub(super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
+pub(in super::super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
     let authorities = organisations::find(ctx, organisation)?
         .ok_or_else(|| Rejection::new(Code::NotFound, "the network has no such organisation"))?;
     let mut msps = Msps::new();
-    msps.insert(Msp::new(organisation, &authorities.roots, &authorities.intermediates)?)?;
+    msps.insert(authorities.msp()?)?;
+    if !ctx.rules().accepts_p384() {
+        msps = msps.without_p384();
+    }
     let parsed = Certificate::parse(der)?;
     Ok(msps.verify(der, &[], ctx.block_time().clamp(parsed.not_before, parsed.not_after.max(parsed.not_before)))?)
 }
