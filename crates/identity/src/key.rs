@@ -15,8 +15,8 @@ use ring::signature::{
     ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, ECDSA_P384_SHA384_FIXED, ECDSA_P384_SHA384_FIXED_SIGNING,
     EcdsaKeyPair, EcdsaSigningAlgorithm, Ed25519KeyPair, KeyPair, UnparsedPublicKey,
 };
-use rustls_pki_types::{PrivatePkcs8KeyDer, PrivateSec1KeyDer};
 use rustls_pki_types::pem::PemObject;
+use rustls_pki_types::{PrivatePkcs8KeyDer, PrivateSec1KeyDer};
 use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;

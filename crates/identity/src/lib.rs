@@ -33,4 +33,4 @@ pub mod revocation_list;
 pub mod units;
 
 pub use identity::{Identity, IdentityError, NAME_BYTES_MAX, NEW_NAME_BYTES_MAX, Role, check_name, check_new_name};
-pub use name::{check_readable, look};
+pub use name::{check_readable, looks};

@@ -132,10 +132,8 @@ impl Msp {
     /// [`IdentityError::BadSignature`], [`IdentityError::WrongUsage`] if that authority may not sign lists.
     pub fn verify_list(&self, der: &[u8]) -> Result<RevocationList, IdentityError> {
         let list = RevocationList::parse(der)?;
-        let mut refused = IdentityError::Untrusted {
-            issuer: printable(&list.issuer),
-            wanted: vec![self.organisation.clone()],
-        };
+        let mut refused =
+            IdentityError::Untrusted { issuer: printable(&list.issuer), wanted: vec![self.organisation.clone()] };
         // An authority that was renewed stands here twice, with one name and two keys.
         for authority in self.authorities().filter(|found| found.certificate.subject_name == list.issuer_name) {
             match path::check_list(&self.organisation, &authority.certificate, &list) {

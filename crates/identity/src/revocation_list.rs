@@ -60,6 +60,9 @@ impl RevocationList {
         if tbs.signature != parsed.signature_algorithm {
             return Err(malformed("two algorithms of its signature".into(), "the same one inside and outside"));
         }
+        if parsed.signature_value.unused_bits != 0 {
+            return Err(malformed("a signature that ends within a byte".into(), "a signature of whole bytes"));
+        }
         at_most("certificates in a revocation list", tbs.revoked_certificates.len(), LISTED_MAX)?;
         check_extensions(tbs.extensions(), &OID_X509_EXT_CRL_NUMBER)?;
         let next_update = tbs.next_update.map(|time| microseconds(time).saturating_add(999_999));

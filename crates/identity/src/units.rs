@@ -73,9 +73,8 @@ impl Units {
         if self.0.is_empty() {
             return Ok(Role::Member);
         }
-        let counts = |unit: &&Unit| {
-            values.contains(&unit.unit) && unit.issuer.as_ref().is_none_or(|wanted| wanted == issuer)
-        };
+        let counts =
+            |unit: &&Unit| values.contains(&unit.unit) && unit.issuer.as_ref().is_none_or(|wanted| wanted == issuer);
         let roles: BTreeSet<Role> = self.0.iter().filter(counts).map(|unit| unit.role).collect();
         let mut roles = roles.into_iter();
         match (roles.next(), roles.next()) {

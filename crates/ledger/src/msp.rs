@@ -34,8 +34,10 @@
 //! | `set_stale_lists {stale}` ([`SetStale`]) | an admin, for their own | [`SetStale`] |
 //! | `invitations` | | array of [`Invitation`] |
 //! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
-//! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
-//! | `cancel_registration {name}` | an admin | nothing |
+//! | `register {...}` ([`Register`]) | an admin; a registrar, for its department | [`IdentityRecord`] |
+//! | `cancel_registration {name}` | an admin; a registrar, what it has registered | nothing |
+//! | `set_registrar {name, affiliation?, attributes?}` ([`SetRegistrar`]) | an admin | [`SetRegistrar`] |
+//! | `registrars` | an admin | array of [`SetRegistrar`] |
 //! | `holder ORGANISATION/NAME` | everybody, since rules 3 | [`CertifiedHolder`] |
 //! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
 //! | `revoke_identity {name, reason?}` | an admin | [`RevokedIdentity`] |
@@ -51,7 +53,7 @@
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
 //! name; `revocation_list` with the [`RecordedList`] and the authority's name; `stale_lists_set` with the [`SetStale`] and the
 //! organisation; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
-//! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
+//! number; `invitation_cancelled` with the [`Invitation`] and its name; `registrar_set` with the [`SetRegistrar`], `registered` and `registration_cancelled` with
 //! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
 //! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
 //! the [`crate::Activation`] and the number.
@@ -84,9 +86,10 @@ pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
-    CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
-    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE,
-    RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity, issued,
+    AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
+    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
+    RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use,
+    identity, issued,
 };
 pub use invitations::{
     CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
@@ -134,6 +137,8 @@ const REMOVE_ORGANISATION: &str = "remove_organisation";
 const SET_NODE_ROLE: &str = "set_node_role";
 const SET_QUORUM: &str = "set_quorum";
 const SET_QUOTA: &str = "set_quota";
+const REGISTRARS: &str = "registrars";
+const SET_REGISTRAR: &str = "set_registrar";
 const SET_STALE: &str = "set_stale_lists";
 const LISTS: &str = "revocation_lists";
 
@@ -151,7 +156,7 @@ static NEEDS_APPROVAL: [(&str, Quorum); 8] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 40] = [
+const FUNCTIONS: [(&str, &str); 42] = [
     ("activate_rules", "RULES_JSON"),
     (ADD_ORGANISATION, "ORGANISATION_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
@@ -178,6 +183,7 @@ const FUNCTIONS: [(&str, &str); 40] = [
     ("record_certificate", "CERTIFICATE_JSON"),
     (RECORD_LIST, "LIST_JSON"),
     ("register", "REGISTER_JSON"),
+    (REGISTRARS, "none"),
     ("remove_organisation", "NAME_JSON"),
     (LISTS, "none"),
     ("revocations", "PAGE_JSON or none"),
@@ -187,6 +193,7 @@ const FUNCTIONS: [(&str, &str); 40] = [
     ("set_node_role", "ROLE_JSON"),
     ("set_quorum", "QUORUM_JSON"),
     ("set_quota", "QUOTA_JSON"),
+    (SET_REGISTRAR, "REGISTRAR_JSON"),
     (SET_STALE, "STALE_JSON"),
     ("speak", "SPEAKS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
@@ -195,7 +202,7 @@ const FUNCTIONS: [(&str, &str); 40] = [
 ];
 
 /// Those of them that only read.
-const READS: [&str; 14] = [
+const READS: [&str; 15] = [
     "attestations",
     "carriers",
     HOLDER,
@@ -207,6 +214,7 @@ const READS: [&str; 14] = [
     "proposals",
     "quorums",
     "quotas",
+    REGISTRARS,
     LISTS,
     "revocations",
     "rules",
@@ -226,7 +234,7 @@ const URGENT: [&str; 9] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 11] = [
+const SINCE_RULES_3: [&str; 13] = [
     ADD_ORGANISATION,
     ALLOW_NODES,
     HOLDER,
@@ -234,14 +242,16 @@ const SINCE_RULES_3: [&str; 11] = [
     "quorums",
     "quotas",
     RECORD_LIST,
+    REGISTRARS,
     LISTS,
     SET_QUORUM,
     SET_QUOTA,
+    SET_REGISTRAR,
     SET_STALE,
 ];
 
 /// The names of its events.
-const EVENTS: [&str; 27] = [
+const EVENTS: [&str; 28] = [
     "approved",
     "attested",
     "ca_carried",
@@ -261,6 +271,7 @@ const EVENTS: [&str; 27] = [
     "quorum_changed",
     "quota_changed",
     "registered",
+    "registrar_set",
     "registration_cancelled",
     "revocation_list",
     "revoked",
@@ -347,6 +358,8 @@ impl Chaincode for MspChaincode {
             ("withdraw", [id]) => proposals::withdraw(ctx, id),
             ("revocations", []) => revocations::list(ctx, args),
             ("revocations", [page]) if Paging::is_asked(ctx, page) => revocations::list(ctx, args),
+            (REGISTRARS, []) => identities::registrars(ctx),
+            (SET_REGISTRAR, [registrar]) => identities::set_registrar(ctx, registrar),
             (LISTS, []) => revocation_lists::list(ctx),
             (RECORD_LIST, [list]) => revocation_lists::record(ctx, list),
             (SET_STALE, [stale]) => revocation_lists::set_stale(ctx, stale),

@@ -107,9 +107,7 @@ fn units_from_wire(units: &v1::Units) -> Result<Units, Rejection> {
         let role = Role::from_unit(&found.role).filter(|role| role.as_str() == found.role);
         let issuer = match &found.issuer[..] {
             [] => None,
-            bytes => {
-                Some(Hash::from_slice(bytes).ok_or_else(|| wrong(format!("an issuer of {} bytes", bytes.len())))?)
-            }
+            bytes => Some(Hash::from_slice(bytes).ok_or_else(|| wrong(format!("an issuer of {} bytes", bytes.len())))?),
         };
         let role = role.ok_or_else(|| wrong(format!("the role {:?}", found.role)))?;
         Ok(Unit { unit: found.unit.clone(), role, issuer })

@@ -1,5 +1,7 @@
-//! `identity register|list|show|cancel|revoke|renew`: the people, nodes and robots of your organisation.
+//! `identity register|list|show|cancel|revoke|renew|import|crl`: the people, nodes and robots of your organisation.
 
+mod crl;
+mod import;
 mod renew;
 
 use crate::argument::attribute::Attribute;
@@ -29,6 +31,8 @@ pub(crate) enum Identity {
     Cancel(Cancel),
     Revoke(Revoke),
     Renew(renew::Renew),
+    Import(import::Import),
+    Crl(crl::Crl),
 }
 
 /// Register a name with its role and attributes; for admins.
@@ -121,6 +125,8 @@ impl Identity {
             Self::Cancel(command) => command.run(global, output).await,
             Self::Revoke(command) => command.run(global, output).await,
             Self::Renew(command) => command.run(global, output).await,
+            Self::Import(command) => command.run(global, output).await,
+            Self::Crl(command) => command.run(global, output).await,
         }
     }
 }

@@ -59,12 +59,7 @@ impl Leaf<'_> {
         Err(refused)
     }
 
-    fn path_to_root(
-        &self,
-        msp: &Msp,
-        root: &Authority,
-        issuers: &[CertificateDer<'_>],
-    ) -> Result<Path, IdentityError> {
+    fn path_to_root(&self, msp: &Msp, root: &Authority, issuers: &[CertificateDer<'_>]) -> Result<Path, IdentityError> {
         let leaf = EndEntityCert::try_from(&self.der).map_err(|error| self.explain(msp, &error))?;
         // webpki reads neither the path length nor the validity of an anchor.
         let length_max = root.certificate.path_length_max().and_then(|max| usize::try_from(max).ok());

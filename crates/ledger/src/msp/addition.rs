@@ -39,7 +39,8 @@ pub struct AddOrganisation {
 
 /// `add_organisation {name, roots, intermediates?, units, lists?}`
 pub(super) fn add(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
-    let wanted = "{\"name\", \"roots\", \"intermediates\", \"units\", \"lists\"}, certificates and lists in hexadecimal";
+    let wanted =
+        "{\"name\", \"roots\", \"intermediates\", \"units\", \"lists\"}, certificates and lists in hexadecimal";
     let add: AddOrganisation = object(ADD_ORGANISATION, argument, wanted)?;
     if let Some(approved) = ctx.approved_by() {
         return execute(ctx, &add, &approved.proposer);

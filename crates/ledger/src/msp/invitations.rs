@@ -15,7 +15,7 @@ use crate::network::{FoundingOrganisation, hex_list};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::key::{PublicKey, SigningKey};
-use ledger_identity::{NAME_BYTES_MAX, check_readable, look};
+use ledger_identity::{NAME_BYTES_MAX, check_readable, looks};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -241,8 +241,9 @@ pub(super) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection>
         return Ok(());
     }
     check_readable(name)?;
-    let wanted = look(name);
-    let Some(known) = organisations::all(ctx)?.into_iter().find(|known| look(&known.name) == wanted) else {
+    let wanted = looks(name);
+    let alike = |known: &FoundingOrganisation| !looks(&known.name).is_disjoint(&wanted);
+    let Some(known) = organisations::all(ctx)?.into_iter().find(alike) else {
         return Ok(());
     };
     Err(Rejection::new(Code::AlreadyExists, format!("{name:?} looks like an organisation of the network"))

@@ -23,7 +23,8 @@
 //! | `end/<issuer, 32 bytes><serial>` | 8 bytes BE: the end (µs) of a known certificate of a CA that is not ours |
 //! | `identity/<organisation>/<name>` | [`super::IdentityRecord`] |
 //! | `registered/<organisation>` | how many names it has registered |
-//! | `look/<organisation>/<skeleton>` | the registered name that looks so |
+//! | `look/<organisation>/<look>` | the registered name that looks so |
+//! | `registrar/<organisation>/<name>` | [`super::SetRegistrar`] |
 //! | `issued/<fingerprint, 32 bytes>` | a certificate that a CA has issued, in DER |
 //! | `carrier/<organisation>/<node's organisation>/<node>` | [`super::CarrierRecord`] |
 
@@ -31,7 +32,7 @@ use super::NAME;
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
-use ledger_identity::{Identity, look};
+use ledger_identity::{Identity, looks};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use serde::Serialize;
@@ -128,8 +129,13 @@ pub(super) fn registered_key(organisation: &str) -> String {
     format!("registered/{organisation}")
 }
 
-pub(super) fn look_key(organisation: &str, name: &str) -> String {
-    format!("look/{organisation}/{}", look(name))
+/// Where a name stands by each of its looks.
+pub(super) fn look_keys(organisation: &str, name: &str) -> Vec<String> {
+    looks(name).iter().map(|look| format!("look/{organisation}/{look}")).collect()
+}
+
+pub(super) fn registrar_key(organisation: &str, name: &str) -> String {
+    format!("registrar/{organisation}/{name}")
 }
 
 pub(super) fn issued_key(fingerprint: &Hash) -> Vec<u8> {

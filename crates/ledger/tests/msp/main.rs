@@ -4,6 +4,7 @@
 mod approvals;
 mod attestations;
 mod identities;
+mod lists;
 mod model;
 mod nodes;
 mod organisations;

@@ -6,6 +6,7 @@
 use super::super::caller::{node, object};
 use super::super::carriers::check_may_issue;
 use super::super::organisations;
+use super::super::revocations;
 use super::super::store::{self, issued_key, json};
 use super::registration::{check, make_room, unknown};
 use super::{
@@ -13,7 +14,7 @@ use super::{
     is_revoked, write,
 };
 use crate::Rules;
-use crate::chaincode::Context;
+use crate::chaincode::{Context, Revocation};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
@@ -111,11 +112,34 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
             record.local = None;
         }
     }
+    if !matches!(ground, Ground::Local(_)) && ctx.rules().attributes_replace() {
+        end_others(ctx, &record, &holder, &caller.id())?;
+    }
     add(ctx, &mut record, issued)?;
     ctx.put(&issued_key(&Hash(holder.fingerprint)), der);
     write(ctx, &record)?;
     ctx.emit("certified", &record.id(), json(&record.certificates.last())?);
     json(&Recorded { certificate })
+}
+
+/// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away.
+fn end_others(ctx: &mut Context<'_>, record: &IdentityRecord, holder: &Identity, by: &str) -> Result<(), Rejection> {
+    for issued in &record.certificates {
+        let der = ctx.get(&issued_key(&issued.fingerprint));
+        let said = der.and_then(|der| Certificate::parse(&der).ok()?.attributes().ok());
+        if said.is_none_or(|said| said == holder.attributes) {
+            continue;
+        }
+        let serial = hex::decode(&issued.serial).unwrap_or_default();
+        let revoked = Revocation { issuer: issued.issuer.0, serial };
+        let ground =
+            revocations::Ground { organisation: &record.organisation, by, reason: "its attributes have changed" };
+        if let Some(told) = revocations::put_revocation(ctx, &revoked, &ground)? {
+            ctx.emit("revoked", &issued.serial, told);
+            ctx.tell_revoked(&revoked)?;
+        }
+    }
+    Ok(())
 }
 
 /// The owner of this certificate, by the authorities of that organisation alone. Whether it is valid at the moment is

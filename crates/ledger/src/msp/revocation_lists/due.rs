@@ -20,10 +20,13 @@ impl Due {
         match self.0.get(&identity.issuer) {
             Some(end) if *end < at && identity.role != Role::Node => {
                 let organisation = &identity.organisation;
-                Err(Rejection::new(Code::ListStale, format!("{organisation} refuses its members now, {} among them", identity.id()))
-                    .found(format!("the revocation list of its CA, which has ended at {end} µs"))
-                    .wanted("a revocation list that is good now")
-                    .next(format!("ask an admin of {organisation}: ledgerctl identity crl FILE records the new list")))
+                Err(Rejection::new(
+                    Code::ListStale,
+                    format!("{organisation} refuses its members now, {} among them", identity.id()),
+                )
+                .found(format!("the revocation list of its CA, which has ended at {end} µs"))
+                .wanted("a revocation list that is good now")
+                .next(format!("ask an admin of {organisation}: ledgerctl identity crl FILE records the new list")))
             }
             _ => Ok(()),
         }

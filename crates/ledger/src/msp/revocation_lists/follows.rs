@@ -26,7 +26,9 @@ pub(super) fn check_time(list: &RevocationList, now: u64) -> Result<(), Rejectio
         return Err(old("the revocation list is from the future")
             .found(format!("made at {} µs, block time {now} µs", list.this_update))
             .wanted("a list that was made before now")
-            .next("compare the clock of the CA with one that you trust; if it is wrong, set it and make the list again"));
+            .next(
+                "compare the clock of the CA with one that you trust; if it is wrong, set it and make the list again",
+            ));
     }
     if let Some(end) = list.next_update.filter(|end| *end < now) {
         return Err(old("the revocation list has ended")
