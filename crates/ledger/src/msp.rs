@@ -102,7 +102,7 @@ pub use proposals::{
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, changes, invitation, members, nodes, organisations, voters};
+pub use read::{attestations, changes, invitation, members, nodes, organisations, revocation_lists, voters};
 pub use revocation_lists::{
     ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
 };

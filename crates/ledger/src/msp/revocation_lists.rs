@@ -33,7 +33,7 @@ use std::collections::BTreeSet;
 /// Most certificates that may come along with a list, to prove that they have ended.
 pub const ENDED_MAX: usize = 64;
 /// Most lists that are answered with: one for each authority of each organisation.
-const LISTS_MAX: usize = organisations::ORGANISATIONS_MAX * (ROOTS_MAX + INTERMEDIATES_MAX);
+pub(super) const LISTS_MAX: usize = organisations::ORGANISATIONS_MAX * (ROOTS_MAX + INTERMEDIATES_MAX);
 
 /// Argument of `record_revocation_list`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -10,5 +10,6 @@ mod nodes;
 mod organisations;
 mod proposals;
 mod quotas;
+mod registrars;
 mod rules;
 mod world;

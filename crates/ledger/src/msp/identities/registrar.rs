@@ -6,7 +6,7 @@
 
 use super::super::caller::{admin, bad, object, submitter};
 use super::super::store::{self, json, registrar_key};
-use super::IdentityRecord;
+use super::{IdentityRecord, is_revoked};
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_identity::{Identity, Role};
@@ -133,11 +133,11 @@ impl<'a> Registering<'a> {
     }
 
     /// May it give a new secret to this registered name? A name that was revoked comes back by an admin's word alone.
-    pub(super) fn check_again(&self, known: &IdentityRecord) -> Result<(), Rejection> {
+    pub(super) fn check_again(&self, ctx: &Context<'_>, known: &IdentityRecord) -> Result<(), Rejection> {
         if self.bounds.is_none() {
             return Ok(());
         }
-        if known.voided > 0 {
+        if known.voided > 0 || known.certificates.last().is_some_and(|newest| is_revoked(ctx, newest)) {
             return Err(self.beyond(format!("{}, which was revoked", known.id()), "a name that was not revoked"));
         }
         self.check(Some(known.role), &known.attributes)

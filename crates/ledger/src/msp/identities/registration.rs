@@ -64,7 +64,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
             if role.is_some_and(|role| role != known.role) {
                 return Err(registered_for(&known, "the role of a registered name stays"));
             }
-            registering.check_again(&known)?;
+            registering.check_again(ctx, &known)?;
             let attributes = if attributes.is_empty() { known.attributes.clone() } else { attributes };
             registering.check(None, &attributes)?;
             IdentityRecord { attributes, secret, local: None, by: caller.id(), ..known }
