@@ -32,6 +32,7 @@ use carrying::Offer;
 use ledger::Ledger;
 use ledger::msp::{self, CarrierRecord, NodeRole};
 use ledger::network::Genesis;
+use ledger_api::context::units_on_the_wire;
 use ledger_api::tls::TlsIdentity;
 use ledger_api::v1;
 use ledger_api::v1::enrolment_server::Enrolment;
@@ -209,6 +210,7 @@ impl Shared {
             name: msp.organisation().to_owned(),
             roots: ders(&mut msp.roots()),
             intermediates: ders(&mut msp.intermediates()),
+            units: msp.units().map(units_on_the_wire),
             // Those that leave are no longer worth asking.
             addresses: members
                 .iter()

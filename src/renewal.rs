@@ -3,10 +3,13 @@
 //!
 //! Others know the node by its organisation and name, so that a renewal changes nothing on the ledger.
 
+mod endings;
+
 use crate::ca::pem;
 use crate::clock::wall;
 use crate::enrolment::{Authorities, EnrolmentService, lock};
 use crate::host::{CERTIFICATE_FILE, KEY_FILE};
+use endings::Endings;
 use ledger::Ledger;
 use ledger_api::tls::{ServerTrust, TlsIdentity, TrustSource};
 use ledger_api::{Credentials, Renewal, renewal_due};
@@ -45,8 +48,9 @@ pub(crate) struct Renewer {
 impl Renewer {
     /// Renews whenever it is time. Never ends.
     pub(crate) async fn keep(self) {
-        let mut failed = false;
+        let (mut failed, mut endings) = (false, Endings::default());
         loop {
+            endings.look(self.identity.own().certificate(), &self.ledger, wall());
             let pause = match validity(&self.identity) {
                 Ok((not_before, not_after)) => {
                     let now = wall();

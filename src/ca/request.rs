@@ -2,7 +2,9 @@
 
 use ledger_identity::key::{PublicKey, SigningKey};
 use ledger_rejection::{Code, Rejection};
-use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
+use rcgen::{
+    CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ECDSA_P384_SHA384, PKCS_ED25519,
+};
 use rustls_pki_types::PrivatePkcs8KeyDer;
 use x509_parser::certification_request::X509CertificationRequest;
 use x509_parser::prelude::FromDer;
@@ -15,7 +17,7 @@ pub(crate) fn public_key(der: &[u8]) -> Result<PublicKey, Rejection> {
     let refused = |found: String| {
         Rejection::new(Code::BadArgument, "the certificate signing request is not usable")
             .found(found)
-            .wanted("a PKCS #10 request in DER, signed by the key in it, of kind ed25519 or p256")
+            .wanted("a PKCS #10 request in DER, signed by the key in it, of kind ed25519, p256 or p384")
             .next("make a new key and request, for example with `ledgerctl enroll`")
     };
     if der.len() > REQUEST_BYTES_MAX {
@@ -46,6 +48,7 @@ pub(super) fn signer(key: &SigningKey) -> Result<KeyPair, rcgen::Error> {
     let algorithm = match key.kind() {
         ledger_identity::key::KeyKind::Ed25519 => &PKCS_ED25519,
         ledger_identity::key::KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
+        ledger_identity::key::KeyKind::P384 => &PKCS_ECDSA_P384_SHA384,
     };
     KeyPair::from_pkcs8_der_and_sign_algo(&PrivatePkcs8KeyDer::from(key.to_pkcs8_der()), algorithm)
 }

@@ -10,7 +10,7 @@ use crate::denials::Denials;
 use crate::orderer::Executed;
 use crate::peers::Member;
 use crate::witness::Witness;
-use ledger::Ledger;
+use ledger::{Ledger, msp};
 use ledger_api::tls::TlsIdentity;
 use ledger_api::v1::{CertificateStatus, PeerStatus, StatusResponse};
 use ledger_identity::certificate::Certificate;
@@ -144,7 +144,7 @@ impl Description {
         })
     }
 
-    /// The certificates that this node depends on. One that cannot be read is left out: then the node does not run.
+    /// The certificates that this node depends on, and the revocation lists of the network. One that cannot be read is left out: then the node does not run.
     fn certificates(&self) -> Vec<CertificateStatus> {
         let status = |kind: &str, name: Option<String>, der: &[u8]| {
             let Certificate { subject, not_before, not_after, .. } = Certificate::parse(der).ok()?;
@@ -155,7 +155,14 @@ impl Description {
         let msp = msps.get(&self.me.organisation);
         let authorities = msp.into_iter().flat_map(|msp| msp.roots().chain(msp.intermediates()));
         let authorities = authorities.filter_map(|der| status("ca", None, der));
-        status("node", Some(self.me.full_name()), own.certificate()).into_iter().chain(authorities).collect()
+        let lists = msp::revocation_lists(&**self.chain.ledger.state()).unwrap_or_default();
+        let lists = lists.into_iter().filter_map(|list| {
+            let (not_before, not_after) = (list.this_update, list.next_update?);
+            let name = format!("{} of {}", list.subject, list.organisation);
+            Some(CertificateStatus { kind: "list".to_owned(), name, not_before, not_after })
+        });
+        let node = status("node", Some(self.me.full_name()), own.certificate());
+        node.into_iter().chain(authorities).chain(lists).collect()
     }
 }
 

@@ -25,6 +25,7 @@ mod contexts;
 mod crash;
 mod disk_full;
 mod early;
+mod fabric;
 mod footprint;
 mod histories;
 mod instances;

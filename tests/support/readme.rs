@@ -19,9 +19,14 @@ const PAUSE: Duration = Duration::from_millis(200);
 
 /// The first block of commands in a section of README.md.
 pub fn block(heading: &str) -> Vec<String> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("README.md");
-    let readme = std::fs::read_to_string(path).expect("README.md");
-    let section = readme.split_once(&format!("\n{heading}\n")).unwrap_or_else(|| panic!("no section {heading:?}")).1;
+    console("README.md", heading)
+}
+
+/// The first block of commands in a section of a document.
+pub fn console(document: &str, heading: &str) -> Vec<String> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(document);
+    let text = std::fs::read_to_string(path).expect("the document");
+    let section = text.split_once(&format!("\n{heading}\n")).unwrap_or_else(|| panic!("no section {heading:?}")).1;
     let block = section.split_once("```console\n").and_then(|(_, rest)| rest.split_once("\n```")).expect("a block").0;
     block.lines().filter_map(|line| line.strip_prefix("$ ")).map(str::to_owned).collect()
 }

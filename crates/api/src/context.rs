@@ -33,6 +33,7 @@ use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::key::SigningKey;
 use ledger_identity::msp::Msps;
+use ledger_identity::units::Units;
 use ledger_rejection::{Code, Rejection};
 use lock::Lock;
 use rustls_pki_types::CertificateDer;
@@ -226,6 +227,11 @@ impl Context {
         let msp = self.msps.get(organisation).or_else(|| self.learnt_organisations()?.get(organisation));
         msp?.roots().next().map(|root| Hash::of(&[root]))
     }
+}
+
+/// The units of an organisation, as a node describes them to clients.
+pub fn units_on_the_wire(units: &Units) -> v1::Units {
+    organisations::units_to_wire(units)
 }
 
 /// The organisations of a network, as a node describes them.

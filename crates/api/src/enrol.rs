@@ -1,7 +1,7 @@
 //! Enrolment: a one-time secret becomes a certificate, with a key that never leaves this machine.
 
 use crate::connect::{Connection, explain_clock};
-use crate::context::{Context, Memory, RenewalRule, msps_of};
+use crate::context::{CONTEXT_NAME_BYTES_MAX, Context, Memory, RenewalRule, msps_of};
 use crate::report::accepted;
 use crate::tls::{ServerTrust, client_config};
 use crate::v1;
@@ -13,7 +13,9 @@ use ledger_identity::Identity;
 use ledger_identity::key::{KeyKind, SigningKey};
 use ledger_identity::msp::{Msp, Msps};
 use ledger_rejection::{Code, Rejection};
-use rcgen::{CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ED25519};
+use rcgen::{
+    CertificateParams, DistinguishedName, DnType, KeyPair, PKCS_ECDSA_P256_SHA256, PKCS_ECDSA_P384_SHA384, PKCS_ED25519,
+};
 use ring::rand::SystemRandom;
 use rustls::ClientConfig;
 use rustls_pki_types::{CertificateDer, PrivatePkcs8KeyDer};
@@ -132,6 +134,47 @@ impl Enrolment {
         Err(elsewhere.unwrap_or_else(|| Rejection::new(Code::Internal, "no node was asked")))
     }
 
+    /// Makes a context of a certificate (first, with issuers that are not declared behind it) and its key, which exist already. The
+    /// node describes its network, and one of the organisations in it must have issued the certificate. It is named
+    /// after the identity, as far as a directory can be, and never renewed here; store it with [`Context::save`].
+    ///
+    /// # Errors
+    /// As [`Enrolment::network`]; [`Code::Untrusted`] if no organisation has issued the certificate or it is no client's;
+    /// [`Code::BadFile`] if the key is another's.
+    pub async fn import(&self, chain: Vec<CertificateDer<'static>>, key: SigningKey) -> Result<Context, Rejection> {
+        let network = self.network().await?;
+        let msps = msps_of(&network.organisations)?;
+        self.check_pinned(&msps)?;
+        let own = chain.first().map(AsRef::as_ref).unwrap_or_default();
+        let identity = msps.verify(own, chain.get(1..).unwrap_or_default(), now())?;
+        let id = Hash::from_slice(&network.network)
+            .ok_or_else(|| Rejection::new(Code::Malformed, format!("the node at {} names no network", self.node)))?;
+        if identity.public_key != key.public_key() {
+            return Err(Rejection::new(Code::BadFile, "the key is not that of the certificate")
+                .found(format!("{:?}", key.public_key()))
+                .wanted(format!("{:?}", identity.public_key))
+                .next("take the key that was made for this certificate: keystore beside signcerts"));
+        }
+        let mut roots = network
+            .organisations
+            .iter()
+            .filter(|found| found.roots.iter().any(|root| Hash::of(&[root]) == self.ca_fingerprint));
+        let others = roots.next().into_iter().flat_map(|found| &found.addresses);
+        let others = others.filter(|address| **address != self.node);
+        Ok(Context {
+            name: context_name(&identity.name),
+            organisation: identity.organisation,
+            network: id,
+            label: network.label,
+            nodes: std::iter::once(&self.node).chain(others).cloned().collect(),
+            chain,
+            key: Arc::new(key),
+            msps: Arc::new(msps),
+            renew: RenewalRule::Never,
+            memory: Memory::default(),
+        })
+    }
+
     async fn knock(&self, door: &str, request: v1::EnrolRequest) -> Result<v1::EnrolResponse, Rejection> {
         let connection =
             Connection::open((door, self.network.as_ref()), self.tls()?, &Bytes::new(), CONNECT_MAX).await?;
@@ -217,6 +260,18 @@ fn verify(organisation: &Msp, certificate: &[u8], chain: &[Bytes]) -> Result<Ide
     Ok(msps.verify(certificate, &chain, now())?)
 }
 
+/// The name of a certificate of another CA as the name of a directory: `User1@org1.example.com` keeps its letters.
+fn context_name(name: &str) -> String {
+    let usable = |c: char| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.') { c } else { '_' };
+    let mut made = String::new();
+    for c in name.trim_start_matches(['-', '.']).chars().map(usable) {
+        if made.len() + c.len_utf8() <= CONTEXT_NAME_BYTES_MAX {
+            made.push(c);
+        }
+    }
+    if made.is_empty() { "imported".to_owned() } else { made }
+}
+
 /// The machine's clock, microseconds since the UNIX epoch.
 pub(crate) fn now() -> u64 {
     let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
@@ -230,6 +285,7 @@ pub(crate) fn request(name: &str, key: &SigningKey) -> Result<Bytes, Rejection> 
     let algorithm = match key.kind() {
         KeyKind::Ed25519 => &PKCS_ED25519,
         KeyKind::P256 => &PKCS_ECDSA_P256_SHA256,
+        KeyKind::P384 => &PKCS_ECDSA_P384_SHA384,
     };
     let pair = KeyPair::from_pkcs8_der_and_sign_algo(&PrivatePkcs8KeyDer::from(key.to_pkcs8_der()), algorithm);
     let mut parameters = CertificateParams::default();

@@ -152,7 +152,7 @@ impl Disk {
 /// A certificate and its life.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 pub(crate) struct Certificate {
-    /// node, ca or own.
+    /// node, ca, own or list.
     pub(crate) kind: String,
     pub(crate) name: String,
     not_before: u64,
@@ -190,6 +190,7 @@ impl Certificate {
         let what = match self.kind.as_str() {
             "ca" => " (CA)",
             "own" => " (yours)",
+            "list" => " (revocation list)",
             _ => "",
         };
         format!("{}{what} {}, {}", self.name, self.ends(now), time::moment(self.not_after))
@@ -200,6 +201,10 @@ impl Certificate {
         let life = self.not_after.saturating_sub(self.not_before);
         let most = if self.kind == "ca" { CA_ENDING_US } else { ENDING_US };
         let left = self.not_after.saturating_sub(now);
+        // A list is made anew every few days: it is late only once it has ended.
+        if self.kind == "list" {
+            return (now > self.not_after).then(|| format!("revocation list: {}", self.text(now)));
+        }
         (left < most.min(life / LIFE_PART)).then(|| format!("certificate: {}", self.text(now)))
     }
 }
@@ -286,6 +291,9 @@ mod tests {
         assert!(ends_in("node", 31, 365).is_none() && ends_in("node", 29, 365).is_some());
         assert!(ends_in("own", 2, 10).is_none() && ends_in("own", 1, 10).is_some(), "a short life is renewed late");
         assert!(ends_in("ca", 181, 7300).is_none() && ends_in("ca", 179, 7300).is_some());
+        assert!(ends_in("list", 0, 7).is_none(), "a list is late once it has ended");
+        let late = Certificate { kind: "list".into(), name: "ca".into(), not_before: 0, not_after: 5 }.attention(6);
+        assert!(late.is_some_and(|late| late.contains("(revocation list) ended")));
     }
 
     #[test]

@@ -9,6 +9,7 @@ mod cli;
 mod command;
 mod confirm;
 mod context;
+mod fabric;
 mod failure;
 mod health;
 mod json;

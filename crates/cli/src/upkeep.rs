@@ -6,7 +6,7 @@
 use crate::cli::Global;
 use crate::output::{Format, warn};
 use crate::{context, time};
-use ledger_api::context::{Renewed, warning_due};
+use ledger_api::context::{RenewalRule, Renewed, warning_due};
 use ledger_api::{Client, Context};
 use std::cell::RefCell;
 use std::time::Duration;
@@ -68,7 +68,14 @@ fn warn_of_end(format: Format, context: &Context, now: u64, failed: Option<&str>
     let name = &context.name;
     let id = format!("{}/{}", context.organisation, own.name().unwrap_or(name));
     let ends = format!("{} ({})", time::moment(own.not_after), time::relative(own.not_after, now));
-    let again = format!("ledgerctl identity renew --context {name}");
+    let again = match context.renew {
+        RenewalRule::Auto => format!("ledgerctl identity renew --context {name}"),
+        // It may be of a CA that is another software.
+        RenewalRule::Never => format!(
+            "ledgerctl identity renew --context {name}; or, if another CA issued it, get one there and type \
+             ledgerctl identity import --force"
+        ),
+    };
     match failed {
         _ if now > own.not_after => {
             warn(format, &format!("the certificate of {id} has expired: it ended {ends}"), &context.way_back());

@@ -60,6 +60,23 @@ pub struct Revoked {
     pub serial: String,
 }
 
+/// The certificates that a revocation list of an authority has revoked, as the event `revocation_list` tells them.
+#[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
+pub struct Listed {
+    /// SHA-256 of the issuer's distinguished name.
+    pub issuer: Hash,
+    /// Serial numbers in hexadecimal.
+    pub serials: Vec<String>,
+}
+
+impl Listed {
+    /// Each of them.
+    pub fn each(self) -> impl Iterator<Item = Revoked> {
+        let Self { issuer, serials } = self;
+        serials.into_iter().map(move |serial| Revoked { issuer, serial })
+    }
+}
+
 impl Revoked {
     /// The key of the certificate, as [`Identity::revocation_key`](ledger_identity::Identity::revocation_key) has it; none if the
     /// serial number is none.

@@ -65,6 +65,7 @@ pub struct Certificate {
 struct KeyUsage {
     digital_signature: bool,
     sign_certificates: bool,
+    sign_lists: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -107,9 +108,9 @@ impl Certificate {
             issuer: name_text(parsed.issuer()),
             subject_name: parsed.subject().as_raw().to_vec(),
             issuer_name: parsed.issuer().as_raw().to_vec(),
-            serial: serial(parsed.raw_serial())?,
-            not_before: seconds(parsed.validity().not_before).saturating_mul(1_000_000),
-            not_after: seconds(parsed.validity().not_after).saturating_mul(1_000_000).saturating_add(999_999),
+            serial: serial_number(parsed.raw_serial())?,
+            not_before: microseconds(parsed.validity().not_before),
+            not_after: microseconds(parsed.validity().not_after).saturating_add(999_999),
             public_key_info: parsed.public_key().raw.to_vec(),
             common_names: values(parsed.subject().iter_common_name())?,
             units: values(parsed.subject().iter_organizational_unit())?,
@@ -119,6 +120,7 @@ impl Certificate {
             key_usage: usage.map(|found| KeyUsage {
                 digital_signature: found.value.digital_signature(),
                 sign_certificates: found.value.key_cert_sign(),
+                sign_lists: found.value.crl_sign(),
             }),
             extended_key_usage: extended.map(|found| ExtendedKeyUsage {
                 any: found.value.any,
@@ -154,6 +156,11 @@ impl Certificate {
         }
     }
 
+    /// The values of OU in the subject.
+    pub fn units(&self) -> &[String] {
+        &self.units
+    }
+
     /// The attributes of the extension; none if there is no extension.
     ///
     /// # Errors
@@ -176,6 +183,18 @@ impl Certificate {
         }
         match self.key_usage {
             Some(usage) if !usage.sign_certificates => refuse("a key usage without keyCertSign", "keyCertSign"),
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks that this may sign revocation lists.
+    pub(crate) fn check_signs_lists(&self) -> Result<(), IdentityError> {
+        match self.key_usage {
+            Some(usage) if !usage.sign_lists => Err(IdentityError::WrongUsage {
+                subject: printable(&self.subject),
+                found: "a key usage without cRLSign".into(),
+                wanted: "cRLSign, or no key usage",
+            }),
             _ => Ok(()),
         }
     }
@@ -218,18 +237,18 @@ pub(crate) fn at_most(unit: &'static str, found: usize, max: usize) -> Result<()
 }
 
 /// A distinguished name for people, cut so that messages stay short.
-fn name_text(name: &X509Name<'_>) -> String {
+pub(crate) fn name_text(name: &X509Name<'_>) -> String {
     name.to_string().chars().take(256).collect()
 }
 
-/// X.509 seconds as an unsigned count; a time before 1970 is 1970.
-fn seconds(time: ASN1Time) -> u64 {
-    u64::try_from(time.timestamp()).unwrap_or(0)
+/// A time of X.509 in microseconds since the UNIX epoch; a time before 1970 is 1970.
+pub(crate) fn microseconds(time: ASN1Time) -> u64 {
+    u64::try_from(time.timestamp()).unwrap_or(0).saturating_mul(1_000_000)
 }
 
 /// The serial number, if it is an INTEGER in its shortest form and not negative. Then its bytes are unique for the
 /// number, and a revocation cannot be evaded by writing it differently.
-fn serial(bytes: &[u8]) -> Result<Vec<u8>, IdentityError> {
+pub(crate) fn serial_number(bytes: &[u8]) -> Result<Vec<u8>, IdentityError> {
     at_most("bytes of serial number", bytes.len(), SERIAL_BYTES_MAX)?;
     match bytes {
         [] | [0x80..=0xff, ..] | [0, 0..=0x7f, ..] => {

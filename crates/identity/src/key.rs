@@ -1,20 +1,22 @@
-//! Keys and signatures: Ed25519 (the default for keys we make) and ECDSA P-256 (accepted everywhere).
+//! Keys and signatures: Ed25519 (the default for keys we make), ECDSA P-256 (accepted everywhere) and ECDSA P-384.
 //!
-//! Every signature has exactly one accepted encoding. For P-256 that needs two rules that the curve alone does not
+//! Every signature has exactly one accepted encoding. For ECDSA that needs two rules that the curve alone does not
 //! give: strict DER, and the lower of the two values of `s` that verify (see `key/ecdsa.rs`). For Ed25519 it needs the
 //! rules of ZIP 215, so that each node gives the same answer however many signatures it checks at once (see
 //! `key/ed25519.rs`).
 
 mod ecdsa;
 mod ed25519;
+mod sec1;
 
 use ring::hmac;
 use ring::rand::{SecureRandom, SystemRandom};
 use ring::signature::{
-    ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, EcdsaKeyPair, Ed25519KeyPair, KeyPair, UnparsedPublicKey,
+    ECDSA_P256_SHA256_FIXED, ECDSA_P256_SHA256_FIXED_SIGNING, ECDSA_P384_SHA384_FIXED, ECDSA_P384_SHA384_FIXED_SIGNING,
+    EcdsaKeyPair, EcdsaSigningAlgorithm, Ed25519KeyPair, KeyPair, UnparsedPublicKey,
 };
-use rustls_pki_types::PrivatePkcs8KeyDer;
 use rustls_pki_types::pem::PemObject;
+use rustls_pki_types::{PrivatePkcs8KeyDer, PrivateSec1KeyDer};
 use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;
@@ -31,6 +33,12 @@ const P256_INFO: &[u8] = &[
     0x3d, 0x03, 0x01, 0x07, 0x03, 0x42, 0x00,
 ];
 
+/// Everything before the 97 bytes of an uncompressed P-384 point in its SubjectPublicKeyInfo (RFC 5480).
+const P384_INFO: &[u8] = &[
+    0x30, 0x76, 0x30, 0x10, 0x06, 0x07, 0x2a, 0x86, 0x48, 0xce, 0x3d, 0x02, 0x01, 0x06, 0x05, 0x2b, 0x81, 0x04, 0x00,
+    0x22, 0x03, 0x62, 0x00,
+];
+
 /// Everything before the 32-byte seed of an Ed25519 key in PKCS#8 version 1, the form that every tool reads.
 const ED25519_PKCS8: &[u8] =
     &[0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
@@ -43,6 +51,8 @@ pub enum KeyKind {
     Ed25519,
     /// ECDSA over P-256 with SHA-256.
     P256,
+    /// ECDSA over P-384 with SHA-384, as some CAs of other software use it.
+    P384,
 }
 
 impl fmt::Display for KeyKind {
@@ -50,6 +60,7 @@ impl fmt::Display for KeyKind {
         f.write_str(match self {
             Self::Ed25519 => "ed25519",
             Self::P256 => "p256",
+            Self::P384 => "p384",
         })
     }
 }
@@ -61,6 +72,7 @@ impl FromStr for KeyKind {
         match text {
             "ed25519" => Ok(Self::Ed25519),
             "p256" => Ok(Self::P256),
+            "p384" => Ok(Self::P384),
             _ => Err(KeyError::UnknownKind { found: text.chars().take(32).collect() }),
         }
     }
@@ -71,10 +83,19 @@ impl FromStr for KeyKind {
 #[non_exhaustive]
 pub enum KeyError {
     /// No such algorithm.
-    #[error("found key kind {found:?}, wanted \"ed25519\" or \"p256\"")]
+    #[error("found key kind {found:?}, wanted \"ed25519\", \"p256\" or \"p384\"")]
     UnknownKind {
         /// The requested kind, cut to 32 characters.
         found: String,
+    },
+    /// The text holds no private key in PEM.
+    #[error(
+        "found no private key ({reason}), wanted a section \"BEGIN PRIVATE KEY\" or \"BEGIN EC PRIVATE KEY\" without a \
+         passphrase; try `openssl pkey -in OLD -out NEW`"
+    )]
+    NoPrivateKey {
+        /// The words of the PEM reader.
+        reason: String,
     },
     /// The text holds no private key in PKCS#8 PEM.
     #[error(
@@ -86,14 +107,14 @@ pub enum KeyError {
         reason: String,
     },
     /// The bytes are not a private key of ours.
-    #[error("found a private key that is not usable ({reason}), wanted Ed25519 or ECDSA P-256 in PKCS#8")]
+    #[error("found a private key that is not usable ({reason}), wanted Ed25519, ECDSA P-256 or P-384 in PKCS#8")]
     Rejected {
         /// The words of the key reader.
         reason: String,
     },
     /// The public key of a certificate is of another kind.
     #[error(
-        "found a public key of another algorithm or form, wanted Ed25519 or an uncompressed ECDSA P-256 point; \
+        "found a public key of another algorithm or form, wanted Ed25519 or an uncompressed point of ECDSA P-256 or P-384; \
          try a new key of kind ed25519 or p256"
     )]
     UnsupportedPublicKey,
@@ -151,6 +172,8 @@ enum Pair {
     /// With the source of the nonce of each signature. ring derives the nonce from key and message too, so a weak
     /// source does not reveal the key.
     P256(EcdsaKeyPair, SystemRandom),
+    /// As P-256.
+    P384(EcdsaKeyPair, SystemRandom),
 }
 
 impl SigningKey {
@@ -165,12 +188,14 @@ impl SigningKey {
                 random.fill(&mut seed).map_err(|_| KeyError::Random)?;
                 Self::from_seed(&seed)
             }
-            KeyKind::P256 => {
-                let pkcs8 = EcdsaKeyPair::generate_pkcs8(&ECDSA_P256_SHA256_FIXED_SIGNING, random)
-                    .map_err(|_| KeyError::Random)?;
-                Self::from_pkcs8_der(pkcs8.as_ref())
-            }
+            KeyKind::P256 => Self::generate_on(&ECDSA_P256_SHA256_FIXED_SIGNING, random),
+            KeyKind::P384 => Self::generate_on(&ECDSA_P384_SHA384_FIXED_SIGNING, random),
         }
+    }
+
+    fn generate_on(curve: &'static EcdsaSigningAlgorithm, random: &dyn SecureRandom) -> Result<Self, KeyError> {
+        let pkcs8 = EcdsaKeyPair::generate_pkcs8(curve, random).map_err(|_| KeyError::Random)?;
+        Self::from_pkcs8_der(pkcs8.as_ref())
     }
 
     /// The Ed25519 key of a seed: whoever has the seed has the key.
@@ -195,10 +220,38 @@ impl SigningKey {
             Err(error) => error.to_string(),
         };
         let random = SystemRandom::new();
-        match EcdsaKeyPair::from_pkcs8(&ECDSA_P256_SHA256_FIXED_SIGNING, der, &random) {
-            Ok(pair) => Ok(Self { pair: Pair::P256(pair, random), pkcs8 }),
-            Err(p256) => Err(KeyError::Rejected { reason: format!("as ed25519: {ed25519}, as p256: {p256}") }),
+        let p256 = match EcdsaKeyPair::from_pkcs8(&ECDSA_P256_SHA256_FIXED_SIGNING, der, &random) {
+            Ok(pair) => return Ok(Self { pair: Pair::P256(pair, random), pkcs8 }),
+            Err(p256) => p256,
+        };
+        match EcdsaKeyPair::from_pkcs8(&ECDSA_P384_SHA384_FIXED_SIGNING, der, &random) {
+            Ok(pair) => Ok(Self { pair: Pair::P384(pair, random), pkcs8 }),
+            Err(p384) => {
+                Err(KeyError::Rejected { reason: format!("as ed25519: {ed25519}, as p256: {p256}, as p384: {p384}") })
+            }
         }
+    }
+
+    /// Reads the private key of a PEM text in either form that other software writes: PKCS#8, or SEC1 with the curve P-256 or
+    /// P-384.
+    ///
+    /// # Errors
+    /// [`KeyError::NoPrivateKey`], [`KeyError::TooLarge`], and what [`SigningKey::from_pkcs8_der`] says.
+    pub fn from_pem(pem: &str) -> Result<Self, KeyError> {
+        let reason = match Self::from_pkcs8_pem(pem) {
+            Err(KeyError::NotPem { reason }) => reason,
+            read => return read,
+        };
+        let sec1 = PrivateSec1KeyDer::from_pem_slice(pem.as_bytes()).map_err(|_| KeyError::NoPrivateKey { reason })?;
+        let forms = sec1::as_pkcs8(sec1.secret_sec1_der());
+        let mut refused = KeyError::Rejected { reason: "it is too long for SEC1".into() };
+        for pkcs8 in forms {
+            match Self::from_pkcs8_der(&pkcs8) {
+                Err(error) => refused = error,
+                read => return read,
+            }
+        }
+        Err(refused)
     }
 
     /// Reads the first PKCS#8 private key of a PEM text.
@@ -239,6 +292,7 @@ impl SigningKey {
         match self.pair {
             Pair::Ed25519(_) => KeyKind::Ed25519,
             Pair::P256(..) => KeyKind::P256,
+            Pair::P384(..) => KeyKind::P384,
         }
     }
 
@@ -247,18 +301,23 @@ impl SigningKey {
         match &self.pair {
             Pair::Ed25519(pair) => PublicKey::new(KeyKind::Ed25519, pair.public_key().as_ref()),
             Pair::P256(pair, _) => PublicKey::new(KeyKind::P256, pair.public_key().as_ref()),
+            Pair::P384(pair, _) => PublicKey::new(KeyKind::P384, pair.public_key().as_ref()),
         }
     }
 
-    /// Signs a message: 64 bytes for Ed25519, strict DER with low s for P-256.
+    /// Signs a message: 64 bytes for Ed25519, strict DER with low s for ECDSA.
     ///
-    /// Should the system's source of randomness fail (P-256 only), the signature is empty, which every verifier
+    /// Should the system's source of randomness fail (ECDSA only), the signature is empty, which every verifier
     /// refuses: the signer learns of it at once and nothing weak is ever signed.
     pub fn sign(&self, message: &[u8]) -> Vec<u8> {
         match &self.pair {
             Pair::Ed25519(pair) => pair.sign(message).as_ref().to_vec(),
             Pair::P256(pair, random) => match pair.sign(random, message) {
-                Ok(signature) => ecdsa::encode(signature.as_ref()).unwrap_or_default(),
+                Ok(signature) => ecdsa::P256.encode(signature.as_ref()).unwrap_or_default(),
+                Err(ring::error::Unspecified) => Vec::new(),
+            },
+            Pair::P384(pair, random) => match pair.sign(random, message) {
+                Ok(signature) => ecdsa::P384.encode(signature.as_ref()).unwrap_or_default(),
                 Err(ring::error::Unspecified) => Vec::new(),
             },
         }
@@ -276,7 +335,7 @@ impl fmt::Debug for SigningKey {
 pub struct PublicKey {
     /// The algorithm.
     kind: KeyKind,
-    /// 32 bytes of Ed25519, or the uncompressed point (65 bytes) of P-256.
+    /// 32 bytes of Ed25519, or the uncompressed point of P-256 (65 bytes) or P-384 (97 bytes).
     bytes: Vec<u8>,
     /// The point behind the bytes of an Ed25519 key.
     point: Option<ed25519::Point>,
@@ -298,6 +357,8 @@ impl PublicKey {
             (KeyKind::Ed25519, bytes)
         } else if let Some(bytes) = der.strip_prefix(P256_INFO) {
             (KeyKind::P256, bytes)
+        } else if let Some(bytes) = der.strip_prefix(P384_INFO) {
+            (KeyKind::P384, bytes)
         } else {
             return Err(KeyError::UnsupportedPublicKey);
         };
@@ -306,6 +367,7 @@ impl PublicKey {
             (Some(point), _) if ed25519::is_weak(point) => Err(KeyError::WeakPublicKey),
             (Some(_), _) => Ok(key),
             (None, [0x04, ..]) if kind == KeyKind::P256 && bytes.len() == 65 => Ok(key),
+            (None, [0x04, ..]) if kind == KeyKind::P384 && bytes.len() == 97 => Ok(key),
             (None, _) => Err(KeyError::UnsupportedPublicKey),
         }
     }
@@ -315,7 +377,7 @@ impl PublicKey {
         Self::new(KeyKind::Ed25519, &bytes)
     }
 
-    /// The bytes of the key: 32 of Ed25519, 65 of an uncompressed P-256 point.
+    /// The bytes of the key: 32 of Ed25519, 65 of an uncompressed P-256 point, 97 of one of P-384.
     pub fn bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -325,6 +387,7 @@ impl PublicKey {
         let info = match self.kind {
             KeyKind::Ed25519 => ED25519_INFO,
             KeyKind::P256 => P256_INFO,
+            KeyKind::P384 => P384_INFO,
         };
         [info, &self.bytes].concat()
     }
@@ -346,11 +409,12 @@ impl PublicKey {
                 self.point.as_ref().is_some_and(|point| ed25519::verify(point, message, signature))
             }
             KeyKind::P256 => {
-                let (r_and_s, low) = ecdsa::decode(signature).ok_or(SignatureError::Encoding { found })?;
-                if !low {
-                    return Err(SignatureError::HighS);
-                }
+                let r_and_s = low(ecdsa::P256.decode(signature), found)?;
                 UnparsedPublicKey::new(&ECDSA_P256_SHA256_FIXED, &self.bytes).verify(message, &r_and_s).is_ok()
+            }
+            KeyKind::P384 => {
+                let r_and_s = low(ecdsa::P384.decode(signature), found)?;
+                UnparsedPublicKey::new(&ECDSA_P384_SHA384_FIXED, &self.bytes).verify(message, &r_and_s).is_ok()
             }
         };
         if verified { Ok(()) } else { Err(SignatureError::Mismatch(self.kind)) }
@@ -365,6 +429,15 @@ impl PublicKey {
         };
         let signed: Option<Vec<_>> = signed.into_iter().map(of_ed25519).collect();
         signed.is_some_and(|signed| ed25519::verify_together(signed.into_iter()))
+    }
+}
+
+/// r and s of a signature in its one accepted encoding.
+fn low(decoded: Option<(Vec<u8>, bool)>, found: usize) -> Result<Vec<u8>, SignatureError> {
+    match decoded {
+        Some((r_and_s, true)) => Ok(r_and_s),
+        Some((_, false)) => Err(SignatureError::HighS),
+        None => Err(SignatureError::Encoding { found }),
     }
 }
 

@@ -6,9 +6,11 @@
 //!
 //! | module | what is there |
 //! |---|---|
-//! | [`key`] | keys of the kinds Ed25519 and P-256: making, reading, signing, verifying |
+//! | [`key`] | keys of the kinds Ed25519, P-256 and P-384: making, reading, signing, verifying |
 //! | [`certificate`] | reading a certificate within limits, and its attributes |
 //! | [`msp`] | the organisations of a network, and the path from a certificate to one of their roots |
+//! | [`revocation_list`] | reading a revocation list within limits |
+//! | [`units`] | the units that name roles, where an organisation has words of its own |
 //! | the root | [`Identity`], [`Role`], names, and [`IdentityError`] |
 //!
 //! ```
@@ -27,6 +29,8 @@ mod identity;
 pub mod key;
 pub mod msp;
 mod name;
+pub mod revocation_list;
+pub mod units;
 
 pub use identity::{Identity, IdentityError, NAME_BYTES_MAX, NEW_NAME_BYTES_MAX, Role, check_name, check_new_name};
-pub use name::{check_readable, look};
+pub use name::{check_readable, looks};

@@ -8,7 +8,9 @@ mod path;
 
 use crate::certificate::{Certificate, at_most, malformed};
 use crate::identity::{Identity, IdentityError, check_name, printable};
-use crate::key::PublicKey;
+use crate::key::{KeyError, KeyKind, PublicKey};
+use crate::revocation_list::RevocationList;
+use crate::units::Units;
 use ledger_hash::Hash;
 use rustls_pki_types::{CertificateDer, TrustAnchor};
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -38,6 +40,8 @@ pub struct Msp {
     organisation: String,
     roots: Vec<Authority>,
     intermediates: Vec<Authority>,
+    /// The units that name roles; none: our own words.
+    units: Option<Units>,
 }
 
 /// The certificate of an authority.
@@ -87,7 +91,22 @@ impl Msp {
             organisation: organisation.to_owned(),
             roots: Authority::all(roots)?,
             intermediates: Authority::all(intermediates)?,
+            units: None,
         })
+    }
+
+    /// The same with units of its own that name roles; none: our own words.
+    ///
+    /// # Errors
+    /// [`IdentityError::TooLarge`], [`IdentityError::Malformed`] if a unit cannot be used.
+    pub fn with_units(self, units: Option<Units>) -> Result<Self, IdentityError> {
+        units.as_ref().map_or(Ok(()), Units::check)?;
+        Ok(Self { units, ..self })
+    }
+
+    /// The units that name roles; none: our own words.
+    pub fn units(&self) -> Option<&Units> {
+        self.units.as_ref()
     }
 
     /// The organisation's name.
@@ -105,6 +124,26 @@ impl Msp {
         self.intermediates.iter().map(|intermediate| intermediate.der.as_ref())
     }
 
+    /// Reads a revocation list and verifies that one of these authorities has issued it. Whether it is still current, and
+    /// newer than another one, is not asked.
+    ///
+    /// # Errors
+    /// What [`RevocationList::parse`] says; [`IdentityError::Untrusted`] if its issuer is none of them,
+    /// [`IdentityError::BadSignature`], [`IdentityError::WrongUsage`] if that authority may not sign lists.
+    pub fn verify_list(&self, der: &[u8]) -> Result<RevocationList, IdentityError> {
+        let list = RevocationList::parse(der)?;
+        let mut refused =
+            IdentityError::Untrusted { issuer: printable(&list.issuer), wanted: vec![self.organisation.clone()] };
+        // An authority that was renewed stands here twice, with one name and two keys.
+        for authority in self.authorities().filter(|found| found.certificate.subject_name == list.issuer_name) {
+            match path::check_list(&self.organisation, &authority.certificate, &list) {
+                Ok(()) => return Ok(list),
+                Err(error) => refused = path::more_telling(refused, error),
+            }
+        }
+        Err(refused)
+    }
+
     fn authorities(&self) -> impl Iterator<Item = &Authority> {
         self.roots.iter().chain(&self.intermediates)
     }
@@ -119,12 +158,20 @@ pub struct Msps {
     names: HashMap<Vec<u8>, String>,
     /// Public key (DER) of each declared authority -> its organisation.
     keys: HashMap<Vec<u8>, String>,
+    /// Are holders with keys of P-384 refused?
+    without_p384: bool,
 }
 
 impl Msps {
     /// No organisation yet: every certificate is refused.
     pub fn new() -> Self {
         Self::default()
+    }
+
+    /// The same set, which refuses holders with keys of P-384 as older releases do.
+    #[must_use]
+    pub fn without_p384(self) -> Self {
+        Self { without_p384: true, ..self }
     }
 
     /// Adds an organisation, or replaces it if there is one of this name.
@@ -209,14 +256,22 @@ impl Msps {
         certificate.check_validity(at)?;
         certificate.check_holder(usage)?;
         let name = certificate.name()?;
-        let role = certificate.role()?;
+        let common = if candidates.iter().all(|msp| msp.units.is_none()) { Some(certificate.role()?) } else { None };
         let attributes = certificate.attributes()?;
-        let public_key = PublicKey::from_spki(&certificate.public_key_info)
-            .map_err(|reason| IdentityError::UnsupportedKey { subject: printable(&certificate.subject), reason })?;
+        let public_key = match PublicKey::from_spki(&certificate.public_key_info) {
+            Ok(key) if key.kind() == KeyKind::P384 && self.without_p384 => Err(KeyError::UnsupportedPublicKey),
+            read => read,
+        }
+        .map_err(|reason| IdentityError::UnsupportedKey { subject: printable(&certificate.subject), reason })?;
         let leaf = path::Leaf { der: CertificateDer::from(der), certificate: &certificate, usage, at };
         for msp in candidates {
             match leaf.path_to(msp, &presented) {
-                Ok(validity) => {
+                Ok(path::Path { issuer, not_before, not_after }) => {
+                    let role = match (common, &msp.units) {
+                        (Some(role), _) => role,
+                        (None, Some(units)) => units.role(certificate.units(), &issuer)?,
+                        (None, None) => certificate.role()?,
+                    };
                     return Ok(Identity {
                         organisation: msp.organisation.clone(),
                         name: name.to_owned(),
@@ -226,8 +281,8 @@ impl Msps {
                         serial: certificate.serial.clone(),
                         fingerprint: Hash::of(&[der]).0,
                         public_key,
-                        not_before: validity.not_before,
-                        not_after: validity.not_after,
+                        not_before,
+                        not_after,
                     });
                 }
                 Err(error) => refused = path::more_telling(refused, error),

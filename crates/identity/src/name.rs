@@ -1,10 +1,11 @@
 //! Names that people can tell apart (Unicode Technical Standard 39).
 //!
 //! A name of the ledger is read by people who decide by it. So it has letters of one script in their composed form (NFC),
-//! and no character that shows nothing or turns the direction of the text. Two names whose letters look alike have the
-//! same [`look`].
+//! and no character that shows nothing or turns the direction of the text. Two names that may be taken for each other have one of
+//! their [`looks`] in common.
 
 use ledger_rejection::{Code, Rejection};
+use std::collections::BTreeSet;
 use unicode_normalization::is_nfc;
 use unicode_security::{GeneralSecurityProfile, MixedScript, skeleton};
 
@@ -30,9 +31,12 @@ pub fn check_readable(name: &str) -> Result<(), Rejection> {
         .next("choose another name"))
 }
 
-/// The same for all names that look alike: the skeleton of UTS 39.
-pub fn look(name: &str) -> String {
-    skeleton(name).collect()
+/// The looks of a name: names that may be taken for each other have one in common. They are the skeletons of UTS 39 of the
+/// name as it is and in small letters, both without regard to case: `l` is like `I`, and `i` is like `I`, but `l` is not like
+/// `i`.
+pub fn looks(name: &str) -> BTreeSet<String> {
+    let look = |name: &str| skeleton(name).collect::<String>().to_lowercase();
+    [look(name), look(&name.to_lowercase())].into()
 }
 
 #[cfg(test)]
@@ -63,11 +67,25 @@ mod tests {
     }
 
     #[test]
-    fn names_that_look_alike_have_one_look() {
-        for (one, other) in [("Salma", "Sa1ma"), ("Ivan", "lvan"), ("O1", "0l"), ("сор", "cop"), ("modern", "rnodern")]
-        {
-            assert_eq!(look(one), look(other), "{one} and {other}");
+    fn names_that_may_be_taken_for_each_other_have_a_look_in_common() {
+        let alike = |one: &str, other: &str| !looks(one).is_disjoint(&looks(other));
+        for (one, other) in [
+            ("Salma", "Sa1ma"),
+            ("Ivan", "lvan"),
+            ("O1", "0l"),
+            ("сор", "cop"),
+            ("modern", "rnodern"),
+            ("Salma", "salma"),
+            ("Ivan", "ivan"),
+            ("IVAN", "Ivan"),
+            ("R0bot", "robot"),
+            ("SALMA1", "salmal"),
+            ("ÉLODIE", "élodie"),
+        ] {
+            assert!(alike(one, other) && alike(other, one), "{one} and {other}");
         }
-        assert_ne!(look("Salma"), look("Selma"));
+        for (one, other) in [("Salma", "Selma"), ("lvan", "ivan"), ("Salma", "Salma2")] {
+            assert!(!alike(one, other), "{one} and {other}");
+        }
     }
 }

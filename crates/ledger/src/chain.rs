@@ -16,7 +16,9 @@ use crate::execution::{Execution, Executor, genesis};
 use crate::foretold;
 use crate::identities::{Identities, check_organisation, check_revoked};
 use crate::members::Membership;
-use crate::msp::{self, MspChaincode, ORGANISATION_KEYS, RULES_KEY, certificate_key, revoked_key};
+use crate::msp::{
+    self, LIST_KEYS, MspChaincode, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, revoked_key,
+};
 use crate::network::Genesis;
 use crate::rules::Schedule;
 use crate::transaction::{NOT_AFTER_AHEAD_MAX, Transaction};
@@ -25,9 +27,9 @@ use crate::window::Window;
 use crate::writes::{RecentWrites, Write};
 use bytes::Bytes;
 use ledger_hash::Hash;
-use ledger_identity::Identity;
 use ledger_identity::certificate::Certificate;
 use ledger_identity::msp::Msps;
+use ledger_identity::{Identity, Role};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::entry::Entry;
 use ledger_storage::result::{BlockKind, BlockResult, EmittedEvent, Event, Roots, TransactionResult};
@@ -232,10 +234,11 @@ impl Ledger {
         let execution = executor.execute(&previous, entry)?;
         execution.check(&previous);
         let Execution { tip, header, result, foretold, transactions, ids, writes, certifiable, governs } = execution;
-        let changed_organisations = writes
-            .range::<[u8], _>((Bound::Included(ORGANISATION_KEYS), Bound::Unbounded))
-            .next()
-            .is_some_and(|(key, _)| key.starts_with(ORGANISATION_KEYS));
+        let wrote = |prefix: &'static [u8]| {
+            let from = writes.range::<[u8], _>((Bound::Included(prefix), Bound::Unbounded));
+            from.take(1).any(|(key, _)| key.starts_with(prefix))
+        };
+        let changed_organisations = [ORGANISATION_KEYS, LIST_KEYS, STALE_KEYS].into_iter().any(wrote);
         let changed_rules = writes.contains_key(RULES_KEY);
         let (hash, digest, kind) = (tip.hash, tip.digest, result.kind());
         // Who sees the block as executed finds all of it.
@@ -294,6 +297,10 @@ impl Ledger {
         args: &[Bytes],
     ) -> Result<(Bytes, u64), Rejection> {
         self.check_revoked(caller)?;
+        // An admin has to see what is wrong.
+        if caller.role != Role::Admin {
+            self.identities.check_current(caller, now)?;
+        }
         let mut retries = 0;
         loop {
             let tip = self.tip();

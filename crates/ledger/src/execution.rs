@@ -93,6 +93,9 @@ impl Executor<'_> {
                 not_after = Some(transaction.body().not_after);
                 if let Some(certificate) = new {
                     overlay.write(certificate_key(&transaction.creator()), Some(certificate));
+                    if let Some((key, end)) = self.identities.end(&identity) {
+                        overlay.write(key, Some(end));
+                    }
                 }
                 let body = transaction.body();
                 let environment =
@@ -211,7 +214,7 @@ impl Executor<'_> {
     ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
         check_network(transaction, &self.network)?;
         transaction.check_time(header.time)?;
-        let (identity, new) = self.identities.creator(transaction, overlay, header.time)?;
+        let (identity, new) = self.identities.creator(transaction, overlay, (header.time, self.rules))?;
         if !verified {
             transaction.verify(&identity.public_key)?;
         }

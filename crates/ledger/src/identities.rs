@@ -1,12 +1,13 @@
 //! The owners of signatures: certificates known to the ledger, verified once and remembered.
 
-use crate::msp::{self, certificate_key, revoked_key};
+use crate::msp::{self, Due, certificate_key, revoked_key};
+use crate::rules::Rules;
 use crate::transaction::Transaction;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::key::KeyKind;
-use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::msp::Msps;
 use ledger_mutation::{Mutation, active};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::{Overlay, StateRead};
@@ -32,20 +33,31 @@ pub(crate) struct Identities {
 
 struct Trusted {
     msps: Arc<Msps>,
+    /// The same for rules by which nobody signs with P-384.
+    older: Arc<Msps>,
     known: Cache<Hash, Arc<Identity>>,
+    /// Which authorities have to publish a new revocation list until when, so that their members are not refused.
+    due: Due,
+}
+
+impl Trusted {
+    fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
+        let msps = Arc::new(read_msps(state)?);
+        let older = Arc::new(Msps::clone(&msps).without_p384());
+        Ok(Self { msps, older, known: Cache::new(CACHED_MAX), due: msp::due(state)? })
+    }
 }
 
 impl Identities {
     /// Reads the organisations that the state holds.
     pub(crate) fn read(state: &dyn StateRead) -> Result<Self, Rejection> {
-        let trusted = Trusted { msps: Arc::new(read_msps(state)?), known: Cache::new(CACHED_MAX) };
-        Ok(Self { trusted: RwLock::new(trusted) })
+        Ok(Self { trusted: RwLock::new(Trusted::read(state)?) })
     }
 
-    /// Reads the organisations again, after a block has changed them.
+    /// Reads the organisations again, after a block has changed them or their revocation lists.
     pub(crate) fn reload(&self, state: &dyn StateRead) -> Result<(), Rejection> {
-        let msps = Arc::new(read_msps(state)?);
-        *self.trusted.write().unwrap_or_else(PoisonError::into_inner) = Trusted { msps, known: Cache::new(CACHED_MAX) };
+        let read = Trusted::read(state)?;
+        *self.trusted.write().unwrap_or_else(PoisonError::into_inner) = read;
         Ok(())
     }
 
@@ -54,29 +66,46 @@ impl Identities {
         Arc::clone(&self.trusted.read().unwrap_or_else(PoisonError::into_inner).msps)
     }
 
-    /// The creator of a transaction, valid at that time and not revoked. If the ledger did not know the certificate,
-    /// it is answered as well, to be written.
+    /// Does somebody's organisation refuse its members, because an authority has not published its revocation list in time?
+    pub(crate) fn check_current(&self, identity: &Identity, at: u64) -> Result<(), Rejection> {
+        self.trusted.read().unwrap_or_else(PoisonError::into_inner).due.check(identity, at)
+    }
+
+    /// The creator of a transaction, valid at that time, not revoked, and not refused by their own organisation. If the ledger
+    /// did not know the certificate, it is answered as well, to be written.
     pub(crate) fn creator(
         &self,
         transaction: &Transaction,
         overlay: &Overlay,
-        at: u64,
+        (at, rules): (u64, Rules),
     ) -> Result<(Arc<Identity>, Option<Bytes>), Rejection> {
         let fingerprint = transaction.creator();
-        let (identity, new) = match self.remembered(&fingerprint, at) {
+        let accepted = |identity: &Arc<Identity>| rules.accepts_p384() || identity.public_key.kind() != KeyKind::P384;
+        let (identity, new) = match self.remembered(&fingerprint, at).filter(accepted) {
             // Remembered from an admission: the ledger itself may not have the certificate yet.
             Some(identity) if overlay.get(&certificate_key(&fingerprint)).is_some() => (identity, None),
             remembered => {
                 let (der, new) = certificate(transaction, overlay, &fingerprint)?;
                 let identity = match remembered {
                     Some(identity) => identity,
-                    None => self.verify(&der, at)?,
+                    None => self.verify(&der, at, rules)?,
                 };
                 (identity, new.then_some(der))
             }
         };
         check_revoked(&identity, overlay)?;
+        if !msp::publishes_list(transaction) {
+            self.check_current(&identity, at)?;
+        }
         Ok((identity, new))
+    }
+
+    /// The end of a certificate that the ledger does not know yet, to be written with it. Only of organisations whose CAs
+    /// are not ours: of the others every certificate is registered. A revocation list forgets what has ended.
+    pub(crate) fn end(&self, identity: &Identity) -> Option<(Bytes, Bytes)> {
+        let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
+        trusted.msps.get(&identity.organisation)?.units()?;
+        Some(msp::end_of(identity))
     }
 
     /// Those of the transactions, by what they are given with, whose signatures are seen to verify when they are
@@ -106,9 +135,13 @@ impl Identities {
         trusted.known.get(fingerprint).filter(|identity| identity.check_validity(at).is_ok()).map(Arc::clone)
     }
 
-    fn verify(&self, der: &[u8], at: u64) -> Result<Arc<Identity>, Rejection> {
-        let msps = self.msps();
-        let identity = Arc::new(msps.verify(der, &[], at)?);
+    fn verify(&self, der: &[u8], at: u64, rules: Rules) -> Result<Arc<Identity>, Rejection> {
+        let (msps, older) = {
+            let trusted = self.trusted.read().unwrap_or_else(PoisonError::into_inner);
+            (Arc::clone(&trusted.msps), Arc::clone(&trusted.older))
+        };
+        let by = if rules.accepts_p384() { &msps } else { &older };
+        let identity = Arc::new(by.verify(der, &[], at)?);
         let mut trusted = self.trusted.write().unwrap_or_else(PoisonError::into_inner);
         if Arc::ptr_eq(&trusted.msps, &msps) {
             trusted.known.insert(Hash(identity.fingerprint), Arc::clone(&identity));
@@ -159,7 +192,7 @@ fn certificate(transaction: &Transaction, overlay: &Overlay, fingerprint: &Hash)
 fn read_msps(state: &dyn StateRead) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
     for organisation in msp::organisations(state)? {
-        msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
+        msps.insert(organisation.msp()?)?;
     }
     Ok(msps)
 }

@@ -15,6 +15,7 @@
 //! | `invite_organisation {name, key, expires}` | an admin, with approval | [`Decision`] |
 //! | `join_organisation {...}` ([`JoinOrganisation`]) | any node, for the newcomer | [`Organisation`] |
 //! | `update_organisation {roots, intermediates}` | an admin, for their own | [`Organisation`] |
+//! | `add_organisation {...}` ([`AddOrganisation`]) | an admin, with approval | [`Decision`] |
 //! | `remove_organisation {name}` | an admin, with approval | [`Decision`] |
 //! | `rules` | | [`RulesOverview`] |
 //! | `speak {newest, release}` | a node, for itself | [`NodeRecord`] |
@@ -28,10 +29,15 @@
 //! | `approve ID`, `withdraw ID` | an admin | [`Decision`], [`Proposal`] |
 //! | `attest {height, hash, digest, content?}` | a node | nothing |
 //! | `revoke ISSUER SERIAL [REASON]` | an admin of the issuing organisation | [`RevocationRecord`] |
+//! | `record_revocation_list {list, ended?}` ([`RecordList`]) | an admin, of an authority of their own | [`RecordedList`] |
+//! | `revocation_lists` | | array of [`KnownList`] |
+//! | `set_stale_lists {stale}` ([`SetStale`]) | an admin, for their own | [`SetStale`] |
 //! | `invitations` | | array of [`Invitation`] |
 //! | `cancel_invitation {name}` | an admin of the organisation that proposed it | [`Invitation`] |
-//! | `register {...}` ([`Register`]) | an admin | [`IdentityRecord`] |
-//! | `cancel_registration {name}` | an admin | nothing |
+//! | `register {...}` ([`Register`]) | an admin; a registrar, for its department | [`IdentityRecord`] |
+//! | `cancel_registration {name}` | an admin; a registrar, what it has registered | nothing |
+//! | `set_registrar {name, affiliation?, attributes?}` ([`SetRegistrar`]) | an admin | [`SetRegistrar`] |
+//! | `registrars` | an admin | array of [`SetRegistrar`] |
 //! | `enrolled [{after?, most?}]` | other chaincodes, since rules 3 | page of `ORGANISATION/NAME` |
 //! | `holder ORGANISATION/NAME` | everybody, since rules 3 | [`CertifiedHolder`] |
 //! | `identities [{after?, most?}]`, `identities {name}` | an admin, of their own organisation | array or page of [`IdentityRecord`] |
@@ -46,13 +52,15 @@
 //! [`SetQuorum`] and `CHAINCODE/FUNCTION`; `quota_changed` with the [`SetQuota`] and `nodes_allowed` with the
 //! [`AllowNodes`], both with the organisation; `invited` with the [`Invitation`] and
 //! `organisation_joined`, `organisation_updated` and `organisation_removed` with the [`Organisation`], all with its
-//! name; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
-//! number; `invitation_cancelled` with the [`Invitation`] and its name; `registered` and `registration_cancelled` with
+//! name; `revocation_list` with the [`RecordedList`] and the authority's name; `stale_lists_set` with the [`SetStale`] and the
+//! organisation; `attested` with the [`Attestation`] and the node; `revoked` with the [`RevocationRecord`] and the serial
+//! number; `invitation_cancelled` with the [`Invitation`] and its name; `registrar_set` with the [`SetRegistrar`], `registered` and `registration_cancelled` with
 //! organisation, name, role and who did it, and `certified` with the [`IssuedCertificate`], all with
 //! `ORGANISATION/NAME`; `ca_carried` and `ca_dropped` with the [`CarrierRecord`] and the node; `rules_activated` with
 //! the [`crate::Activation`] and the number.
 
 mod action;
+mod addition;
 mod address;
 mod allowance;
 mod attestations;
@@ -67,19 +75,22 @@ mod proposals;
 mod quorums;
 mod quotas;
 mod read;
+mod revocation_lists;
 mod revocations;
 mod rules;
 mod store;
 
 pub use action::Action;
+pub use addition::AddOrganisation;
 pub use address::never_dialled;
 pub use allowance::{AllowNodes, NODES_ALLOWED_DEFAULT};
 pub use attestations::{Attest, Attestation, AttestationRecord, shared_snapshot};
 pub use carriers::{ADOPTED_MAX, CarrierRecord, CarryCa, UncarryCa, carriers};
 pub use identities::{
-    CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
-    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRATION_LIFE_MAX, RENEWAL_PAUSE,
-    RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, Use, identity, issued,
+    AFFILIATION, CERTIFICATES_MAX, CancelRegistration, CertifiedHolder, ENROLMENT_REPEAT_MAX, Ground, IDENTITIES_MAX,
+    IdentityRecord, IssuedCertificate, KnownIdentity, LocalSecret, REGISTRARS_MAX, REGISTRATION_LIFE_MAX,
+    RENEWAL_PAUSE, RecordCertificate, Recorded, Register, RevokeIdentity, RevokedIdentity, Secret, SetRegistrar, Use,
+    identity, issued,
 };
 pub use invitations::{
     CancelInvitation, INVITATION_LIFE_MAX, INVITATIONS_MAX, Invitation, InviteOrganisation, JoinOrganisation,
@@ -92,12 +103,18 @@ pub use proposals::{
 };
 pub use quorums::{FunctionQuorum, SetQuorum};
 pub use quotas::{QUOTAS, QUOTAS_MAX, Quotas, SetQuota, quota_reached};
-pub use read::{attestations, changes, invitation, members, nodes, organisations, voters};
+pub use read::{attestations, changes, invitation, members, nodes, organisations, revocation_lists, voters};
+pub use revocation_lists::{
+    ENDED_MAX, KnownList, LIST_AHEAD_MAX, ListRecord, RecordList, RecordedList, SetStale, Stale,
+};
 pub use revocations::RevocationRecord;
 pub use rules::{ActivateRules, RulesOverview, Speaks, SpokenBy};
 
 pub(crate) use read::{activations, members_record};
-pub(crate) use store::{MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, certificate_key, change_key, revoked_key};
+pub(crate) use revocation_lists::{Due, due, publishes_list};
+pub(crate) use store::{
+    LIST_KEYS, MEMBERS_KEY, ORGANISATION_KEYS, RULES_KEY, STALE_KEYS, certificate_key, change_key, end_of, revoked_key,
+};
 
 use crate::chaincode::{Chaincode, Context, Quorum};
 use crate::members::Membership;
@@ -112,18 +129,25 @@ use store::{full, json};
 pub const NAME: &str = "msp";
 
 const ACTIVATE_RULES: &str = "activate_rules";
+const ADD_ORGANISATION: &str = "add_organisation";
 const ALLOW_NODES: &str = "allow_nodes";
 const ENROLLED: &str = "enrolled";
 const HOLDER: &str = "holder";
 const INVITE_ORGANISATION: &str = "invite_organisation";
+const RECORD_LIST: &str = "record_revocation_list";
 const REMOVE_ORGANISATION: &str = "remove_organisation";
 const SET_NODE_ROLE: &str = "set_node_role";
 const SET_QUORUM: &str = "set_quorum";
 const SET_QUOTA: &str = "set_quota";
+const REGISTRARS: &str = "registrars";
+const SET_REGISTRAR: &str = "set_registrar";
+const SET_STALE: &str = "set_stale_lists";
+const LISTS: &str = "revocation_lists";
 
 /// The functions that need approval. Called by an admin, they propose themselves. The last one needs that of the function whose
 /// quorum it sets.
-static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
+static NEEDS_APPROVAL: [(&str, Quorum); 8] = [
+    (ADD_ORGANISATION, Quorum::Majority),
     (ACTIVATE_RULES, Quorum::Majority),
     (ALLOW_NODES, Quorum::Majority),
     (INVITE_ORGANISATION, Quorum::Majority),
@@ -134,8 +158,9 @@ static NEEDS_APPROVAL: [(&str, Quorum); 7] = [
 ];
 
 /// Every function and its arguments.
-const FUNCTIONS: [(&str, &str); 37] = [
+const FUNCTIONS: [(&str, &str); 43] = [
     ("activate_rules", "RULES_JSON"),
+    (ADD_ORGANISATION, "ORGANISATION_JSON"),
     (ALLOW_NODES, "ALLOW_JSON"),
     ("approve", "ID"),
     ("attest", "ATTEST_JSON"),
@@ -159,8 +184,11 @@ const FUNCTIONS: [(&str, &str); 37] = [
     ("quorums", "none"),
     ("quotas", "ORGANISATION"),
     ("record_certificate", "CERTIFICATE_JSON"),
+    (RECORD_LIST, "LIST_JSON"),
     ("register", "REGISTER_JSON"),
+    (REGISTRARS, "none"),
     ("remove_organisation", "NAME_JSON"),
+    (LISTS, "none"),
     ("revocations", "PAGE_JSON or none"),
     ("revoke", "ISSUER SERIAL [REASON]"),
     ("revoke_identity", "REVOKE_JSON"),
@@ -168,6 +196,8 @@ const FUNCTIONS: [(&str, &str); 37] = [
     ("set_node_role", "ROLE_JSON"),
     ("set_quorum", "QUORUM_JSON"),
     ("set_quota", "QUOTA_JSON"),
+    (SET_REGISTRAR, "REGISTRAR_JSON"),
+    (SET_STALE, "STALE_JSON"),
     ("speak", "SPEAKS_JSON"),
     ("uncarry_ca", "CARRIER_JSON"),
     ("update_organisation", "AUTHORITIES_JSON"),
@@ -175,7 +205,7 @@ const FUNCTIONS: [(&str, &str); 37] = [
 ];
 
 /// Those of them that only read.
-const READS: [&str; 14] = [
+const READS: [&str; 16] = [
     "attestations",
     "carriers",
     ENROLLED,
@@ -188,15 +218,18 @@ const READS: [&str; 14] = [
     "proposals",
     "quorums",
     "quotas",
+    REGISTRARS,
+    LISTS,
     "revocations",
     "rules",
 ];
 
 /// Those of them that end rights, or an invitation to rights.
-const URGENT: [&str; 8] = [
+const URGENT: [&str; 9] = [
     "approve",
     "cancel_invitation",
     "cancel_registration",
+    RECORD_LIST,
     REMOVE_ORGANISATION,
     "revoke",
     "revoke_identity",
@@ -205,10 +238,25 @@ const URGENT: [&str; 8] = [
 ];
 
 /// Functions that older rules do not have.
-const SINCE_RULES_3: [&str; 8] = [ALLOW_NODES, ENROLLED, HOLDER, "propose", "quorums", "quotas", SET_QUORUM, SET_QUOTA];
+const SINCE_RULES_3: [&str; 14] = [
+    ADD_ORGANISATION,
+    ALLOW_NODES,
+    ENROLLED,
+    HOLDER,
+    "propose",
+    "quorums",
+    "quotas",
+    RECORD_LIST,
+    REGISTRARS,
+    LISTS,
+    SET_QUORUM,
+    SET_QUOTA,
+    SET_REGISTRAR,
+    SET_STALE,
+];
 
 /// The names of its events.
-const EVENTS: [&str; 25] = [
+const EVENTS: [&str; 28] = [
     "approved",
     "attested",
     "ca_carried",
@@ -228,11 +276,14 @@ const EVENTS: [&str; 25] = [
     "quorum_changed",
     "quota_changed",
     "registered",
+    "registrar_set",
     "registration_cancelled",
+    "revocation_list",
     "revoked",
     "role_changed",
     "rules_activated",
     "speaks",
+    "stale_lists_set",
     "withdrawn",
 ];
 
@@ -258,7 +309,7 @@ impl Chaincode for MspChaincode {
 
     /// Functions that take rights away; for admins only.
     fn ends(&self, function: &str) -> bool {
-        matches!(function, "revoke" | "set_node_role" | "remove_organisation" | "approve")
+        matches!(function, "revoke" | RECORD_LIST | "set_node_role" | "remove_organisation" | "approve")
     }
 
     fn control_keys(&self) -> &'static [&'static str] {
@@ -313,6 +364,12 @@ impl Chaincode for MspChaincode {
             ("withdraw", [id]) => proposals::withdraw(ctx, id),
             ("revocations", []) => revocations::list(ctx, args),
             ("revocations", [page]) if Paging::is_asked(ctx, page) => revocations::list(ctx, args),
+            (REGISTRARS, []) => identities::registrars(ctx),
+            (SET_REGISTRAR, [registrar]) => identities::set_registrar(ctx, registrar),
+            (LISTS, []) => revocation_lists::list(ctx),
+            (RECORD_LIST, [list]) => revocation_lists::record(ctx, list),
+            (SET_STALE, [stale]) => revocation_lists::set_stale(ctx, stale),
+            (ADD_ORGANISATION, [add]) => addition::add(ctx, add),
             ("revoke", [issuer, serial]) => revocations::revoke(ctx, issuer, serial, b""),
             ("revoke", [issuer, serial, reason]) => revocations::revoke(ctx, issuer, serial, reason),
             _ => Err(unknown_call(function, args.len())),

@@ -6,6 +6,9 @@ use crate::msp::{self, MspChaincode};
 use crate::rules::Rules;
 use bytes::Bytes;
 use ledger_hash::Hash;
+use ledger_identity::IdentityError;
+use ledger_identity::msp::Msp;
+use ledger_identity::units::Units;
 use ledger_light::Governance;
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -50,12 +53,23 @@ pub struct FoundingOrganisation {
     /// Intermediate CA certificates, DER in hexadecimal.
     #[serde(with = "hex_list", default, skip_serializing_if = "Vec::is_empty")]
     pub intermediates: Vec<Bytes>,
+    /// The units that name roles in its certificates; none: our own words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub units: Option<Units>,
 }
 
 impl FoundingOrganisation {
     /// An organisation with one root and no intermediates.
     pub fn below(name: &str, root: Bytes) -> Self {
-        Self { name: name.to_owned(), roots: vec![root], intermediates: Vec::new() }
+        Self { name: name.to_owned(), roots: vec![root], intermediates: Vec::new(), units: None }
+    }
+
+    /// Its authorities, as certificates are verified against them.
+    ///
+    /// # Errors
+    /// As [`Msp::new`].
+    pub fn msp(&self) -> Result<Msp, IdentityError> {
+        Msp::new(&self.name, &self.roots, &self.intermediates)?.with_units(self.units.clone())
     }
 }
 

@@ -18,6 +18,7 @@ use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::Identity;
 use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::units::Units;
 use ledger_rejection::{Code, Rejection};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
@@ -124,6 +125,8 @@ struct Organisation {
     roots: Vec<String>,
     #[serde(default)]
     intermediates: Vec<String>,
+    #[serde(default)]
+    units: Option<Units>,
 }
 
 impl Governance {
@@ -165,9 +168,9 @@ impl Governance {
     pub fn msps(&self) -> Result<Msps, Rejection> {
         let mut msps = Msps::new();
         for (key, value) in self.under(ORGANISATIONS) {
-            let Organisation { name, roots, intermediates } = parse(key, value)?;
+            let Organisation { name, roots, intermediates, units } = parse(key, value)?;
             let msp = Msp::new(&name, &certificates(key, &roots)?, &certificates(key, &intermediates)?)?;
-            msps.insert(msp)?;
+            msps.insert(msp.with_units(units)?)?;
         }
         Ok(msps)
     }

@@ -135,6 +135,10 @@ codes! {
     NotAMember = 2011 "NOT_A_MEMBER" Denied;
     /// The node does not carry the CA of the organisation; others may.
     CaElsewhere = 2012 "CA_ELSEWHERE" Unreachable;
+    /// A revocation list that does not follow the newest one of its authority, or is not of today.
+    OldList = 2013 "OLD_LIST" Invalid;
+    /// The organisation refuses its members: the revocation list of its CA has ended.
+    ListStale = 2014 "LIST_STALE" Denied;
     /// The clocks of this machine and of a node differ so much that good certificates look expired.
     ClockOff = 2020 "CLOCK_OFF" Failure;
 

@@ -245,12 +245,10 @@ impl Trial {
 fn declared(snapshot: &Snapshot) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
     for (_, value) in snapshot.pairs(ORGANISATION_KEYS, ORGANISATIONS_MAX)? {
-        let read = serde_json::from_slice(&value);
-        let FoundingOrganisation { name, roots, intermediates } = read.map_err(|error| {
+        let organisation: FoundingOrganisation = serde_json::from_slice(&value).map_err(|error| {
             Rejection::new(Code::Malformed, format!("an organisation in the snapshot cannot be read: {error}"))
         })?;
-        let msp = Msp::new(&name, &roots, &intermediates).map_err(Rejection::from)?;
-        msps.insert(msp).map_err(Rejection::from)?;
+        msps.insert(organisation.msp()?).map_err(Rejection::from)?;
     }
     Ok(msps)
 }

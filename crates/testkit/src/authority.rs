@@ -25,7 +25,7 @@ fn params(name: &str, unit: &str) -> CertificateParams {
 fn authority(name: &str) -> CertificateParams {
     let mut params = params(name, "ca");
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     params
 }
 
@@ -40,6 +40,7 @@ impl Ca {
         let kind = match kind {
             KeyKind::Ed25519 => &rcgen::PKCS_ED25519,
             KeyKind::P256 => &rcgen::PKCS_ECDSA_P256_SHA256,
+            KeyKind::P384 => &rcgen::PKCS_ECDSA_P384_SHA384,
         };
         Self(CertifiedIssuer::self_signed(authority(name), KeyPair::generate_for(kind).unwrap()).unwrap())
     }

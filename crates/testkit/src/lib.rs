@@ -10,8 +10,10 @@
 //! ```
 
 mod authority;
+mod list;
 mod random;
 
 pub use authority::{Ca, User, key};
+pub use list::{List, extension};
 pub use random::Random;
 pub use rcgen;

@@ -2,7 +2,11 @@
 
 use super::files;
 use crate::v1;
+use bytes::Bytes;
+use ledger_hash::Hash;
+use ledger_identity::Role;
 use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::units::{Unit, Units};
 use ledger_rejection::{Code, Rejection};
 use rustls_pki_types::CertificateDer;
 use rustls_pki_types::pem::PemObject;
@@ -19,6 +23,8 @@ pub(super) struct Stored {
     roots: Vec<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     intermediates: Vec<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    units: Option<Units>,
 }
 
 /// The organisations as they are stored.
@@ -28,6 +34,7 @@ pub(super) fn store(msps: &Msps) -> Vec<Stored> {
         organisation: msp.organisation().to_owned(),
         roots: msp.roots().map(pem).collect(),
         intermediates: msp.intermediates().map(pem).collect(),
+        units: msp.units().cloned(),
     });
     stored.collect()
 }
@@ -57,11 +64,12 @@ pub(super) fn read(stored: &[Stored]) -> Result<Msps, String> {
         texts.iter().map(|text| CertificateDer::from_pem_slice(text.as_bytes())).collect::<Result<Vec<_>, _>>()
     };
     let mut msps = Msps::new();
-    for Stored { organisation, roots, intermediates } in stored {
+    for Stored { organisation, roots, intermediates, units } in stored {
         let wrong = |error: String| format!("organisation {organisation:?}: {error}");
         let roots = ders(roots).map_err(|error| wrong(error.to_string()))?;
         let intermediates = ders(intermediates).map_err(|error| wrong(error.to_string()))?;
-        let msp = Msp::new(organisation, &roots, &intermediates).map_err(|error| wrong(error.to_string()))?;
+        let msp = Msp::new(organisation, &roots, &intermediates).and_then(|msp| msp.with_units(units.clone()));
+        let msp = msp.map_err(|error| wrong(error.to_string()))?;
         msps.insert(msp).map_err(|error| wrong(error.to_string()))?;
     }
     Ok(msps)
@@ -75,7 +83,34 @@ pub(super) fn from_wire(organisations: &[v1::Organisation]) -> Result<Msps, Reje
     }
     let mut msps = Msps::new();
     for organisation in organisations {
-        msps.insert(Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?)?;
+        let units = organisation.units.as_ref().map(units_from_wire).transpose()?;
+        let msp = Msp::new(&organisation.name, &organisation.roots, &organisation.intermediates)?;
+        msps.insert(msp.with_units(units)?)?;
     }
     Ok(msps)
+}
+
+pub(super) fn units_to_wire(units: &Units) -> v1::Units {
+    let unit = |unit: &Unit| v1::Unit {
+        unit: unit.unit.clone(),
+        role: unit.role.to_string(),
+        issuer: unit.issuer.as_ref().map_or_else(Bytes::new, |issuer| Bytes::copy_from_slice(&issuer.0)),
+    };
+    v1::Units { units: units.iter().map(unit).collect() }
+}
+
+fn units_from_wire(units: &v1::Units) -> Result<Units, Rejection> {
+    let unit = |found: &v1::Unit| {
+        let wrong = |found: String| {
+            Rejection::new(Code::Malformed, "an organisational unit of an organisation cannot be read").found(found)
+        };
+        let role = Role::from_unit(&found.role).filter(|role| role.as_str() == found.role);
+        let issuer = match &found.issuer[..] {
+            [] => None,
+            bytes => Some(Hash::from_slice(bytes).ok_or_else(|| wrong(format!("an issuer of {} bytes", bytes.len())))?),
+        };
+        let role = role.ok_or_else(|| wrong(format!("the role {:?}", found.role)))?;
+        Ok(Unit { unit: found.unit.clone(), role, issuer })
+    };
+    Ok(Units::new(units.units.iter().map(unit).collect::<Result<_, Rejection>>()?)?)
 }

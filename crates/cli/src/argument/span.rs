@@ -1,4 +1,4 @@
-//! Spans of time: `30s`, `500ms`, `2m`, `1h`.
+//! Spans of time: `30s`, `500ms`, `2m`, `1h`, `30d`.
 
 /// A span in milliseconds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -7,9 +7,9 @@ pub(crate) struct Milliseconds(pub(crate) u64);
 impl std::str::FromStr for Milliseconds {
     type Err = String;
 
-    /// A whole number and a unit: `ms`, `s`, `m` (or `min`), `h`. Zero is refused: nothing lasts that long.
+    /// A whole number and a unit: `ms`, `s`, `m` (or `min`), `h`, `d`. Zero is refused: nothing lasts that long.
     fn from_str(text: &str) -> Result<Self, String> {
-        let wanted = "a whole number and a unit, such as 500ms, 30s, 2m or 1h";
+        let wanted = "a whole number and a unit, such as 500ms, 30s, 2m, 1h or 30d";
         let digits = text.len() - text.trim_start_matches(|c: char| c.is_ascii_digit()).len();
         let (number, unit) = text.split_at(digits);
         let factor = match unit {
@@ -17,6 +17,7 @@ impl std::str::FromStr for Milliseconds {
             "s" => 1_000,
             "m" | "min" => 60_000,
             "h" => 3_600_000,
+            "d" => 86_400_000,
             "" if digits > 0 => return Err(format!("the unit is missing; wanted {wanted} (did you mean {number}s?)")),
             _ => return Err(format!("wanted {wanted}")),
         };
@@ -35,14 +36,21 @@ mod tests {
 
     #[test]
     fn spans_are_a_number_and_a_unit() {
-        for (text, millis) in [("500ms", 500), ("30s", 30_000), ("2m", 120_000), ("2min", 120_000), ("1h", 3_600_000)] {
+        for (text, millis) in [
+            ("500ms", 500),
+            ("30s", 30_000),
+            ("2m", 120_000),
+            ("2min", 120_000),
+            ("1h", 3_600_000),
+            ("30d", 2_592_000_000),
+        ] {
             assert_eq!(text.parse(), Ok(Milliseconds(millis)), "{text}");
         }
     }
 
     #[test]
     fn other_spans_are_refused_with_the_wanted_form() {
-        for text in ["", "s", "0s", "-1s", "1.5s", "3 s", "10", "1d", "99999999999999999999s", "18446744073709551615h"]
+        for text in ["", "s", "0s", "-1s", "1.5s", "3 s", "10", "1w", "99999999999999999999s", "18446744073709551615h"]
         {
             let error = text.parse::<Milliseconds>().err().unwrap_or_default();
             assert!(error.contains("30s"), "{text:?}: {error}");

@@ -1,5 +1,9 @@
-//! `identity register|list|show|cancel|revoke|renew`: the people, nodes and robots of your organisation.
+//! `identity register|registrar|list|show|cancel|revoke|renew|import|crl`: the people, nodes and robots of your organisation.
 
+mod crl;
+mod import;
+mod list;
+mod registrar;
 mod renew;
 
 use crate::argument::attribute::Attribute;
@@ -11,7 +15,7 @@ use crate::output::{Facts, Output, Table, attributes};
 use crate::session::{MSP, Session};
 use crate::time;
 use bytes::Bytes;
-use ledger::msp::{IdentityRecord, IssuedCertificate};
+use ledger::msp::{AFFILIATION, IdentityRecord, IssuedCertificate};
 use ledger_hash::Hash;
 use ledger_identity::Role;
 use ledger_rejection::{Code, Rejection};
@@ -24,14 +28,17 @@ use std::time::Duration;
 #[derive(Debug, clap::Subcommand)]
 pub(crate) enum Identity {
     Register(Register),
-    List(List),
+    Registrar(registrar::Registrar),
+    List(list::List),
     Show(Show),
     Cancel(Cancel),
     Revoke(Revoke),
     Renew(renew::Renew),
+    Import(import::Import),
+    Crl(crl::Crl),
 }
 
-/// Register a name with its role and attributes; for admins.
+/// Register a name with its role and attributes; for admins, and for registrars in their department.
 ///
 /// Prints a one-time secret and the command with which its owner enrols. The secret is shown once.
 #[derive(Debug, clap::Args)]
@@ -39,6 +46,7 @@ pub(crate) enum Identity {
 Example:
   ledgerctl identity register Salma --attr Turtlebot4 --attr Husky
   ledgerctl identity register Turtlebot4 --role robot --attr model=lite
+  ledgerctl identity register Nadia --affiliation sales
   ledgerctl identity register Salma --reissue")]
 pub(crate) struct Register {
     /// The name, as it will stand in the certificate
@@ -49,20 +57,19 @@ pub(crate) struct Register {
     /// An attribute to sign into the certificate; KEY alone means KEY=true
     #[arg(long = "attr", value_name = "KEY[=VALUE]")]
     attributes: Vec<Attribute>,
+    /// The department, signed into the certificate as the attribute hf.Affiliation
+    #[arg(long, value_name = "DEPARTMENT")]
+    affiliation: Option<String>,
     /// Give a registered name a new secret, and new attributes if any are named; its role stays
     ///
-    /// Certificates issued before stay valid: revoke them if they should not.
+    /// Certificates issued before stay valid: revoke them if they should not. With new attributes they are revoked as soon
+    /// as the name has enrolled again.
     #[arg(long, conflicts_with = "role")]
     reissue: bool,
     /// How long the secret can be used, at most 8760h
     #[arg(long = "for", value_name = "SPAN", default_value = "168h")]
     span: Milliseconds,
 }
-
-/// List the identities of your organisation, those that have not enrolled among them; for admins.
-#[derive(Debug, clap::Args)]
-#[command(after_help = "Example:\n  ledgerctl identity list")]
-pub(crate) struct List {}
 
 /// Show one identity with its certificates; for admins.
 #[derive(Debug, clap::Args)]
@@ -110,10 +117,8 @@ impl Identity {
     pub(crate) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
         match self {
             Self::Register(command) => command.run(global, output).await,
-            Self::List(_) => {
-                let session = Session::open(global).await?;
-                output.show(&Registered(identities(&session).await?))
-            }
+            Self::Registrar(command) => command.run(global, output).await,
+            Self::List(command) => command.run(global, output).await,
             Self::Show(command) => {
                 let session = Session::open(global).await?;
                 output.show(&find(&session, &command.name).await?)
@@ -121,6 +126,8 @@ impl Identity {
             Self::Cancel(command) => command.run(global, output).await,
             Self::Revoke(command) => command.run(global, output).await,
             Self::Renew(command) => command.run(global, output).await,
+            Self::Import(command) => command.run(global, output).await,
+            Self::Crl(command) => command.run(global, output).await,
         }
     }
 }
@@ -174,8 +181,9 @@ impl Facts for Invitation {
 
 impl Register {
     async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let department = self.affiliation.map(|value| Attribute { key: AFFILIATION.to_owned(), value });
         let mut wanted = BTreeMap::new();
-        for Attribute { key, value } in self.attributes {
+        for Attribute { key, value } in self.attributes.into_iter().chain(department) {
             if let Some(first) = wanted.insert(key.clone(), value.clone()) {
                 return Err(Rejection::new(Code::BadArgument, format!("attribute {key:?} is given twice"))
                     .found(format!("{key}={first} and {key}={value}"))
@@ -273,25 +281,6 @@ impl Person {
             .flatten()
             .collect::<Vec<_>>()
             .join(", ")
-    }
-}
-
-#[derive(Serialize)]
-struct Registered(Vec<Person>);
-
-impl Facts for Registered {
-    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
-        let mut table = Table::new(["NAME", "ORGANISATION", "ROLE", "STATE", "ATTRIBUTES"]);
-        for person in &self.0 {
-            table.row([
-                person.name.clone(),
-                person.organisation.clone(),
-                person.role.to_string(),
-                person.state(),
-                attributes(&person.attributes),
-            ]);
-        }
-        table.write(out, 0)
     }
 }
 

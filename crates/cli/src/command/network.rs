@@ -1,5 +1,6 @@
 //! `network …`: who belongs to the network, who orders, and what the organisations decide together.
 
+mod add_org;
 mod change;
 mod decision;
 mod invite;
@@ -31,6 +32,7 @@ pub(crate) enum Network {
     Nodes(nodes::List),
     Organisations(organisations::List),
     Invite(invite::Invite),
+    AddOrg(add_org::AddOrg),
     Promote(change::Promote),
     Demote(change::Demote),
     Remove(change::Remove),
@@ -52,6 +54,7 @@ impl Network {
             Self::Nodes(_) => output.show(&nodes::Known(nodes(session).await?)),
             Self::Organisations(_) => organisations::run(session, output).await,
             Self::Invite(command) => command.run(session, output).await,
+            Self::AddOrg(command) => command.run(session, global, output).await,
             Self::Promote(command) => command.run(session, output).await,
             Self::Demote(command) => command.run(session, output).await,
             Self::Remove(command) => command.run(session, output).await,

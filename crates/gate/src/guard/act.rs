@@ -10,7 +10,7 @@ use super::held::Message;
 use crate::{
     ABAC, MSP,
     gate::{Delivered, Gate, Now, Passed, Refused},
-    service::{Released, Revoked, read},
+    service::{Listed, Released, Revoked, read},
 };
 
 /// The action that is to be taken.
@@ -110,6 +110,12 @@ impl Block {
                 let revoked: Revoked = read(event.payload).ok_or(Refused::Malformed)?;
                 gate.revoked(&revoked, now).then_some(Act::Stop("revoked"))
             }
+            (MSP, "revocation_list") => {
+                let listed: Listed = read(event.payload).ok_or(Refused::Malformed)?;
+                // The gate takes note of all of them, also behind the one that moved the robot.
+                let moved_it = listed.each().filter(|revoked| gate.revoked(revoked, now)).count() > 0;
+                moved_it.then_some(Act::Stop("revoked"))
+            }
             _ => None,
         })
     }
@@ -119,7 +125,8 @@ impl Block {
 pub(super) fn changes(event: &Told<'_>) -> bool {
     matches!(
         (event.chaincode, event.name),
-        (ABAC, "granted" | "released" | "robot" | "stopped" | "resumed" | "task") | (MSP, "revoked")
+        (ABAC, "granted" | "released" | "robot" | "stopped" | "resumed" | "task")
+            | (MSP, "revoked" | "revocation_list")
     )
 }
 

@@ -3,6 +3,9 @@
 use super::{Authority, Msp, Usage};
 use crate::certificate::Certificate;
 use crate::identity::{IdentityError, printable};
+use crate::key::{KeyKind, PublicKey};
+use crate::revocation_list::RevocationList;
+use ledger_hash::Hash;
 use rustls_pki_types::{CertificateDer, SignatureVerificationAlgorithm, UnixTime};
 use std::time::Duration;
 use webpki::ring::{ECDSA_P256_SHA256, ECDSA_P384_SHA384, ED25519};
@@ -24,14 +27,18 @@ pub(super) struct Leaf<'a> {
     pub(super) at: u64,
 }
 
-/// When every certificate of a path is valid, in microseconds since the UNIX epoch.
+/// A path that was found.
 #[derive(Debug)]
-pub(super) struct Validity {
+pub(super) struct Path {
+    /// SHA-256 of the certificate that has issued the leaf.
+    pub(super) issuer: Hash,
+    /// Since when every certificate of it is valid, in microseconds since the UNIX epoch.
     pub(super) not_before: u64,
+    /// Until when every certificate of it is valid, in microseconds since the UNIX epoch.
     pub(super) not_after: u64,
 }
 
-impl Validity {
+impl Path {
     fn narrow(&mut self, certificate: &Certificate) {
         self.not_before = self.not_before.max(certificate.not_before);
         self.not_after = self.not_after.min(certificate.not_after);
@@ -40,24 +47,19 @@ impl Validity {
 
 impl Leaf<'_> {
     /// Looks for a path to any root of the organisation.
-    pub(super) fn path_to(&self, msp: &Msp, presented: &[Authority]) -> Result<Validity, IdentityError> {
+    pub(super) fn path_to(&self, msp: &Msp, presented: &[Authority]) -> Result<Path, IdentityError> {
         let issuers: Vec<_> = msp.intermediates.iter().chain(presented).map(|found| found.der.clone()).collect();
         let mut refused = self.untrusted(msp);
         for root in &msp.roots {
             match self.path_to_root(msp, root, &issuers) {
-                Ok(validity) => return Ok(validity),
+                Ok(path) => return Ok(path),
                 Err(error) => refused = more_telling(refused, error),
             }
         }
         Err(refused)
     }
 
-    fn path_to_root(
-        &self,
-        msp: &Msp,
-        root: &Authority,
-        issuers: &[CertificateDer<'_>],
-    ) -> Result<Validity, IdentityError> {
+    fn path_to_root(&self, msp: &Msp, root: &Authority, issuers: &[CertificateDer<'_>]) -> Result<Path, IdentityError> {
         let leaf = EndEntityCert::try_from(&self.der).map_err(|error| self.explain(msp, &error))?;
         // webpki reads neither the path length nor the validity of an anchor.
         let length_max = root.certificate.path_length_max().and_then(|max| usize::try_from(max).ok());
@@ -79,12 +81,18 @@ impl Leaf<'_> {
             )
             .map_err(|error| self.explain(msp, &error))?;
         root.certificate.check_validity(self.at)?;
-        let mut validity = Validity { not_before: self.certificate.not_before, not_after: self.certificate.not_after };
-        validity.narrow(&root.certificate);
+        // The intermediates stand in the order from the leaf to the root.
+        let direct = path.intermediate_certificates().next().map(|issuer| Hash::of(&[issuer.der().as_ref()]));
+        let mut found = Path {
+            issuer: direct.unwrap_or_else(|| Hash::of(&[root.der.as_ref()])),
+            not_before: self.certificate.not_before,
+            not_after: self.certificate.not_after,
+        };
+        found.narrow(&root.certificate);
         for issuer in path.intermediate_certificates() {
-            validity.narrow(&Certificate::parse(&issuer.der())?);
+            found.narrow(&Certificate::parse(&issuer.der())?);
         }
-        Ok(validity)
+        Ok(found)
     }
 
     fn untrusted(&self, msp: &Msp) -> IdentityError {
@@ -168,6 +176,32 @@ impl ExtendedKeyUsageValidator for Usage {
         }
         // The error for "not this use" cannot be made outside of webpki; `explain` words this one for both.
         if absent { Ok(()) } else { Err(webpki::Error::EmptyEkuExtension) }
+    }
+}
+
+/// Checks that an authority of this organisation, which has the name that a revocation list gives, has signed it.
+pub(super) fn check_list(
+    organisation: &str,
+    authority: &Certificate,
+    list: &RevocationList,
+) -> Result<(), IdentityError> {
+    authority.check_signs_lists()?;
+    let (signed, algorithm, signature) = list.signature();
+    let not_signed = || IdentityError::BadSignature {
+        subject: "a revocation list".into(),
+        issuer: printable(&list.issuer),
+        organisation: organisation.to_owned(),
+    };
+    let key = PublicKey::from_spki(&authority.public_key_info).map_err(|_| not_signed())?;
+    let algorithms: [(&dyn SignatureVerificationAlgorithm, &[u8], KeyKind); 3] = [
+        (ED25519, &[0x2b, 0x65, 0x70], KeyKind::Ed25519),
+        (ECDSA_P256_SHA256, &[0x2a, 0x86, 0x48, 0xce, 0x3d, 0x04, 0x03, 0x02], KeyKind::P256),
+        (ECDSA_P384_SHA384, &[0x2a, 0x86, 0x48, 0xce, 0x3d, 0x04, 0x03, 0x03], KeyKind::P384),
+    ];
+    let known = algorithms.iter().find(|(_, oid, kind)| *oid == algorithm && *kind == key.kind());
+    match known {
+        Some((verifier, ..)) => verifier.verify_signature(key.bytes(), signed, signature).map_err(|_| not_signed()),
+        None => Err(not_signed()),
     }
 }
 

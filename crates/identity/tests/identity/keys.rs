@@ -4,10 +4,23 @@ use ledger_identity::key::{KeyError, KeyKind, PublicKey, SignatureError, Signing
 use proptest::prelude::*;
 use ring::rand::SystemRandom;
 
-const KINDS: [KeyKind; 2] = [KeyKind::Ed25519, KeyKind::P256];
+const KINDS: [KeyKind; 3] = [KeyKind::Ed25519, KeyKind::P256, KeyKind::P384];
 
-/// The order of P-256, least significant byte last.
-const ORDER: &str = "ffffffff00000000ffffffffffffffffbce6faada7179e84f3b9cac2fc632551";
+/// The kinds of ECDSA, each with the order of its group (least significant byte last), and as a lax verifier has it.
+const CURVES: [(KeyKind, &str, &ring::signature::EcdsaVerificationAlgorithm, usize); 2] = [
+    (
+        KeyKind::P256,
+        "ffffffff00000000ffffffffffffffffbce6faada7179e84f3b9cac2fc632551",
+        &ring::signature::ECDSA_P256_SHA256_ASN1,
+        26,
+    ),
+    (
+        KeyKind::P384,
+        "ffffffffffffffffffffffffffffffffffffffffffffffffc7634d81f4372ddf581a0db248b0a77aecec196accc52973",
+        &ring::signature::ECDSA_P384_SHA384_ASN1,
+        23,
+    ),
+];
 
 fn key(kind: KeyKind) -> SigningKey {
     SigningKey::generate(kind, &SystemRandom::new()).unwrap()
@@ -25,12 +38,12 @@ fn signature(r: &[u8], s: &[u8]) -> Vec<u8> {
 }
 
 /// n - s, as a DER integer.
-fn negated(s: &[u8]) -> Vec<u8> {
-    let order = hex::decode(ORDER).unwrap();
-    let padded = [vec![0; 33 - s.len()], s.to_vec()].concat();
-    let mut result = [0; 32];
+fn negated(s: &[u8], order: &str) -> Vec<u8> {
+    let order = hex::decode(order).unwrap();
+    let padded = [vec![0; order.len() + 1 - s.len()], s.to_vec()].concat();
+    let mut result = vec![0; order.len()];
     let mut borrow = 0;
-    for place in (0..32).rev() {
+    for place in (0..order.len()).rev() {
         let difference = i32::from(order[place]) - i32::from(padded[place + 1]) - borrow;
         borrow = i32::from(difference < 0);
         result[place] = difference.rem_euclid(256) as u8;
@@ -52,28 +65,32 @@ fn a_signature_verifies_only_with_its_message_and_key() {
 }
 
 #[test]
-fn every_p256_signature_we_make_is_low_and_its_high_twin_is_refused() {
-    let signer = key(KeyKind::P256);
-    for round in 0..64u32 {
-        let message = round.to_be_bytes();
-        let ours = signer.sign(&message);
-        signer.public_key().verify(&message, &ours).unwrap();
-        let (r, s) = numbers(&ours);
-        let twin = signature(&r, &negated(&s));
-        // The twin is a valid signature to whoever does not insist on low s.
-        ring::signature::UnparsedPublicKey::new(
-            &ring::signature::ECDSA_P256_SHA256_ASN1,
-            &signer.public_key().to_spki()[26..],
-        )
-        .verify(&message, &twin)
-        .unwrap();
-        assert_eq!(signer.public_key().verify(&message, &twin), Err(SignatureError::HighS));
+fn every_ecdsa_signature_we_make_is_low_and_its_high_twin_is_refused() {
+    for (kind, order, lax, head) in CURVES {
+        let signer = key(kind);
+        for round in 0..64u32 {
+            let message = round.to_be_bytes();
+            let ours = signer.sign(&message);
+            signer.public_key().verify(&message, &ours).unwrap();
+            let (r, s) = numbers(&ours);
+            let twin = signature(&r, &negated(&s, order));
+            // The twin is a valid signature to whoever does not insist on low s.
+            ring::signature::UnparsedPublicKey::new(lax, &signer.public_key().to_spki()[head..])
+                .verify(&message, &twin)
+                .unwrap();
+            assert_eq!(signer.public_key().verify(&message, &twin), Err(SignatureError::HighS));
+        }
     }
 }
 
 #[test]
-fn another_encoding_of_a_p256_signature_is_refused() {
-    let signer = key(KeyKind::P256);
+fn another_encoding_of_an_ecdsa_signature_is_refused() {
+    for (kind, ..) in CURVES {
+        no_other_encoding(&key(kind));
+    }
+}
+
+fn no_other_encoding(signer: &SigningKey) {
     let ours = signer.sign(b"stop");
     let (r, s) = numbers(&ours);
     let padded = [&[0], r.as_slice()].concat();
@@ -93,7 +110,7 @@ fn another_encoding_of_a_p256_signature_is_refused() {
         signature(&[], &s),
         signature(&[0], &s),
         signature(&[0xff], &s),
-        signature(&[1; 34], &s),
+        signature(&[1; 50], &s),
         Vec::new(),
     ] {
         let found = other.len();
@@ -239,10 +256,11 @@ fn keys_made_by_openssl_are_read() {
 
 #[test]
 fn a_key_of_another_algorithm_is_refused_with_what_is_wanted() {
-    let p384 = rcgen::KeyPair::generate_for(&rcgen::PKCS_ECDSA_P384_SHA384).unwrap();
-    let refused = SigningKey::from_pkcs8_der(&p384.serialize_der()).unwrap_err().to_string();
-    assert!(refused.contains("wanted Ed25519 or ECDSA P-256"), "{refused}");
-    assert_eq!(PublicKey::from_spki(p384.public_key_raw()), Err(KeyError::UnsupportedPublicKey));
+    let p521 = include_str!("fixtures/openssl-p521.pem");
+    let refused = SigningKey::from_pem(p521).unwrap_err().to_string();
+    assert!(refused.contains("wanted Ed25519, ECDSA P-256 or P-384"), "{refused}");
+    let compressed = [&key(KeyKind::P384).public_key().to_spki()[..23], &[2; 49]].concat();
+    assert_eq!(PublicKey::from_spki(&compressed), Err(KeyError::UnsupportedPublicKey));
 }
 
 #[test]
@@ -250,6 +268,30 @@ fn a_key_in_an_old_form_is_refused_with_the_command_that_converts_it() {
     let text = "-----BEGIN EC PRIVATE KEY-----\nAAAA\n-----END EC PRIVATE KEY-----\n";
     let refused = SigningKey::from_pkcs8_pem(text).unwrap_err().to_string();
     assert!(refused.contains("try `openssl pkcs8 -topk8"), "{refused}");
+}
+
+#[test]
+fn keys_of_other_software_are_read_in_either_form_and_told_apart_from_what_is_no_key() {
+    for (pem, kind) in [
+        (include_str!("fixtures/openssl-p256.pem"), KeyKind::P256),
+        (include_str!("fixtures/openssl-p256-sec1.pem"), KeyKind::P256),
+        (include_str!("fixtures/openssl-p384.pem"), KeyKind::P384),
+        (include_str!("fixtures/openssl-p384-sec1.pem"), KeyKind::P384),
+        (include_str!("fixtures/openssl-ed25519.pem"), KeyKind::Ed25519),
+    ] {
+        let key = SigningKey::from_pem(pem).unwrap();
+        assert_eq!(key.kind(), kind);
+        key.public_key().verify(b"go", &key.sign(b"go")).unwrap();
+        let kept = SigningKey::from_pkcs8_pem(&key.to_pkcs8_pem()).unwrap();
+        assert_eq!(kept.public_key(), key.public_key());
+    }
+    let cut = "-----BEGIN EC PRIVATE KEY-----\nMHcCAQEEIA==\n-----END EC PRIVATE KEY-----\n";
+    assert!(matches!(SigningKey::from_pem(cut), Err(KeyError::Rejected { .. })));
+    let locked = "-----BEGIN ENCRYPTED PRIVATE KEY-----\nAAAA\n-----END ENCRYPTED PRIVATE KEY-----\n";
+    for none in [locked, "", "-----BEGIN CERTIFICATE-----"] {
+        let refused = SigningKey::from_pem(none).unwrap_err().to_string();
+        assert!(refused.contains("without a passphrase") && refused.contains("openssl pkey"), "{refused}");
+    }
 }
 
 #[test]
@@ -264,7 +306,7 @@ fn a_kind_is_read_from_its_name_and_others_are_refused() {
         assert_eq!(kind.to_string().parse(), Ok(kind));
     }
     let refused = "rsa".parse::<KeyKind>().unwrap_err().to_string();
-    assert_eq!(refused, "found key kind \"rsa\", wanted \"ed25519\" or \"p256\"");
+    assert_eq!(refused, "found key kind \"rsa\", wanted \"ed25519\", \"p256\" or \"p384\"");
 }
 
 #[test]

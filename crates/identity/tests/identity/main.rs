@@ -5,4 +5,6 @@ mod authority;
 mod certificates;
 mod hostile;
 mod keys;
+mod lists;
+mod units;
 mod verification;

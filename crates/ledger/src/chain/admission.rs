@@ -251,7 +251,8 @@ impl Ledger {
     pub(super) fn authenticate(&self, transaction: &Transaction, time: u64) -> Result<(Arc<Identity>, Hash), Judged> {
         let judged = |basis, rejection| Judged { who: None, rejection, basis };
         let (overlay, leaf) = (self.overlay(), leaf(transaction.encoded()));
-        let (identity, _) = self.identities.creator(transaction, &overlay, time).map_err(|rejection| {
+        let at = (time, self.rules());
+        let (identity, _) = self.identities.creator(transaction, &overlay, at).map_err(|rejection| {
             // A revocation is never taken back.
             judged(if rejection.code == Code::Revoked { Basis::Past } else { Basis::Creator }, rejection)
         })?;

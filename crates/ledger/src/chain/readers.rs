@@ -14,6 +14,7 @@ impl Ledger {
         check_organisation(reader, &self.msps())?;
         let mut overlay = self.overlay();
         check_revoked(reader, &overlay)?;
+        self.identities.check_current(reader, self.tip().time)?;
         let chaincode = self.registry.find(&event.chaincode)?;
         let tip = self.tip();
         let meter = Meter::default();
@@ -36,6 +37,7 @@ impl Ledger {
         check_organisation(reader, &self.msps())?;
         let mut overlay = self.overlay();
         check_revoked(reader, &overlay)?;
+        self.identities.check_current(reader, self.tip().time)?;
         let emitting = self.registry.emitting(chaincode, names)?;
         let tip = self.tip();
         let (mut refused, meter) = (Ok(()), Meter::default());

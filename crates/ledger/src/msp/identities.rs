@@ -10,18 +10,21 @@
 mod certificates;
 mod holder;
 mod list;
+mod registrar;
 mod registration;
 mod revocation;
 
 pub use certificates::{Ground, KnownIdentity, RecordCertificate, Recorded};
 pub use holder::CertifiedHolder;
+pub use registrar::{AFFILIATION, REGISTRARS_MAX, SetRegistrar};
 pub use registration::{CancelRegistration, Register};
 pub use revocation::{RevokeIdentity, RevokedIdentity};
 
-pub(super) use certificates::{adopt, record};
+pub(super) use certificates::{adopt, record, verified};
 pub(super) use holder::holder;
 use list::shown;
 pub(super) use list::{enrolled, executed, list};
+pub(super) use registrar::{registrars, set as set_registrar};
 pub(super) use registration::{cancel, register};
 pub(super) use revocation::revoke;
 

@@ -11,13 +11,13 @@ use super::organisations;
 use super::proposals::decide;
 use super::store::{self, INVITATIONS, invitation_key, json};
 use crate::chaincode::Context;
-use crate::network::FoundingOrganisation;
+use crate::network::{FoundingOrganisation, hex_list};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::key::{PublicKey, SigningKey};
-use ledger_identity::{NAME_BYTES_MAX, check_readable, look};
+use ledger_identity::{NAME_BYTES_MAX, check_readable, looks};
 use ledger_rejection::{Code, Rejection};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// Longest life of an invitation, in microseconds of block time: thirty days.
 pub const INVITATION_LIFE_MAX: u64 = 30 * 24 * 3600 * 1_000_000;
@@ -63,8 +63,8 @@ pub struct InviteOrganisation {
 /// Argument of `join_organisation`: what the newcomer brings, and its signature.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct JoinOrganisation {
-    /// Name and authorities.
-    #[serde(flatten)]
+    /// Name and authorities. Its certificates name roles in our words: nobody signs for others.
+    #[serde(flatten, deserialize_with = "with_our_words")]
     pub organisation: FoundingOrganisation,
     /// Name of its first node.
     pub node_name: String,
@@ -106,6 +106,21 @@ impl JoinOrganisation {
         part(self.address.as_bytes());
         bytes
     }
+}
+
+/// Reads what the signature of a [`JoinOrganisation`] covers, and nothing else.
+fn with_our_words<'de, D: Deserializer<'de>>(deserializer: D) -> Result<FoundingOrganisation, D::Error> {
+    #[derive(Deserialize)]
+    struct Signed {
+        name: String,
+        #[serde(with = "hex_list")]
+        roots: Vec<Bytes>,
+        #[serde(with = "hex_list", default)]
+        intermediates: Vec<Bytes>,
+    }
+
+    let Signed { name, roots, intermediates } = Signed::deserialize(deserializer)?;
+    Ok(FoundingOrganisation { name, roots, intermediates, units: None })
 }
 
 /// `invite_organisation {name, key, expires}`
@@ -221,13 +236,14 @@ fn check(ctx: &Context<'_>, name: &str, expires: u64) -> Result<(), Rejection> {
 }
 
 /// A new organisation has a name that people can tell from the others.
-fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
+pub(super) fn check_look(ctx: &Context<'_>, name: &str) -> Result<(), Rejection> {
     if !ctx.rules().names_are_readable() {
         return Ok(());
     }
     check_readable(name)?;
-    let wanted = look(name);
-    let Some(known) = organisations::all(ctx)?.into_iter().find(|known| look(&known.name) == wanted) else {
+    let wanted = looks(name);
+    let alike = |known: &FoundingOrganisation| !looks(&known.name).is_disjoint(&wanted);
+    let Some(known) = organisations::all(ctx)?.into_iter().find(alike) else {
         return Ok(());
     };
     Err(Rejection::new(Code::AlreadyExists, format!("{name:?} looks like an organisation of the network"))

@@ -12,7 +12,8 @@ use crate::network::FoundingOrganisation;
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::Certificate;
-use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::msp::Msps;
+use ledger_identity::units::Units;
 use ledger_identity::{Identity, NAME_BYTES_MAX};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -29,6 +30,9 @@ pub struct Organisation {
     pub roots: Vec<Authority>,
     /// Its declared intermediates.
     pub intermediates: Vec<Authority>,
+    /// The units that name roles in its certificates; none: our own words.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub units: Option<Units>,
 }
 
 /// A certificate authority.
@@ -88,6 +92,7 @@ pub(super) fn describe(organisation: &FoundingOrganisation) -> Result<Organisati
         name: organisation.name.clone(),
         roots: authorities(&organisation.roots)?,
         intermediates: authorities(&organisation.intermediates)?,
+        units: organisation.units.clone(),
     })
 }
 
@@ -127,6 +132,13 @@ pub(super) fn add(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) ->
     store::write(ctx, &organisation_key(name), organisation)
 }
 
+/// Writes an organisation of which an authority was taken.
+pub(super) fn replace(ctx: &mut Context<'_>, organisation: &FoundingOrganisation) -> Result<(), Rejection> {
+    store::write(ctx, &organisation_key(&organisation.name), organisation)?;
+    ctx.emit("organisation_updated", &organisation.name, json(&describe(organisation)?)?);
+    Ok(())
+}
+
 /// Argument of `update_organisation`: the complete new lists.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -151,6 +163,8 @@ pub(super) fn update(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
         name: caller.organisation.clone(),
         roots: ders(&update.roots)?,
         intermediates: ders(&update.intermediates)?,
+        // The words of the organisation stay.
+        units: find(ctx, &caller.organisation)?.and_then(|known| known.units),
     };
     if organisation.roots.is_empty() {
         return Err(Rejection::new(Code::LastOne, format!("{} would have no root", organisation.name))
@@ -211,11 +225,11 @@ fn check_removable(ctx: &Context<'_>, name: &str) -> Result<FoundingOrganisation
 }
 
 /// All organisations with this one as it shall be: the same checks as when the ledger reads them.
-fn trusted_with(ctx: &Context<'_>, organisation: &FoundingOrganisation) -> Result<Msps, Rejection> {
+pub(super) fn trusted_with(ctx: &Context<'_>, organisation: &FoundingOrganisation) -> Result<Msps, Rejection> {
     let mut msps = Msps::new();
     let others = all(ctx)?.into_iter().filter(|other| other.name != organisation.name);
     for other in others.chain([organisation.clone()]) {
-        msps.insert(Msp::new(&other.name, &other.roots, &other.intermediates)?)?;
+        msps.insert(other.msp()?)?;
     }
     Ok(msps)
 }

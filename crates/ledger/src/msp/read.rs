@@ -4,8 +4,9 @@ use super::attestations::{ATTESTATIONS_MAX, AttestationRecord};
 use super::invitations::Invitation;
 use super::nodes::{NodeRecord, RECORDS_MAX};
 use super::organisations::ORGANISATIONS_MAX;
+use super::revocation_lists::{LISTS_MAX, ListRecord};
 use super::store::{
-    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, MEMBERS_KEY, NODES, ORGANISATIONS, change_key, invitation_key, json,
+    ACTIVATIONS, ATTESTATIONS, CHANGE_KEYS, LISTS, MEMBERS_KEY, NODES, ORGANISATIONS, change_key, invitation_key, json,
     list_state, parse, read_state,
 };
 use crate::members::Membership;
@@ -31,6 +32,14 @@ pub fn nodes(state: &dyn StateRead) -> Result<Vec<NodeRecord>, Rejection> {
 /// As [`nodes`].
 pub fn organisations(state: &dyn StateRead) -> Result<Vec<FoundingOrganisation>, Rejection> {
     list_state(state, ORGANISATIONS, ORGANISATIONS_MAX)
+}
+
+/// The newest revocation lists of authorities.
+///
+/// # Errors
+/// As [`nodes`].
+pub fn revocation_lists(state: &dyn StateRead) -> Result<Vec<ListRecord>, Rejection> {
+    list_state(state, LISTS, LISTS_MAX)
 }
 
 /// The last attestation of each node.

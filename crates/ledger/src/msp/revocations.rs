@@ -97,19 +97,42 @@ pub(super) fn revoke_certificate(
         .wanted(format!("another admin of {organisation}, so that one is left"))
         .next("register another admin, who revokes this one: ledgerctl identity register NAME --role admin"));
     }
-    let record = json(&RevocationRecord {
-        issuer: *issuer,
-        serial: hex::encode(&revoked.serial),
-        organisation: organisation.to_owned(),
-        height: ctx.height(),
-        time: ctx.block_time(),
-        by: caller.id(),
-        reason: reason.to_owned(),
-    })?;
-    ctx.put(&key, record.clone());
+    let by = caller.id();
+    let record = put_revocation(ctx, &revoked, &Ground { organisation, by: &by, reason })?.unwrap_or_default();
     ctx.emit("revoked", &hex::encode(&revoked.serial), record.clone());
     ctx.tell_revoked(&revoked)?;
     Ok(record)
+}
+
+/// Why a certificate is revoked.
+pub(super) struct Ground<'a> {
+    pub(super) organisation: &'a str,
+    /// Who brought it to the ledger.
+    pub(super) by: &'a str,
+    pub(super) reason: &'a str,
+}
+
+/// Writes a revocation; answers with the record, or with nothing if there was one.
+pub(super) fn put_revocation(
+    ctx: &mut Context<'_>,
+    revoked: &Revocation,
+    ground: &Ground<'_>,
+) -> Result<Option<Bytes>, Rejection> {
+    let key = [REVOKED, &revoked.issuer[..], &revoked.serial].concat();
+    if ctx.get(&key).is_some() {
+        return Ok(None);
+    }
+    let record = json(&RevocationRecord {
+        issuer: Hash(revoked.issuer),
+        serial: hex::encode(&revoked.serial),
+        organisation: ground.organisation.to_owned(),
+        height: ctx.height(),
+        time: ctx.block_time(),
+        by: ground.by.to_owned(),
+        reason: ground.reason.to_owned(),
+    })?;
+    ctx.put(&key, record.clone());
+    Ok(Some(record))
 }
 
 /// A reason as it may stand on the ledger.

@@ -17,9 +17,14 @@
 //! | `attestation/<organisation>/<node>` | [`super::AttestationRecord`] |
 //! | `certificate/<fingerprint, 32 bytes>` | a known certificate in DER |
 //! | `revoked/<issuer, 32 bytes><serial>` | [`super::RevocationRecord`] |
+//! | `list/<issuer, 64 hex digits>` | [`super::ListRecord`]: the newest revocation list of an authority |
+//! | `listed/<issuer, 64 hex digits>` | array of the serial numbers in that list, in hexadecimal |
+//! | `stale/<organisation>` | [`super::Stale`]: what follows when its lists have ended |
+//! | `end/<issuer, 32 bytes><serial>` | 8 bytes BE: the end (µs) of a known certificate of a CA that is not ours |
 //! | `identity/<organisation>/<name>` | [`super::IdentityRecord`] |
 //! | `registered/<organisation>` | how many names it has registered |
-//! | `look/<organisation>/<skeleton>` | the registered name that looks so |
+//! | `look/<organisation>/<look>` | the registered name that looks so |
+//! | `registrar/<organisation>/<name>` | [`super::SetRegistrar`] |
 //! | `issued/<fingerprint, 32 bytes>` | a certificate that a CA has issued, in DER |
 //! | `carrier/<organisation>/<node's organisation>/<node>` | [`super::CarrierRecord`] |
 
@@ -27,7 +32,7 @@ use super::NAME;
 use crate::chaincode::Context;
 use bytes::Bytes;
 use ledger_hash::Hash;
-use ledger_identity::look;
+use ledger_identity::{Identity, looks};
 use ledger_rejection::{Code, Rejection};
 use ledger_storage::state::StateRead;
 use serde::Serialize;
@@ -39,6 +44,11 @@ pub(crate) const MEMBERS_KEY: &[u8] = b"msp\0members";
 pub(crate) const RULES_KEY: &[u8] = b"msp\0rules";
 /// Keys of the organisations start with this; a block that writes one changes whom the next block trusts.
 pub(crate) const ORGANISATION_KEYS: &[u8] = b"msp\0organisation/";
+
+/// Keys of the newest revocation lists start with this.
+pub(crate) const LIST_KEYS: &[u8] = b"msp\0list/";
+/// Keys of what follows a list that has ended start with this.
+pub(crate) const STALE_KEYS: &[u8] = b"msp\0stale/";
 
 /// The log of who governed.
 pub(crate) const CHANGE_KEYS: &[u8] = b"msp\0governed/";
@@ -52,6 +62,7 @@ pub(super) const INVITATIONS: &str = "invitation/";
 pub(super) const ATTESTATIONS: &str = "attestation/";
 pub(super) const CARRIERS: &str = "carrier/";
 pub(super) const REVOKED: &[u8] = b"revoked/";
+pub(super) const LISTS: &str = "list/";
 pub(super) const ACTIVATIONS: &str = "rules";
 pub(super) const NEXT_NODE: &str = "next/node";
 pub(super) const NEXT_PROPOSAL: &str = "next/proposal";
@@ -119,8 +130,13 @@ pub(super) fn registered_key(organisation: &str) -> String {
     format!("registered/{organisation}")
 }
 
-pub(super) fn look_key(organisation: &str, name: &str) -> String {
-    format!("look/{organisation}/{}", look(name))
+/// Where a name stands by each of its looks.
+pub(super) fn look_keys(organisation: &str, name: &str) -> Vec<String> {
+    looks(name).iter().map(|look| format!("look/{organisation}/{look}")).collect()
+}
+
+pub(super) fn registrar_key(organisation: &str, name: &str) -> String {
+    format!("registrar/{organisation}/{name}")
 }
 
 pub(super) fn issued_key(fingerprint: &Hash) -> Vec<u8> {
@@ -129,6 +145,28 @@ pub(super) fn issued_key(fingerprint: &Hash) -> Vec<u8> {
 
 pub(super) fn carrier_key(organisation: &str, node_organisation: &str, node: &str) -> String {
     format!("{CARRIERS}{organisation}/{node_organisation}/{node}")
+}
+
+pub(super) fn list_key(issuer: &Hash) -> String {
+    format!("{LISTS}{issuer}")
+}
+
+pub(super) fn listed_key(issuer: &Hash) -> String {
+    format!("listed/{issuer}")
+}
+
+pub(super) fn stale_key(organisation: &str) -> String {
+    format!("stale/{organisation}")
+}
+
+/// Where the end of a certificate stands; `key` is [`ledger_identity::Identity::revocation_key`].
+pub(super) fn end_key(key: &[u8]) -> Vec<u8> {
+    [b"end/", key].concat()
+}
+
+/// The full key of a certificate's end, and the end itself.
+pub(crate) fn end_of(identity: &Identity) -> (Bytes, Bytes) {
+    (full(&end_key(&identity.revocation_key())), Bytes::copy_from_slice(&identity.not_after.to_be_bytes()))
 }
 
 /// Where a certificate stands that has signed a transaction.

@@ -4,10 +4,12 @@
 mod approvals;
 mod attestations;
 mod identities;
+mod lists;
 mod model;
 mod nodes;
 mod organisations;
 mod proposals;
 mod quotas;
+mod registrars;
 mod rules;
 mod world;

@@ -3,8 +3,11 @@
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, printable};
 use bytes::Bytes;
+use ledger::Call;
 use ledger::Quorum;
-use ledger::msp::{Action, Decision, NodeRole};
+use ledger::msp::{Action, AddOrganisation, Decision, NodeRole};
+use ledger_hash::Hash;
+use ledger_identity::certificate::Certificate;
 use ledger_rejection::{Code, Rejection};
 use serde::Serialize;
 use std::io::{self, Write};
@@ -65,6 +68,24 @@ pub(super) fn waiting(decision: &Decision, out: &mut dyn Write) -> io::Result<()
     writeln!(out, "  ledgerctl network approve {}", short(&proposal.id.to_string()))
 }
 
+/// The addition of an organisation in words: the fingerprints say which authorities are to be trusted.
+fn added(call: &Call) -> String {
+    let read = call.args.first().and_then(|argument| serde_json::from_slice::<AddOrganisation>(argument).ok());
+    let Some(AddOrganisation { name, roots, intermediates, units, lists }) = read else {
+        return "add an organisation that cannot be read".to_owned();
+    };
+    let authority = |text: &String| {
+        let der = hex::decode(text).unwrap_or_default();
+        let subject = Certificate::parse(&der).map_or_else(|_| "an unreadable one".to_owned(), |found| found.subject);
+        format!("{subject} (sha256 {})", Hash::of(&[&der]))
+    };
+    let authorities: Vec<_> = roots.iter().chain(&intermediates).map(authority).collect();
+    let units: Vec<_> = units.iter().map(|unit| format!("{} = {}", unit.unit, unit.role)).collect();
+    let lists = lists.len();
+    let units = if units.is_empty() { "everybody a member".to_owned() } else { units.join(", ") };
+    format!("add organisation {name} with {}; units: {units}; revocation lists: {lists}", authorities.join(", "))
+}
+
 /// An action in words.
 pub(super) fn what(action: &Action) -> String {
     match action {
@@ -74,6 +95,7 @@ pub(super) fn what(action: &Action) -> String {
         Action::RemoveOrganisation { name } => format!("remove organisation {name}"),
         Action::ActivateRules { number, height: None } => format!("activate rules {number}"),
         Action::ActivateRules { number, height: Some(height) } => format!("activate rules {number} at block {height}"),
+        Action::Call(call) if call.function == "add_organisation" => added(call),
         Action::Call(call) => {
             let words = [call.chaincode.clone(), call.function.clone()].into_iter().chain(call.args.iter().map(shown));
             format!("call {}", words.collect::<Vec<_>>().join(" "))

@@ -6,6 +6,7 @@
 use super::super::caller::{node, object};
 use super::super::carriers::check_may_issue;
 use super::super::organisations;
+use super::super::revocations;
 use super::super::store::{self, issued_key, json};
 use super::registration::{check, make_room, unknown};
 use super::{
@@ -13,11 +14,11 @@ use super::{
     is_revoked, write,
 };
 use crate::Rules;
-use crate::chaincode::Context;
+use crate::chaincode::{Context, Revocation};
 use bytes::Bytes;
 use ledger_hash::Hash;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
-use ledger_identity::msp::{Msp, Msps};
+use ledger_identity::msp::Msps;
 use ledger_identity::{Identity, Role, check_name};
 use ledger_rejection::{Code, Rejection};
 use serde::{Deserialize, Serialize};
@@ -111,6 +112,9 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
             record.local = None;
         }
     }
+    if !matches!(ground, Ground::Local(_)) && ctx.rules().attributes_replace() {
+        end_others(ctx, &record, &holder, &caller.id())?;
+    }
     add(ctx, &mut record, issued)?;
     ctx.put(&issued_key(&Hash(holder.fingerprint)), der);
     write(ctx, &record)?;
@@ -118,13 +122,36 @@ pub(in super::super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Resul
     json(&Recorded { certificate })
 }
 
+/// Revokes the certificates of a name that say other attributes than this one: nobody goes on with what was taken away.
+fn end_others(ctx: &mut Context<'_>, record: &IdentityRecord, holder: &Identity, by: &str) -> Result<(), Rejection> {
+    for issued in &record.certificates {
+        let der = ctx.get(&issued_key(&issued.fingerprint));
+        let said = der.and_then(|der| Certificate::parse(&der).ok()?.attributes().ok());
+        if said.is_none_or(|said| said == holder.attributes) {
+            continue;
+        }
+        let serial = hex::decode(&issued.serial).unwrap_or_default();
+        let revoked = Revocation { issuer: issued.issuer.0, serial };
+        let ground =
+            revocations::Ground { organisation: &record.organisation, by, reason: "its attributes have changed" };
+        if let Some(told) = revocations::put_revocation(ctx, &revoked, &ground)? {
+            ctx.emit("revoked", &issued.serial, told);
+            ctx.tell_revoked(&revoked)?;
+        }
+    }
+    Ok(())
+}
+
 /// The owner of this certificate, by the authorities of that organisation alone. Whether it is valid at the moment is
 /// not asked: clocks differ, and those who see it used look at that.
-pub(super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
+pub(in super::super) fn verified(ctx: &Context<'_>, organisation: &str, der: &[u8]) -> Result<Identity, Rejection> {
     let authorities = organisations::find(ctx, organisation)?
         .ok_or_else(|| Rejection::new(Code::NotFound, "the network has no such organisation"))?;
     let mut msps = Msps::new();
-    msps.insert(Msp::new(organisation, &authorities.roots, &authorities.intermediates)?)?;
+    msps.insert(authorities.msp()?)?;
+    if !ctx.rules().accepts_p384() {
+        msps = msps.without_p384();
+    }
     let parsed = Certificate::parse(der)?;
     Ok(msps.verify(der, &[], ctx.block_time().clamp(parsed.not_before, parsed.not_after.max(parsed.not_before)))?)
 }

@@ -1,8 +1,9 @@
 //! Names are registered and cancelled by the admins of their organisation.
 
-use super::super::caller::{admin, object};
+use super::super::caller::object;
 use super::super::quotas;
-use super::super::store::{self, identity_key, json, look_key};
+use super::super::store::{self, identity_key, json, look_keys};
+use super::registrar::{self, Registering};
 use super::{IDENTITIES_MAX, IdentityRecord, REGISTRATION_LIFE_MAX, Secret, count, find, shown, write};
 use crate::chaincode::Context;
 use bytes::Bytes;
@@ -46,7 +47,8 @@ pub struct CancelRegistration {
 pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let wanted = "{\"name\", \"role\", \"attributes\", \"secret\": SHA-256 of the secret, \"expires\": microseconds}";
     let Register { name, role, attributes, secret, expires, again } = object("register", argument, wanted)?;
-    let caller = admin(ctx, "register identities")?;
+    let registering = Registering::of(ctx, "register identities")?;
+    let caller = registering.caller;
     check(&attributes)?;
     let now = ctx.block_time();
     if expires <= now || expires > now.saturating_add(REGISTRATION_LIFE_MAX) {
@@ -62,7 +64,9 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
             if role.is_some_and(|role| role != known.role) {
                 return Err(registered_for(&known, "the role of a registered name stays"));
             }
+            registering.check_again(ctx, &known)?;
             let attributes = if attributes.is_empty() { known.attributes.clone() } else { attributes };
+            registering.check(None, &attributes)?;
             IdentityRecord { attributes, secret, local: None, by: caller.id(), ..known }
         }
         (Some(known), false) => {
@@ -76,6 +80,7 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
                 .next("leave out --reissue to register it"));
         }
         (None, false) => {
+            registering.check(role, &attributes)?;
             check_new_name(&name)?;
             take_look(ctx, organisation, &name)?;
             make_room(ctx, organisation)?;
@@ -102,11 +107,12 @@ pub(in super::super) fn register(ctx: &mut Context<'_>, argument: &Bytes) -> Res
 /// certificate is forgotten.
 pub(in super::super) fn cancel(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, Rejection> {
     let CancelRegistration { name } = object("cancel_registration", argument, "{\"name\": NAME}")?;
-    let caller = admin(ctx, "cancel registrations")?;
-    let now = ctx.block_time();
+    let registering = Registering::of(ctx, "cancel registrations")?;
+    let (caller, now) = (registering.caller, ctx.block_time());
     let Some(record) = find(ctx, &caller.organisation, &name)? else {
         return Err(unknown(&caller.organisation, &name));
     };
+    registering.check_cancel(&record)?;
     if record.pending(now).is_none() {
         return Err(Rejection::new(Code::NotFound, format!("no secret of {} can be cancelled", record.id()))
             .found(if record.certificates.is_empty() { "one that has expired" } else { "a name that has enrolled" })
@@ -123,14 +129,19 @@ fn take_look(ctx: &mut Context<'_>, organisation: &str, name: &str) -> Result<()
         return Ok(());
     }
     check_readable(name)?;
-    let key = look_key(organisation, name);
-    if let Some(known) = store::read::<String>(ctx, &key)? {
-        return Err(Rejection::new(Code::AlreadyRegistered, format!("{name:?} looks like a name that is registered"))
+    let keys = look_keys(organisation, name);
+    for key in &keys {
+        if let Some(known) = store::read::<String>(ctx, key)? {
+            return Err(Rejection::new(
+                Code::AlreadyRegistered,
+                format!("{name:?} looks like a name that is registered"),
+            )
             .found(format!("{known:?} of {organisation}"))
-            .wanted("a name that people can tell from the others (UTS 39)")
+            .wanted("a name that people can tell from the others, whatever the case of its letters (UTS 39)")
             .next("choose another name"));
+        }
     }
-    store::write(ctx, &key, &name)
+    keys.iter().try_for_each(|key| store::write(ctx, key, &name))
 }
 
 /// Voids the secrets of a name; forgets it if it never had a certificate.
@@ -138,12 +149,14 @@ pub(super) fn void(ctx: &mut Context<'_>, record: IdentityRecord) -> Result<(), 
     let never = record.certificates.is_empty() && record.local.is_none();
     let pending = record.pending(ctx.block_time()).is_some();
     let record = IdentityRecord { secret: None, local: None, voided: ctx.block_time(), ..record };
+    registrar::forget(ctx, &record.organisation, &record.name);
     // A node at which a secret lies has to learn that it is void: then the name stays.
     if never {
         ctx.delete(identity_key(&record.organisation, &record.name).as_bytes());
-        let look = look_key(&record.organisation, &record.name);
-        if ctx.rules().names_are_readable() && store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
-            ctx.delete(look.as_bytes());
+        for look in look_keys(&record.organisation, &record.name) {
+            if ctx.rules().names_are_readable() && store::read::<String>(ctx, &look)?.as_ref() == Some(&record.name) {
+                ctx.delete(look.as_bytes());
+            }
         }
         count(ctx, &record.organisation, |number| number.saturating_sub(1))?;
     } else {

@@ -68,7 +68,7 @@ impl FromLedger {
         let revocations = self.gateway.subscribe(Subscription {
             from_height: self.next_height,
             chaincode: MSP.to_owned(),
-            names: vec!["revoked".to_owned()],
+            names: vec!["revoked".to_owned(), "revocation_list".to_owned()],
             heartbeat: HEARTBEAT_MS,
             ..Subscription::default()
         });

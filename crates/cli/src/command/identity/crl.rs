@@ -1,0 +1,136 @@
+//! `identity crl`: revocation lists of a CA that is another software.
+
+use crate::answer;
+use crate::cli::Global;
+use crate::fabric;
+use crate::failure::Failure;
+use crate::output::{Facts, Output, Table};
+use crate::session::{MSP, Session, argument};
+use crate::time;
+use ledger::msp::{KnownList, RecordList, RecordedList, SetStale, Stale};
+use serde::Serialize;
+use std::io::{self, Write};
+use std::path::PathBuf;
+
+/// Record the newest revocation list of your CA; without a file, show those that the ledger has.
+///
+/// For admins of the organisation of the CA. Whoever the list names is revoked, and their grants end in the same block. A
+/// list never takes a revocation back: it has to be newer than the one before, and to name all that the one before named,
+/// except certificates that have ended.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+Example:
+  ledgerctl identity crl crl.pem
+  ledgerctl identity crl --when-ended refuse
+  ledgerctl identity crl")]
+pub(crate) struct Crl {
+    /// The list, in PEM or DER
+    file: Option<PathBuf>,
+    /// A certificate that has ended and is in the list no longer, in PEM; needed where the ledger never saw it
+    #[arg(long, value_name = "FILE", requires = "file")]
+    ended: Vec<PathBuf>,
+    /// What follows when a list has ended and no new one was recorded: warn, or refuse the people of your organisation
+    #[arg(long, value_name = "warn|refuse", value_parser = stale, conflicts_with = "file")]
+    when_ended: Option<Stale>,
+}
+
+fn stale(text: &str) -> Result<Stale, String> {
+    match text {
+        "warn" => Ok(Stale::Warn),
+        "refuse" => Ok(Stale::Refuse),
+        _ => Err("wanted warn or refuse".to_owned()),
+    }
+}
+
+impl Crl {
+    pub(super) async fn run(self, global: &Global, output: &mut Output) -> Result<(), Failure> {
+        let record = self.file.as_deref().map(|file| record(file, &self.ended)).transpose()?;
+        let session = Session::open(global).await?;
+        if let Some(stale) = self.when_ended {
+            let done = session.call(MSP, "set_stale_lists", vec![argument(&SetStale { stale })?]).await?;
+            return output.show(&WhenEnded(answer::parse(&done.response, "the setting")?));
+        }
+        let Some(record) = record else {
+            let known = answer::parse(&session.ask(MSP, "revocation_lists", vec![]).await?, "the revocation lists")?;
+            return output.show(&Known { lists: known, now: session.client.now() });
+        };
+        let done = session.call(MSP, "record_revocation_list", vec![argument(&record)?]).await?;
+        let recorded = answer::parse(&done.response, "the recorded list")?;
+        output.show(&Recorded { recorded, in_block: done.height })
+    }
+}
+
+fn record(file: &std::path::Path, ended: &[PathBuf]) -> Result<RecordList, ledger_rejection::Rejection> {
+    let mut certificates = Vec::new();
+    for path in ended {
+        certificates.extend(fabric::chain(path)?.into_iter().take(1).map(hex::encode));
+    }
+    Ok(RecordList { list: hex::encode(fabric::list(file)?), ended: certificates })
+}
+
+#[derive(Serialize)]
+struct WhenEnded(SetStale);
+
+impl Facts for WhenEnded {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        match self.0.stale {
+            Stale::Warn => writeln!(out, "when a revocation list has ended, nodes and ledgerctl warn"),
+            Stale::Refuse => {
+                writeln!(out, "when a revocation list has ended, its people are refused until a new one comes")
+            }
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct Recorded {
+    #[serde(flatten)]
+    recorded: RecordedList,
+    in_block: u64,
+}
+
+impl Facts for Recorded {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let RecordedList { list, serials } = &self.recorded;
+        let (subject, listed) = (crate::output::printable(&list.subject), list.listed);
+        writeln!(out, "recorded the revocation list of {subject} in block {}: {listed} certificates", self.in_block)?;
+        for serial in serials {
+            writeln!(out, "revoked serial {serial}")?;
+        }
+        Ok(())
+    }
+}
+
+#[derive(Serialize)]
+#[serde(transparent)]
+struct Known {
+    lists: Vec<KnownList>,
+    #[serde(skip)]
+    now: u64,
+}
+
+impl Facts for Known {
+    fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+        let mut table = Table::new(["ORGANISATION", "CA", "CERTIFICATES", "MADE", "ENDS", "WHEN ENDED"]);
+        for KnownList { list, stale } in &self.lists {
+            let ends = match list.next_update {
+                None => "never".to_owned(),
+                Some(end) if end < self.now => format!("ended {}", time::relative(end, self.now)),
+                Some(end) => time::moment(end),
+            };
+            table.row([
+                list.organisation.clone(),
+                list.subject.clone(),
+                list.listed.to_string(),
+                time::moment(list.this_update),
+                ends,
+                match stale {
+                    Stale::Warn => "warn",
+                    Stale::Refuse => "refuse",
+                }
+                .to_owned(),
+            ]);
+        }
+        table.write(out, 0)
+    }
+}
