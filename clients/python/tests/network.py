@@ -66,10 +66,10 @@ class Place:
 
     def start(self, *arguments: str) -> subprocess.Popen[bytes]:
         """Starts a node; its log is a file beside it."""
-        log = (self.directory / f"log-{len(self.processes)}").open("wb")
-        process = subprocess.Popen(
-            [program("ledgerd"), *arguments], cwd=self.directory, env=self.environment, stdout=subprocess.PIPE, stderr=log
-        )
+        command = [program("ledgerd"), *arguments]
+        with (self.directory / f"log-{len(self.processes)}").open("wb") as log:
+            options: dict[str, Any] = {"cwd": self.directory, "env": self.environment, "stderr": log}
+            process = subprocess.Popen(command, stdout=subprocess.PIPE, **options)
         self.processes.append(process)
         return process
 
@@ -100,7 +100,8 @@ class Place:
 
     def enrol(self, admin: str, name: str, *attributes: str, **options: Any) -> ledgerd.Context:
         """Registers and enrols."""
-        return ledgerd.enrol(name, **self.user(admin, name, *attributes), home=self.home, **options)
+        invited: dict[str, Any] = {**self.user(admin, name, *attributes), **options}
+        return ledgerd.enrol(name, home=self.home, **invited)
 
     def close(self) -> None:
         """Ends everything."""
@@ -191,13 +192,19 @@ class Three(Place):
         """The node that leads, by those that answer."""
 
         def look() -> str | None:
-            status = self.json(self.ADMIN, "network", "status")
-            for node in status["nodes"]:
-                if node.get("leader") or node.get("id") == status.get("leader"):
-                    return next((name for name, at in self.addresses.items() if at == node["address"]), None)
-            return None
+            nodes = self.json(self.ADMIN, "network", "status")["nodes"]
+            leads = [node["address"] for node in nodes if node["leader"] and node["reachable"]]
+            return next((name for name, at in self.addresses.items() if at in leads), None)
 
         return eventually("somebody leads", look)
+
+    def at(self, address: str | None) -> str:
+        """The node at an address; the leader if it is none, or elsewhere."""
+        return next((name for name, at in self.addresses.items() if at == address), None) or self.leader()
+
+    def until_whole(self) -> None:
+        """Waits until all three vote and answer."""
+        eventually("three vote", lambda: self._voters() == 3 or None)
 
     def _typed(self, *command: str) -> str:
         done = subprocess.run(command, cwd=self.directory, env=self.environment, capture_output=True, check=False)
@@ -224,7 +231,7 @@ class Three(Place):
         found = re.search(r"network approve (\S+)", proposed)
         assert found, proposed
         self.ctl("admin", "network", "approve", found[1])
-        eventually("three vote", lambda: self._voters() == 3 or None)
+        self.until_whole()
         service = {"topic": "/cmd_vel", "type": "geometry_msgs/msg/Twist", "mode": "exclusive"}
         robot = {"name": "Turtlebot4", "attribute_required": "Turtlebot4", "services": [service]}
         self.ctl("Org2-admin", "invoke", "abac", "setup", json.dumps(robot))

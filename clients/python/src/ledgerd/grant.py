@@ -111,6 +111,11 @@ class Grant:
         self._next_seq = first + count
         return first
 
+    async def wait_lost(self) -> Refusal | None:
+        """Waits until it is lost, and says why; None if it was released."""
+        await asyncio.wait([self._keeper])
+        return self.lost
+
     async def release(self) -> None:
         """Gives the service back. If that fails, it ends with its lease; a grant that was lost needs no end."""
         if self._released:

@@ -83,9 +83,12 @@ class InFlight:
     _send: Callable[[api.SubmitRequest], None] | None = None
     _answered: float = 0.0
     _resting_until: float | None = None
+    _closed: Refusal | None = None
 
     def add(self, transaction: Prepared, certificate: bytes, patience: float) -> asyncio.Future[Committed]:
         """Takes a transaction in and sends it, now or with the next connection."""
+        if self._closed is not None:
+            raise self._closed
         if len(self._entries) >= IN_FLIGHT_MAX:
             raise refusal(
                 "OVERLOADED",
@@ -172,6 +175,7 @@ class InFlight:
 
     def close(self, reason: Refusal) -> None:
         """Nobody sends anything any more."""
+        self._closed = reason
         for entry in self._entries.values():
             sent = entry.uncertain or entry.state is _State.SENT
             _resolve(entry, _unknown(entry, reason.message) if sent else reason)

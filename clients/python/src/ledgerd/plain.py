@@ -173,6 +173,10 @@ class Grant:
         """
         return self._client._run(self._held.publish(*messages, ttl=ttl))
 
+    def wait_lost(self) -> Refusal | None:
+        """Waits until it is lost, and says why; None if it was released."""
+        return self._client._run(self._held.wait_lost())
+
     def release(self) -> None:
         """Gives the service back. If that fails, it ends with its lease; a grant that was lost needs no end."""
         # A child process leaves what its parent holds alone.
