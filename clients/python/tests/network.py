@@ -90,7 +90,7 @@ class Place:
         """The same with `-o json`."""
         return json.loads(self.ctl(context, *arguments, "-o", "json"))
 
-    def user(self, admin: str, name: str, *attributes: str, role: str = "member") -> dict[str, str]:
+    def user(self, admin: str, name: str, *attributes: str, role: str = "member") -> dict[str, Any]:
         """Registers a name; the answer is what `ledgerd.enrol` wants."""
         words = [word for attribute in attributes for word in ("--attr", attribute)]
         told = self.ctl(admin, "identity", "register", name, "--role", role, *words)

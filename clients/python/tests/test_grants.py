@@ -40,6 +40,11 @@ class Grants(unittest.TestCase):
         with self.connect("Omar") as client:
             return [one["holder"] for one in client.grants() if one["service"] == service]
 
+    def line(self, service: str) -> list[dict[str, Any]]:
+        """Those who wait for a service."""
+        found: list[dict[str, Any]] = self.network.json("Salma", "queue", service)["line"]
+        return found
+
     def test_a_grant_is_renewed_in_the_background_and_released_at_the_end(self) -> None:
         with self.connect() as robot:
             with robot.acquire(SERVICE, lease=0.6) as grant:
@@ -90,18 +95,17 @@ class Grants(unittest.TestCase):
 
     def test_whoever_waits_in_line_gets_its_turn_or_leaves_the_line(self) -> None:
         self.network.ctl(Dev.OWNER, "robot", "set", "Husky/cmd_vel", "on-conflict=queue")
-        line = lambda: self.network.json("Salma", "queue", "Husky/cmd_vel")["line"]  # noqa: E731
         with self.connect() as robot, self.connect("Omar") as other:
             grant = robot.acquire("Husky/cmd_vel")
             with self.assertRaises(ledgerd.Conflict) as refused:
                 other.acquire("Husky/cmd_vel", wait=0.4)
             self.assertIn("as long as you waited", refused.exception.message)
-            self.assertEqual(line(), [])
+            self.assertEqual(self.line("Husky/cmd_vel"), [])
 
             async def gives_up() -> None:
                 async with await ledgerd.aio.connect("Omar", home=self.network.home) as client:
                     waiting = asyncio.ensure_future(_held(client))
-                    while not await asyncio.to_thread(line):
+                    while not await asyncio.to_thread(self.line, "Husky/cmd_vel"):
                         await asyncio.sleep(0.02)
                     waiting.cancel()
                     with self.assertRaises(asyncio.CancelledError):
@@ -111,8 +115,13 @@ class Grants(unittest.TestCase):
                 return await client.acquire("Husky/cmd_vel", wait=PATIENCE)
 
             asyncio.run(gives_up())
-            self.assertEqual(line(), [], "whoever gave up has left the line")
-            release = threading.Thread(target=lambda: eventually("one waits", lambda: line() or None) and grant.release())
+            self.assertEqual(self.line("Husky/cmd_vel"), [], "whoever gave up has left the line")
+
+            def hand_over() -> None:
+                eventually("one waits", lambda: self.line("Husky/cmd_vel") or None)
+                grant.release()
+
+            release = threading.Thread(target=hand_over)
             release.start()
             with other.acquire("Husky/cmd_vel", wait=PATIENCE) as theirs:
                 theirs.publish(TWIST)
@@ -273,12 +282,11 @@ class Grants(unittest.TestCase):
         self.network.ctl(Dev.OWNER, "robot", "set", SERVICE, "on-conflict=queue")
         with self.connect("Omar") as other, other.acquire(SERVICE):
             child = self.child("print('ready', flush=True)\nrobot.acquire(S, wait=60)")
-            line = lambda: self.network.json("Omar", "queue", SERVICE)["line"]  # noqa: E731
-            eventually("it is in line", lambda: line() or None)
+            eventually("it is in line", lambda: self.line(SERVICE) or None)
             child.send_signal(signal.SIGINT)
             _, said = child.communicate(timeout=PATIENCE)
             self.assertIn(b"KeyboardInterrupt", said)
-            self.assertEqual(line(), [])
+            self.assertEqual(self.line(SERVICE), [])
         self.network.ctl(Dev.OWNER, "robot", "set", SERVICE, "on-conflict=default")
 
     def test_a_fork_is_refused_and_leaves_the_grant_of_its_parent_alone(self) -> None:
@@ -305,8 +313,9 @@ with robot.acquire(S) as grant:
     def child(self, script: str, before: list[str] | None = None) -> subprocess.Popen[bytes]:
         """A program that has connected, and has printed `ready`."""
         head = f"import ledgerd, time\nS = {SERVICE!r}\nrobot = ledgerd.connect('Salma')\n"
-        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        child = subprocess.Popen([sys.executable, "-c", head + script], env=self.network.environment, **pipes)
+        pipe = subprocess.PIPE
+        command = [sys.executable, "-c", head + script]
+        child = subprocess.Popen(command, env=self.network.environment, stdin=pipe, stdout=pipe, stderr=pipe)
         assert child.stdout
         for line in [*(before or []), "ready"]:
             told = child.stdout.readline().decode().strip()

@@ -12,7 +12,6 @@ import contextlib
 import os
 import shutil
 import socket
-import ssl
 import struct
 import tempfile
 from pathlib import Path
@@ -111,15 +110,17 @@ class Link:
             raise
         channel = grpc.aio.insecure_channel(f"unix:{path}", options=[*_OPTIONS, ("grpc.default_authority", "node")])
         link = cls(address, channel)
+        link._carrier = asyncio.create_task(link._carry(server, directory, arrived, reader, writer))
+        ready = asyncio.create_task(channel.channel_ready())
         try:
-            link._carrier = asyncio.create_task(link._carry(server, directory, arrived, reader, writer))
-            await asyncio.wait_for(channel.channel_ready(), patience)
-        except (asyncio.TimeoutError, TimeoutError):
-            await link.close()
-            raise link.fault or unreachable(address, f"no HTTP/2 within {patience:g} s") from None
+            await asyncio.wait({ready, link._carrier}, timeout=patience, return_when=asyncio.FIRST_COMPLETED)
+            if not ready.done():
+                raise link.fault or unreachable(address, f"no HTTP/2 within {patience:g} s")
         except BaseException:
             await link.close()
             raise
+        finally:
+            ready.cancel()
         return link
 
     async def _carry(
@@ -162,10 +163,8 @@ class Link:
             writer.close()
 
     def _note(self, error: BaseException | None) -> None:
-        if isinstance(error, ssl.SSLError):
-            self.fault = tls.alerted(self.address, error) or unreachable(self.address, str(error))
-        elif isinstance(error, OSError):
-            self.fault = unreachable(self.address, str(error))
+        if isinstance(error, OSError):
+            self.fault = tls.ended(self.address, error)
 
     async def ask(
         self, method: grpc.aio.UnaryUnaryMultiCallable[Request, Response], request: Request, patience: float

@@ -143,17 +143,23 @@ async def connect(address: str, settings: Settings, patience: float) -> tuple[as
     except OSError as error:
         raise unreachable(address, str(error)) from error
     try:
+        shown = writer.get_extra_info("ssl_object").getpeercert(True)
         if settings.context.verify_mode == ssl.CERT_REQUIRED:
-            _check_role(address, writer.get_extra_info("ssl_object"))
+            _check_role(address, shown or b"")
+    except ValueError as error:
+        # The node has ended the connection already; its last words are on their way to the reader.
+        fault = await asyncio.gather(asyncio.wait_for(reader.read(1), patience), return_exceptions=True)
+        writer.close()
+        raise ended(address, fault[0] if isinstance(fault[0], BaseException) else None) from error
     except BaseException:
         writer.close()
         raise
     return reader, writer
 
 
-def _check_role(address: str, connection: Any) -> None:
+def _check_role(address: str, der: bytes) -> None:
     """A certificate of a user, who also has one of an organisation, does not make a node."""
-    shown = certificate.parse(connection.getpeercert(True) or b"")
+    shown = certificate.parse(der)
     found = certificate.role(shown)
     if found != "node":
         raise refusal(
@@ -208,6 +214,13 @@ def alerted(address: str, error: ssl.SSLError) -> Refusal | None:
             advice = "look into the node's log for the reason, then enrol again"
             return _refused(address, "UNTRUSTED", "is not accepted", alert, advice)
     return None
+
+
+def ended(address: str, error: BaseException | None) -> Refusal:
+    """Why a connection has ended; None if the other side closed it without a word."""
+    if isinstance(error, ssl.SSLError):
+        return alerted(address, error) or unreachable(address, str(error))
+    return unreachable(address, str(error) if error else "the node closed the connection")
 
 
 def _refused(address: str, code: str, what: str, alert: str, advice: str) -> Refusal:
