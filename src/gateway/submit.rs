@@ -147,7 +147,7 @@ impl Serving {
         if height > self.node.intake.height() {
             let current = self.node.current.clone();
             match self.meanwhile(job, requests, current.reach_told(height)).await {
-                Some(Ok(())) => {}
+                Some(Ok(())) => self.desk.reached(job),
                 Some(Err(reason)) => {
                     if let Some(arrived) = self.desk.give_up(job.lane()) {
                         refuse_unordered(arrived, &reason);

@@ -73,9 +73,11 @@ async fn a_height_that_only_a_liar_has_told_keeps_nobody_waiting_at_another_node
             args: vec!["Turtlebot4".into()],
             ttl: PATIENCE,
         };
-        let transaction = leader.prepare(call).unwrap();
-        let answer = wire::submit_from(&channel, transaction.encoded().clone(), u64::MAX).await.unwrap();
+        let [alone, streamed] = [(); 2].map(|()| leader.prepare(call.clone()).unwrap());
+        let answer = wire::submit_from(&channel, alone.encoded().clone(), u64::MAX).await.unwrap();
         assert_eq!(wire::code(&answer), 0, "node {node}");
+        let answer = wire::submit_on_stream(&channel, streamed.encoded().clone(), u64::MAX).await;
+        assert_eq!(wire::code(&answer), 0, "node {node}, on a stream");
     }
 }
 

@@ -4,6 +4,7 @@
 
 mod access;
 mod architecture;
+mod clients;
 mod codes;
 mod documents;
 mod driver;
@@ -14,6 +15,7 @@ mod keys;
 mod layers;
 mod links;
 mod logs;
+mod protos;
 mod routes;
 mod security;
 mod sources;

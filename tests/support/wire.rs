@@ -55,6 +55,15 @@ pub async fn submit_from(
     client.submit(request).await.map(tonic::Response::into_inner)
 }
 
+/// As [`submit_from`], on a stream, whose first answer it is.
+pub async fn submit_on_stream(channel: &Channel, transaction: bytes::Bytes, min_height: u64) -> SubmitResponse {
+    let request = v1::SubmitRequest { transaction, min_height, first_attempt: true };
+    // The stream stays open, as that of a client does.
+    let requests = tokio_stream::StreamExt::chain(tokio_stream::once(request), tokio_stream::pending());
+    let answers = GatewayClient::new(channel.clone()).submit_stream(requests).await.unwrap();
+    answers.into_inner().message().await.unwrap().unwrap()
+}
+
 /// The number of the code of an answer.
 pub fn code(answer: &SubmitResponse) -> u32 {
     answer.verdict.as_ref().unwrap().code

@@ -104,6 +104,13 @@ impl<C: Waiter> Desk<C> {
         }
     }
 
+    /// The height of a job is reached, or the state is current: then there is no such height, whoever has told it.
+    pub fn reached(&mut self, job: Job) {
+        if let Job::Look(lane) = job {
+            self.line.reached(lane);
+        }
+    }
+
     /// Takes the first of a lane out, which waits for a height in vain.
     pub fn give_up(&mut self, lane: Lane) -> Option<Arrived<C>> {
         self.line.take(lane)

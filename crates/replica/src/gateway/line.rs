@@ -77,6 +77,13 @@ impl<C> Line<C> {
         self.lane(lane).front().map(|arrived| arrived.ticket.min_height)
     }
 
+    /// The first of a lane waits for no height any more.
+    pub(super) fn reached(&mut self, lane: Lane) {
+        if let Some(first) = self.lane(lane).front_mut() {
+            first.ticket.min_height = 0;
+        }
+    }
+
     /// The first few of a lane.
     pub(super) fn first(&mut self, lane: Lane, count: usize) -> impl Iterator<Item = &Transaction> {
         self.lane(lane).iter().take(count).map(|arrived| &arrived.transaction)

@@ -1,0 +1,42 @@
+"""A client of ledgerd, the ledger that decides who commands which robot.
+
+    import ledgerd
+
+    with ledgerd.connect("Salma") as robot:
+        with robot.acquire("Turtlebot4/cmd_vel", wait=30) as grant:
+            grant.publish(twist)
+
+`ledgerd.aio` has the same for programs with asyncio. Whatever is refused raises a `Refusal` with code, found, wanted and next.
+"""
+
+from ledgerd import aio
+from ledgerd.codes import CODES, Kind
+from ledgerd.context import Context
+from ledgerd.events import Event
+from ledgerd.grant import Published
+from ledgerd.in_flight import Committed
+from ledgerd.plain import Client, Grant, Stream, connect, enrol
+from ledgerd.refusal import Conflict, Denied, Failure, Invalid, Refusal, Unreachable
+from ledgerd.senders import Message
+
+__all__ = [
+    "CODES",
+    "Client",
+    "Committed",
+    "Conflict",
+    "Context",
+    "Denied",
+    "Event",
+    "Failure",
+    "Grant",
+    "Invalid",
+    "Kind",
+    "Message",
+    "Published",
+    "Refusal",
+    "Stream",
+    "Unreachable",
+    "aio",
+    "connect",
+    "enrol",
+]

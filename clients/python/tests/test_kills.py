@@ -1,0 +1,127 @@
+"""Three voters, and `kill -9` of the leader and of the node of a client: nothing is lost, nothing comes twice."""
+
+from __future__ import annotations
+
+import threading
+import time
+import unittest
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import ledgerd
+from network import SERVICE, Three, eventually, number_of, numbered
+
+# Longer than an election takes on a busy machine, so that a message outlives it.
+TTL = 60.0
+DEADLINE = 60.0
+ROUNDS = 3
+
+
+class Kills(unittest.TestCase):
+    network: Three
+
+    @classmethod
+    def setUpClass(cls) -> None:
+        cls.network = Three()
+        cls.network.enrol("admin", "Salma", "Turtlebot4", key="p256")
+
+    @classmethod
+    def tearDownClass(cls) -> None:
+        cls.network.close()
+
+    def connect(self) -> ledgerd.Client:
+        return ledgerd.connect("Salma", home=self.network.home, deadline=DEADLINE)
+
+    @contextmanager
+    def nodes_die(self, client: ledgerd.Client) -> Iterator[threading.Event]:
+        """Kills the leader, then the node of a client, then the leader; each starts again, and all three vote before the next
+        one dies.
+        """
+        over = threading.Event()
+        faults: list[BaseException] = []
+
+        def die() -> None:
+            try:
+                for number in range(ROUNDS):
+                    victim = self.network.at(client.node) if number % 2 else self.network.leader()
+                    self.network.kill(victim)
+                    eventually("another one leads", lambda: self.network.leader() != victim or None)
+                    self.network.run(victim)
+                    self.network.until_whole()
+            except BaseException as fault:
+                faults.append(fault)
+            finally:
+                over.set()
+
+        killer = threading.Thread(target=die)
+        killer.start()
+        try:
+            yield over
+        finally:
+            killer.join()
+            if faults:
+                raise faults[0]
+
+    def test_every_published_message_is_executed_once_while_nodes_die(self) -> None:
+        with self.connect() as robot, robot.acquire(SERVICE, wait=30, lease=300) as grant:
+            published: list[ledgerd.Published] = []
+            with self.nodes_die(robot) as over:
+                while not over.is_set() or len(published) < 100:
+                    published.append(grant.publish(numbered(len(published)), ttl=TTL))
+                    time.sleep(0.002)
+            last = grant.publish(numbered(len(published)), ttl=TTL)
+            seen = []
+            with robot.subscribe(SERVICE, from_height=published[0].height) as stream:
+                for message in stream:
+                    seen.append((message.height, message.seq, number_of(message.payload), message.transaction))
+                    if message.transaction == last.transaction:
+                        break
+            wanted = [(one.height, one.seq, number, one.transaction) for number, one in enumerate([*published, last])]
+            self.assertEqual(seen, wanted)
+
+    def test_a_subscription_from_a_height_has_each_message_once_while_nodes_die(self) -> None:
+        with self.connect() as reader, self.connect() as robot, robot.acquire(SERVICE, wait=30, lease=300) as grant:
+            first = grant.publish(numbered(0), ttl=TTL)
+            stop, sent = threading.Event(), [0]
+
+            def drive() -> None:
+                while not stop.is_set():
+                    sent[0] += 1
+                    grant.publish(numbered(sent[0]), ttl=TTL)
+                    time.sleep(0.005)
+
+            driver = threading.Thread(target=drive)
+            with reader.subscribe(SERVICE, from_height=first.height) as stream:
+                driver.start()
+                try:
+                    with self.nodes_die(reader) as over:
+                        seen = []
+                        nodes = set()
+                        while not over.is_set():
+                            seen.append(number_of(next(stream).payload))
+                            nodes.add(reader.node)
+                finally:
+                    stop.set()
+                    driver.join()
+                while len(seen) <= sent[0]:
+                    seen.append(number_of(next(stream).payload))
+            self.assertEqual(seen, list(range(sent[0] + 1)))
+            self.assertGreater(len(nodes - {None}), 1, "the reader never had to go elsewhere")
+
+    def test_a_grant_outlives_the_death_of_nodes_and_is_given_back(self) -> None:
+        with self.connect() as robot:
+            with robot.acquire(SERVICE, wait=30, lease=20) as grant:
+                before = grant.expires
+                with self.nodes_die(robot) as over:
+                    over.wait()
+                grant.publish(numbered(0), ttl=TTL)
+                self.assertIsNone(grant.lost)
+                deadline = time.monotonic() + 60
+                while grant.expires == before and time.monotonic() < deadline:
+                    time.sleep(0.05)
+                self.assertGreater(grant.expires, before)
+            self.assertEqual(robot.grants(), [])
+
+
+if __name__ == "__main__":
+    unittest.main()
