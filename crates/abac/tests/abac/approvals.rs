@@ -99,7 +99,7 @@ const BUILT_IN: Content = (usize::MAX, 0);
 impl Model {
     fn new() -> Self {
         let sets = BTreeMap::from([("Org1", (0, BUILT_IN)), ("Org2", (0, BUILT_IN))]);
-        Self { fleet: Fleet::of_the_paper(), serials: [100; ADMINS.len()], network: 0, sets, proposals: vec![] }
+        Self { fleet: Fleet::of_the_paper(), serials: [50, 90, 130, 170, 210], network: 0, sets, proposals: vec![] }
     }
 
     fn admin(&self, who: usize) -> Identity {
@@ -114,7 +114,7 @@ impl Model {
 
     fn missing(rule: usize, organisation: &str, agreed: &[usize]) -> usize {
         let of = |organisation: &str| agreed.iter().filter(|who| ADMINS[**who].0 == organisation).count();
-        let (wanted, found) = match rule {
+        let (wanted, found): (usize, usize) = match rule {
             0 => (0, 0),
             1 => (2, of(organisation)),
             2 => (2, ["Org1", "Org2"].iter().filter(|organisation| of(organisation) > 0).count()),

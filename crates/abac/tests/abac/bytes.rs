@@ -46,7 +46,7 @@ fn story(rules: Rules) -> Fleet {
 
 const OF_RULES_2: [&str; 2] = [
     "7d4913a4df1dd0a9a4b14548131ea22f2bfed74f738fb4206b2ceabba3be6778",
-    "d5c4c2cd9da249daac1bd0613f7c1772c4217d3f85128f2dfc05e94744484e98",
+    "82a50de3ff171b82e01a9a975708dfcf5c6a4ee84207f9a3a4d1d4cb86f90043",
 ];
 /// Robots have an index by owner, versions of policies their steps, and what is decided again is marked meanwhile.
 const OF_RULES_3: [&str; 2] = [
