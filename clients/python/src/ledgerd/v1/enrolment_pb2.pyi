@@ -56,16 +56,34 @@ class NetworkResponse(_message.Message):
     def __init__(self, network: _Optional[bytes] = ..., label: _Optional[str] = ..., organisations: _Optional[_Iterable[_Union[Organisation, _Mapping]]] = ..., clock: _Optional[int] = ..., cut_off: _Optional[bool] = ..., carries: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class Organisation(_message.Message):
-    __slots__ = ("name", "roots", "intermediates", "addresses")
+    __slots__ = ("name", "roots", "intermediates", "addresses", "units")
     NAME_FIELD_NUMBER: _ClassVar[int]
     ROOTS_FIELD_NUMBER: _ClassVar[int]
     INTERMEDIATES_FIELD_NUMBER: _ClassVar[int]
     ADDRESSES_FIELD_NUMBER: _ClassVar[int]
+    UNITS_FIELD_NUMBER: _ClassVar[int]
     name: str
     roots: _containers.RepeatedScalarFieldContainer[bytes]
     intermediates: _containers.RepeatedScalarFieldContainer[bytes]
     addresses: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, name: _Optional[str] = ..., roots: _Optional[_Iterable[bytes]] = ..., intermediates: _Optional[_Iterable[bytes]] = ..., addresses: _Optional[_Iterable[str]] = ...) -> None: ...
+    units: Units
+    def __init__(self, name: _Optional[str] = ..., roots: _Optional[_Iterable[bytes]] = ..., intermediates: _Optional[_Iterable[bytes]] = ..., addresses: _Optional[_Iterable[str]] = ..., units: _Optional[_Union[Units, _Mapping]] = ...) -> None: ...
+
+class Units(_message.Message):
+    __slots__ = ("units",)
+    UNITS_FIELD_NUMBER: _ClassVar[int]
+    units: _containers.RepeatedCompositeFieldContainer[Unit]
+    def __init__(self, units: _Optional[_Iterable[_Union[Unit, _Mapping]]] = ...) -> None: ...
+
+class Unit(_message.Message):
+    __slots__ = ("unit", "role", "issuer")
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    ROLE_FIELD_NUMBER: _ClassVar[int]
+    ISSUER_FIELD_NUMBER: _ClassVar[int]
+    unit: str
+    role: str
+    issuer: bytes
+    def __init__(self, unit: _Optional[str] = ..., role: _Optional[str] = ..., issuer: _Optional[bytes] = ...) -> None: ...
 
 class EnrolRequest(_message.Message):
     __slots__ = ("name", "secret", "request")
