@@ -66,6 +66,6 @@ fn parameters_of_a_robots_node_are_set_and_read_by_its_holder_and_by_nobody_else
         let _farhad = world.start_bridge_as("Farhad", &routes(2, "service_server"), &[]);
         let mut other = Python::start("parameters.py", &["call", "2", "/base"]);
         assert_eq!(other.line().as_deref(), Some("matched"));
-        world.line("Farhad", &["the ledger refuses samples", "NOT_HOLDER"]).await;
+        world.line("Farhad", &["the ledger refuses samples", "Org1/Farhad holds no grant of Rover/base/"]).await;
     });
 }

@@ -12,7 +12,7 @@ pub struct SideDoor {
     pub topic: String,
     /// How many publish there beside the bridge; 0 once they have left.
     pub publishers: u64,
-    /// Who has reported it: the robot, or a node of its owner.
+    /// The one who has reported it: the robot, or a node of its owner.
     pub by: String,
     /// When it was first reported (block time, microseconds).
     pub since: u64,

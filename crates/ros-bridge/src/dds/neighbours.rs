@@ -177,7 +177,8 @@ mod tests {
     fn endpoints_with_keys_are_told_by_their_guid() {
         let of = |kind| {
             let mut guid = [7; 16];
-            guid[15] = kind;
+            let [.., last] = &mut guid;
+            *last = kind;
             Neighbour::new(GUID::from_bytes(guid), Role::Publisher, "rt/x", "X_", QosPolicies::default()).is_keyed()
         };
         assert_eq!([0x02, 0x03, 0x04, 0x07].map(of), [true, false, false, true]);
