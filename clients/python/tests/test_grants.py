@@ -136,12 +136,16 @@ class Grants(unittest.TestCase):
                 self.assertEqual((lost.name, grant.lost), ("NOT_HOLDER", lost))
                 with self.assertRaises(ledgerd.Denied):
                     grant.publish(TWIST)
-                # Somebody else's grant, also of the same identity, is left alone at the end.
-                with self.connect() as again:
-                    kept = again.acquire(SERVICE)
-                    grant.release()
-                    self.assertEqual(self.holders(), ["Org1/Salma"])
-                    kept.release()
+
+    def test_a_later_grant_of_the_same_identity_is_left_alone_at_the_end_of_an_earlier_one(self) -> None:
+        with self.connect() as robot, self.connect() as again:
+            with robot.acquire(SERVICE, lease=60) as earlier:
+                self.network.ctl(Dev.OWNER, "release", SERVICE, "--holder", "Org1/Salma")
+                later = again.acquire(SERVICE)
+                self.assertEqual((earlier.lost, later.epoch), (None, earlier.epoch + 1))
+            self.assertEqual(self.holders(), ["Org1/Salma"])
+            later.release()
+            self.assertEqual(self.holders(), [])
 
     def test_messages_come_in_order_from_any_height_with_their_senders(self) -> None:
         with self.connect() as robot, robot.acquire(SERVICE) as grant:

@@ -69,7 +69,7 @@ class Deliveries:
             try:
                 link, call = await self._subscribed()
                 patience = _SILENCE_MAX if self._is_accepted else _ACCEPT_MAX
-                delivery = await asyncio.wait_for(call.read(), patience)
+                delivery = await link.settled(call.read(), patience)
             except Refusal as refused:
                 if refused.kind is not Kind.UNREACHABLE:
                     raise
@@ -82,7 +82,7 @@ class Deliveries:
                     raise ended from error
                 await self._again(link if ended.name == "SHUTTING_DOWN" else None)
                 continue
-            except (asyncio.TimeoutError, TimeoutError):
+            except TimeoutError:
                 await self._again(link)
                 continue
             except BaseException:
