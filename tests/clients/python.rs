@@ -95,7 +95,9 @@ fn the_wheel_is_pure_and_has_types_and_the_version_of_this_workspace() {
     assert_eq!(built.file_name().unwrap().to_string_lossy(), name);
     let listed = ran(Command::new(python()).args(["-m", "zipfile", "-l"]).arg(&built)).stdout;
     let listed = String::from_utf8(listed).unwrap();
-    for part in ["ledgerd/py.typed", "ledgerd/v1/gateway_pb2.py ", "ledgerd/v1/gateway_pb2.pyi", "ledgerd/ros2/verbs.py"] {
+    for part in
+        ["ledgerd/py.typed", "ledgerd/v1/gateway_pb2.py ", "ledgerd/v1/gateway_pb2.pyi", "ledgerd/ros2/verbs.py"]
+    {
         assert!(listed.contains(part), "{part} in {listed}");
     }
     assert!(!listed.contains("tests/"), "{listed}");
