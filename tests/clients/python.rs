@@ -1,4 +1,4 @@
-//! The package in Python. What it does against networks is written in Python, in `clients/python/tests`.
+//! The package in Python. Its tests against networks are written in Python, in `clients/python/tests`.
 
 use crate::support::{Dev, programs};
 use crate::{blocks, python, ran, repository};

@@ -98,7 +98,7 @@ impl Content {
         }
     }
 
-    /// What breaks a rule, by the name of the rule.
+    /// The names that break a rule, each with the name of the rule, and where it is.
     fn faults(&self) -> Vec<(&'static str, String, String)> {
         let mut faults = Vec::new();
         let mut fault = |rule, named: &Named, what: &str| {

@@ -29,6 +29,7 @@ from ledgerd import certificate, events, link, tls, transaction
 from ledgerd.context import Known, key_pem
 from ledgerd.events import Deliveries, Wanted
 from ledgerd.link import Link
+from ledgerd.refusal import of_status
 from ledgerd.renewal import renew_if_due
 from ledgerd.senders import Senders
 from ledgerd.v1 import gateway_pb2 as api
@@ -273,6 +274,13 @@ class Enemies(unittest.TestCase):
                     await stream.aclose()
 
         asyncio.run(run())
+
+    def test_a_stream_that_breaks_in_any_way_is_no_reason_to_give_up(self) -> None:
+        for code in ("UNAVAILABLE", "INTERNAL", "UNKNOWN", "CANCELLED", "DATA_LOSS", "ABORTED"):
+            found = of_status("a:1", code, "Received RST_STREAM with error code 2", None)
+            self.assertEqual((found.name, found.kind), ("UNREACHABLE", ledgerd.Kind.UNREACHABLE), code)
+        for details in (b"", b"\xff", b"\x0a"):
+            self.assertEqual(of_status("a:1", "INTERNAL", "", details).kind, ledgerd.Kind.UNREACHABLE)
 
     def test_where_nobody_answers_a_call_ends_at_its_deadline_with_the_reason(self) -> None:
         found = self.refused(replace(self.context(), nodes=("127.0.0.1:1",), known=Known()))
