@@ -19,6 +19,8 @@
 )]
 #[path = "../support/mod.rs"]
 mod support;
+#[path = "../support/two_networks.rs"]
+mod two_networks;
 
 mod languages;
 mod python;

@@ -1,7 +1,9 @@
 //! The package in Python. Its tests against networks are written in Python, in `clients/python/tests`.
 
 use crate::support::{Dev, programs};
+use crate::two_networks::two_networks;
 use crate::{blocks, python, ran, repository};
+use ledger_api::Context;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -52,6 +54,24 @@ fn enemies_and_broken_things_are_met() {
 #[test]
 fn ros2_ledger_is_found_and_does_what_it_says() {
     tested("test_ros2.py");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_process_that_serves_several_networks_is_told_which_one_is_meant() {
+    let place = TempDir::new().unwrap();
+    let (_host, networks) = two_networks(place.path()).await;
+    let home = place.path().join("home");
+    for (label, (node, admin)) in ["first", "second"].into_iter().zip(networks) {
+        let admin = Context { name: label.to_owned(), ..admin };
+        admin.save(&home).unwrap();
+        let program =
+            format!("import ledgerd\nwith ledgerd.connect({label:?}) as one: print(one.status().network.hex())");
+        let mut command = interpreter();
+        command.args(["-c", &program]).env("LEDGERD_HOME", &home);
+        let output = tokio::task::spawn_blocking(move || ran(&mut command)).await.unwrap();
+        assert_eq!(String::from_utf8(output.stdout).unwrap().trim(), node.ledger().network().to_string());
+        node.stop().await;
+    }
 }
 
 #[test]

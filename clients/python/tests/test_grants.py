@@ -326,6 +326,18 @@ with robot.acquire(S) as grant:
             self.assertEqual(told, line, told or child.communicate()[1].decode())
         return child
 
+    def test_a_program_that_ends_without_closing_anything_ends_and_says_nothing(self) -> None:
+        plain = "import ledgerd; one = ledgerd.connect('Salma'); grant = one.acquire('Turtlebot4/cmd_vel', lease=0.2)"
+        listening = "\nimport threading; stream = one.subscribe('Turtlebot4/cmd_vel')"
+        thread = "\nthreading.Thread(target=lambda: next(stream), daemon=True).start()"
+        within = "import asyncio, ledgerd\nasync def main():\n    one = await ledgerd.aio.connect('Salma')\nasyncio.run(main())"
+        for program in (plain, plain + listening + thread, within):
+            eventually("nobody holds it", lambda: not self.holders() or None)
+            command = [sys.executable, "-c", program]
+            done = subprocess.run(command, env=self.network.environment, capture_output=True, timeout=PATIENCE, check=False)
+            self.assertEqual((done.returncode, done.stderr), (0, b""))
+        eventually("nobody holds it", lambda: not self.holders() or None)
+
     def test_a_closed_client_refuses_and_does_not_wait(self) -> None:
         robot = self.connect()
         robot.close()
