@@ -453,6 +453,25 @@ except ledgerd.Refusal as refused:
 class Liars(unittest.TestCase):
     """A node that tells of blocks that do not exist, in front of an honest network."""
 
+    def test_the_next_block_is_not_the_one_that_a_liar_names(self) -> None:
+        with Dev() as network:
+            network.enrol(Dev.ADMIN, "Salma", "Turtlebot4")
+            with ledgerd.connect("Salma", home=network.home) as robot, robot.acquire(SERVICE, lease=60) as grant:
+
+                async def lie(link: Link) -> tuple[str, int]:
+                    return "127.0.0.1:1", 1 << 40
+
+                with mock.patch.object(events, "_height", lie):
+                    stream = robot.subscribe(SERVICE)
+                self.assertEqual(stream.next_height, (1 << 40) + 1)
+                heard: list[int] = []
+                listener = threading.Thread(target=lambda: heard.append(number_of(next(stream).payload)))
+                listener.start()
+                eventually("the lie is found out", lambda: stream.next_height < 1 << 40 or None)
+                grant.publish(numbered(5))
+                listener.join()
+                self.assertEqual(heard, [5])
+
     def test_a_stream_outlives_a_node_that_told_of_blocks_that_do_not_exist(self) -> None:
         with Three() as network:
             network.enrol("admin", "Salma", "Turtlebot4")

@@ -60,8 +60,9 @@ class Deliveries:
     async def pin(self) -> None:
         """Decides which block the next one is: were it left to the first connection, a message could be missed before it."""
         if self._next_height == 0:
-            status = await self._session.ask(lambda link: link.ask(link.status, api.StatusRequest(), CONNECT_MAX))
-            self._next_height = status.height + 1
+            address, height = await self._session.ask(_height)
+            # If that node has lied, whichever other node finds it out decides anew.
+            self._next_height, self._told = height + 1, (address, 0)
 
     async def next(self) -> api.Delivery:
         """The next delivery with events, or a sign of life without any."""
@@ -162,6 +163,10 @@ class Deliveries:
                 self._told = (node, self._next_height)
             self._next_height = delivery.height + 1
         return not is_repeated
+
+
+async def _height(link: Link) -> tuple[str, int]:
+    return link.address, (await link.ask(link.status, api.StatusRequest(), CONNECT_MAX)).height
 
 
 @dataclass(frozen=True)
