@@ -10,9 +10,17 @@
 #![expect(clippy::unwrap_used, clippy::expect_used, clippy::panic, unreachable_pub, reason = "tests")]
 #![expect(clippy::indexing_slicing, reason = "tests")]
 
-#[expect(dead_code, unused_imports, clippy::print_stderr, clippy::print_stdout, reason = "shared with the tests of nodes")]
+#[expect(
+    dead_code,
+    unused_imports,
+    clippy::print_stderr,
+    clippy::print_stdout,
+    reason = "shared with the tests of nodes"
+)]
 #[path = "../support/mod.rs"]
 mod support;
+#[path = "../support/two_networks.rs"]
+mod two_networks;
 
 mod languages;
 mod python;

@@ -1,7 +1,9 @@
-//! The package in Python. What it does against networks is written in Python, in `clients/python/tests`.
+//! The package in Python. Its tests against networks are written in Python, in `clients/python/tests`.
 
 use crate::support::{Dev, programs};
+use crate::two_networks::two_networks;
 use crate::{blocks, python, ran, repository};
+use ledger_api::Context;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -54,6 +56,24 @@ fn ros2_ledger_is_found_and_does_what_it_says() {
     tested("test_ros2.py");
 }
 
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_process_that_serves_several_networks_is_told_which_one_is_meant() {
+    let place = TempDir::new().unwrap();
+    let (_host, networks) = two_networks(place.path()).await;
+    let home = place.path().join("home");
+    for (label, (node, admin)) in ["first", "second"].into_iter().zip(networks) {
+        let admin = Context { name: label.to_owned(), ..admin };
+        admin.save(&home).unwrap();
+        let program =
+            format!("import ledgerd\nwith ledgerd.connect({label:?}) as one: print(one.status().network.hex())");
+        let mut command = interpreter();
+        command.args(["-c", &program]).env("LEDGERD_HOME", &home);
+        let output = tokio::task::spawn_blocking(move || ran(&mut command)).await.unwrap();
+        assert_eq!(String::from_utf8(output.stdout).unwrap().trim(), node.ledger().network().to_string());
+        node.stop().await;
+    }
+}
+
 #[test]
 fn every_type_is_right() {
     let cache = TempDir::new().unwrap();
@@ -95,7 +115,9 @@ fn the_wheel_is_pure_and_has_types_and_the_version_of_this_workspace() {
     assert_eq!(built.file_name().unwrap().to_string_lossy(), name);
     let listed = ran(Command::new(python()).args(["-m", "zipfile", "-l"]).arg(&built)).stdout;
     let listed = String::from_utf8(listed).unwrap();
-    for part in ["ledgerd/py.typed", "ledgerd/v1/gateway_pb2.py ", "ledgerd/v1/gateway_pb2.pyi", "ledgerd/ros2/verbs.py"] {
+    for part in
+        ["ledgerd/py.typed", "ledgerd/v1/gateway_pb2.py ", "ledgerd/v1/gateway_pb2.pyi", "ledgerd/ros2/verbs.py"]
+    {
         assert!(listed.contains(part), "{part} in {listed}");
     }
     assert!(!listed.contains("tests/"), "{listed}");

@@ -1,55 +1,21 @@
 //! Several ledgers in one process: each has stores, certificate and threads of its own. They have a listener each, or
 //! share one.
 
-use crate::support::network::{free_address, now};
+use crate::support::network::free_address;
+use crate::two_networks::{founded, two_networks};
 use bytes::Bytes;
 use ledger_api::{Client, Context, Enrolment};
 use ledger_hash::Hash;
-use ledger_identity::Role;
-use ledger_identity::key::KeyKind;
 use ledger_rejection::Code;
 use ledgerd::config::Config;
-use ledgerd::setup::{NetworkPlan, PlannedNode, PlannedOrganisation, found, issue};
 use ledgerd::{Host, Node};
-use std::collections::BTreeMap;
 use std::path::Path;
-
-/// Founds a network of one node that is reached at this address: the node's settings, and its admin.
-fn founded(root: &Path, label: &str, address: &str) -> (Config, Context) {
-    let data = root.join(label);
-    let node = PlannedNode {
-        name: "node1".into(),
-        organisation: "Org1".into(),
-        data: data.clone(),
-        address: address.into(),
-        voter: true,
-    };
-    let plan = NetworkPlan {
-        label: label.into(),
-        organisations: vec![PlannedOrganisation { name: "Org1".into(), key: KeyKind::Ed25519 }],
-        nodes: vec![node],
-        snapshot_every: ledger::network::SNAPSHOT_EVERY_DEFAULT,
-    };
-    found(&plan, now()).unwrap();
-    let admin = issue(&data, "Org1", ("Admin", Role::Admin), BTreeMap::new(), address, now()).unwrap();
-    (Config { data, listen: address.into(), ..Config::default() }, admin)
-}
 
 /// A network of one node in this process, and a client of its admin.
 async fn network(root: &Path, label: &str) -> (Node, Client) {
     let (config, admin) = founded(root, label, &free_address());
     let node = Node::builder().start(&config).await.unwrap();
     (node, Client::connect(&admin).await.unwrap())
-}
-
-/// Two networks of one node each behind one listener.
-async fn two_networks(root: &Path) -> (Host, [(Node, Context); 2]) {
-    let host = Host::listen("127.0.0.1:0").await.unwrap();
-    let address = host.address().to_string();
-    let [(here, admin), (there, other)] = ["first", "second"].map(|label| founded(root, label, &address));
-    let first = Node::builder().start_on(&host, &here).await.unwrap();
-    let second = Node::builder().start_on(&host, &there).await.unwrap();
-    (host, [(first, admin), (second, other)])
 }
 
 /// A robot's description, as `setup` takes it.

@@ -16,6 +16,8 @@
 mod own_network;
 #[path = "../support/mod.rs"]
 mod support;
+#[path = "../support/two_networks.rs"]
+mod two_networks;
 
 mod ca;
 mod catch_up;

@@ -21,7 +21,14 @@ const EXCEPTIONS: [Exception; 5] = [
     (
         "RPC_RESPONSE_STANDARD_NAME",
         &[
-            "SubmitStream", "Subscribe", "GetBlock", "GetTransaction", "Governance", "Renew", "Messages", "Blocks",
+            "SubmitStream",
+            "Subscribe",
+            "GetBlock",
+            "GetTransaction",
+            "Governance",
+            "Renew",
+            "Messages",
+            "Blocks",
             "SnapshotChunks",
         ],
         "the answer is a thing that has a name, or one of several on a stream",
@@ -91,10 +98,12 @@ impl Content {
         }
     }
 
-    /// What breaks a rule, by the name of the rule.
+    /// The names that break a rule, each with the name of the rule, and where it is.
     fn faults(&self) -> Vec<(&'static str, String, String)> {
         let mut faults = Vec::new();
-        let mut fault = |rule, named: &Named, what: &str| faults.push((rule, named.name.clone(), format!("{}: {what}", named.place)));
+        let mut fault = |rule, named: &Named, what: &str| {
+            faults.push((rule, named.name.clone(), format!("{}: {what}", named.place)))
+        };
         let in_calls: BTreeSet<_> = self.calls.iter().flat_map(|(_, asked, answer)| [asked, answer]).collect();
         for one in &self.services {
             if !one.name.ends_with("Service") {
@@ -151,7 +160,10 @@ fn is_pascal(name: &str) -> bool {
 
 fn is_snake(name: &str) -> bool {
     let fits = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
-    name.starts_with(|c: char| c.is_ascii_lowercase()) && name.chars().all(fits) && !name.contains("__") && !name.ends_with('_')
+    name.starts_with(|c: char| c.is_ascii_lowercase())
+        && name.chars().all(fits)
+        && !name.contains("__")
+        && !name.ends_with('_')
 }
 
 /// `TwoWords` as `TWO_WORDS`.
@@ -179,8 +191,10 @@ fn names_and_comments_of_the_proto_files_are_those_that_buf_wants() {
         content.read(&path.to_string_lossy(), &read(&path));
     }
     assert!(content.services.len() == 3 && content.calls.len() > 20 && content.fields.len() > 100, "they were read");
-    let mut unused: BTreeSet<_> =
-        EXCEPTIONS.iter().flat_map(|(rule, names, _)| names.iter().map(move |name| (*rule, (*name).to_owned()))).collect();
+    let mut unused: BTreeSet<_> = EXCEPTIONS
+        .iter()
+        .flat_map(|(rule, names, _)| names.iter().map(move |name| (*rule, (*name).to_owned())))
+        .collect();
     let excused = unused.clone();
     let mut broken = Vec::new();
     for (rule, name, what) in content.faults() {
@@ -197,7 +211,9 @@ fn names_and_comments_of_the_proto_files_are_those_that_buf_wants() {
 fn files_of_a_package_lie_where_the_package_says_and_name_it_for_go() {
     for path in protos() {
         let text = read(&path);
-        for line in ["syntax = \"proto3\";", &format!("package {PACKAGE};"), &format!("option go_package = \"{GO_PACKAGE}\";")] {
+        for line in
+            ["syntax = \"proto3\";", &format!("package {PACKAGE};"), &format!("option go_package = \"{GO_PACKAGE}\";")]
+        {
             assert!(text.lines().any(|found| found == line), "{}: no line {line}", path.display());
         }
         let below = path.strip_prefix(root().join("crates/api/proto")).unwrap_or(&path);
@@ -210,7 +226,8 @@ fn files_of_a_package_lie_where_the_package_says_and_name_it_for_go() {
             let used = Path::new(import).file_stem().unwrap_or_default().to_string_lossy().into_owned();
             let defines = read(&root().join("crates/api/proto").join(import));
             let names = defines.lines().filter_map(|line| line.strip_prefix("message ")?.split(' ').next());
-            let is_used = names.into_iter().any(|name| text.lines().any(|line| line.trim().starts_with(&format!("{name} "))));
+            let is_used =
+                names.into_iter().any(|name| text.lines().any(|line| line.trim().starts_with(&format!("{name} "))));
             assert!(is_used, "{}: nothing of {used} is used (IMPORT_USED)", path.display());
         }
     }
@@ -224,9 +241,15 @@ fn a_name_or_a_comment_that_buf_does_not_want_is_found() {
     content.read("x", text);
     let found: BTreeSet<_> = content.faults().into_iter().map(|(rule, name, _)| format!("{rule} {name}")).collect();
     let wanted = [
-        "COMMENT_MESSAGE key", "COMMENT_RPC open", "ENUM_VALUE_PREFIX NONE", "ENUM_ZERO_VALUE_SUFFIX NONE",
-        "FIELD_LOWER_SNAKE_CASE Teeth", "PASCAL_CASE key", "RPC_REQUEST_STANDARD_NAME open",
-        "RPC_RESPONSE_STANDARD_NAME open", "SERVICE_SUFFIX Door",
+        "COMMENT_MESSAGE key",
+        "COMMENT_RPC open",
+        "ENUM_VALUE_PREFIX NONE",
+        "ENUM_ZERO_VALUE_SUFFIX NONE",
+        "FIELD_LOWER_SNAKE_CASE Teeth",
+        "PASCAL_CASE key",
+        "RPC_REQUEST_STANDARD_NAME open",
+        "RPC_RESPONSE_STANDARD_NAME open",
+        "SERVICE_SUFFIX Door",
     ];
     assert_eq!(found, wanted.map(str::to_owned).into());
 }

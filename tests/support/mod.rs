@@ -14,7 +14,8 @@
 //! | `wire` | connections below the Rust client |
 //! | `wait` | conditions with a deadline, and a small source of random numbers |
 //!
-//! `own_network` (a network namespace for a test) stands alone: whoever needs it declares it by its path.
+//! `own_network` (a network namespace for a test) and `two_networks` (behind one listener) stand alone: whoever needs one declares
+//! it by its path.
 
 pub mod ctl;
 pub mod dev;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import datetime
 import hashlib
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import ledgerd
 from cryptography import x509
@@ -23,9 +25,11 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, utils
 from cryptography.hazmat.primitives.serialization import Encoding
 from cryptography.x509.oid import NameOID
-from ledgerd import certificate, link, tls, transaction
+from ledgerd import certificate, events, link, tls, transaction
 from ledgerd.context import Known, key_pem
-from ledgerd.events import Wanted
+from ledgerd.events import Deliveries, Wanted
+from ledgerd.link import Link
+from ledgerd.refusal import of_status
 from ledgerd.renewal import renew_if_due
 from ledgerd.senders import Senders
 from ledgerd.v1 import gateway_pb2 as api
@@ -209,6 +213,38 @@ class Enemies(unittest.TestCase):
                 self.assertEqual(reader.node, self.network.facts["address"])
         relay.close()
 
+    def test_a_node_that_withholds_what_it_should_tell_is_left_though_its_connection_lives(self) -> None:
+        class Withholding(Link):
+            def __init__(self, address: str, tells: bool) -> None:
+                self.address, self.tells, self.fault = address, tells, None
+                self.subscribe: Any = lambda request: self
+
+            async def read(self) -> api.Delivery:
+                if not self.tells:
+                    await asyncio.Event().wait()
+                return api.Delivery(height=7)
+
+            def cancel(self) -> None:
+                pass
+
+        class Nodes:
+            def __init__(self) -> None:
+                self.links = [Withholding("a:1", False), Withholding("b:1", True)]
+
+            async def up(self) -> Link:
+                return self.links[0]
+
+            def leave(self, link: Link) -> None:
+                self.links.remove(link)  # type: ignore[arg-type]
+
+            def see(self, height: int) -> None:
+                pass
+
+        nodes: Any = Nodes()
+        with mock.patch.object(events, "_ACCEPT_MAX", 0.05):
+            delivery = asyncio.run(Deliveries(nodes, Wanted(from_height=7)).next())
+        self.assertEqual((delivery.height, [link.address for link in nodes.links]), (7, ["b:1"]))
+
     def test_a_call_through_a_silent_connection_is_executed_once(self) -> None:
         relay = Relay(self.network.facts["address"])
         through = replace(self.context(), nodes=(relay.address, self.network.facts["address"]), known=Known(), home=None)
@@ -218,6 +254,33 @@ class Enemies(unittest.TestCase):
             with robot.subscribe(SERVICE, from_height=published.height) as stream:
                 self.assertEqual(next(stream).transaction, published.transaction)
         relay.close()
+
+    def test_questions_calls_and_streams_outlive_the_end_of_their_connection(self) -> None:
+        async def run() -> None:
+            async with await ledgerd.aio.connect("Salma", home=self.network.home) as robot:
+                async with robot.acquire(SERVICE, wait=PATIENCE, lease=60) as grant:
+                    stream = await robot.subscribe(SERVICE)
+                    heard = asyncio.ensure_future(anext(stream))
+                    for number in range(10):
+                        asked = asyncio.gather(*(robot.robots() for _ in range(5)), robot.status())
+                        sent = asyncio.ensure_future(grant.publish(numbered(number), ttl=30))
+                        await asyncio.sleep(0.001 * number)
+                        robot._session._unwanted.set()
+                        self.assertEqual(len(await asked), 6)
+                        await sent
+                        self.assertEqual(number_of((await heard).payload), number)
+                        heard = asyncio.ensure_future(anext(stream))
+                    heard.cancel()
+                    await stream.aclose()
+
+        asyncio.run(run())
+
+    def test_a_stream_that_breaks_in_any_way_is_no_reason_to_give_up(self) -> None:
+        for code in ("UNAVAILABLE", "INTERNAL", "UNKNOWN", "CANCELLED", "DATA_LOSS", "ABORTED"):
+            found = of_status("a:1", code, "Received RST_STREAM with error code 2", None)
+            self.assertEqual((found.name, found.kind), ("UNREACHABLE", ledgerd.Kind.UNREACHABLE), code)
+        for details in (b"", b"\xff", b"\x0a"):
+            self.assertEqual(of_status("a:1", "INTERNAL", "", details).kind, ledgerd.Kind.UNREACHABLE)
 
     def test_where_nobody_answers_a_call_ends_at_its_deadline_with_the_reason(self) -> None:
         found = self.refused(replace(self.context(), nodes=("127.0.0.1:1",), known=Known()))
@@ -254,6 +317,8 @@ class Enemies(unittest.TestCase):
             ("BAD_SIGNATURE", {"transaction": changed.SerializeToString()}),
             ("MALFORMED", {"subject": "Husky/cmd_vel"}),
             ("MALFORMED", {"payload": event.payload.replace(b'"count":1', b'"count":2')}),
+            ("MALFORMED", {"payload": event.payload.replace(b'"epoch":', b'"epoch":1')}),
+            ("MALFORMED", {"payload": event.payload.replace(b'"first_seq":', b'"first_seq":1')}),
             ("MALFORMED", {"payload": b"[]"}),
             ("MALFORMED", {"transaction": b"\xff"}),
             ("UNKNOWN_CREATOR", {"certificate": b""}),
@@ -387,6 +452,25 @@ except ledgerd.Refusal as refused:
 
 class Liars(unittest.TestCase):
     """A node that tells of blocks that do not exist, in front of an honest network."""
+
+    def test_the_next_block_is_not_the_one_that_a_liar_names(self) -> None:
+        with Dev() as network:
+            network.enrol(Dev.ADMIN, "Salma", "Turtlebot4")
+            with ledgerd.connect("Salma", home=network.home) as robot, robot.acquire(SERVICE, lease=60) as grant:
+
+                async def lie(link: Link) -> tuple[str, int]:
+                    return "127.0.0.1:1", 1 << 40
+
+                with mock.patch.object(events, "_height", lie):
+                    stream = robot.subscribe(SERVICE)
+                self.assertEqual(stream.next_height, (1 << 40) + 1)
+                heard: list[int] = []
+                listener = threading.Thread(target=lambda: heard.append(number_of(next(stream).payload)))
+                listener.start()
+                eventually("the lie is found out", lambda: stream.next_height < 1 << 40 or None)
+                grant.publish(numbered(5))
+                listener.join()
+                self.assertEqual(heard, [5])
 
     def test_a_stream_outlives_a_node_that_told_of_blocks_that_do_not_exist(self) -> None:
         with Three() as network:

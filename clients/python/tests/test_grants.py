@@ -136,12 +136,16 @@ class Grants(unittest.TestCase):
                 self.assertEqual((lost.name, grant.lost), ("NOT_HOLDER", lost))
                 with self.assertRaises(ledgerd.Denied):
                     grant.publish(TWIST)
-                # Somebody else's grant, also of the same identity, is left alone at the end.
-                with self.connect() as again:
-                    kept = again.acquire(SERVICE)
-                    grant.release()
-                    self.assertEqual(self.holders(), ["Org1/Salma"])
-                    kept.release()
+
+    def test_a_later_grant_of_the_same_identity_is_left_alone_at_the_end_of_an_earlier_one(self) -> None:
+        with self.connect() as robot, self.connect() as again:
+            with robot.acquire(SERVICE, lease=60) as earlier:
+                self.network.ctl(Dev.OWNER, "release", SERVICE, "--holder", "Org1/Salma")
+                later = again.acquire(SERVICE)
+                self.assertEqual((earlier.lost, later.epoch), (None, earlier.epoch + 1))
+            self.assertEqual(self.holders(), ["Org1/Salma"])
+            later.release()
+            self.assertEqual(self.holders(), [])
 
     def test_messages_come_in_order_from_any_height_with_their_senders(self) -> None:
         with self.connect() as robot, robot.acquire(SERVICE) as grant:
@@ -321,6 +325,18 @@ with robot.acquire(S) as grant:
             told = child.stdout.readline().decode().strip()
             self.assertEqual(told, line, told or child.communicate()[1].decode())
         return child
+
+    def test_a_program_that_ends_without_closing_anything_ends_and_says_nothing(self) -> None:
+        plain = "import ledgerd; one = ledgerd.connect('Salma'); grant = one.acquire('Turtlebot4/cmd_vel', lease=0.2)"
+        listening = "\nimport threading; stream = one.subscribe('Turtlebot4/cmd_vel')"
+        thread = "\nthreading.Thread(target=lambda: next(stream), daemon=True).start()"
+        within = "import asyncio, ledgerd\nasync def main():\n    one = await ledgerd.aio.connect('Salma')\nasyncio.run(main())"
+        for program in (plain, plain + listening + thread, within):
+            eventually("nobody holds it", lambda: not self.holders() or None)
+            command = [sys.executable, "-c", program]
+            done = subprocess.run(command, env=self.network.environment, capture_output=True, timeout=PATIENCE, check=False)
+            self.assertEqual((done.returncode, done.stderr), (0, b""))
+        eventually("nobody holds it", lambda: not self.holders() or None)
 
     def test_a_closed_client_refuses_and_does_not_wait(self) -> None:
         robot = self.connect()

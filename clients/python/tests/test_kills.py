@@ -84,11 +84,18 @@ class Kills(unittest.TestCase):
             first = grant.publish(numbered(0), ttl=TTL)
             stop, sent = threading.Event(), [0]
 
+            faults: list[BaseException] = []
+
             def drive() -> None:
-                while not stop.is_set():
-                    sent[0] += 1
-                    grant.publish(numbered(sent[0]), ttl=TTL)
-                    time.sleep(0.005)
+                try:
+                    while not stop.is_set():
+                        grant.publish(numbered(sent[0] + 1), ttl=TTL)
+                        sent[0] += 1
+                        time.sleep(0.005)
+                except BaseException as fault:
+                    faults.append(fault)
+                    # The reader waits for a message: it hears one that tells it to stop.
+                    grant.publish(numbered(1 << 40), ttl=TTL)
 
             driver = threading.Thread(target=drive)
             with reader.subscribe(SERVICE, from_height=first.height) as stream:
@@ -97,7 +104,7 @@ class Kills(unittest.TestCase):
                     with self.nodes_die(reader) as over:
                         seen = []
                         nodes = set()
-                        while not over.is_set():
+                        while not over.is_set() and not faults:
                             seen.append(number_of(next(stream).payload))
                             nodes.add(reader.node)
                 finally:
@@ -105,6 +112,7 @@ class Kills(unittest.TestCase):
                     driver.join()
                 while len(seen) <= sent[0]:
                     seen.append(number_of(next(stream).payload))
+            self.assertEqual(faults, [])
             self.assertEqual(seen, list(range(sent[0] + 1)))
             self.assertGreater(len(nodes - {None}), 1, "the reader never had to go elsewhere")
 

@@ -60,8 +60,9 @@ class Deliveries:
     async def pin(self) -> None:
         """Decides which block the next one is: were it left to the first connection, a message could be missed before it."""
         if self._next_height == 0:
-            status = await self._session.ask(lambda link: link.ask(link.status, api.StatusRequest(), CONNECT_MAX))
-            self._next_height = status.height + 1
+            address, height = await self._session.ask(_height)
+            # If that node has lied, whichever other node finds it out decides anew.
+            self._next_height, self._told = height + 1, (address, 0)
 
     async def next(self) -> api.Delivery:
         """The next delivery with events, or a sign of life without any."""
@@ -69,7 +70,7 @@ class Deliveries:
             try:
                 link, call = await self._subscribed()
                 patience = _SILENCE_MAX if self._is_accepted else _ACCEPT_MAX
-                delivery = await asyncio.wait_for(call.read(), patience)
+                delivery = await link.settled(call.read(), patience)
             except Refusal as refused:
                 if refused.kind is not Kind.UNREACHABLE:
                     raise
@@ -82,7 +83,7 @@ class Deliveries:
                     raise ended from error
                 await self._again(link if ended.name == "SHUTTING_DOWN" else None)
                 continue
-            except (asyncio.TimeoutError, TimeoutError):
+            except TimeoutError:
                 await self._again(link)
                 continue
             except BaseException:
@@ -162,6 +163,10 @@ class Deliveries:
                 self._told = (node, self._next_height)
             self._next_height = delivery.height + 1
         return not is_repeated
+
+
+async def _height(link: Link) -> tuple[str, int]:
+    return link.address, (await link.ask(link.status, api.StatusRequest(), CONNECT_MAX)).height
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import shutil
 import socket
 import struct
 import tempfile
+from collections.abc import Awaitable
 from pathlib import Path
 from typing import Final, TypeVar
 
@@ -48,6 +49,7 @@ _OPTIONS: Final = [
 
 Request = TypeVar("Request", bound=Message)
 Response = TypeVar("Response", bound=Message)
+Answer = TypeVar("Answer")
 
 
 class Link:
@@ -171,11 +173,29 @@ class Link:
     ) -> Response:
         """Calls a method and waits for its answer at most so many seconds."""
         try:
-            return await method(request, timeout=patience)
+            return await self.settled(method(request, timeout=patience), None)
         except grpc.aio.AioRpcError as error:
             raise self.refusal(error) from error
         except grpc.aio.UsageError as error:
-            raise unreachable(self.address, "the connection is closed") from error
+            raise self._closed() from error
+
+    async def settled(self, what: Awaitable[Answer], patience: float | None) -> Answer:
+        """Waits for a part of a call; raises TimeoutError after so many seconds. gRPC cancels what is under way when the
+        connection is closed, and that must not look as if the one who waits were cancelled.
+        """
+        task = asyncio.ensure_future(what)
+        try:
+            await asyncio.wait({task}, timeout=patience)
+            if not task.done():
+                raise TimeoutError
+            if task.cancelled():
+                raise self.fault or self._closed()
+            return task.result()
+        finally:
+            task.cancel()
+
+    def _closed(self) -> Refusal:
+        return unreachable(self.address, "the connection is closed")
 
     def refusal(self, error: grpc.aio.AioRpcError) -> Refusal:
         """Why a call failed. A node that refuses our certificate says so only with how the connection ends."""

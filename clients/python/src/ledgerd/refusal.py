@@ -148,6 +148,9 @@ _BY_GRPC: Final = {
     "UNKNOWN": ("UNREACHABLE", _ELSEWHERE),
     "CANCELLED": ("UNREACHABLE", _ELSEWHERE),
     "ABORTED": ("UNREACHABLE", _ELSEWHERE),
+    # A node tells its own faults with details. Without them it is gRPC whose stream broke, as when a node was killed.
+    "INTERNAL": ("UNREACHABLE", _ELSEWHERE),
+    "DATA_LOSS": ("UNREACHABLE", _ELSEWHERE),
     "DEADLINE_EXCEEDED": ("TIMEOUT", _ELSEWHERE),
     "UNAUTHENTICATED": ("CERTIFICATE_REQUIRED", "enrol first: ledgerctl enroll"),
     "PERMISSION_DENIED": ("UNTRUSTED", "ask an admin of your organisation"),

@@ -226,7 +226,7 @@ class Session:
         ]
         try:
             done, _ = await asyncio.wait(parts, return_when=asyncio.FIRST_COMPLETED)
-            ends = [part.exception() for part in done]
+            ends = [None if part.cancelled() else part.exception() for part in done]
         finally:
             call.cancel()
             for part in parts:
