@@ -51,8 +51,7 @@ fn authority(name: &str) -> CertificateParams {
     params.distinguished_name.push(DnType::OrganizationName, "org3.example.com");
     params.distinguished_name.push(DnType::CommonName, name);
     params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
-    params.key_usages =
-        vec![KeyUsagePurpose::DigitalSignature, KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+    params.key_usages = vec![KeyUsagePurpose::DigitalSignature, KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     params
 }
 
@@ -186,7 +185,8 @@ fn the_people_of_a_fabric_organisation_move_in_ten_lines_and_its_lists_revoke_th
     let import = |name: &str, key: &str| {
         let certificate = fabric.directory.join(name).join("signcerts/cert.pem").display().to_string();
         let key = fabric.directory.join(key).join("keystore/priv_sk").display().to_string();
-        let line = ["identity", "import", "--cert", &certificate, "--key", &key, "--node", &address, "--ca-fingerprint"];
+        let line =
+            ["identity", "import", "--cert", &certificate, "--key", &key, "--node", &address, "--ca-fingerprint"];
         ctl.as_(name).run(&[&line[..], &[&fingerprint]].concat())
     };
     import("plain", "plain").ok();
