@@ -33,7 +33,7 @@ impl Endings {
     }
 }
 
-/// What ends within thirty days, or has ended, in words that name it.
+/// The things that end within thirty days or have ended, in words that name them.
 fn endings(own: &[u8], msps: &Msps, lists: &[ListRecord], now: u64) -> Vec<String> {
     let near = |end: u64| end < now.saturating_add(WARNING_DAYS * DAY);
     let left = |end: u64| match end.checked_sub(now) {

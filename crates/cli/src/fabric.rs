@@ -7,7 +7,7 @@
 //! crls/               revocation lists            PEM or DER
 //! config.yaml         NodeOUs: which unit (OU) is which role
 //! ```
-//! Nothing else is read: no key, and no `admincerts`. Whoever gives us the directory may have it from somebody else. So
+//! Nothing else is read: no key, and no `admincerts`. The directory may come from somebody else. So
 //! files are few and small, links are not followed, and what cannot be read is refused with its name.
 
 mod node_units;
@@ -46,7 +46,7 @@ pub(crate) struct MspDirectory {
     pub(crate) units: Units,
     /// The newest list of each authority that has one, DER.
     pub(crate) lists: Vec<Vec<u8>>,
-    /// What its owner should know, each a warning and what to do.
+    /// Hints for its owner, each a warning and the next step.
     pub(crate) warnings: Vec<[String; 2]>,
 }
 

@@ -38,14 +38,17 @@ impl Output {
     /// Writes the facts and flushes, so that whoever reads a stream of them gets each at once.
     pub(crate) fn show<F: Facts>(&mut self, facts: &F) -> Result<(), Failure> {
         let mut text = Vec::new();
-        match self.format {
-            Format::Table => facts.text(&mut text)?,
+        let shown = match self.format {
+            Format::Table => {
+                facts.text(&mut text)?;
+                harmless(&String::from_utf8_lossy(&text))
+            }
             Format::Json => {
                 serde_json::to_writer(&mut text, facts).map_err(io::Error::from)?;
-                text.push(b'\n');
+                harmless_json(&String::from_utf8_lossy(&text)) + "\n"
             }
-        }
-        self.raw(&text)
+        };
+        self.raw(shown.as_bytes())
     }
 
     /// Tells people something beside the results, on standard error. Programs are not bothered with it.
@@ -123,13 +126,45 @@ impl Table {
     }
 }
 
-/// The text without anything that a terminal would obey. Names and messages come from other organisations.
+/// The text without anything that a terminal would obey, or that shows nothing and turns or hides what stands beside it.
+/// Names and messages come from other organisations.
 pub(crate) fn printable(text: &str) -> Cow<'_, str> {
-    if text.chars().any(char::is_control) {
-        text.chars().flat_map(|c| if c.is_control() { c.escape_default().collect() } else { vec![c] }).collect()
+    if text.chars().any(deceives) {
+        text.chars().flat_map(|c| if deceives(c) { c.escape_default().collect() } else { vec![c] }).collect()
     } else {
         Cow::Borrowed(text)
     }
+}
+
+/// Control characters, and those of Unicode that are invisible or change the direction of the text.
+fn deceives(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}')
+        || matches!(c, '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}' | '\u{e0000}'..='\u{e007f}')
+}
+
+/// A result for people: whatever forgot [`printable`], its lines and tabs stay.
+fn harmless(text: &str) -> String {
+    text.split_inclusive(['\n', '\t'])
+        .flat_map(|part| {
+            let end = part.len() - usize::from(part.ends_with(['\n', '\t']));
+            let (words, end) = part.split_at(end);
+            [printable(words), Cow::Borrowed(end)]
+        })
+        .collect()
+}
+
+/// JSON that says the same and has no character that a terminal would obey: they stand in strings only.
+fn harmless_json(json: &str) -> String {
+    let mut made = String::with_capacity(json.len());
+    for c in json.chars() {
+        if deceives(c) {
+            c.encode_utf16(&mut [0; 2]).iter().for_each(|unit| made.push_str(&format!("\\u{unit:04x}")));
+        } else {
+            made.push(c);
+        }
+    }
+    made
 }
 
 /// [`printable`] line by line.
@@ -173,6 +208,49 @@ mod tests {
         let mut table = Table::pairs();
         table.pair("name", "a\u{1b}[2J\nb\u{9b}");
         assert_eq!(written(&table, 0), "name  a\\u{1b}[2J\\nb\\u{9b}\n");
+    }
+
+    /// A name that would obey somebody else.
+    #[derive(Serialize)]
+    struct Evil {
+        name: &'static str,
+    }
+
+    impl Facts for Evil {
+        fn text(&self, out: &mut dyn Write) -> io::Result<()> {
+            writeln!(out, "held by {}\tnow", self.name)
+        }
+    }
+
+    #[test]
+    fn no_result_has_a_character_that_a_terminal_obeys_and_json_says_the_same_without_them() {
+        let evil = Evil { name: "a\u{1b}[2J\r\u{9b}\u{202e}b\u{200b}\u{e0041}c" };
+        for format in [Format::Table, Format::Json] {
+            let written = std::rc::Rc::new(std::cell::RefCell::new(Vec::new()));
+            struct Into(std::rc::Rc<std::cell::RefCell<Vec<u8>>>);
+            impl Write for Into {
+                fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+                    self.0.borrow_mut().extend_from_slice(bytes);
+                    Ok(bytes.len())
+                }
+                fn flush(&mut self) -> io::Result<()> {
+                    Ok(())
+                }
+            }
+            let mut output = Output { format, out: Box::new(Into(std::rc::Rc::clone(&written))) };
+            assert!(output.show(&evil).is_ok());
+            let text = String::from_utf8(written.borrow().clone()).unwrap();
+            assert!(!text.chars().any(|c| deceives(c) && !matches!(c, '\n' | '\t')), "{text:?}");
+            match format {
+                Format::Table => {
+                    assert!(text.starts_with("held by a\\u{1b}[2J") && text.ends_with("c\tnow\n"), "{text:?}")
+                }
+                Format::Json => {
+                    let read: serde_json::Value = serde_json::from_str(&text).unwrap();
+                    assert_eq!(read["name"], evil.name);
+                }
+            }
+        }
     }
 
     #[test]

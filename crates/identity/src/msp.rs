@@ -128,7 +128,7 @@ impl Msp {
     /// newer than another one, is not asked.
     ///
     /// # Errors
-    /// What [`RevocationList::parse`] says; [`IdentityError::Untrusted`] if its issuer is none of them,
+    /// As [`RevocationList::parse`]; [`IdentityError::Untrusted`] if its issuer is none of them,
     /// [`IdentityError::BadSignature`], [`IdentityError::WrongUsage`] if that authority may not sign lists.
     pub fn verify_list(&self, der: &[u8]) -> Result<RevocationList, IdentityError> {
         let list = RevocationList::parse(der)?;

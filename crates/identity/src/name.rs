@@ -32,8 +32,7 @@ pub fn check_readable(name: &str) -> Result<(), Rejection> {
 }
 
 /// The looks of a name: names that may be taken for each other have one in common. They are the skeletons of UTS 39 of the
-/// name as it is and in small letters, both without regard to case: `l` is like `I`, and `i` is like `I`, but `l` is not like
-/// `i`.
+/// name as it is and in small letters, both without regard to case. So `l` and `i` are both like `I`, and not like each other.
 pub fn looks(name: &str) -> BTreeSet<String> {
     let look = |name: &str| skeleton(name).collect::<String>().to_lowercase();
     [look(name), look(&name.to_lowercase())].into()

@@ -1,8 +1,8 @@
 //! Certificate revocation lists (CRLs) of X.509, read within limits.
 //!
 //! Reading is not trusting: [`crate::msp::Msp::verify_list`] answers whether an authority of the organisation has signed one. Only
-//! complete lists are read: a list of changes, one that speaks for other issuers, or one with a critical extension that is
-//! not known here is refused, because a part of it would pass for the whole.
+//! complete lists are read, because a part must not pass for the whole. Lists of changes, lists that speak for other issuers,
+//! and lists with a critical extension that is not known here are refused.
 
 use crate::certificate::{at_most, malformed, microseconds, serial_number};
 use crate::identity::IdentityError;
@@ -36,7 +36,7 @@ pub struct RevocationList {
     pub number: Option<Vec<u8>>,
     /// The serial numbers that it revokes, as [`crate::certificate::Certificate::serial`].
     pub serials: BTreeSet<Vec<u8>>,
-    /// What is signed.
+    /// The bytes that are signed.
     signed: Vec<u8>,
     /// The algorithm of the signature: content of its object identifier.
     algorithm: Vec<u8>,

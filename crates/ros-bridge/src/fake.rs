@@ -146,7 +146,7 @@ impl Fake {
         let (transaction, certificate) = caused_by
             .map(|(transaction, certificate)| (transaction.encoded().clone(), certificate.clone()))
             .unwrap_or_default();
-        let chaincode = if name == "revoked" { "msp" } else { "abac" };
+        let chaincode = if matches!(name, "revoked" | "revocation_list") { "msp" } else { "abac" };
         let event = EventRecord {
             chaincode: chaincode.into(),
             name: name.into(),

@@ -303,11 +303,10 @@ impl Node {
             network: Bytes::copy_from_slice(self.network.lock().unwrap().as_ref()),
             label: "fleet".into(),
             organisations: vec![v1::Organisation {
-                units: None,
                 name: "Org1".into(),
                 roots: vec![self.authority.der()],
-                intermediates: Vec::new(),
                 addresses: self.addresses.lock().unwrap().clone(),
+                ..Default::default()
             }],
             clock: self.clock(),
             cut_off: self.cut_off.load(Ordering::SeqCst),

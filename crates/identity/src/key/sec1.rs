@@ -14,8 +14,8 @@ const INTEGER_ZERO: &[u8] = &[0x02, 0x01, 0x00];
 const SEQUENCE: u8 = 0x30;
 const OCTET_STRING: u8 = 0x04;
 
-/// The key in PKCS#8, once for each curve that it may be of: a SEC1 key need not name its curve, and whoever reads a key of
-/// the wrong one refuses it.
+/// The key in PKCS#8, once for each curve that it may be of, because a SEC1 key need not name its curve. The reader refuses a
+/// key of the wrong one.
 pub(super) fn as_pkcs8(sec1: &[u8]) -> Vec<Vec<u8>> {
     let wrapped = |curve: &[u8]| {
         let key = tagged(OCTET_STRING, sec1)?;

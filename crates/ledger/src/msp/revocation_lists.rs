@@ -75,7 +75,7 @@ pub struct ListRecord {
     pub by: String,
 }
 
-/// What follows when a list has ended and no new one has come.
+/// The consequence when a list has ended and no new one has come.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Stale {
@@ -90,7 +90,7 @@ pub enum Stale {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SetStale {
-    /// What follows.
+    /// The consequence.
     pub stale: Stale,
 }
 
@@ -100,7 +100,7 @@ pub struct KnownList {
     /// The list.
     #[serde(flatten)]
     pub list: ListRecord,
-    /// What follows when it has ended.
+    /// The consequence when it has ended.
     pub stale: Stale,
 }
 
@@ -149,7 +149,7 @@ pub(super) fn record(ctx: &mut Context<'_>, argument: &Bytes) -> Result<Bytes, R
     json(&take(ctx, &organisation, (&der, &ended), &caller.id())?)
 }
 
-/// Takes a list that an authority of this organisation has signed, if it follows the one before. What it names is revoked, and the
+/// Takes a list that an authority of this organisation has signed, if it follows the one before. The certificates in it are revoked, and the
 /// rights of its holders end in this block.
 pub(super) fn take(
     ctx: &mut Context<'_>,

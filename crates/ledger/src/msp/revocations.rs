@@ -107,7 +107,7 @@ pub(super) fn revoke_certificate(
 /// Why a certificate is revoked.
 pub(super) struct Ground<'a> {
     pub(super) organisation: &'a str,
-    /// Who brought it to the ledger.
+    /// The author.
     pub(super) by: &'a str,
     pub(super) reason: &'a str,
 }

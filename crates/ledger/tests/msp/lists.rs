@@ -290,7 +290,7 @@ fn older_rules_know_no_lists_no_other_words_and_no_p384() {
     assert_eq!(code(&newer.call(&modern, "withdraw", &["00000000"])), Code::NotAdmin);
 }
 
-/// What the ledger should believe of the lists, written apart from it.
+/// A small model of the lists, written apart from the ledger.
 #[derive(Default)]
 struct Model {
     newest: Option<List>,

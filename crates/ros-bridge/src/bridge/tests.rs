@@ -425,17 +425,20 @@ async fn a_revocation_stops_the_robot_that_the_revoked_moved() {
     if !network::isolated(&|| ()) {
         return;
     }
-    let bench = bench("open", "direction = 'from_ledger'\nstale_after_ms = 60000", |_| ()).await;
-    let mut reader = bench.reader().await;
-    let salma = &bench.network.salma;
-    let (sent, _) = bench.message(salma, 0, 1);
-    assert_eq!(next(&mut reader).await, sent);
-    let revoked = salma.revocation(&bench.network);
-    let revoked = json!({ "issuer": revoked.issuer, "serial": revoked.serial });
-    bench.fake.deliver(micros(), "revoked", &revoked, None);
-    assert_eq!(next(&mut reader).await, stop());
-    let summary = bench.bridge.stop().await.routes.pop().unwrap();
-    assert_eq!(summary.stops["revoked"], 1);
+    for event in ["revoked", "revocation_list"] {
+        let bench = bench("open", "direction = 'from_ledger'\nstale_after_ms = 60000", |_| ()).await;
+        let mut reader = bench.reader().await;
+        let salma = &bench.network.salma;
+        let (sent, _) = bench.message(salma, 0, 1);
+        assert_eq!(next(&mut reader).await, sent);
+        let revoked = salma.revocation(&bench.network);
+        let serials = ["07", &revoked.serial, "08"];
+        let told = json!({ "issuer": revoked.issuer, "serial": revoked.serial, "serials": serials });
+        bench.fake.deliver(micros(), event, &told, None);
+        assert_eq!(next(&mut reader).await, stop(), "{event}");
+        let summary = bench.bridge.stop().await.routes.pop().unwrap();
+        assert_eq!(summary.stops["revoked"], 1, "{event}");
+    }
 }
 
 #[tokio::test]

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 
 /// Record the newest revocation list of your CA; without a file, show those that the ledger has.
 ///
-/// For admins of the organisation of the CA. Whoever the list names is revoked, and their grants end in the same block. A
+/// For admins of the organisation of the CA. Everybody whom the list names is revoked, and their grants end in the same block. A
 /// list never takes a revocation back: it has to be newer than the one before, and to name all that the one before named,
 /// except certificates that have ended.
 #[derive(Debug, clap::Args)]
@@ -29,7 +29,7 @@ pub(crate) struct Crl {
     /// A certificate that has ended and is in the list no longer, in PEM; needed where the ledger never saw it
     #[arg(long, value_name = "FILE", requires = "file")]
     ended: Vec<PathBuf>,
-    /// What follows when a list has ended and no new one was recorded: warn, or refuse the people of your organisation
+    /// The consequence when a list has ended and no new one was recorded: warn, or refuse the people of your organisation
     #[arg(long, value_name = "warn|refuse", value_parser = stale, conflicts_with = "file")]
     when_ended: Option<Stale>,
 }

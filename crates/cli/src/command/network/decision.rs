@@ -172,7 +172,7 @@ mod tests {
     #[test]
     fn a_call_is_shown_as_it_could_be_typed_and_long_arguments_are_cut() {
         let args = [Bytes::from("text"), Bytes::from_static(b"\xff\x00"), Bytes::from("é".repeat(70))];
-        let call = ledger::Call { chaincode: "abac".into(), function: "put".into(), args: args.to_vec() };
+        let call = Call { chaincode: "abac".into(), function: "put".into(), args: args.to_vec() };
         assert_eq!(what(&Action::Call(call)), format!("call abac put text hex:ff00 {}…", "é".repeat(60)));
     }
 

@@ -43,7 +43,7 @@ impl Facts for Members {
     fn text(&self, out: &mut dyn Write) -> io::Result<()> {
         let mut table = Table::new(["ORGANISATION", "NODES", "AUTHORITY", "FINGERPRINT", "VALID UNTIL"]);
         for Member { organisation, nodes } in &self.0 {
-            let Organisation { name, roots, intermediates } = organisation;
+            let Organisation { name, roots, intermediates, .. } = organisation;
             for (index, authority) in roots.iter().chain(intermediates).enumerate() {
                 table.row([
                     if index == 0 { name.clone() } else { String::new() },
