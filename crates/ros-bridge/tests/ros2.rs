@@ -27,7 +27,8 @@ use said::{Endpoint, endpoints, rate, under};
 const DEADLINE: Duration = Duration::from_secs(60);
 const DOMAIN: u16 = 5;
 const TWIST: &str = "geometry_msgs/msg/Twist";
-const LATCHED: Qos = Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 100 };
+const LATCHED: Qos =
+    Qos { reliability: Reliability::Reliable, durability: Durability::TransientLocal, depth: 100, keyed: false };
 
 /// Why there is no real ROS 2 here; none = there is one.
 fn missing(distribution: Option<&str>) -> Option<String> {

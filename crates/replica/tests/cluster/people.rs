@@ -29,7 +29,12 @@ pub struct People {
 
 impl People {
     pub fn organisation(&self) -> FoundingOrganisation {
-        FoundingOrganisation { name: ORGANISATION.into(), roots: vec![self.root.clone()], intermediates: Vec::new() }
+        FoundingOrganisation {
+            name: ORGANISATION.into(),
+            roots: vec![self.root.clone()],
+            intermediates: Vec::new(),
+            units: None,
+        }
     }
 }
 
