@@ -151,7 +151,7 @@ fn robots_and_services_come_change_and_go_while_the_bridge_runs_and_others_are_n
         world.line("Salma", &["discovered: 2 routes ended, 0 started"]).await;
 
         // A policy that lets her no longer.
-        call(&owner, "policy", &["put", "nobody", "forbid (principal, action, resource);"]).await;
+        call(&owner, "policy", &["put", "nobody", "forbid (principal, action, resource);", "i-mean-it"]).await;
         until_matched(&world, rover.matched(), 0).await;
         call(&owner, "policy", &["remove", "nobody"]).await;
         until_matched(&world, rover.matched(), 1).await;

@@ -87,7 +87,7 @@ impl MspDirectory {
                 "enable NodeOUs with an AdminOUIdentifier first, unless that is what you want".to_owned(),
             ]);
         }
-        let ders = |read: Vec<(PathBuf, Vec<u8>)>| read.into_iter().map(|(_, der)| der).collect::<Vec<_>>();
+        let ders = |read: Found| read.into_iter().map(|(_, der)| der).collect::<Vec<_>>();
         let (roots, intermediates) = (ders(roots), ders(intermediates));
         let msp = Msp::new(organisation, &roots, &intermediates)?.with_units(Some(units.clone()))?;
         let lists = lists(directory, &msp)?;
@@ -131,9 +131,12 @@ pub(crate) fn chain(path: &Path) -> Result<Vec<Vec<u8>>, Rejection> {
     Ok(found.iter().map(|der| der.as_ref().to_vec()).collect())
 }
 
-/// The certificates in one of the directories, with their files.
-fn certificates(directory: &Path, part: &str) -> Result<Vec<(PathBuf, Vec<u8>)>, Rejection> {
-    let mut found: Vec<(PathBuf, Vec<u8>)> = Vec::new();
+/// Certificates in DER, each with its file.
+type Found = Vec<(PathBuf, Vec<u8>)>;
+
+/// The certificates in one of the directories.
+fn certificates(directory: &Path, part: &str) -> Result<Found, Rejection> {
+    let mut found: Found = Vec::new();
     for path in files(directory, part)? {
         for der in chain(&path)? {
             if found.iter().all(|(_, known)| *known != der) {
@@ -161,14 +164,14 @@ fn lists(directory: &Path, msp: &Msp) -> Result<Vec<Vec<u8>>, Rejection> {
 }
 
 /// The units of `config.yaml`; without the file nobody has a role but member.
-fn units(directory: &Path, known: &[(&str, &Vec<(PathBuf, Vec<u8>)>)]) -> Result<Units, Rejection> {
+fn units(directory: &Path, known: &[(&str, &Found)]) -> Result<Units, Rejection> {
     let path = directory.join("config.yaml");
     if fs::symlink_metadata(&path).is_err() {
         return Ok(Units::default());
     }
     let text = String::from_utf8(read_file(&path)?).map_err(|_| bad(&path, "bytes that are no text"))?;
     let authority = |name: &str| {
-        let named = |(part, read): &(&str, &Vec<(PathBuf, Vec<u8>)>)| {
+        let named = |(part, read): &(&str, &Found)| {
             let file = name.strip_prefix(part)?.strip_prefix('/')?;
             let found = read.iter().find(|(path, _)| path.file_name().is_some_and(|known| known == file))?;
             Some(found.1.clone())

@@ -134,7 +134,7 @@ fn a_wrong_command_line_ends_with_64_and_says_what_is_meant() {
         (vec!["status", "-o", "yaml"], "json"),
         (vec!["network", "invite"], "--organisation"),
         (vec!["network", "invite", "--node", "a", "--organisation", "B"], "cannot be used with"),
-        (vec!["network", "invite", "--organisation", "B", "--for", "7d"], "1h"),
+        (vec!["network", "invite", "--organisation", "B", "--for", "7w"], "1h"),
         (vec!["network", "promote"], "NODE"),
         (vec!["network", "aprove", "12345678"], "approve"),
     ] {

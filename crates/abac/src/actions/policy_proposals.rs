@@ -78,7 +78,9 @@ pub(super) fn propose(ctx: &mut Context<'_>, decider: &Decider, args: &[Bytes]) 
         policies: policy_set::keep(ctx, organisation, &texts),
         approved: vec![approval(ctx)?],
     };
-    keep(ctx, &proposed, "policy_proposed")
+    let told = keep(ctx, &proposed)?;
+    ctx.emit("policy_proposed", &proposed.organisation, told.clone());
+    Ok(told)
 }
 
 /// `policy approve ID`: by an admin of any organisation.
@@ -97,7 +99,9 @@ pub(super) fn approve(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, Re
             .wanted(format!("at most {APPROVALS_MAX}")));
     }
     proposed.approved.push(own);
-    keep(ctx, &proposed, "policy_approved")
+    let told = keep(ctx, &proposed)?;
+    ctx.emit("policy_approved", &proposed.organisation, told.clone());
+    Ok(told)
 }
 
 /// `policy withdraw ID`: an admin of the organisation takes the proposal back, one of another their approval.
@@ -105,18 +109,20 @@ pub(super) fn withdraw(ctx: &mut Context<'_>, args: &[Bytes]) -> Result<Bytes, R
     let args = Arguments::new("policy withdraw ID", args, 1, 1)?;
     let caller = robots::admin(ctx, "withdraw policies")?;
     let mut proposed = find(ctx, args)?;
-    if caller.organisation == proposed.organisation {
-        end(ctx, &proposed)?;
-        return tell(ctx, &proposed, "policy_withdrawn");
-    }
     let before = proposed.approved.len();
     proposed.approved.retain(|approval| approval.principal.id() != caller.id());
-    if proposed.approved.len() == before {
+    let told = if caller.organisation == proposed.organisation {
+        end(ctx, &proposed)?;
+        store::json(&told(ctx, &proposed)?)?
+    } else if proposed.approved.len() < before {
+        keep(ctx, &proposed)?
+    } else {
         return Err(Rejection::new(Code::NotFound, format!("{} has not approved this", caller.id()))
             .found(format!("a proposal of {}", proposed.organisation))
             .wanted("a proposal of one's own organisation, or an approval of one's own"));
-    }
-    keep(ctx, &proposed, "policy_withdrawn")
+    };
+    ctx.emit("policy_withdrawn", &proposed.organisation, told.clone());
+    Ok(told)
 }
 
 /// `policy enact ID [break-glass]`: puts a proposal in force to which enough agree; by an admin of its organisation.
@@ -217,15 +223,10 @@ fn end(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<(), Rejection> {
     policy_set::forget(ctx, &proposed.organisation, &proposed.policies)
 }
 
-fn keep(ctx: &mut Context<'_>, proposed: &Proposed, event: &str) -> Result<Bytes, Rejection> {
+/// Writes a proposal, and answers with what counts of it now.
+fn keep(ctx: &mut Context<'_>, proposed: &Proposed) -> Result<Bytes, Rejection> {
     store::write(ctx, &store::proposed_key(&proposed.id), proposed)?;
-    tell(ctx, proposed, event)
-}
-
-fn tell(ctx: &mut Context<'_>, proposed: &Proposed, event: &str) -> Result<Bytes, Rejection> {
-    let told = store::json(&told(ctx, proposed)?)?;
-    ctx.emit(event, &proposed.organisation, told.clone());
-    Ok(told)
+    store::json(&told(ctx, proposed)?)
 }
 
 /// The proposal with what counts now.

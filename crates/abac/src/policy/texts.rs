@@ -44,8 +44,8 @@ pub(crate) struct Version {
     pub(crate) number: u64,
 }
 
-/// As a set stands on the ledger: of policies of the organisation's own the hash, since rules 3 followed by the steps and the
-/// number (`u64` BE each); the number alone if it has none any more.
+/// A set as it stands on the ledger. With policies of the organisation's own it is the hash, since rules 3 followed by the steps
+/// and the number (`u64` BE each). Without any more it is the number alone.
 enum Stored {
     Own(Version),
     BuiltIn(u64),

@@ -1,4 +1,4 @@
-//! Who must agree to a set of policies: any sequence of calls ends as a small model says.
+//! Approvals of sets of policies: any sequence of calls ends as a small model says.
 
 use crate::fleet::{Fleet, SECOND, bytes, identity};
 use bytes::Bytes;

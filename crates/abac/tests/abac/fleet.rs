@@ -27,7 +27,7 @@ pub(crate) const TWIST: [u8; 52] = {
 };
 
 /// Stands in for the membership chaincode: knows the names of the organisations, and certificates.
-/// Whom the CAs of the network have certified, it tells only in tests that ask for it: most put policies that few may use.
+/// It tells people whom CAs have certified only in tests that ask for it: most put policies that few may use.
 pub(crate) struct Members(
     pub(crate) Mutex<Vec<&'static str>>,
     pub(crate) Mutex<Vec<Identity>>,

@@ -70,7 +70,7 @@ impl Import {
             name.clone_into(&mut imported.name);
         }
         let home = context::home()?;
-        if !self.force && Context::list(&home)?.iter().any(|known| *known == imported.name) {
+        if !self.force && Context::list(&home)?.contains(&imported.name) {
             return Err(Rejection::new(Code::AlreadyExists, format!("there is a context {:?} already", imported.name))
                 .found(format!("a key in {}", context::directory(&home, &imported.name).display()))
                 .wanted("a name that is free: the key would be lost")

@@ -45,7 +45,7 @@ pub(super) struct Set {
     built_in: bool,
     #[command(flatten)]
     about: About,
-    /// Who must agree to the next set: a quorum such as 'admins = 2', or none
+    /// The rule for the next set: a quorum such as 'admins = 2', or none
     #[arg(long, value_name = "QUORUM")]
     approvals: Option<String>,
 }

@@ -136,7 +136,7 @@ impl Approvals {
             None => session.identity()?.organisation,
         };
         let response = session.ask(ABAC, "policy_approvals", vec![Bytes::from(organisation)]).await?;
-        output.show(&Rules(answer::parse(&response, "who must agree to policies")?))
+        output.show(&Rules(answer::parse(&response, "the rules of agreement to policies")?))
     }
 }
 
