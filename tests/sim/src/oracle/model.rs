@@ -267,7 +267,7 @@ impl Model {
     fn policy(&mut self, who: &Person, verb: &str, id: &str, text: Option<String>, time: u64) -> Verdict {
         only_admins(who)?;
         let key = (who.identity.organisation.clone(), id.to_owned());
-        let unreachable = self.unreachable(&who.identity.organisation, time);
+        let (before, unreachable) = (self.policies.clone(), self.unreachable(&who.identity.organisation, time));
         match (verb, text) {
             ("put", Some(text)) => {
                 let policy = Policy::read(id, &text).unwrap_or_else(|| panic!("no policy of the collection: {text}"));
@@ -277,6 +277,7 @@ impl Model {
         }
         let organisation = &who.identity.organisation;
         if self.has_contests() && !self.unreachable(organisation, time).is_subset(&unreachable) {
+            self.policies = before;
             return Err(Code::NobodyMayPublish);
         }
         let has_own = self.policies.keys().any(|(owner, _)| owner == organisation);
