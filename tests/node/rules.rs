@@ -42,7 +42,16 @@ fn proposals(boss: &Ctl, owner: &Ctl) {
     boss.run(&["network", "withdraw", waiting[0]["proposal"]["id"].as_str().unwrap()]).ok();
     boss.run(&["network", "quorums", "--set", "msp", "approve", "admins = 1"])
         .refused(3, &["LGR-1011", "set_node_role"]);
-    boss.run(&["network", "propose", "abac", "robots"]).refused(3, &["LGR-1011", "another chaincode"]);
+    boss.run(&["network", "propose", "abac", "robots"]).refused(3, &["LGR-1011", "set_policy_approvals"]);
+
+    // A rule of the network about policies holds for every organisation.
+    let approvals = ["network", "propose", "abac", "set_policy_approvals", "organisations = 2"];
+    assert!(boss.run(&approvals).ok().stdout.starts_with("proposed: call abac set_policy_approvals"));
+    assert_eq!(owner.run(&approvals).ok().stdout, "abac set_policy_approvals was executed\n");
+    let put = ["policy", "put", "all", "permit (principal, action, resource);"];
+    boss.run(&put).refused(2, &["LGR-3018", "organisations = 2, as the network demands: 1 more"]);
+    let told = owner.run(&["policy", "approvals"]).ok().stdout;
+    assert!(told.contains("organisations = 2"), "{told}");
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
