@@ -90,8 +90,15 @@ pub(crate) struct Remove {
 }
 
 /// The words of the command line where the chaincode has other names.
-const WORDS: Words =
-    Words { arguments: &[("ID", "the name of the policy"), ("TEXT", "the policy")], help: "ledgerctl policy" };
+const WORDS: Words = Words {
+    arguments: &[
+        ("ID", "the name of the policy"),
+        ("TEXT", "the policy"),
+        ("SET_JSON", "the set"),
+        ("approvals", "--approvals"),
+    ],
+    help: "ledgerctl policy",
+};
 
 /// The text of a policy. One that begins with an annotation begins like the name of a file, and ends with a semicolon.
 fn text(policy: &str) -> Result<Bytes, Rejection> {
