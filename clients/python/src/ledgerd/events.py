@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import deque
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import dataclass
@@ -24,6 +25,8 @@ _HEARTBEAT_MS: Final = 1_000
 _SILENCE_MAX: Final = 3.0
 # How long a node may take to say anything at all.
 _ACCEPT_MAX: Final = 5.0
+# A block may carry a time this much before the moment at which it was ordered: clocks differ, and the order takes its time.
+_EARLIER_MAX_US: Final = 2_000_000
 
 
 @dataclass(frozen=True)
@@ -47,8 +50,8 @@ class Deliveries:
         self._session = session
         self._wanted = wanted
         self._next_height = wanted.from_height
-        # The node that told the newest height, and the next height of interest before it told any.
-        self._told: tuple[str, int] | None = None
+        # The node that told the newest height, and where the stream was before it told any: at a height, or at a moment.
+        self._told: tuple[str, int | float] | None = None
         self._open: tuple[Link, grpc.aio.UnaryStreamCall[api.SubscribeRequest, api.Delivery]] | None = None
         self._is_accepted = False
 
@@ -60,9 +63,9 @@ class Deliveries:
     async def pin(self) -> None:
         """Decides which block the next one is: were it left to the first connection, a message could be missed before it."""
         if self._next_height == 0:
+            begun = time.monotonic()
             address, height = await self._session.ask(_height)
-            # If that node has lied, whichever other node finds it out decides anew.
-            self._next_height, self._told = height + 1, (address, 0)
+            self._next_height, self._told = height + 1, (address, begun)
 
     async def next(self) -> api.Delivery:
         """The next delivery with events, or a sign of life without any."""
@@ -151,7 +154,12 @@ class Deliveries:
             return False
         if committed + 1 >= self._next_height:
             return False
-        self._next_height, self._told = self._told[1], None
+        before = self._told[1]
+        try:
+            next_height = await _first_since(link, before, committed) if isinstance(before, float) else before
+        except Refusal:
+            return False
+        self._next_height, self._told = next_height, None
         return True
 
     def _accept(self, delivery: api.Delivery, node: str) -> bool:
@@ -167,6 +175,23 @@ class Deliveries:
 
 async def _height(link: Link) -> tuple[str, int]:
     return link.address, (await link.ask(link.status, api.StatusRequest(), CONNECT_MAX)).height
+
+
+async def _first_since(link: Link, moment: float, committed: int) -> int:
+    """The first block that was ordered after a moment, or a little before it. By the clock of the node and by block time, so that
+    nothing depends on what another node has said.
+    """
+    status = await link.ask(link.status, api.StatusRequest(), CONNECT_MAX)
+    since = status.clock - round((time.monotonic() - moment) * 1_000_000) - _EARLIER_MAX_US
+    first, end = max(status.first_height, 1), committed + 1
+    while first < end:
+        middle = (first + end) // 2
+        block = await link.ask(link.get_block, api.GetBlockRequest(height=middle), CONNECT_MAX)
+        if block.time < since:
+            first = middle + 1
+        else:
+            end = middle
+    return first
 
 
 @dataclass(frozen=True)

@@ -82,6 +82,11 @@ class Link:
             request_serializer=api.StatusRequest.SerializeToString,
             response_deserializer=api.StatusResponse.FromString,
         )
+        self.get_block: grpc.aio.UnaryUnaryMultiCallable[api.GetBlockRequest, api.Block] = unary(
+            gateway + "GetBlock",
+            request_serializer=api.GetBlockRequest.SerializeToString,
+            response_deserializer=api.Block.FromString,
+        )
         self.network: grpc.aio.UnaryUnaryMultiCallable[enrolment.NetworkRequest, enrolment.NetworkResponse] = unary(
             enroller + "Network",
             request_serializer=enrolment.NetworkRequest.SerializeToString,

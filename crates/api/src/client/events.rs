@@ -1,5 +1,7 @@
 //! Subscriptions that resume where they were cut off.
 
+mod since;
+
 use super::Client;
 use super::dialer::is_final;
 use super::in_flight::RETRY_AFTER;
@@ -46,9 +48,18 @@ pub struct EventStream {
     wanted: Subscription,
     /// The next height of interest; 0 = not known yet.
     next_height: u64,
-    /// The node that told the newest height, and the next height of interest before it told any.
-    told: Option<(Arc<str>, u64)>,
+    /// The node that told the newest height, and where the stream was before it told any.
+    told: Option<(Arc<str>, Before)>,
     open: Option<Open>,
+}
+
+/// Where a stream goes on if a node has told of blocks that do not exist.
+#[derive(Clone, Copy)]
+enum Before {
+    /// At this height.
+    Height(u64),
+    /// It began then, and only that node's word says at which height.
+    Moment(Instant),
 }
 
 struct Open {
@@ -101,8 +112,8 @@ impl EventStream {
                     let other = self.told.as_ref().filter(|(by, _)| *by != node);
                     // Seldom: a node that follows has soon what another one has told.
                     if other.is_some() && delivery.height.saturating_add(1) < self.next_height {
-                        let committed = committed(&open.up).await;
-                        if self.doubt_height(committed) {
+                        let up = open.up.clone();
+                        if self.doubt_height(&up).await {
                             self.open = None;
                             continue;
                         }
@@ -168,32 +179,41 @@ impl EventStream {
         let next = delivery.height.saturating_add(1);
         if next > self.next_height {
             if self.told.as_ref().is_none_or(|(by, _)| *by != node) {
-                self.told = Some((node, self.next_height));
+                self.told = Some((node, Before::Height(self.next_height)));
             }
             self.next_height = next;
         }
         !repeated
     }
 
-    /// Did another node tell of a block above the newest one that is committed? Then the stream goes on from where it was before
-    /// that node: rather twice than not at all.
-    fn doubt_height(&mut self, committed: Option<u64>) -> bool {
-        let Some(committed) = committed.filter(|height| height.saturating_add(1) < self.next_height) else {
-            return false;
+    /// Did another node tell of a block above the newest one that is committed here? Then the stream goes on from where it was
+    /// before that node: rather twice than not at all.
+    async fn doubt_height(&mut self, up: &Up) -> bool {
+        let committed = since::committed(up).await.filter(|height| height.saturating_add(1) < self.next_height);
+        let (Some(committed), Some((by, before))) = (committed, self.told.clone()) else { return false };
+        let next = match before {
+            Before::Height(height) => Some(height),
+            Before::Moment(begun) => since::first_since(up, begun, committed).await,
         };
-        let Some((by, before)) = self.told.take() else { return false };
+        let Some(next) = next else { return false };
         let told = self.next_height - 1;
         tracing::warn!(node = &*by, told, committed, "a node has told of a block that does not exist");
-        self.next_height = before;
+        (self.next_height, self.told) = (next, None);
         true
     }
 
     async fn subscribe(&mut self) -> Result<Open, Rejection> {
+        let up = self.client.session.up().await?;
         if self.next_height == 0 {
             // Pinned down now: were the connection lost before the first delivery, "the next block" would be another.
-            self.next_height = self.client.status().await?.height.saturating_add(1);
+            let begun = Instant::now();
+            self.next_height = since::height(&up).await?.saturating_add(1);
+            self.told = Some((Arc::clone(&up.connection.address), Before::Moment(begun)));
         }
-        let up = self.client.session.up().await?;
+        if self.wanted.heartbeat == 0 && self.told.as_ref().is_some_and(|(by, _)| *by != up.connection.address) {
+            // Without heartbeats this node would say nothing before there is a block of that height.
+            self.doubt_height(&up).await;
+        }
         let request = v1::SubscribeRequest {
             from_height: self.next_height,
             chaincode: self.wanted.chaincode.clone(),
@@ -215,14 +235,6 @@ impl EventStream {
             }
         }
     }
-}
-
-/// The height of a current state, which has every committed block; none if no leader confirms it in time.
-async fn committed(up: &Up) -> Option<u64> {
-    // Any function will do: a refusal tells the height as well.
-    let question = v1::QueryRequest { chaincode: "msp".into(), function: "rules".into(), ..Default::default() };
-    let answer = timeout(ACCEPT_MAX, up.gateway().query(question)).await.ok()?.ok()?;
-    Some(answer.into_inner().height)
 }
 
 /// How long a stream may be silent; half a second at least, because a node may be busy.

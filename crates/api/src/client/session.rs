@@ -60,6 +60,7 @@ struct Link {
 }
 
 /// A connection in use, and which one it is.
+#[derive(Clone)]
 pub(super) struct Up {
     pub(super) number: u64,
     pub(super) connection: Connection,

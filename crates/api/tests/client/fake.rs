@@ -74,6 +74,8 @@ pub(crate) struct Node {
     pub(crate) subscriptions: Mutex<Vec<v1::SubscribeRequest>>,
     /// Height of the newest block with an event.
     pub(crate) height: watch::Sender<u64>,
+    /// Times of the first blocks; further ones are of now.
+    pub(crate) times: Mutex<Vec<u64>>,
     /// The height of heartbeats, if that is larger.
     pub(crate) beat: AtomicU64,
     /// The number of queries that fail before one is answered.
@@ -130,6 +132,7 @@ impl Fake {
             attempts: Mutex::default(),
             subscriptions: Mutex::default(),
             height: watch::Sender::new(0),
+            times: Mutex::default(),
             beat: AtomicU64::new(0),
             not_now: Mutex::default(),
             ahead: AtomicU64::new(0),
@@ -399,7 +402,13 @@ impl Gateway for Shared {
 
     async fn get_block(&self, request: Request<v1::GetBlockRequest>) -> Result<Response<v1::Block>, Status> {
         let height = request.into_inner().height;
-        Err(to_status(&Rejection::new(Code::NotFound, format!("there is no block {height}")).next("wait for it")))
+        if height > *self.0.height.borrow() {
+            let refused = Rejection::new(Code::NotFound, format!("there is no block {height}")).next("wait for it");
+            return Err(to_status(&refused));
+        }
+        let place = usize::try_from(height).unwrap() - 1;
+        let time = self.0.times.lock().unwrap().get(place).copied().unwrap_or_else(wall_clock);
+        Ok(Response::new(v1::Block { height, time, ..Default::default() }))
     }
 
     async fn get_transaction(

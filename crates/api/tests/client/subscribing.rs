@@ -1,7 +1,7 @@
 //! Subscriptions: every block once, in order, over any number of connections.
 
 use crate::authority::Authority;
-use crate::fake::{Fake, until};
+use crate::fake::{Fake, until, wall_clock};
 use ledger_api::{Client, EventStream, Subscription};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -50,6 +50,26 @@ async fn a_node_that_told_of_a_block_that_does_not_exist_makes_no_stream_deaf_at
     honest.node.height.send_replace(4);
     assert_eq!(heights(&mut stream, 4).await, [1, 2, 3, 4], "from where it was before the liar");
     assert_eq!(stream.next_height(), 5);
+}
+
+#[tokio::test]
+async fn a_stream_that_begins_at_the_next_block_of_a_liar_misses_nothing_at_the_next_node() {
+    for heartbeat in [0, 50] {
+        let authority = Arc::new(Authority::new());
+        let (liar, honest) = (Fake::start(&authority).await, Fake::start(&authority).await);
+        liar.node.height.send_replace(900);
+        honest.node.height.send_replace(5);
+        let client = Client::connect(&authority.context(&[&liar, &honest])).await.unwrap();
+        let mut stream = client.subscribe(Subscription { heartbeat, ..Subscription::default() });
+        stream.open().await.unwrap();
+        assert_eq!(stream.next_height(), 901, "by the word of the liar");
+        // Five blocks are old; two came after the stream had begun.
+        *honest.node.times.lock().unwrap() = (1..=5).map(|block| wall_clock() - 60_000_000 + block).collect();
+        honest.node.height.send_replace(7);
+        liar.stop().await;
+        assert_eq!(heights(&mut stream, 2).await, [6, 7], "heartbeat {heartbeat}");
+        assert_eq!(stream.next_height(), 8);
+    }
 }
 
 #[tokio::test]
