@@ -1,4 +1,8 @@
-//! The networks of the vectors, as readers know them that have only just begun.
+//! What the targets share: here the networks of the vectors, as readers know them that have only just begun.
+
+pub mod files;
+pub mod fleet;
+pub mod messages;
 
 use ledger_hash::Hash;
 use ledger_identity::msp::{Msp, Msps};
@@ -10,8 +14,8 @@ use std::sync::LazyLock;
 static VECTORS: LazyLock<Value> =
     LazyLock::new(|| serde_json::from_str(include_str!("../../tests/fixtures/certified.json")).expect("JSON"));
 
-/// Names of the places where the ways begin that are fuzzed; seeds.py has them in the same order.
-const BEGINNINGS: [&str; 4] = ["genesis", "two voters", "one organisation", "four voters"];
+/// Names of the places where the ways begin that are fuzzed; the first byte of an input of `follow` is the number of one.
+pub const BEGINNINGS: [&str; 4] = ["genesis", "two voters", "one organisation", "four voters"];
 
 /// A reader at each of them.
 pub static READERS: LazyLock<Vec<Governance>> = LazyLock::new(|| BEGINNINGS.map(founded).to_vec());
@@ -42,12 +46,24 @@ pub static TOLD: LazyLock<Vec<Statement>> = LazyLock::new(|| {
     lies.flat_map(|lie| [lie.first.statement, lie.second.statement]).collect()
 });
 
-fn list(field: &str) -> impl Iterator<Item = &'static Value> {
+/// The vectors: tests/fixtures/certified.json.
+pub fn vectors() -> &'static Value {
+    &VECTORS
+}
+
+/// A list of the vectors.
+///
+/// # Panics
+/// If it is none.
+pub fn list(field: &str) -> impl Iterator<Item = &'static Value> {
     VECTORS[field].as_array().expect("a list").iter()
 }
 
 /// The bytes behind hexadecimal digits.
-fn bytes(digits: &Value) -> Vec<u8> {
+///
+/// # Panics
+/// If they are none.
+pub fn bytes(digits: &Value) -> Vec<u8> {
     hex::decode(digits.as_str().expect("a text")).expect("hexadecimal")
 }
 

@@ -6,13 +6,15 @@ use std::path::PathBuf;
 use toml::{Table, Value};
 
 /// Each crate and the crates of this workspace that it may use, for building and for testing.
-const LAYERS: [(&str, &[&str]); 26] = [
+const LAYERS: [(&str, &[&str]); 29] = [
     ("ledger-hash", &[]),
     ("ledger-rejection", &[]),
     // The paper's experiment without its network: nothing of a ledger.
     ("arena", &[]),
     // "Did you mean": of names, not of a ledger.
     ("nearest", &[]),
+    // Files of ROS 2: recordings.
+    ("mcap", &[]),
     // Files that survive a crash whole.
     ("ledger-durable", &["ledger-rejection"]),
     ("ledger-settings", &["ledger-durable", "ledger-rejection", "nearest"]),
@@ -22,6 +24,8 @@ const LAYERS: [(&str, &[&str]); 26] = [
     ("ledger-invariant", &[]),
     // Keys and certificates: no file, no chain.
     ("ledger-identity", &["ledger-hash", "ledger-rejection"]),
+    // Files of Fabric: certificates and units.
+    ("fabric", &["ledger-hash", "ledger-identity", "ledger-rejection"]),
     // For tests only.
     ("testkit", &["ledger-identity"]),
     // Whatever a robot or an auditor checks alone: no file, no engine, no network.
@@ -128,6 +132,7 @@ const LAYERS: [(&str, &[&str]); 26] = [
     (
         "ledgerctl",
         &[
+            "fabric",
             "ledger",
             "ledger-api",
             "ledger-contract",
@@ -139,9 +144,27 @@ const LAYERS: [(&str, &[&str]); 26] = [
             "ledger-light",
             "ledger-rejection",
             "ledger-storage",
+            "mcap",
             "nearest",
             "ros-bridge",
             "ros-message",
+        ],
+    ),
+    // Hostile bytes for whatever reads them.
+    (
+        "ledger-fuzz",
+        &[
+            "fabric",
+            "ledger",
+            "ledger-abac",
+            "ledger-api",
+            "ledger-hash",
+            "ledger-identity",
+            "ledger-light",
+            "ledger-raft",
+            "ledger-rejection",
+            "ledger-storage",
+            "mcap",
         ],
     ),
     (

@@ -253,3 +253,17 @@ fn a_name_or_a_comment_that_buf_does_not_want_is_found() {
     ];
     assert_eq!(found, wanted.map(str::to_owned).into());
 }
+
+#[test]
+fn every_message_of_the_proto_files_is_fuzzed() {
+    let named = |line: &str| line.strip_prefix("message ").and_then(|rest| rest.split(' ').next().map(str::to_owned));
+    let protos = files(&root().join("crates/api/proto"), ".proto");
+    let messages: BTreeSet<_> =
+        protos.iter().flat_map(|path| read(path).lines().filter_map(named).collect::<Vec<_>>()).collect();
+    let text = read(&root().join("fuzz/src/messages.rs"));
+    let quoted =
+        |line: &str| line.trim().strip_prefix("(\"").and_then(|rest| rest.split('"').next().map(str::to_owned));
+    let fuzzed: BTreeSet<_> = text.lines().filter_map(quoted).collect();
+    assert!(messages.len() > 50, "{messages:?}");
+    assert_eq!(fuzzed, messages);
+}

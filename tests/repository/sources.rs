@@ -35,9 +35,9 @@ pub(crate) fn files(directory: &Path, ending: &str) -> Vec<PathBuf> {
     found
 }
 
-/// The manifest of every crate of this workspace. Fuzzing is a workspace of its own: it needs another compiler.
+/// The manifest of every crate of this workspace.
 pub(crate) fn manifests() -> Vec<PathBuf> {
-    files(root(), "Cargo.toml").into_iter().filter(|path| !path.starts_with(root().join("fuzz"))).collect()
+    files(root(), "Cargo.toml")
 }
 
 /// The text of a Rust file without the tests at its end.

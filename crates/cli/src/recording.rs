@@ -18,12 +18,12 @@ pub(crate) use disk::taken;
 pub(crate) use reading::{Reading, Source};
 pub(crate) use rows::{Event, Record};
 
-use crate::mcap::{Stamp, Writer};
 use bytes::Bytes;
 use disk::Disk;
 use ledger_contract::ServiceState;
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
+use mcap::{Stamp, Writer};
 use ros_message::Library;
 use rows::Row;
 use std::collections::BTreeMap;

@@ -3,23 +3,46 @@
 //!
 //! `cargo test --release -p ledgerd-sim --features mutations --test mutations`
 
-#![expect(clippy::panic, clippy::print_stderr, reason = "tests")]
+#![expect(clippy::expect_used, clippy::panic, clippy::print_stderr, reason = "tests")]
 
 use ledger_mutation::{Mutation, turn_on};
 use ledgerd_sim::people::People;
 use ledgerd_sim::run::run;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::env;
+use std::process::{Command, Stdio};
+use std::sync::Arc;
 
-/// The bug is a switch of the whole process, so one at a time.
-static ONE: Mutex<()> = Mutex::new(());
+/// Set in a process that runs one test.
+const ALONE: &str = "LEDGERD_TEST_ALONE";
 /// Seeds within which a bug must show. The rarest, a snapshot that one organisation attests, needs 375.
 const SEEDS_MAX: u64 = 500;
 /// Seeds in which a bug that others make good for must break nothing.
 const SEEDS_BORNE: u64 = 30;
 
+/// Is this a process of one test? The bug is a switch of the whole process, so each test runs itself again in one of its own,
+/// and passes its failure on.
+fn is_alone() -> bool {
+    let this = std::thread::current();
+    // With --test-threads=1 the harness has no threads, and runs one after the other.
+    let test = this.name().filter(|name| *name != "main");
+    let Some(test) = test.filter(|_| env::var_os(ALONE).is_none()) else { return true };
+    let program = env::current_exe().expect("the test binary has a path");
+    let run = Command::new(program)
+        .args(["--exact", test, "--nocapture", "--test-threads=1"])
+        .env(ALONE, test)
+        .stderr(Stdio::inherit())
+        .output()
+        .expect("the test binary starts");
+    let told = String::from_utf8_lossy(&run.stdout);
+    assert!(run.status.success() && told.contains("test result: ok. 1 passed"), "{test}: {}\n{told}", run.status);
+    false
+}
+
 #[track_caller]
 fn caught(mutation: Mutation, by: &[&str]) {
-    let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    if !is_alone() {
+        return;
+    }
     let people = Arc::new(People::new());
     turn_on(Some(mutation));
     // Another promise may be the first to break in a seed; one of these must in some.
@@ -43,7 +66,9 @@ fn caught(mutation: Mutation, by: &[&str]) {
 /// so many disks were lost that the nodes with this bug are needed.
 #[track_caller]
 fn borne(mutation: Mutation) {
-    let _one = ONE.lock().unwrap_or_else(PoisonError::into_inner);
+    if !is_alone() {
+        return;
+    }
     let people = Arc::new(People::new());
     turn_on(Some(mutation));
     let broken: Vec<_> =

@@ -1,7 +1,7 @@
 //! Recordings and bags of others, read from the beginning. A file without an end is read as far as it goes.
 
-use crate::mcap::{Fault, Item, Reader};
 use ledger_rejection::{Code, Rejection};
+use mcap::{Fault, Item, Reader};
 use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;

@@ -1,9 +1,9 @@
 //! The ledger's words about messages, and its events, as messages of types of our own. A recording has their definitions.
 
 use super::{CDR, DEFINITION, Disk, OWN_PACKAGE};
-use crate::mcap::{Stamp, Writer};
 use ledger_hash::Hash;
 use ledger_rejection::{Code, Rejection};
+use mcap::{Stamp, Writer};
 use ros_message::{ByteOrder, Library, Message, Time, Written};
 use std::collections::BTreeMap;
 use std::io;

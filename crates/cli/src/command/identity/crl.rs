@@ -2,7 +2,6 @@
 
 use crate::answer;
 use crate::cli::Global;
-use crate::fabric;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table};
 use crate::session::{MSP, Session, argument};

@@ -1,7 +1,6 @@
 //! `identity import`: a context from a certificate and a key that exist, such as those of a Fabric user.
 
 use crate::cli::Global;
-use crate::fabric;
 use crate::failure::Failure;
 use crate::output::{Facts, Output, Table, attributes};
 use crate::{context, time};

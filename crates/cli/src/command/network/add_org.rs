@@ -3,10 +3,10 @@
 use super::change::decide;
 use super::json;
 use crate::cli::Global;
-use crate::fabric::MspDirectory;
 use crate::failure::Failure;
 use crate::output::{Output, warn};
 use crate::session::Session;
+use fabric::MspDirectory;
 use ledger::msp::AddOrganisation;
 use std::path::PathBuf;
 

@@ -12,7 +12,6 @@
 
 mod node_units;
 
-use crate::failure::unreadable;
 use ledger_identity::Role;
 use ledger_identity::certificate::{CERTIFICATE_BYTES_MAX, Certificate};
 use ledger_identity::msp::Msp;
@@ -23,7 +22,7 @@ use rustls_pki_types::pem::PemObject;
 use rustls_pki_types::{CertificateDer, CertificateRevocationListDer};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
-use std::io::Read;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 /// Most entries of one of the directories.
@@ -37,17 +36,17 @@ const _: () = assert!(FILE_BYTES_MAX >= 2 * CERTIFICATES_MAX * CERTIFICATE_BYTES
 
 /// The content of an MSP directory, checked as the ledger will check it.
 #[derive(Debug)]
-pub(crate) struct MspDirectory {
+pub struct MspDirectory {
     /// Roots, DER.
-    pub(crate) roots: Vec<Vec<u8>>,
+    pub roots: Vec<Vec<u8>>,
     /// Intermediate authorities, DER.
-    pub(crate) intermediates: Vec<Vec<u8>>,
+    pub intermediates: Vec<Vec<u8>>,
     /// Which unit is which role.
-    pub(crate) units: Units,
+    pub units: Units,
     /// The newest list of each authority that has one, DER.
-    pub(crate) lists: Vec<Vec<u8>>,
+    pub lists: Vec<Vec<u8>>,
     /// Hints for its owner, each a warning and the next step.
-    pub(crate) warnings: Vec<[String; 2]>,
+    pub warnings: Vec<[String; 2]>,
 }
 
 impl MspDirectory {
@@ -55,7 +54,7 @@ impl MspDirectory {
     ///
     /// # Errors
     /// [`Code::BadFile`] with the file and its fault; [`Code::CertificateMalformed`] if the authorities do not fit together.
-    pub(crate) fn read(directory: &Path, organisation: &str) -> Result<Self, Rejection> {
+    pub fn read(directory: &Path, organisation: &str) -> Result<Self, Rejection> {
         let mut warnings = Vec::new();
         let roots = certificates(directory, "cacerts")?;
         if roots.is_empty() {
@@ -99,7 +98,7 @@ impl MspDirectory {
 ///
 /// # Errors
 /// [`Code::BadFile`].
-pub(crate) fn list(path: &Path) -> Result<Vec<u8>, Rejection> {
+pub fn list(path: &Path) -> Result<Vec<u8>, Rejection> {
     let bytes = read_file(path)?;
     let der = match CertificateRevocationListDer::from_pem_slice(&bytes) {
         Ok(der) => der.as_ref().to_vec(),
@@ -117,7 +116,7 @@ pub(crate) fn list(path: &Path) -> Result<Vec<u8>, Rejection> {
 ///
 /// # Errors
 /// [`Code::BadFile`].
-pub(crate) fn chain(path: &Path) -> Result<Vec<Vec<u8>>, Rejection> {
+pub fn chain(path: &Path) -> Result<Vec<Vec<u8>>, Rejection> {
     let bytes = read_file(path)?;
     let wanted = "certificates in PEM (\"BEGIN CERTIFICATE\"), 1 to 8";
     let found = CertificateDer::pem_slice_iter(&bytes).take(CERTIFICATES_MAX + 1).collect::<Result<Vec<_>, _>>();
@@ -129,6 +128,12 @@ pub(crate) fn chain(path: &Path) -> Result<Vec<Vec<u8>>, Rejection> {
         Certificate::parse(der).map_err(|error| bad(path, error.to_string()).wanted(wanted))?;
     }
     Ok(found.iter().map(|der| der.as_ref().to_vec()).collect())
+}
+
+fn unreadable(path: &Path, error: &io::Error) -> Rejection {
+    Rejection::new(Code::BadFile, format!("cannot read {}", path.display()))
+        .found(error.to_string())
+        .next("check the path and the rights on it")
 }
 
 /// Certificates in DER, each with its file.

@@ -12,17 +12,17 @@ const HEAD_BYTES: u64 = 9;
 
 /// The times and the number of a message.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Stamp {
+pub struct Stamp {
     /// Its number on its channel.
-    pub(crate) number: u32,
+    pub number: u32,
     /// When it was recorded: nanoseconds since the UNIX epoch.
-    pub(crate) log_time: u64,
+    pub log_time: u64,
     /// When it was published.
-    pub(crate) publish_time: u64,
+    pub publish_time: u64,
 }
 
 /// A file that is being written, in order: it never seeks.
-pub(crate) struct Writer<W> {
+pub struct Writer<W> {
     out: W,
     /// Bytes given to it.
     position: u64,
@@ -51,7 +51,7 @@ impl<W: Write> Writer<W> {
     ///
     /// # Errors
     /// Those of the stream; likewise everywhere here.
-    pub(crate) fn begin(out: W, profile: &str, library: &str) -> io::Result<Self> {
+    pub fn begin(out: W, profile: &str, library: &str) -> io::Result<Self> {
         let mut writer = Self {
             out,
             position: 0,
@@ -69,7 +69,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Adds a type; an empty encoding says that its definition is not known.
-    pub(crate) fn schema(&mut self, name: &str, encoding: &str, definition: &str) -> u16 {
+    pub fn schema(&mut self, name: &str, encoding: &str, definition: &str) -> u16 {
         // Ids begin with 1: 0 is "no schema".
         let id = u16::try_from(self.schemas.len() + 1).unwrap_or(u16::MAX);
         let content = Content::default().u16(id).text(name).text(encoding).text(definition);
@@ -79,13 +79,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Adds a channel.
-    pub(crate) fn channel(
-        &mut self,
-        schema: u16,
-        topic: &str,
-        encoding: &str,
-        about: &BTreeMap<String, String>,
-    ) -> u16 {
+    pub fn channel(&mut self, schema: u16, topic: &str, encoding: &str, about: &BTreeMap<String, String>) -> u16 {
         let id = u16::try_from(self.channels.len()).unwrap_or(u16::MAX);
         let content = Content::default().u16(id).u16(schema).text(topic).text(encoding).texts(about);
         put(&mut self.chunk.records, op::CHANNEL, &content);
@@ -94,7 +88,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Adds a message.
-    pub(crate) fn message(&mut self, channel: u16, stamp: Stamp, data: &[u8]) -> io::Result<()> {
+    pub fn message(&mut self, channel: u16, stamp: Stamp, data: &[u8]) -> io::Result<()> {
         let Stamp { number, log_time, publish_time } = stamp;
         let mut content = Content::default().u16(channel).u32(number).u64(log_time).u64(publish_time);
         content.0.extend(data);
@@ -108,7 +102,7 @@ impl<W: Write> Writer<W> {
     }
 
     /// Adds facts about the file as a whole.
-    pub(crate) fn metadata(&mut self, name: &str, facts: &BTreeMap<String, String>) -> io::Result<()> {
+    pub fn metadata(&mut self, name: &str, facts: &BTreeMap<String, String>) -> io::Result<()> {
         self.end_chunk()?;
         let begins = self.position;
         self.record(op::METADATA, &Content::default().text(name).texts(facts))?;
@@ -118,13 +112,13 @@ impl<W: Write> Writer<W> {
     }
 
     /// Ends the chunk, and gives everything to whatever is behind the stream.
-    pub(crate) fn flush(&mut self) -> io::Result<()> {
+    pub fn flush(&mut self) -> io::Result<()> {
         self.end_chunk()?;
         self.out.flush()
     }
 
     /// Ends the file.
-    pub(crate) fn finish(mut self) -> io::Result<()> {
+    pub fn finish(mut self) -> io::Result<()> {
         self.end_chunk()?;
         // 0: chunks have sums of their own.
         self.record(op::DATA_END, &Content::default().u32(0))?;

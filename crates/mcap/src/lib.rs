@@ -16,8 +16,8 @@ mod fields;
 mod reader;
 mod writer;
 
-pub(crate) use reader::{Fault, Item, Reader};
-pub(crate) use writer::{Stamp, Writer};
+pub use reader::{Fault, Item, Reader};
+pub use writer::{Stamp, Writer};
 
 /// At both ends of a file.
 const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";

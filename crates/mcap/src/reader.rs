@@ -10,18 +10,36 @@ const RECORD_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
 /// Something that a file has.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Item {
+pub enum Item {
     /// A type: its id, its name.
     Schema(u16, String),
-    /// A channel: its id, the id of its type, its topic, its encoding, and what its writer added.
-    Channel { id: u16, schema: u16, topic: String, encoding: String, about: BTreeMap<String, String> },
-    /// A message of a channel. The time is its log time, in nanoseconds since the UNIX epoch.
-    Message { channel: u16, log_time: u64, data: Vec<u8> },
+    /// A channel.
+    Channel {
+        /// Its number in the file.
+        id: u16,
+        /// The number of its type.
+        schema: u16,
+        /// Its topic.
+        topic: String,
+        /// Its encoding, such as `cdr`.
+        encoding: String,
+        /// The facts that its writer added.
+        about: BTreeMap<String, String>,
+    },
+    /// A message of a channel.
+    Message {
+        /// The number of its channel.
+        channel: u16,
+        /// When it was recorded: nanoseconds since the UNIX epoch.
+        log_time: u64,
+        /// Its bytes.
+        data: Vec<u8>,
+    },
 }
 
 /// Why a file cannot be read (further).
 #[derive(Debug)]
-pub(crate) enum Fault {
+pub enum Fault {
     /// The bytes at the beginning are others.
     NotMcap,
     /// It ends in the middle of something.
@@ -35,7 +53,7 @@ pub(crate) enum Fault {
 }
 
 /// A file that is being read.
-pub(crate) struct Reader<R> {
+pub struct Reader<R> {
     input: R,
     has_begun: bool,
     /// The rest of a chunk.
@@ -46,7 +64,7 @@ pub(crate) struct Reader<R> {
 
 impl<R: Read> Reader<R> {
     /// From the beginning of this stream on.
-    pub(crate) fn new(input: R) -> Self {
+    pub fn new(input: R) -> Self {
         Self { input, has_begun: false, chunk: Vec::new(), done: 0 }
     }
 
@@ -54,7 +72,7 @@ impl<R: Read> Reader<R> {
     ///
     /// # Errors
     /// The reason why there is no more although the file has no end here.
-    pub(crate) fn next(&mut self) -> Result<Option<Item>, Fault> {
+    pub fn next(&mut self) -> Result<Option<Item>, Fault> {
         if !self.has_begun {
             let mut magic = [0; MAGIC.len()];
             let read = self.input.read_exact(&mut magic).map_err(cut);
@@ -154,7 +172,7 @@ fn item(opcode: u8, mut fields: Fields<'_>) -> Result<Option<Item>, Fault> {
 #[expect(clippy::unwrap_used, clippy::indexing_slicing, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::mcap::{Stamp, Writer};
+    use crate::{Stamp, Writer};
 
     fn written() -> Vec<u8> {
         let mut file = Vec::new();

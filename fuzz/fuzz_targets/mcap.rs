@@ -1,0 +1,14 @@
+//! A recording is read to its end, or to the place where it is damaged.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use mcap::Reader;
+
+fuzz_target!(|bytes: &[u8]| {
+    let mut reader = Reader::new(bytes);
+    let mut items = 0;
+    while let Ok(Some(_)) = reader.next() {
+        items += 1;
+        assert!(items <= bytes.len(), "more items than bytes");
+    }
+});

@@ -1,0 +1,155 @@
+//! Writes a corpus for every target: `fuzz-seeds DIRECTORY`.
+
+use bytes::Bytes;
+use ledger::block::Payload;
+use ledger_abac::DEFAULT_POLICY;
+use ledger_fuzz::files::File;
+use ledger_fuzz::{BEGINNINGS, bytes, list, messages, vectors};
+use ledger_hash::Hash;
+use mcap::{Stamp, Writer};
+use rcgen::{BasicConstraints, CertificateParams, CertifiedIssuer, DnType, IsCa, KeyPair, KeyUsagePurpose};
+use rcgen::{CertificateRevocationListParams, KeyIdMethod, SerialNumber, date_time_ymd};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::error::Error;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+type Done = Result<(), Box<dyn Error>>;
+
+/// Bytes of a proof in front of the length of its certificate.
+const PROOF_HEAD: usize = 17;
+/// Where a certificate's statement begins and ends, and where its first signature begins.
+const STATEMENT: std::ops::Range<usize> = 23..156;
+const SIGNATURE: usize = 160;
+/// The configuration of a Fabric organisation, as its tools write it.
+const UNITS: &str = "NodeOUs:\n  Enable: true\n  ClientOUIdentifier:\n    Certificate: cacerts/ca.pem\n    \
+    OrganizationalUnitIdentifier: client\n  AdminOUIdentifier:\n    OrganizationalUnitIdentifier: admin\n";
+
+fn main() -> Done {
+    let place = std::env::args_os().nth(1).ok_or("wanted: fuzz-seeds DIRECTORY")?;
+    let corpus = Corpus(PathBuf::from(place));
+    certified(&corpus)?;
+    policies(&corpus)?;
+    recordings(&corpus)?;
+    directories(&corpus)?;
+    for number in 0..u8::try_from(messages::ALL.len())? {
+        corpus.seed("protobuf", &[number])?;
+        corpus.seed("protobuf", &[number, 0x0a, 2, 0x08, 1, 0x10, 1])?;
+    }
+    let payload = Payload { time: 1, ..Payload::default() };
+    corpus.seed("block", &payload.to_bytes())?;
+    corpus.seed("peer-message", &[0x0a, 4, 0x08, 1, 0x10, 2])?;
+    corpus.seed("transaction", &[0x0a, 4, 0x08, 1, 0x10, 2, 0x12, 1, 0])
+}
+
+/// A directory with a directory for each target.
+struct Corpus(PathBuf);
+
+impl Corpus {
+    fn seed(&self, target: &str, bytes: &[u8]) -> Done {
+        let place = self.0.join(target);
+        fs::create_dir_all(&place)?;
+        Ok(fs::write(place.join(Hash::of(&[bytes]).to_string()), bytes)?)
+    }
+}
+
+/// The vectors of certified blocks.
+fn certified(corpus: &Corpus) -> Done {
+    for fact in list("facts") {
+        corpus.seed("fact", &bytes(&fact["bytes"]))?;
+        corpus.seed("path", &bytes(&fact["path"]))?;
+    }
+    for lie in list("lies") {
+        corpus.seed("lie", &bytes(&lie["lie"]))?;
+    }
+    for vote in list("votes") {
+        corpus.seed("signature", &bytes(&vote["signature"]))?;
+    }
+    for begin in vectors()["beginnings"].as_object().into_iter().flat_map(|begin| begin.values()) {
+        match &begin["checkpoint"] {
+            Value::Null => corpus.seed("change", &bytes(&begin["writes"]))?,
+            checkpoint => corpus.seed("checkpoint", &bytes(checkpoint))?,
+        }
+    }
+    list("ways").try_for_each(|way| items(&way["steps"]).try_for_each(|step| steps(corpus, way, step)))
+}
+
+fn steps(corpus: &Corpus, way: &Value, step: &Value) -> Done {
+    let proof = bytes(&step["proof"]);
+    corpus.seed("proof", &proof)?;
+    // Some of them are cut off.
+    if let Some(certificate) = certificate(&proof) {
+        corpus.seed("certificate", certificate)?;
+        if let Some((statement, signature)) = certificate.get(STATEMENT).zip(certificate.get(SIGNATURE..)) {
+            corpus.seed("statement", statement)?;
+            corpus.seed("signed", &[statement, signature].concat())?;
+        }
+    }
+    let mut shown = Vec::new();
+    for change in items(&step["changes"]) {
+        let (height, writes) = (change["height"].as_u64().ok_or("a height")?, bytes(&change["writes"]));
+        corpus.seed("change", &writes)?;
+        shown.extend(height.to_be_bytes());
+        shown.extend(u32::try_from(writes.len())?.to_be_bytes());
+        shown.extend(writes);
+    }
+    let Some(begin) = BEGINNINGS.iter().position(|begin| way["begin"] == *begin) else { return Ok(()) };
+    let head = [u8::try_from(begin)?, u8::try_from(items(&step["changes"]).count())?];
+    corpus.seed("follow", &[&head, &shown[..], &proof].concat())
+}
+
+/// The certificate in a proof.
+fn certificate(proof: &[u8]) -> Option<&[u8]> {
+    let (length, rest) = proof.get(PROOF_HEAD..)?.split_first_chunk()?;
+    rest.get(..usize::try_from(u32::from_be_bytes(*length)).ok()?)
+}
+
+fn items(list: &Value) -> impl Iterator<Item = &Value> {
+    list.as_array().into_iter().flatten()
+}
+
+/// The policies of the documentation.
+fn policies(corpus: &Corpus) -> Done {
+    corpus.seed("policy", DEFAULT_POLICY.as_bytes())?;
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../docs/policies.md"))?;
+    let blocks = page.split("```").skip(1).step_by(2);
+    blocks.filter_map(|block| block.strip_prefix("cedar\n")).try_for_each(|text| corpus.seed("policy", text.as_bytes()))
+}
+
+fn recordings(corpus: &Corpus) -> Done {
+    let mut file = Vec::new();
+    let mut writer = Writer::begin(&mut file, "ros2", "fuzz")?;
+    let facts = BTreeMap::from([("robot".to_owned(), "Husky".to_owned())]);
+    let schema = writer.schema("geometry_msgs/msg/Twist", "ros2msg", "Vector3 linear\nVector3 angular\n");
+    let channel = writer.channel(schema, "/cmd_vel", "cdr", &facts);
+    for number in 0..3 {
+        let stamp = Stamp { number, log_time: u64::from(number), publish_time: u64::from(number) };
+        writer.message(channel, stamp, &[0, 1, 0, 0, 0, 0, 0, 0])?;
+    }
+    writer.metadata("network", &facts)?;
+    writer.finish()?;
+    corpus.seed("mcap", &file)
+}
+
+/// An organisation of Fabric with a revocation list.
+fn directories(corpus: &Corpus) -> Done {
+    let mut params = CertificateParams::default();
+    params.distinguished_name.push(DnType::CommonName, "ca.org3");
+    params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+    let authority = CertifiedIssuer::self_signed(params, KeyPair::generate()?)?;
+    let list = CertificateRevocationListParams {
+        this_update: date_time_ymd(2026, 1, 1),
+        next_update: date_time_ymd(2027, 1, 1),
+        crl_number: SerialNumber::from(1u64),
+        issuing_distribution_point: None,
+        revoked_certs: Vec::new(),
+        key_identifier_method: KeyIdMethod::Sha256,
+    };
+    let list = list.signed_by(&authority)?;
+    let whole = [File(0x80, authority.der()), File(0x83, list.der()), File(5, UNITS.as_bytes())];
+    corpus.seed("revocation-list", list.der())?;
+    corpus.seed("msp", &Bytes::from(whole.map(|file| file.to_bytes()).concat()))?;
+    corpus.seed("msp", &File(0x80, authority.der()).to_bytes())
+}
