@@ -42,14 +42,19 @@ impl Recent {
         self.lock().last_key_value().map(|(_, certificate)| certificate.clone())
     }
 
-    /// The one of a block, once there is one; none if that takes too long.
+    /// The one of a block, once there is one; none if that takes too long, or if those that are kept are newer.
     pub(super) async fn wait_for(&self, height: u64) -> Option<Certificate> {
         let mut added = self.added.subscribe();
         let found = async {
             loop {
                 added.borrow_and_update();
-                if let Some(certificate) = self.lock().get(&height) {
-                    return Some(certificate.clone());
+                let known = {
+                    let kept = self.lock();
+                    let is_past = kept.len() >= RECENT_MAX && kept.first_key_value().is_some_and(|(first, _)| height < *first);
+                    if is_past { Some(None) } else { kept.get(&height).cloned().map(Some) }
+                };
+                if let Some(known) = known {
+                    return known;
                 }
                 added.changed().await.ok()?;
             }

@@ -6,6 +6,7 @@
 use super::audience::Listener;
 use super::{Audience, Current, Questions, check, status};
 use crate::blocks::{Blocks, Interest};
+use crate::certificates::Certificates;
 use crate::clock::Clock;
 use crate::denials::Denials;
 use crate::early::Early;
@@ -16,10 +17,11 @@ use ledger::{Ledger, Outcome};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
+use ledger_light::Fact;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Foreseen;
 use ledger_storage::result::Event;
-use std::collections::HashSet;
+use std::collections::{BTreeSet, HashSet};
 use std::future::pending;
 use std::sync::Arc;
 use std::time::Duration;
@@ -57,6 +59,8 @@ pub(crate) struct Subscriptions {
     pub early: Arc<Early>,
     /// The turns to read old blocks.
     pub questions: Questions,
+    /// Proofs of events.
+    pub certificates: Arc<Certificates>,
 }
 
 impl Subscriptions {
@@ -73,7 +77,7 @@ impl Subscriptions {
                     .wanted(format!("at most {FILTER_MAX} of each")),
             ));
         }
-        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early } = request;
+        let SubscribeRequest { from_height, chaincode, subjects, names, heartbeat_ms, early, proofs } = request;
         let wanted = Wanted::new(chaincode, subjects, names);
         if let Err(refused) = self.may_follow(&reader, &wanted).await {
             return Err(self.refuse_reader(&reader, &wanted, &refused));
@@ -100,6 +104,7 @@ impl Subscriptions {
             wanted,
             interest,
             early,
+            proofs,
             next,
             deliveries,
             sent,
@@ -165,6 +170,8 @@ struct Subscription {
     interest: Interest,
     /// Calls of which it wants to hear before they are ordered, if it does.
     early: Option<broadcast::Receiver<Arc<Foreseen>>>,
+    /// It wants proofs.
+    proofs: bool,
     /// The next height to look at.
     next: u64,
     deliveries: mpsc::Sender<Result<Delivery, Status>>,
@@ -239,11 +246,15 @@ impl Subscription {
                         self.node.blocks.get(self.next).map_err(|fault| status(&fault))?
                     }
                 };
+                let certified = self.proofs && outcome.as_ref().is_some_and(|outcome| outcome.certifiable.is_some());
                 let delivery = outcome.and_then(|outcome| self.delivery(&outcome));
                 self.next += 1;
                 silent += 1;
                 let sent = match delivery {
-                    Some(delivery) => {
+                    Some(mut delivery) => {
+                        if certified {
+                            delivery.proof = self.proof(&delivery).await?;
+                        }
                         // A right that was revoked ends here, before anything of the block is shown.
                         check(&self.reader, &self.node.ledger, &self.node.clock)?;
                         silent = 0;
@@ -330,7 +341,28 @@ impl Subscription {
             events: events.collect(),
             block_hash: outcome.hash.0.to_vec().into(),
             early: false,
+            proof: Bytes::new(),
         })
+    }
+
+    /// A proof of these events; empty if there is none.
+    async fn proof(&self, delivery: &Delivery) -> Result<Bytes, Status> {
+        let shown: BTreeSet<_> = delivery
+            .events
+            .iter()
+            .map(|EventRecord { chaincode, name, subject, payload, .. }| {
+                (chaincode.as_str(), name.as_str(), subject.as_str(), Hash::of(&[payload]))
+            })
+            .collect();
+        let wanted = |fact: &Fact<'_>| match fact {
+            Fact::Event { chaincode, name, subject, payload, .. } => {
+                shown.contains(&(*chaincode, *name, *subject, *payload))
+            }
+            _ => false,
+        };
+        let proof = self.node.certificates.prove(&self.node.ledger, delivery.height, wanted).await;
+        let proof = proof.map_err(|fault| status(&fault))?;
+        Ok(proof.map(|proof| proof.to_bytes()).unwrap_or_default())
     }
 
     /// The creator's certificate, the first time that this stream shows the creator.

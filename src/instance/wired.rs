@@ -202,6 +202,7 @@ impl Wired {
             denials: Arc::clone(denials),
             early: Arc::clone(&self.early),
             questions: questions.clone(),
+            certificates: Arc::clone(&self.followers.certificates),
         };
         let proofs = Proofs {
             ledger: Arc::clone(ledger),

@@ -5,9 +5,11 @@ use crate::support::network::{NodePlace, NodeWish, free_address, now};
 use crate::support::{Fleet, connect, programs, until};
 use bytes::Bytes;
 use ledger::network::Genesis;
-use ledger_api::{Client, Context};
+use ledger_api::v1::{Delivery, EventRecord};
+use ledger_api::{Client, Context, EventStream, Subscription};
 use ledger_identity::Role;
 use ledger_light::{Checkpoint, Proof};
+use ledger_rejection::Code;
 use serde_json::json;
 use std::process::Command;
 
@@ -139,4 +141,65 @@ async fn a_reader_follows_who_governs_from_the_genesis_and_shows_how_a_robot_sta
     other[at] ^= 1;
     let (code, text) = audit(&other);
     assert!(code != Some(0) && text.contains("is not what voters have signed"), "{text}");
+}
+
+/// The next delivery with events.
+async fn happened(events: &mut EventStream) -> Delivery {
+    loop {
+        let delivery = events.next().await.unwrap();
+        if !delivery.events.is_empty() {
+            return delivery;
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn events_come_with_their_paths_and_a_certificate_to_whoever_asks_for_them() {
+    let fleet = Fleet::found_with(&[wish("node1", "Org1"), wish("node2", "Org2"), wish("node3", "Org1")], now());
+    let mut nodes: Vec<_> = fleet.nodes.iter().map(NodePlace::start).collect();
+    let owner = connect(&fleet.owner()).await;
+    let wanted = Subscription { chaincode: "abac".into(), names: vec!["robot".into()], ..Subscription::default() };
+    let mut unproved = owner.subscribe(wanted.clone());
+    let mut proved = owner.subscribe(Subscription { proofs: true, ..wanted });
+    unproved.open().await.unwrap();
+    proved.open().await.unwrap();
+    let height = robot(&owner, "Turtlebot4").await;
+    assert!(owner.believe(None, &happened(&mut unproved).await).await.unwrap().is_none());
+    let told = happened(&mut proved).await;
+    assert_eq!((told.height, told.events[0].subject.as_str()), (height, "Turtlebot4"));
+    let checkpoint = owner.believe(None, &told).await.unwrap().expect("a proof");
+    assert_eq!(checkpoint.governance.height(), height);
+
+    // Whatever a node changes about it is not believed, from the genesis and from where the reader stands.
+    let event = |change: &dyn Fn(&mut EventRecord)| {
+        let mut changed = told.clone();
+        change(&mut changed.events[0]);
+        changed
+    };
+    let lies = [
+        event(&|event| event.subject = "Husky".into()),
+        event(&|event| event.name = "stopped".into()),
+        event(&|event| event.payload = Bytes::from_static(b"{}")),
+        Delivery { height: height + 1, ..told.clone() },
+        Delivery { time: told.time + 1, ..told.clone() },
+        Delivery { block_hash: Bytes::from_static(&[7; 32]), ..told.clone() },
+    ];
+    for (number, lie) in lies.iter().enumerate() {
+        for known in [None, Some(&checkpoint.governance)] {
+            let refused = owner.believe(known, lie).await.map(drop).unwrap_err();
+            assert_eq!(refused.code, Code::Untrusted, "{number}: {refused}");
+        }
+    }
+    for at in 0..told.proof.len() {
+        let mut proof = told.proof.to_vec();
+        proof[at] ^= 1;
+        let changed = Delivery { proof: proof.into(), ..told.clone() };
+        assert!(owner.believe(Some(&checkpoint.governance), &changed).await.is_err(), "byte {at}");
+    }
+
+    // Where one organisation is alone nobody certifies: the event comes all the same, without a proof.
+    nodes[1].kill();
+    let alone = robot(&owner, "Husky").await;
+    let told = happened(&mut proved).await;
+    assert_eq!((told.height, told.proof.len()), (alone, 0));
 }

@@ -127,6 +127,27 @@ impl Proof {
             .next("ask another node"))
     }
 
+    /// Does it show that the block gave this event?
+    ///
+    /// # Errors
+    /// [`Code::Untrusted`] if it does not; as [`Proof::others`].
+    pub fn gives(&self, chaincode: &str, name: &str, subject: &str, payload: &[u8]) -> Result<(), Rejection> {
+        let (shown, wanted) = (self.others()?, Hash::of(&[payload]));
+        let is_proved = shown.iter().any(|fact| match *fact {
+            Fact::Event { chaincode: of, name: named, subject: about, payload, .. } => {
+                (of, named, about, payload) == (chaincode, name, subject, wanted)
+            }
+            _ => false,
+        });
+        if is_proved {
+            return Ok(());
+        }
+        Err(Rejection::new(Code::Untrusted, "the proof does not show this event")
+            .found(format!("{} facts of block {}", shown.len(), self.certificate.statement.height))
+            .wanted(format!("{chaincode} {name} about {subject:?}"))
+            .next("ask another node"))
+    }
+
     fn fact<'a>(&self, shown: &'a Shown) -> Result<Fact<'a>, Rejection> {
         let fact = Fact::from_bytes(&shown.fact)?;
         if shown.path.leads(fact.leaf(), self.certificate.statement.results) {

@@ -45,12 +45,8 @@ impl Client {
         let committed = self.submit(transaction).await?;
         let proof = self.prove(committed.height, committed.index).await?;
         proof.answers(&id, &committed.response)?;
-        // Where nothing has changed, which is nearly always, nobody has to be asked.
-        let governance = match known.map(|known| known.follow(&[], &proof)) {
-            Some(Ok(governance)) => governance,
-            _ => self.follow(known, Some(&proof)).await?.governance,
-        };
-        Ok(Certified { response: committed.response, checkpoint: Checkpoint { governance, proof } })
+        let checkpoint = self.checkpoint(known, proof).await?;
+        Ok(Certified { response: committed.response, checkpoint })
     }
 
     /// The beginning that the network's name covers. None if the network was founded with rules that certify nothing: then a
@@ -72,6 +68,44 @@ impl Client {
     /// [`Code::Untrusted`] and others if what the node shows is not proved; [`Code::NotFound`] if it has no proof.
     pub async fn governance(&self, known: Option<&Governance>) -> Result<Checkpoint, Rejection> {
         self.follow(known, None).await
+    }
+
+    /// Believes the events of a delivery only with its proof, which a subscription with `proofs` has. `known` is where the reader was
+    /// before. None if the delivery has no proof: its block is not certified, or too few voters have signed it.
+    ///
+    /// # Errors
+    /// [`Code::Untrusted`] and others if what the node shows does not prove it.
+    pub async fn believe(
+        &self,
+        known: Option<&Governance>,
+        delivery: &v1::Delivery,
+    ) -> Result<Option<Checkpoint>, Rejection> {
+        if delivery.proof.is_empty() {
+            return Ok(None);
+        }
+        let proof = Proof::from_bytes(&delivery.proof)?;
+        let statement = &proof.certificate.statement;
+        let (height, time, block) = (statement.height, statement.time, statement.block);
+        if (height, time) != (delivery.height, delivery.time) || block.0[..] != delivery.block_hash[..] {
+            return Err(Rejection::new(Code::Untrusted, "the proof of a delivery is one of another block")
+                .found(format!("a proof of block {height}"))
+                .wanted(format!("a proof of block {}", delivery.height))
+                .next("ask another node"));
+        }
+        for event in &delivery.events {
+            proof.gives(&event.chaincode, &event.name, &event.subject, &event.payload)?;
+        }
+        Ok(Some(self.checkpoint(known, proof).await?))
+    }
+
+    /// Who governs after the block of a proof, if enough voters have signed it.
+    async fn checkpoint(&self, known: Option<&Governance>, proof: Proof) -> Result<Checkpoint, Rejection> {
+        // Where nothing has changed, which is nearly always, nobody has to be asked.
+        let governance = match known.map(|known| known.follow(&[], &proof)) {
+            Some(Ok(governance)) => governance,
+            _ => self.follow(known, Some(&proof)).await?.governance,
+        };
+        Ok(Checkpoint { governance, proof })
     }
 
     async fn prove(&self, height: u64, verdict: u32) -> Result<Proof, Rejection> {

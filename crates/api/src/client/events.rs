@@ -39,6 +39,8 @@ pub struct Subscription {
     /// Also hear of calls that end control for safety before they are ordered: deliveries with `early` set. They have not happened,
     /// nothing proves them, and they come again in their block. A robot may stop for one.
     pub early: bool,
+    /// Deliveries of certified blocks come with a proof, and wait for it: [`Client::believe`].
+    pub proofs: bool,
 }
 
 /// A stream of deliveries, in block order, each block once. If a node told of blocks that do not exist, what it delivered may come
@@ -224,6 +226,7 @@ impl EventStream {
                 often => often.max(HEARTBEAT_MIN_MS),
             },
             early: self.wanted.early,
+            proofs: self.wanted.proofs,
         };
         let mut gateway = up.gateway();
         match timeout(ACCEPT_MAX, gateway.subscribe(request)).await {

@@ -75,34 +75,38 @@ class QueryResponse(_message.Message):
     def __init__(self, verdict: _Optional[_Union[Verdict, _Mapping]] = ..., response: _Optional[bytes] = ..., height: _Optional[int] = ..., time: _Optional[int] = ..., stale_for: _Optional[int] = ...) -> None: ...
 
 class SubscribeRequest(_message.Message):
-    __slots__ = ("from_height", "chaincode", "subjects", "names", "heartbeat_ms", "early")
+    __slots__ = ("from_height", "chaincode", "subjects", "names", "heartbeat_ms", "early", "proofs")
     FROM_HEIGHT_FIELD_NUMBER: _ClassVar[int]
     CHAINCODE_FIELD_NUMBER: _ClassVar[int]
     SUBJECTS_FIELD_NUMBER: _ClassVar[int]
     NAMES_FIELD_NUMBER: _ClassVar[int]
     HEARTBEAT_MS_FIELD_NUMBER: _ClassVar[int]
     EARLY_FIELD_NUMBER: _ClassVar[int]
+    PROOFS_FIELD_NUMBER: _ClassVar[int]
     from_height: int
     chaincode: str
     subjects: _containers.RepeatedScalarFieldContainer[str]
     names: _containers.RepeatedScalarFieldContainer[str]
     heartbeat_ms: int
     early: bool
-    def __init__(self, from_height: _Optional[int] = ..., chaincode: _Optional[str] = ..., subjects: _Optional[_Iterable[str]] = ..., names: _Optional[_Iterable[str]] = ..., heartbeat_ms: _Optional[int] = ..., early: _Optional[bool] = ...) -> None: ...
+    proofs: bool
+    def __init__(self, from_height: _Optional[int] = ..., chaincode: _Optional[str] = ..., subjects: _Optional[_Iterable[str]] = ..., names: _Optional[_Iterable[str]] = ..., heartbeat_ms: _Optional[int] = ..., early: _Optional[bool] = ..., proofs: _Optional[bool] = ...) -> None: ...
 
 class Delivery(_message.Message):
-    __slots__ = ("height", "time", "block_hash", "events", "early")
+    __slots__ = ("height", "time", "block_hash", "events", "early", "proof")
     HEIGHT_FIELD_NUMBER: _ClassVar[int]
     TIME_FIELD_NUMBER: _ClassVar[int]
     BLOCK_HASH_FIELD_NUMBER: _ClassVar[int]
     EVENTS_FIELD_NUMBER: _ClassVar[int]
     EARLY_FIELD_NUMBER: _ClassVar[int]
+    PROOF_FIELD_NUMBER: _ClassVar[int]
     height: int
     time: int
     block_hash: bytes
     events: _containers.RepeatedCompositeFieldContainer[EventRecord]
     early: bool
-    def __init__(self, height: _Optional[int] = ..., time: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., early: _Optional[bool] = ...) -> None: ...
+    proof: bytes
+    def __init__(self, height: _Optional[int] = ..., time: _Optional[int] = ..., block_hash: _Optional[bytes] = ..., events: _Optional[_Iterable[_Union[EventRecord, _Mapping]]] = ..., early: _Optional[bool] = ..., proof: _Optional[bytes] = ...) -> None: ...
 
 class EventRecord(_message.Message):
     __slots__ = ("chaincode", "name", "subject", "payload", "index", "transaction", "certificate")
