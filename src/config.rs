@@ -51,6 +51,8 @@ pub struct Config {
     pub log: Log,
     /// `[bridge]`; none if the node runs no bridge.
     pub bridge: Option<ros_bridge::Config>,
+    /// `[admin] listen`: `HOST:PORT` of the page for whoever watches the node; empty = none.
+    pub admin: String,
 }
 
 /// The preference of this machine.
@@ -157,6 +159,7 @@ impl Default for Config {
             },
             log: Log::default(),
             bridge: None,
+            admin: String::new(),
         }
     }
 }
@@ -217,7 +220,7 @@ impl Config {
 
     /// Each setting in one line: its name, its range, where it goes.
     fn read(&mut self, root: &mut Section<'_, '_>, directory: &Path) {
-        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge } = self;
+        let Self { file: _, data, listen, profile, member, limits, storage, order, ca, log, bridge, admin } = self;
         root.text("data", "a path", data, |text| (!text.is_empty()).then(|| text.into()));
         root.text("listen", "HOST:PORT, for example \"0.0.0.0:7450\"", listen, |text| {
             is_address(text).then(|| text.to_owned())
@@ -264,6 +267,10 @@ impl Config {
             s.integer("secret_days", 1..=365, &mut ca.secret_days);
         });
         log.read(root);
+        root.section("admin", |s| {
+            let address = |text: &str| (text.is_empty() || is_address(text)).then(|| text.to_owned());
+            s.text("listen", "HOST:PORT, for example \"127.0.0.1:7451\"", admin, address);
+        });
         root.section("bridge", |s| bridge.get_or_insert_default().read(s, directory));
 
         let timing = order.timing();

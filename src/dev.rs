@@ -30,6 +30,8 @@ use tracing_subscriber::filter::LevelFilter;
 pub(crate) const ORGANISATIONS: [&str; 2] = ["Org1", "Org2"];
 /// The label by which a network for playing is recognised.
 const LABEL: &str = "dev";
+/// Where the page for whoever watches the node is: at a free port.
+const ADMIN: &str = "127.0.0.1:0";
 
 /// `ledgerd dev`
 #[derive(clap::Args)]
@@ -49,6 +51,8 @@ pub(crate) struct Options {
 #[derive(Serialize)]
 struct Facts {
     address: String,
+    /// `http://HOST:PORT` of the page for whoever watches the node.
+    admin: String,
     ca_fingerprint: Hash,
     data: PathBuf,
     contexts: Vec<String>,
@@ -81,7 +85,7 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     if fresh {
         found(&plan(&data, &listen), wall())?;
     }
-    let config = Config { data: data.clone(), listen, ..Config::default() };
+    let config = Config { data: data.clone(), listen, admin: ADMIN.to_owned(), ..Config::default() };
     // Before the node runs, which owns its CAs from then on.
     let ca_fingerprint = authority(&data, ORGANISATIONS[0])?.fingerprint();
     let mut contexts = Written::default();
@@ -93,6 +97,7 @@ pub(crate) async fn run(builder: &NodeBuilder, options: Options) -> Result<(), R
     }
     let facts = Facts {
         address: config.listen.clone(),
+        admin: String::new(),
         ca_fingerprint,
         data,
         contexts: contexts.names.clone(),
@@ -117,6 +122,7 @@ async fn play(
     (fresh, as_json, temporary): (bool, bool, bool),
 ) -> Result<(), Rejection> {
     let node = builder.start(config).await?;
+    facts.admin = node.admin().map(|address| format!("http://{address}")).unwrap_or_default();
     if fresh {
         facts.robots = register_robots(home, facts.contexts.last()).await?;
     }
@@ -224,6 +230,7 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
     print_line(&format!(
         "ledgerd {version} · a network for playing, ready\n\n  \
          address         {address}\n  \
+         admin page      {page}/metrics\n  \
          CA fingerprint  {fingerprint}\n  \
          data            {data}{kept}\n  \
          contexts        {admin} (Org1), {owner} (Org2, owns Turtlebot4, Husky and OptiTrack)\n\n\
@@ -234,6 +241,7 @@ fn print(facts: &Facts, as_json: bool, temporary: bool) -> Result<(), Rejection>
          (SECRET is what the first command prints. cargo build --release builds ledgerctl beside ledgerd.) Ctrl-C ends it.",
         version = facts.version,
         address = facts.address,
+        page = facts.admin,
         fingerprint = facts.ca_fingerprint,
         data = facts.data.display(),
         kept = if temporary { " (removed at the end; --data DIR keeps it)" } else { "" },

@@ -41,6 +41,7 @@
 //! | `awake`, `slice`, `memory` | processors that may not sleep yet; short turns on them; memory that goes back |
 //! | `dev`, `demo` | a network of one for playing; the paper's experiment |
 
+mod admin;
 mod awake;
 mod blocks;
 mod bridge;
@@ -64,6 +65,7 @@ mod identity;
 mod instance;
 mod join;
 mod memory;
+mod meters;
 mod orderer;
 mod peers;
 mod random;

@@ -1,11 +1,14 @@
 //! Clients that wait for the verdict on a transaction, and how the answer travels to them.
 
+use crate::meters::observe;
 use ledger_api::v1::{SubmitResponse, Verdict};
 use ledger_hash::Hash;
 use ledger_rejection::Rejection;
 use ledger_replica::gateway::InFlight;
 use ledger_replica::{Answer, Executed, Waiter};
 use ledger_storage::result::TransactionResult;
+use prometheus_client::metrics::histogram::Histogram;
+use std::time::Instant;
 use tokio::sync::mpsc;
 use tonic::Status;
 
@@ -18,12 +21,19 @@ pub(crate) struct Client {
     pub answers: mpsc::UnboundedSender<Result<SubmitResponse, Status>>,
     /// Bounds how many can wait.
     pub place: InFlight,
+    /// When the transaction came.
+    pub since: Instant,
+    /// Takes down how long the verdict took.
+    pub committed: Histogram,
 }
 
 impl Waiter for Client {
     fn answer(self, answer: &Answer<'_>) {
         let response = match answer {
-            Answer::Executed(verdict) => executed(verdict),
+            Answer::Executed(verdict) => {
+                observe(&self.committed, self.since);
+                executed(verdict)
+            }
             Answer::Refused { id, reason } => refused(Some(id), reason),
         };
         let _gone = self.answers.send(Ok(response));

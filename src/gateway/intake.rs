@@ -14,7 +14,9 @@ use ledger_api::v1::{SubmitRequest, SubmitResponse};
 use ledger_raft::Input;
 use ledger_replica::gateway::{Admitting, Arrived, Call, Decision, Entrance, Item, Share, Ticket, Turned, id_of};
 use ledger_replica::{Answer, Executed, Retries, Waiter};
+use prometheus_client::metrics::histogram::Histogram;
 use std::sync::Arc;
+use std::time::Instant;
 
 /// Takes transactions in, and has them ordered.
 pub(crate) struct Intake {
@@ -36,6 +38,8 @@ pub(crate) struct Intake {
     pub denials: Arc<Denials>,
     /// Tells robots of stops.
     pub early: Arc<Early>,
+    /// Takes down how long verdicts take.
+    pub committed: Histogram,
 }
 
 /// The limits of what comes in.
@@ -66,7 +70,8 @@ impl Intake {
         let elapsed = self.clock.elapsed();
         memory::has_carried(encoded.len());
         let entrance = Entrance { ledger: &self.ledger, payload_bytes_max, elapsed };
-        let client = |place| Client { answers: answers.clone(), place };
+        let (since, committed) = (Instant::now(), self.committed.clone());
+        let client = |place| Client { answers: answers.clone(), place, since, committed };
         let call = Call { encoded, min_height, first_attempt };
         entrance.enter(call, share, |ends| space.check(ends), client).map_err(|Turned { refusal, reason }| {
             self.denials.record(self.clock.now(), &refusal);

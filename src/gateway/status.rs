@@ -7,6 +7,7 @@ use crate::clock::Clock;
 use crate::company::Company;
 use crate::config::Limits;
 use crate::denials::Denials;
+use crate::meters::Meters;
 use crate::orderer::Executed;
 use crate::peers::Member;
 use crate::witness::Witness;
@@ -37,6 +38,8 @@ pub(crate) struct Description {
     pub links: Links,
     /// How much it is used.
     pub usage: Usage,
+    /// How long the steps of a command take.
+    pub meters: Meters,
 }
 
 /// The chain of a node.
@@ -68,7 +71,16 @@ pub(crate) struct Usage {
 }
 
 impl Description {
-    pub(super) fn status(&self) -> Result<StatusResponse, Rejection> {
+    /// How long the steps of a command take.
+    pub(crate) fn meters(&self) -> &Meters {
+        &self.meters
+    }
+
+    /// The node as it is now.
+    ///
+    /// # Errors
+    /// A fault of the store.
+    pub(crate) fn status(&self) -> Result<StatusResponse, Rejection> {
         let tip = self.chain.ledger.tip();
         let ordering = self.links.seat.status();
         let members = self.links.directory.members();

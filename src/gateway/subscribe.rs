@@ -17,7 +17,7 @@ use ledger::{Ledger, Outcome};
 use ledger_api::v1::{Delivery, EventRecord, SubscribeRequest};
 use ledger_hash::Hash;
 use ledger_identity::Identity;
-use ledger_light::Fact;
+use ledger_light::fact::Fact;
 use ledger_rejection::{Code, Rejection};
 use ledger_replica::Foreseen;
 use ledger_storage::result::Event;

@@ -2,6 +2,7 @@
 
 use super::serve::Serving;
 use super::{Host, Papers};
+use crate::admin::Admin;
 use crate::bridge::NodeBridge;
 use crate::config::Config;
 use crate::instance::{Ended, Instance, Prepared};
@@ -99,6 +100,7 @@ pub struct Node {
     instance: Instance,
     serving: Serving,
     bridge: Option<NodeBridge>,
+    admin: Option<Admin>,
 }
 
 impl Node {
@@ -123,6 +125,13 @@ impl Node {
         };
         let host = if trusts_clock { host.trusting_its_clock() } else { host };
         let (prepared, services) = Prepared::new((&host, papers), config, (stores, genesis.into()), started)?;
+        let admin = match config.admin.as_str() {
+            "" => None,
+            address => {
+                let (node, trust) = (Arc::clone(&services.gateway.description), Arc::clone(&services.trust));
+                Some(Admin::serve(address, node, (identity.clone(), trust)).await?)
+            }
+        };
         let serving = host.serve(network, identity, services, &config.limits)?;
         let instance = match prepared.begin(serving.stopping()).await {
             Ok(instance) => instance,
@@ -134,7 +143,7 @@ impl Node {
         let (address, height) = (host.address(), instance.ledger.tip().height);
         tracing::info!(%address, %network, height, "ready after {} ms", started.elapsed().as_millis());
         let bridge = config.bridge.clone().map(|settings| NodeBridge::start(settings, host.own_gateway()));
-        Ok(Self { host, instance, serving, bridge })
+        Ok(Self { host, instance, serving, bridge, admin })
     }
 
     /// Takes over the routes of the bridge in another configuration. All other settings, and a bridge that comes or goes as a whole, count
@@ -150,6 +159,11 @@ impl Node {
     /// Where the node listens; the port is the real one where the configuration said 0.
     pub fn address(&self) -> SocketAddr {
         self.host.address()
+    }
+
+    /// Where the page for whoever watches the node is, if there is one.
+    pub fn admin(&self) -> Option<SocketAddr> {
+        self.admin.as_ref().map(Admin::address)
     }
 
     /// The ledger, for looking into it in the same process.

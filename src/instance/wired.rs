@@ -16,6 +16,7 @@ use crate::gateway::{
 };
 use crate::host::{Deliver, Host, Members, Papers};
 use crate::housekeeping::Housekeeping;
+use crate::meters::Meters;
 use crate::orderer::{Engines, Executed, Log, Outside, Pace, Seat};
 use crate::peers::{Dialer, Directory, Member, PeerService, Peers};
 use crate::retention::Pruner;
@@ -160,15 +161,17 @@ impl Wired {
             behind: watch::Sender::new(None),
             fate: Fate::new(config),
         };
+        let meters = Meters::default();
         let keys = Keys::new(me.id, identity.clone(), Arc::clone(ledger));
         let engines = Engines {
             executor: followers.executor(ledger, &members),
             ballots: Arc::new(Voting::new(Arc::clone(ledger), keys)),
             waiters: Arc::clone(&followers.waiters),
             clock,
-            log: Log { store: Arc::clone(&stores.store), space: Arc::clone(&space) },
+            log: Log { store: Arc::clone(&stores.store), space: Arc::clone(&space), flushed: meters.flush.clone() },
             pace,
             outside,
+            meters,
         };
         let early = Arc::new(Early::new(Arc::clone(ledger), engines.clock.clone(), Arc::clone(&peers)));
         let links = Links { me: me.id, seat, directory: Arc::clone(&standing.directory), peers, space };
@@ -241,6 +244,7 @@ impl Wired {
             awake: Arc::clone(awake),
             denials: Arc::clone(&self.engines.outside.denials),
             early: Arc::clone(&self.early),
+            committed: self.engines.meters.commit.clone(),
         };
         let looks = Looks::new(tokio::runtime::Handle::current().metrics().num_workers());
         Submissions { intake, shares: Arc::clone(&self.shares), looks, current: current.clone(), turns: *turns }
@@ -271,6 +275,7 @@ impl Wired {
             chain,
             links: self.links.clone(),
             usage,
+            meters: self.engines.meters.clone(),
         }
     }
 

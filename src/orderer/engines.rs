@@ -9,6 +9,7 @@ use crate::denials::Denials;
 use crate::gateway::Current;
 use crate::housekeeping::Bells;
 use crate::instance::Fate;
+use crate::meters::{Meters, observe};
 use crate::peers::{Directory, Peers};
 use crate::slice::Turns;
 use crate::space::Space;
@@ -19,8 +20,10 @@ use ledger_replica::catch_up::Behind;
 use ledger_replica::space::Wrote;
 use ledger_replica::{Executor, Replica, Settings};
 use ledger_storage::block_store::{BlockStore, StoreError};
+use prometheus_client::metrics::histogram::Histogram;
 use std::io;
 use std::sync::Arc;
+use std::time::Instant;
 use tokio::sync::watch;
 
 /// Starts one engine after the other; cheap to clone.
@@ -40,6 +43,8 @@ pub(crate) struct Engines {
     pub pace: Pace,
     /// Where ordering sends and tells.
     pub outside: Outside,
+    /// How long the steps of a command take.
+    pub meters: Meters,
 }
 
 /// The log, on a disk that may be full; cheap to clone.
@@ -49,6 +54,8 @@ pub(crate) struct Log {
     pub store: Arc<BlockStore>,
     /// The room that the disk still has.
     pub space: Arc<Space>,
+    /// Takes down how long a flush takes.
+    pub flushed: Histogram,
 }
 
 /// The parts that keep the machine awake, and let it sleep; cheap to clone.
@@ -103,7 +110,9 @@ impl Log {
     /// As [`BlockStore::flush`]; [`StoreError::DiskFull`] if the reserve is used up.
     pub(crate) fn flush(&self) -> Result<(), StoreError> {
         loop {
+            let since = Instant::now();
             let written = self.store.flush().map(drop);
+            observe(&self.flushed, since);
             if !self.space.wrote(Wrote::from(&written)) {
                 return written;
             }

@@ -5,14 +5,17 @@ use super::{Engines, Pace};
 use crate::clock::Clock;
 use crate::housekeeping::PENDING_BYTES_MAX;
 use crate::instance::Fate;
+use crate::meters::observe;
 use ledger::{Ledger, Outcome};
 use ledger_invariant::invariant;
 use ledger_raft::Input;
 use ledger_replica::{Executor, Observer, in_turns};
 use ledger_storage::entry::Entry;
+use prometheus_client::metrics::histogram::Histogram;
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 /// Executes committed blocks.
 #[derive(Clone)]
@@ -22,12 +25,13 @@ pub(super) struct Execute {
     pace: Pace,
     fate: Fate,
     given: Given,
+    took: Histogram,
 }
 
 impl Execute {
     pub(super) fn new(parts: &Engines) -> Self {
-        let Engines { executor, clock, pace, outside, .. } = parts.clone();
-        Self { executor, clock, pace, fate: outside.fate, given: Given::default() }
+        let Engines { executor, clock, pace, outside, meters, .. } = parts.clone();
+        Self { executor, clock, pace, fate: outside.fate, given: Given::default(), took: meters.execute }
     }
 
     /// The execute thread.
@@ -62,7 +66,10 @@ impl Execute {
 
     /// Executes blocks. False if the node cannot go on.
     pub(super) fn execute(&self, entries: &[Entry]) -> bool {
-        if let Err(fault) = self.executor.execute_all(entries) {
+        let since = Instant::now();
+        let executed = self.executor.execute_all(entries);
+        observe(&self.took, since);
+        if let Err(fault) = executed {
             self.fate.fail(fault);
             return false;
         }

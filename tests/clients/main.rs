@@ -25,27 +25,8 @@ mod two_networks;
 mod languages;
 mod python;
 
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-
-/// The top of the repository.
-fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// The interpreter, with grpcio, cryptography, and what the tests of the package need.
-fn python() -> PathBuf {
-    std::env::var_os("LEDGERD_TEST_PYTHON").map_or_else(|| "python3".into(), PathBuf::from)
-}
-
-/// Runs a command that must succeed.
-#[track_caller]
-fn ran(command: &mut Command) -> Output {
-    let output = command.output().unwrap_or_else(|error| panic!("{command:?} does not start: {error}; run ./test"));
-    let [said, told] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
-    assert!(output.status.success(), "{command:?} (./test installs what it needs): {}\n{said}\n{told}", output.status);
-    output
-}
+use std::path::Path;
+use support::programs::{python, ran, repository};
 
 /// The blocks of a language in a document, in order.
 fn blocks(document: &Path, language: &str) -> Vec<String> {

@@ -1,5 +1,6 @@
 //! Nodes that were away: they fetch what they missed from others, verified, also if some have dropped it.
 
+use crate::support::directory::copy;
 use crate::support::network::{NodePlace, NodeWish, free_address, message, now, register_robots};
 use crate::support::process::Process;
 use crate::support::wait::eventually;
@@ -16,7 +17,6 @@ use ledger_storage::snapshot::Snapshot;
 use ledger_storage::state::Tip;
 use rustix::process::Signal;
 use std::net::TcpListener;
-use std::path::Path;
 use std::sync::Arc;
 
 /// More blocks than a node leaves to replication.
@@ -291,12 +291,6 @@ impl<'a> Copy<'a> {
         std::fs::create_dir(&self.place.data).unwrap();
         copy(self.kept.path(), &self.place.data);
     }
-}
-
-fn copy(from: &Path, to: &Path) {
-    let content = from.join(".");
-    let done = std::process::Command::new("cp").arg("-a").arg(content).arg(to).status().unwrap();
-    assert!(done.success());
 }
 
 /// The newest snapshot of a node: height, block hash, state digest, content.

@@ -1,8 +1,8 @@
 //! Clients in other languages, with the gRPC libraries that their programmers use: grpc-go and grpcio.
 
+use crate::support::programs::{python, ran, repository};
 use crate::support::{Dev, eventually};
 use serde_json::Value;
-use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use tempfile::TempDir;
 
@@ -20,23 +20,6 @@ const REFUSALS: [Refusal; 6] = [
     ("id", ["InvalidArgument", "INVALID_ARGUMENT"], "BAD_ARGUMENT", ("found", "5 bytes")),
     ("subscription", ["PermissionDenied", "PERMISSION_DENIED"], "MISSING_ATTRIBUTE", ("wanted", "Turtlebot4=true")),
 ];
-
-fn repository() -> &'static Path {
-    Path::new(env!("CARGO_MANIFEST_DIR"))
-}
-
-/// As `./test` prepares it: with grpcio, grpcio-tools, grpcio-status and cryptography.
-fn python() -> PathBuf {
-    std::env::var_os("LEDGERD_TEST_PYTHON").map_or_else(|| "python3".into(), PathBuf::from)
-}
-
-#[track_caller]
-fn ran(command: &mut Command) -> Output {
-    let output = command.output().unwrap_or_else(|error| panic!("{command:?} does not start: {error}; run ./test"));
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{command:?} (./test installs what it needs): {}\n{said}", output.status);
-    output
-}
 
 /// Generated Python code, and a `PYTHONPATH` with it and the example.
 fn python_code() -> (TempDir, String) {

@@ -1,7 +1,7 @@
 //! Where the programs are that the tests start.
 
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Output};
 use std::sync::OnceLock;
 
 /// The node, built for this test.
@@ -21,6 +21,25 @@ pub fn ledgerctl() -> &'static Path {
         assert!(program.is_file(), "cargo build -p ledgerctl has made no {}", program.display());
         program
     })
+}
+
+/// The interpreter, with what the tests need, as `./test` prepares it.
+pub fn python() -> PathBuf {
+    std::env::var_os("LEDGERD_TEST_PYTHON").map_or_else(|| "python3".into(), PathBuf::from)
+}
+
+/// The top of the repository.
+pub fn repository() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Runs a command that must succeed.
+#[track_caller]
+pub fn ran(command: &mut Command) -> Output {
+    let output = command.output().unwrap_or_else(|error| panic!("{command:?} does not start: {error}; run ./test"));
+    let [said, told] = [&output.stdout, &output.stderr].map(|bytes| String::from_utf8_lossy(bytes).into_owned());
+    assert!(output.status.success(), "{command:?} (./test installs what it needs): {}\n{said}\n{told}", output.status);
+    output
 }
 
 /// Builds `ledgerctl` into the directory of a profile (`target/debug`, `target/release`).

@@ -38,8 +38,10 @@ fn is_alone() -> bool {
     false
 }
 
+/// The bug must break one of these promises. `likely` is the seed that showed it last: looked at first, it saves those before it. A
+/// change of the simulation may move it; the run says where it is then.
 #[track_caller]
-fn caught(mutation: Mutation, by: &[&str]) {
+fn caught(mutation: Mutation, likely: u64, by: &[&str]) {
     if !is_alone() {
         return;
     }
@@ -47,7 +49,7 @@ fn caught(mutation: Mutation, by: &[&str]) {
     turn_on(Some(mutation));
     // Another promise may be the first to break in a seed; one of these must in some.
     let mut others = Vec::new();
-    let found = (0..SEEDS_MAX).find_map(|seed| {
+    let found = std::iter::once(likely).chain(0..SEEDS_MAX).find_map(|seed| {
         let violation = run(seed, &people, false).violation?;
         if by.contains(&violation.invariant) {
             return Some((seed, violation));
@@ -83,192 +85,192 @@ fn borne(mutation: Mutation) {
 
 #[test]
 fn a_log_that_is_not_synced_is_noticed() {
-    caught(Mutation::NoFsync, &["acknowledged is durable"]);
+    caught(Mutation::NoFsync, 3, &["acknowledged is durable"]);
 }
 
 #[test]
 fn an_answer_before_a_majority_has_it_is_noticed() {
-    caught(Mutation::AcknowledgeBeforeMajority, &["acknowledged is durable", "committed is immutable"]);
+    caught(Mutation::AcknowledgeBeforeMajority, 0, &["acknowledged is durable", "committed is immutable"]);
 }
 
 #[test]
 fn an_epoch_that_comes_twice_is_noticed() {
-    caught(Mutation::ReuseAnEpoch, &["epochs grow"]);
+    caught(Mutation::ReuseAnEpoch, 0, &["epochs grow"]);
 }
 
 #[test]
 fn a_preemption_that_gives_no_new_epoch_is_noticed() {
-    caught(Mutation::PreemptWithoutANewEpoch, &["epochs grow"]);
+    caught(Mutation::PreemptWithoutANewEpoch, 6, &["epochs grow"]);
 }
 
 #[test]
 fn a_grant_that_is_passed_on_without_a_new_epoch_is_noticed() {
-    caught(Mutation::PassOnWithoutANewEpoch, &["epochs grow"]);
+    caught(Mutation::PassOnWithoutANewEpoch, 6, &["epochs grow"]);
 }
 
 #[test]
 fn a_requester_that_counts_as_one_who_confirms_is_noticed() {
-    caught(Mutation::CountTheRequester, &["the oracle agrees"]);
+    caught(Mutation::CountTheRequester, 168, &["the oracle agrees"]);
 }
 
 #[test]
 fn a_free_place_that_goes_to_somebody_before_the_line_is_noticed() {
-    caught(Mutation::SkipTheLine, &["nobody is overtaken", "the oracle agrees"]);
+    caught(Mutation::SkipTheLine, 6, &["nobody is overtaken", "the oracle agrees"]);
 }
 
 #[test]
 fn a_task_that_begins_although_somebody_else_holds_the_service_is_noticed() {
-    caught(Mutation::RunBesideAHolder, &["grant exclusivity", "the oracle agrees", "nobody is overtaken"]);
+    caught(Mutation::RunBesideAHolder, 6, &["grant exclusivity", "the oracle agrees", "nobody is overtaken"]);
 }
 
 #[test]
 fn a_task_that_waits_again_although_its_submitter_did_not_want_that_is_noticed() {
-    caught(Mutation::AlwaysWaitAgain, &["the oracle agrees"]);
+    caught(Mutation::AlwaysWaitAgain, 6, &["the oracle agrees"]);
 }
 
 #[test]
 fn one_reader_more_than_the_owner_allows_is_noticed() {
-    caught(Mutation::OnePlaceTooMany, &["grant exclusivity", "the oracle agrees"]);
+    caught(Mutation::OnePlaceTooMany, 0, &["grant exclusivity", "the oracle agrees"]);
 }
 
 #[test]
 fn a_reader_without_a_place_is_noticed() {
-    caught(Mutation::ReadWithoutAPlace, &["the oracle agrees"]);
+    caught(Mutation::ReadWithoutAPlace, 0, &["the oracle agrees"]);
 }
 
 #[test]
 fn a_stop_that_a_node_forgets_when_it_starts_is_noticed() {
-    caught(Mutation::ForgetAStop, &["a stop lasts", "state agreement", "the oracle agrees"]);
+    caught(Mutation::ForgetAStop, 0, &["a stop lasts", "state agreement", "the oracle agrees"]);
 }
 
 #[test]
 fn a_revoked_certificate_that_is_accepted_is_noticed() {
-    caught(Mutation::SkipTheRevocationCheck, &["revoked stays revoked"]);
+    caught(Mutation::SkipTheRevocationCheck, 1, &["revoked stays revoked"]);
 }
 
 #[test]
 fn a_forbid_that_errs_and_is_skipped_is_noticed() {
-    caught(Mutation::AcceptAnErringForbid, &["the oracle agrees"]);
+    caught(Mutation::AcceptAnErringForbid, 6, &["the oracle agrees"]);
 }
 
 #[test]
 fn a_vote_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetTheVote, &["election safety"]);
+    caught(Mutation::ForgetTheVote, 65, &["election safety"]);
 }
 
 #[test]
 fn a_catch_up_that_is_off_by_one_is_noticed() {
-    caught(Mutation::CatchUpOffByOne, &["a node ends only for a reason", "acknowledged is durable", "log matching"]);
+    caught(Mutation::CatchUpOffByOne, 0, &["a node ends only for a reason", "acknowledged is durable", "log matching"]);
 }
 
 #[test]
 fn a_lease_by_the_wall_clock_is_noticed() {
-    caught(Mutation::WallClockLease, &["state agreement", "grant exclusivity", "the oracle agrees"]);
+    caught(Mutation::WallClockLease, 0, &["state agreement", "grant exclusivity", "the oracle agrees"]);
 }
 
 #[test]
 fn a_digest_in_any_order_is_noticed() {
-    caught(Mutation::UnsortedDigest, &["state agreement"]);
+    caught(Mutation::UnsortedDigest, 0, &["state agreement"]);
 }
 
 #[test]
 fn damage_that_a_start_does_not_look_for_is_noticed() {
-    caught(Mutation::NoRecheckAfterRestart, &["damage is refused", "log matching", "committed is immutable"]);
+    caught(Mutation::NoRecheckAfterRestart, 0, &["damage is refused", "log matching", "committed is immutable"]);
 }
 
 #[test]
 fn a_refusal_on_an_old_state_is_noticed() {
-    caught(Mutation::RefuseOnAnOldState, &["answered is seen"]);
+    caught(Mutation::RefuseOnAnOldState, 0, &["answered is seen"]);
 }
 
 #[test]
 fn a_repetition_that_is_refused_for_good_is_noticed() {
-    caught(Mutation::RefuseARetry, &["refused is final", "clients see one history"]);
+    caught(Mutation::RefuseARetry, 5, &["refused is final", "clients see one history"]);
 }
 
 #[test]
 fn an_answer_with_the_verdict_on_a_forged_copy_is_noticed() {
-    caught(Mutation::AnswerWithAForgedCopy, &["clients see one history"]);
+    caught(Mutation::AnswerWithAForgedCopy, 0, &["clients see one history"]);
 }
 
 #[test]
 fn a_waiter_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetAWaiter, &["everybody is answered"]);
+    caught(Mutation::ForgetAWaiter, 0, &["everybody is answered"]);
 }
 
 #[test]
 fn a_read_that_no_majority_confirms_is_noticed() {
-    caught(Mutation::AnswerAMinorityRead, &["answered is seen", "clients see one history"]);
+    caught(Mutation::AnswerAMinorityRead, 0, &["answered is seen", "clients see one history"]);
 }
 
 #[test]
 fn a_snapshot_that_one_organisation_attests_is_noticed_when_it_is_taken() {
-    caught(Mutation::BelieveOneOrganisation, &["snapshots are attested"]);
+    caught(Mutation::BelieveOneOrganisation, 0, &["snapshots are attested"]);
 }
 
 #[test]
 fn blocks_that_nobody_confirms_are_noticed_when_they_are_taken() {
-    caught(Mutation::TakeUnconfirmedBlocks, &["committed is immutable", "chain agreement", "log matching"]);
+    caught(Mutation::TakeUnconfirmedBlocks, 0, &["committed is immutable", "chain agreement", "log matching"]);
 }
 
 #[test]
 fn a_vote_before_it_is_known_whether_blocks_were_lost_is_noticed() {
-    caught(Mutation::VoteBeforeTheAnswers, &["votes are informed"]);
+    caught(Mutation::VoteBeforeTheAnswers, 0, &["votes are informed"]);
 }
 
 #[test]
 fn a_removed_member_that_keeps_its_vote_is_noticed() {
-    caught(Mutation::KeepARemovedVoter, &["members follow the ledger"]);
+    caught(Mutation::KeepARemovedVoter, 0, &["members follow the ledger"]);
 }
 
 #[test]
 fn a_block_that_is_executed_twice_after_a_snapshot_is_noticed() {
-    caught(Mutation::ApplyTwiceAfterASnapshot, &["a node ends only for a reason"]);
+    caught(Mutation::ApplyTwiceAfterASnapshot, 0, &["a node ends only for a reason"]);
 }
 
 #[test]
 fn messages_that_overtake_control_are_noticed() {
-    caught(Mutation::DataOvertakesControl, &["no call overtakes another"]);
+    caught(Mutation::DataOvertakesControl, 0, &["no call overtakes another"]);
 }
 
 #[test]
 fn a_call_that_overtakes_one_that_is_held_is_noticed() {
-    caught(Mutation::OvertakeWhatIsHeld, &["no call overtakes another"]);
+    caught(Mutation::OvertakeWhatIsHeld, 22, &["no call overtakes another"]);
 }
 
 #[test]
 fn an_identity_that_uses_a_gateway_alone_is_noticed() {
-    caught(Mutation::IgnoreTheShare, &["nobody is kept out"]);
+    caught(Mutation::IgnoreTheShare, 0, &["nobody is kept out"]);
 }
 
 #[test]
 fn a_deadline_that_is_forgotten_is_noticed() {
-    caught(Mutation::ForgetADeadline, &["everybody is answered"]);
+    caught(Mutation::ForgetADeadline, 13, &["everybody is answered"]);
 }
 
 #[test]
 fn a_learner_whose_signature_counts_is_noticed() {
-    caught(Mutation::CountALearner, &["certificates are true"]);
+    caught(Mutation::CountALearner, 0, &["certificates are true"]);
 }
 
 #[test]
 fn a_voter_that_counts_twice_is_noticed() {
-    caught(Mutation::CountAVoterTwice, &["certificates are true"]);
+    caught(Mutation::CountAVoterTwice, 0, &["certificates are true"]);
 }
 
 #[test]
 fn a_statement_about_other_results_that_counts_is_noticed() {
-    caught(Mutation::CountOtherResults, &["certificates are true"]);
+    caught(Mutation::CountOtherResults, 0, &["certificates are true"]);
 }
 
 #[test]
 fn a_block_that_is_executed_by_older_rules_is_noticed() {
-    caught(Mutation::OlderRulesAtTheActivation, &["rules by height"]);
+    caught(Mutation::OlderRulesAtTheActivation, 1, &["rules by height"]);
 }
 
 #[test]
 fn a_voter_that_acknowledges_any_time_is_noticed() {
-    caught(Mutation::AcknowledgeAnyTime, &["block time keeps to the clocks"]);
+    caught(Mutation::AcknowledgeAnyTime, 0, &["block time keeps to the clocks"]);
 }
 
 #[test]
@@ -278,28 +280,29 @@ fn a_leader_that_orders_by_its_own_clock_alone_does_no_harm() {
 
 #[test]
 fn a_leader_that_nobody_elected_is_noticed_when_it_is_followed() {
-    caught(Mutation::FollowWithoutMandate, &["only elected leaders are followed"]);
+    caught(Mutation::FollowWithoutMandate, 2, &["only elected leaders are followed"]);
 }
 
 #[test]
 fn a_robot_that_believes_its_node_about_a_grant_is_noticed() {
-    caught(Mutation::BelieveAGrant, &["gate"]);
+    caught(Mutation::BelieveAGrant, 2, &["gate"]);
 }
 
 #[test]
 fn a_robot_that_compares_no_epochs_is_noticed() {
-    caught(Mutation::IgnoreEpochs, &["gate"]);
+    caught(Mutation::IgnoreEpochs, 6, &["gate"]);
 }
 
 #[test]
 fn a_robot_that_goes_on_without_the_voters_is_noticed() {
-    caught(Mutation::IgnoreStaleness, &["gate"]);
+    caught(Mutation::IgnoreStaleness, 262, &["gate"]);
 }
 
 #[test]
 fn members_that_may_say_everything_are_noticed() {
     caught(
         Mutation::BelieveAnybody,
+        0,
         &[
             "a node ends only for a reason",
             "committed is immutable",

@@ -1,8 +1,9 @@
 //! Policies on the ledger: whose they are, what they change, and how hostile ones fare.
 
-use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, START, TURTLEBOT, admin1, farhad, owner, robot, salma};
+use crate::fleet::{Fleet, HUSKY, OPTITRACK, SECOND, START, TURTLEBOT, admin1, farhad, identity, owner, robot, salma};
 use bytes::Bytes;
 use ledger_abac::{DEFAULT_POLICY, Grant, POLICY_BYTES_MAX, PolicyChange, PolicyEntry};
+use ledger_identity::Role;
 use ledger_rejection::Code;
 
 const ALL: &str = "permit (principal, action, resource);";
@@ -252,4 +253,15 @@ fn a_policy_change_that_ends_very_many_grants_ends_all_of_them_at_once() {
     assert_eq!(released.len(), 400);
     assert!(released.iter().all(|event| event.payload.windows(6).any(|part| part == b"policy")));
     assert_eq!(fleet.next_deadline(), None);
+}
+
+#[test]
+fn attributes_of_a_fabric_ca_about_itself_give_nothing_unless_a_policy_names_them() {
+    let mut fleet = Fleet::of_the_paper();
+    let rover = identity("Org1", "Rover", Role::Member, &["hf.Affiliation", "hf.Registrar.Roles"], 9);
+    fleet.refused(&rover, Code::MissingAttribute, "acquire", &[TURTLEBOT]);
+    let named = r#"permit (principal, action, resource) when { principal.hasTag("hf.Affiliation") };"#;
+    fleet.ok(&owner(), "policy", &["put", "department", named]);
+    fleet.ok(&rover, "acquire", &[TURTLEBOT]);
+    fleet.refused(&farhad(), Code::DeniedByPolicy, "acquire", &[HUSKY]);
 }

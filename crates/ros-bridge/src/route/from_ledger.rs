@@ -307,6 +307,7 @@ impl FromLedger {
             names: names.map(|name| (*name).to_owned()).collect(),
             heartbeat: HEARTBEAT_MS,
             early: true,
+            proofs: false,
         })
     }
 

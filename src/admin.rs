@@ -1,0 +1,108 @@
+//! The page for whoever watches a node: is it alive, is it ready, and its figures. HTTP, read only.
+//!
+//! ```text
+//! admin       the addresses: /livez, /readyz, /metrics
+//!   checks    what readiness consists of
+//!   metrics   the figures, as Prometheus and OpenMetrics read them
+//!   doors     plain on loopback, TLS elsewhere
+//! ```
+
+mod checks;
+mod doors;
+mod metrics;
+
+use crate::gateway::Description;
+use axum::Router;
+use axum::extract::{RawQuery, State};
+use axum::http::StatusCode;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use checks::Check;
+use doors::Doors;
+use ledger_api::tls::{TlsIdentity, TrustSource};
+use ledger_rejection::{Code, Rejection};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+
+/// The form of `/metrics`: <https://prometheus.io/docs/specs/om/open_metrics_spec/>.
+const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// The page, as long as it is served. It ends when it is dropped.
+pub(crate) struct Admin {
+    address: SocketAddr,
+    serving: JoinHandle<()>,
+}
+
+impl Admin {
+    /// Serves the page of a node at `HOST:PORT`. An address of loopback is for everybody on this machine. Elsewhere the node shows its
+    /// certificate, and wants one of the network.
+    ///
+    /// # Errors
+    /// [`Code::BadConfiguration`] if nothing can listen there; [`Code::BadFile`] if the certificate cannot be used.
+    pub(crate) async fn serve(
+        address: &str,
+        node: Arc<Description>,
+        (identity, trust): (TlsIdentity, Arc<dyn TrustSource>),
+    ) -> Result<Self, Rejection> {
+        let refused = |error: std::io::Error| {
+            Rejection::new(Code::BadConfiguration, format!("cannot listen on {address}: {error}"))
+                .next("choose another address with the setting admin.listen, or end the process that uses this one")
+        };
+        let listener = TcpListener::bind(address).await.map_err(refused)?;
+        let address = listener.local_addr().map_err(refused)?;
+        let doors = Doors::open(listener, address, identity, trust)?;
+        let page = Router::new()
+            .route("/livez", get(live))
+            .route("/readyz", get(ready))
+            .route("/metrics", get(figures))
+            .with_state(node);
+        let serving = tokio::spawn(async move {
+            if let Err(error) = axum::serve(doors, page).await {
+                tracing::error!(%error, "the admin page ended");
+            }
+        });
+        tracing::info!(%address, "admin page: /livez, /readyz, /metrics");
+        Ok(Self { address, serving })
+    }
+
+    /// Where it listens; the port is the real one where the configuration said 0.
+    pub(crate) fn address(&self) -> SocketAddr {
+        self.address
+    }
+}
+
+impl Drop for Admin {
+    fn drop(&mut self) {
+        self.serving.abort();
+    }
+}
+
+/// Does the process answer? Whoever restarts it otherwise asks this, and nothing else.
+async fn live() -> &'static str {
+    "ok\n"
+}
+
+/// Can the node do its work? With `?verbose` every check is told, otherwise only those that failed.
+async fn ready(State(node): State<Arc<Description>>, RawQuery(query): RawQuery) -> Response {
+    let verbose = query.is_some_and(|query| query.split('&').any(|word| word.split('=').next() == Some("verbose")));
+    let checks = match node.status() {
+        Ok(status) => checks::all(&status),
+        Err(fault) => vec![Check::failed("state", fault.to_string())],
+    };
+    let is_ready = checks.iter().all(Check::is_ok);
+    let shown = checks.iter().filter(|check| verbose || !check.is_ok());
+    let mut text: String = shown.map(ToString::to_string).collect();
+    text.push_str(if is_ready { "ready\n" } else { "not ready\n" });
+    let code = if is_ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    (code, text).into_response()
+}
+
+async fn figures(State(node): State<Arc<Description>>) -> Response {
+    match node.status().and_then(|status| metrics::text(&status, node.meters())) {
+        Ok(text) => ([(CONTENT_TYPE, OPEN_METRICS)], text).into_response(),
+        Err(fault) => (StatusCode::INTERNAL_SERVER_ERROR, format!("{fault}\n")).into_response(),
+    }
+}

@@ -1,0 +1,30 @@
+//! The time that the steps of a command take: the histograms behind `/metrics`.
+
+use prometheus_client::metrics::histogram::Histogram;
+use std::time::Instant;
+
+/// Upper bounds of the buckets, in seconds.
+const BOUNDS: [f64; 8] = [0.0005, 0.001, 0.002, 0.005, 0.01, 0.05, 0.25, 1.0];
+
+/// The histograms of a node. Clones share them.
+#[derive(Clone, Debug)]
+pub(crate) struct Meters {
+    /// From a transaction's arrival to its verdict from a block.
+    pub commit: Histogram,
+    /// One flush of the log.
+    pub flush: Histogram,
+    /// Executing the blocks that came together.
+    pub execute: Histogram,
+}
+
+impl Default for Meters {
+    fn default() -> Self {
+        let empty = || Histogram::new(BOUNDS);
+        Self { commit: empty(), flush: empty(), execute: empty() }
+    }
+}
+
+/// Takes down how much time has passed since then.
+pub(crate) fn observe(histogram: &Histogram, since: Instant) {
+    histogram.observe(since.elapsed().as_secs_f64());
+}

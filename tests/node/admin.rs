@@ -1,0 +1,151 @@
+//! The page for whoever watches a node.
+
+use crate::own_network::isolated;
+use crate::support::network::{free_address, register_robots};
+use crate::support::wait::eventually;
+use crate::support::{Fleet, connect, programs};
+use ledger_identity::Role;
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::process::Command;
+
+/// An address that is not one of loopback, though nothing leaves the namespace.
+const ELSEWHERE: &str = "10.77.0.1";
+
+/// The status line and the body of an answer.
+fn get(address: &str, path: &str) -> (String, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    write!(stream, "GET {path} HTTP/1.1\r\nhost: node\r\nconnection: close\r\n\r\n").unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    (head.lines().next().unwrap().to_owned(), body.to_owned())
+}
+
+/// The values of a figure, with its labels.
+fn values<'a>(metrics: &'a str, name: &str) -> Vec<(&'a str, f64)> {
+    let of = |line: &'a str| line.strip_prefix(name).filter(|rest| rest.starts_with([' ', '{']));
+    let parted = |rest: &'a str| rest.rsplit_once(' ').map(|(labels, value)| (labels, value.parse().unwrap()));
+    metrics.lines().filter_map(of).filter_map(parted).collect()
+}
+
+/// Names as the documentation and the rules of alerts have them.
+fn named(text: &str) -> BTreeSet<String> {
+    let is_part = |c: char| c.is_ascii_lowercase() || c.is_ascii_digit() || c == '_';
+    text.split(|c| !is_part(c)).filter(|word| word.starts_with("ledgerd_")).map(str::to_owned).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_page_says_whether_a_node_is_ready_and_why_not_and_has_the_figures_of_the_documentation() {
+    let fleet = Fleet::found(2);
+    let page = free_address();
+    fleet.nodes[0].configure(&format!("[admin]\nlisten = \"{page}\""));
+    let mut nodes: Vec<_> = fleet.nodes.iter().map(|place| place.start()).collect();
+    let owner = connect(&fleet.owner()).await;
+    register_robots(&owner, "open").await;
+    assert_eq!(get(&page, "/livez"), ("HTTP/1.1 200 OK".to_owned(), "ok\n".to_owned()));
+    let ready = eventually("the node is ready", || {
+        let (status, body) = get(&page, "/readyz?verbose");
+        (status == "HTTP/1.1 200 OK").then_some(body)
+    });
+    assert_eq!(ready.matches("[+]").count(), 7, "{ready}");
+    assert!(ready.ends_with("ready\n") && !ready.contains("[-]"), "{ready}");
+    assert_eq!(get(&page, "/readyz").1, "ready\n");
+    assert!(get(&page, "/metric").0.contains("404"));
+
+    assert!(owner.invoke("abac", "acquire", vec!["Nothing/at_all".into()]).await.is_err());
+    let (status, metrics) = get(&page, "/metrics");
+    assert_eq!(status, "HTTP/1.1 200 OK");
+    let height = owner.status().await.unwrap().height;
+    let [(_, told)] = values(&metrics, "ledgerd_height")[..] else { panic!("{metrics}") };
+    assert!((1.0..=height as f64).contains(&told), "{told} of {height}");
+    assert_eq!(values(&metrics, "ledgerd_is_leader"), [("", 1.0)]);
+    let [(_, committed)] = values(&metrics, "ledgerd_commit_seconds_count")[..] else { panic!("{metrics}") };
+    let [(_, flushed)] = values(&metrics, "ledgerd_flush_seconds_count")[..] else { panic!("{metrics}") };
+    assert!(committed >= 1.0 && flushed >= 1.0, "{committed} {flushed}");
+    let executed = values(&metrics, "ledgerd_executed_total");
+    assert!(executed.iter().any(|(labels, count)| labels.contains("code=\"OK\"") && *count >= 1.0), "{executed:?}");
+    let refused = values(&metrics, "ledgerd_refused_total");
+    assert!(refused.iter().any(|(labels, count)| labels.contains("UNKNOWN_ROBOT") && *count >= 1.0), "{refused:?}");
+    let lives = values(&metrics, "ledgerd_certificate_remaining_seconds");
+    assert!(lives.iter().any(|(labels, left)| labels.contains("kind=\"node\"") && *left > 86_400.0), "{lives:?}");
+    assert!(metrics.ends_with("# EOF\n"));
+    let series = metrics.lines().filter(|line| !line.starts_with('#')).count();
+    assert!(series <= 80, "{series} series:\n{metrics}");
+
+    // Nothing is exposed that is not documented, and the other way round; alerts speak of nothing else.
+    let types: BTreeSet<_> = metrics
+        .lines()
+        .filter_map(|line| line.strip_prefix("# TYPE "))
+        .map(|line| match line.split_once(' ').unwrap() {
+            (name, "counter") => format!("{name}_total"),
+            (name, "info") => format!("{name}_info"),
+            (name, _) => name.to_owned(),
+        })
+        .collect();
+    assert_eq!(types, named(include_str!("../../docs/metrics.md")));
+    let alerts = include_str!("../../packaging/prometheus/alerts.yml");
+    for name in named(alerts) {
+        assert!(types.contains(name.trim_end_matches("_bucket")), "{name}");
+    }
+
+    // The second node only follows: with it nothing is lost. Without the first, it knows no leader.
+    nodes[1].kill();
+    assert_eq!(get(&page, "/readyz").0, "HTTP/1.1 200 OK");
+    nodes[0].interrupt();
+    let other = free_address();
+    fleet.nodes[1].configure(&format!("[admin]\nlisten = \"{other}\""));
+    nodes[1] = fleet.nodes[1].start();
+    let body = eventually("the node that only follows is not ready", || {
+        let (status, body) = get(&other, "/readyz");
+        (status == "HTTP/1.1 503 Service Unavailable").then_some(body)
+    });
+    assert!(body.contains("[-] leader failed: no leader is known") && body.ends_with("not ready\n"), "{body}");
+    assert_eq!(get(&other, "/livez").1, "ok\n");
+}
+
+#[test]
+fn away_from_loopback_the_page_is_for_whoever_has_a_certificate_of_the_network() {
+    if !isolated(&|| ()) {
+        return;
+    }
+    let added = Command::new("ip").args(["address", "add", &format!("{ELSEWHERE}/32"), "dev", "lo"]).status().unwrap();
+    assert!(added.success());
+    let fleet = Fleet::found(1);
+    let page = format!("{ELSEWHERE}:7451");
+    fleet.nodes[0].configure(&format!("[admin]\nlisten = \"{page}\""));
+    fleet.issue("Org1", "Salma", Role::Member, &[]);
+    let _node = fleet.nodes[0].start();
+    let salma = fleet.home().join("contexts/Salma");
+    let ask = |with: bool| {
+        let mut python = Command::new(programs::python());
+        python.args(["-c", ASK, ELSEWHERE, "7451"]);
+        if with {
+            python.arg(salma.join("certificate.pem")).arg(salma.join("key.pem"));
+        }
+        let told = python.output().unwrap();
+        String::from_utf8_lossy(&told.stdout).into_owned()
+    };
+    let told = eventually("the page answers", || Some(ask(true)).filter(|told| !told.is_empty()));
+    assert!(told.starts_with("HTTP/1.1 200 OK") && told.ends_with("ok\n"), "{told}");
+    assert_eq!(ask(false), "", "without a certificate");
+}
+
+/// Asks for /livez over TLS, and prints the answer; nothing if there is none.
+const ASK: &str = r#"
+import socket, ssl, sys
+settings = ssl.create_default_context()
+settings.check_hostname, settings.verify_mode = False, ssl.CERT_NONE
+if len(sys.argv) > 3:
+    settings.load_cert_chain(sys.argv[3], sys.argv[4])
+try:
+    with settings.wrap_socket(socket.create_connection((sys.argv[1], int(sys.argv[2])), 5)) as page:
+        page.sendall(b"GET /livez HTTP/1.1\r\nhost: node\r\nconnection: close\r\n\r\n")
+        answer = b""
+        while chunk := page.recv(4096):
+            answer += chunk
+        sys.stdout.write(answer.decode().replace("\r\n", "\n"))
+except OSError:
+    pass
+"#;
