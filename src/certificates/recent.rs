@@ -50,7 +50,8 @@ impl Recent {
                 added.borrow_and_update();
                 let known = {
                     let kept = self.lock();
-                    let is_past = kept.len() >= RECENT_MAX && kept.first_key_value().is_some_and(|(first, _)| height < *first);
+                    let is_past =
+                        kept.len() >= RECENT_MAX && kept.first_key_value().is_some_and(|(first, _)| height < *first);
                     if is_past { Some(None) } else { kept.get(&height).cloned().map(Some) }
                 };
                 if let Some(known) = known {
