@@ -226,6 +226,10 @@ impl Coverage {
                 ("abac", "left") => "sent away from the line",
                 ("abac", "stopped") => "stopped",
                 ("abac", "resumed") => "resumed",
+                ("abac", "policy_approvals") => {
+                    *self.governance.entry("rule of the network in force").or_default() += 1;
+                    continue;
+                }
                 _ => continue,
             };
             self.contest(what);

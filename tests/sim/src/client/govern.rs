@@ -155,9 +155,9 @@ impl World {
         Some(match random.below(100) {
             0..=19 => Call::Apply(draft(random, &organisation, version, now)),
             20..=41 => Call::Propose(draft(random, &organisation, version, now)),
-            42..=59 => Call::Approve { id: self.book.any(random) },
-            60..=73 => Call::Enact { id: self.book.any(random), breaks: random.percent(15) },
-            74..=80 => Call::Withdraw { id: self.book.any(random) },
+            42..=61 => Call::Approve { id: self.book.any(random) },
+            62..=76 => Call::Enact { id: self.book.any(random), breaks: random.percent(15) },
+            77..=80 => Call::Withdraw { id: self.book.any(random) },
             81..=84 => Call::ProposeRule { quorum: random.pick(&NETWORK_RULES).copied().unwrap_or("none") },
             _ => return Some(self.publish(&organisation)),
         })
@@ -187,7 +187,11 @@ impl World {
 
 /// A set that some admin wants now.
 fn draft(random: &mut Random, organisation: &str, version: u64, now: u64) -> Draft {
-    let back = random.below(40);
+    let back = match random.below(10) {
+        0 => 0,
+        1..=7 => 1 + random.below(4),
+        _ => random.below(40),
+    };
     let base = match random.below(10) {
         0..=1 => None,
         2..=3 => Some(version.saturating_sub(1 + random.below(2))),

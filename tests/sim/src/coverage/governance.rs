@@ -5,7 +5,7 @@ use crate::client::Call;
 use ledger_rejection::Code;
 
 /// Those that must be given.
-pub(super) const GOVERNANCE: [&str; 21] = [
+pub(super) const GOVERNANCE: [&str; 22] = [
     "set applied",
     "set restored",
     "set refused as stale",
@@ -24,6 +24,7 @@ pub(super) const GOVERNANCE: [&str; 21] = [
     "proposal enacted too late",
     "single policy refused: others must agree",
     "rule of the network proposed",
+    "rule of the network in force",
     "list taken",
     "list refused as old",
     "list refused as not signed",
